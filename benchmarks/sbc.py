@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from benchmarks.figures import Figure, Size, at_least, at_most
+from benchmarks.simulation_based_calibration import Ranks, calibrate_by_simulation
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target
@@ -22,7 +23,6 @@ from fixel.testing.scenes import free_push, row
 from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.posterior import NestedSampling
-from fixel.uncertainty.sbc import Ranks, calibrate_by_simulation
 
 DATA_SETS: Final = 300
 NOISE: Final = Noise(position_m=3e-4, angle_rad=5e-3)

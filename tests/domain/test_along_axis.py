@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from fixel.calibration.objective import Evaluation
 from fixel.domain.along_axis import AxisEdges, AxisStudies, edges
-from fixel.domain.growth import RolloutQueue, Singles
+from fixel.domain.growth import RolloutQueue, SingleCalibrations
 from fixel.domain.places import ROWS, AxisPlace, ExperimentGroup
 from fixel.errors import InvalidInput
 
@@ -77,7 +77,7 @@ def _groups(left_out=()):
 
 
 def _studied(groups, evaluate=_evaluate, **sizes):
-    studies = AxisStudies(groups, Singles(points=BEST, errors=FLOOR), sizes)
+    studies = AxisStudies(groups, SingleCalibrations(points=BEST, errors=FLOOR), sizes)
     wanted = RolloutQueue()
     studies.ask(wanted)
     return {(s.axis, s.size): s for s in studies.read(wanted.run(evaluate))}

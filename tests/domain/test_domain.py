@@ -15,11 +15,11 @@ from fixel.domain.domain import (
     PREDICTED,
     TRUSTED,
     Claim,
+    default_threshold,
     domain_map,
-    usual_threshold,
 )
 from fixel.domain.evidence import HeldOutErrors, threshold_score, value_of
-from fixel.domain.folds import folds_of, usual_folds
+from fixel.domain.folds import default_folds, folds_of
 from fixel.domain.next_experiment import proposals
 from fixel.errors import InvalidInput
 
@@ -170,7 +170,7 @@ def test_too_few_experiments_are_refused_with_how_many_are_needed():
 
 
 def test_the_usual_threshold_is_twice_the_median():
-    assert usual_threshold(line(np.full(11, 1.234))) == 2.5
+    assert default_threshold(line(np.full(11, 1.234))) == 2.5
 
 
 # --- cells --------------------------------------------------------------------------------------
@@ -239,8 +239,8 @@ def test_repetitions_are_held_out_together_and_groups_spread():
         own = [int(f) for f, s in zip(fold, strata, strict=True) if s == stratum]
         assert np.bincount(own).tolist() == [4] * 5
     np.testing.assert_array_equal(fold, folds_of(blocks, strata, 5, seed=3))
-    assert usual_folds(420) == 5
-    assert usual_folds(4774) == 2
+    assert default_folds(420) == 5
+    assert default_folds(4774) == 2
 
 
 def test_fewer_configurations_than_folds_are_refused():

@@ -10,9 +10,9 @@ from fixel.domain.growth import (
     STORED,
     Joint,
     RolloutQueue,
-    Singles,
+    SingleCalibrations,
+    group_parameters,
     grow,
-    one_set,
     weights,
 )
 from fixel.domain.places import ROWS, AxisPlace, ExperimentGroup
@@ -29,7 +29,7 @@ def _evaluate(which, points):
 
 
 def _singles(**joint):
-    return Singles(points=BEST, errors=FLOOR, **joint)
+    return SingleCalibrations(points=BEST, errors=FLOOR, **joint)
 
 
 def _group(rows=ROWS):
@@ -63,9 +63,9 @@ def test_largest_errors_are_those_computed_by_hand(index, rows):
 def test_small_errors_weigh_more():
     share = weights([0, 20], _singles())
     np.testing.assert_allclose(share, [10.0 / 11.0, 1.0 / 11.0])
-    point = one_set([0, 20], _singles()).point
+    point = group_parameters([0, 20], _singles()).point
     np.testing.assert_allclose(point, share @ BEST[[0, 20]])
-    np.testing.assert_allclose(one_set([0, 20, 20], _singles()).point,
+    np.testing.assert_allclose(group_parameters([0, 20, 20], _singles()).point,
                                (10.0 * BEST[0] + 2.0 * BEST[20]) / 12.0)  # fmt: skip
 
 
@@ -106,7 +106,7 @@ def test_a_simulation_that_fails_is_a_reason_and_no_number():
 def test_experiments_whose_own_calibration_failed_do_not_weigh():
     errors = FLOOR.copy()
     errors[[0, 16]] = np.inf
-    singles = Singles(points=BEST, errors=errors)
+    singles = SingleCalibrations(points=BEST, errors=errors)
     found = grow([_group()], singles, _evaluate)
     assert found.matrix[0][0] is None
     assert "no error" in found.steps[0][0].reason

@@ -12,8 +12,8 @@ import pytest
 
 from fixel.model import Disk
 from fixel.testing.scenes import PROBE_SIDE, micro_push
-from fixel.uncertainty.fan import fan_of
 from fixel.uncertainty.outcomes import sensitivity_of
+from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import ASME
 
 SAMPLES = 400
@@ -28,12 +28,12 @@ def tipped(test):
 
 @pytest.fixture(scope="module")
 def fans():
-    return {test: fan_of(tipped(test), ASME, SAMPLES) for test in range(1, 9)}
+    return {test: simulate_starts(tipped(test), ASME, SAMPLES) for test in range(1, 9)}
 
 
 @pytest.fixture(scope="module")
 def judged(fans):
-    return {test: sensitivity_of(fan) for test, fan in fans.items()}
+    return {test: sensitivity_of(ensemble) for test, ensemble in fans.items()}
 
 
 def test_the_midpoint_push_is_flagged(judged):
@@ -68,6 +68,6 @@ def test_other_pushes_of_long_sides_turn_one_way(fans):
 def test_a_flat_tip_of_25_um_takes_the_sensitivity_away():
     """The paper's model of the probe, "a polygon with a 25 um side", if that side lies flat on the
     part: with the centre of mass in front of it the push aligns the part, from all of +-5 um."""
-    fan = fan_of(micro_push(1), ASME, SAMPLES)
-    assert sensitivity_of(fan).flag == "calm"
-    assert math.degrees(np.abs(fan.end[:, 2]).max()) < 0.01
+    ensemble = simulate_starts(micro_push(1), ASME, SAMPLES)
+    assert sensitivity_of(ensemble).flag == "calm"
+    assert math.degrees(np.abs(ensemble.end[:, 2]).max()) < 0.01

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from benchmarks.sbc import MODEL_ERROR, NOISE, pushes
+from benchmarks.simulation_based_calibration import measured_path
 from scipy.stats import multivariate_normal, norm
 
 from fixel.calibration.noise import Noise
@@ -14,7 +15,6 @@ from fixel.uncertainty.discrepancy import ModelError, draw_walks, shares_of_way,
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
 from fixel.uncertainty.posterior import NestedSampling
 from fixel.uncertainty.prior import ParameterPrior
-from fixel.uncertainty.sbc import measured_path
 
 TRUTH = np.array([0.4, 0.035, 1e-3])
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from benchmarks.sbc import some_ranks
+from benchmarks.simulation_based_calibration import Ranks, rank_of, uniformity
 
 from fixel.errors import InvalidInput
-from fixel.uncertainty.sbc import Ranks, rank_of, uniformity
 
 
 def conjugate(width, shift=0.0, n=300):

@@ -103,7 +103,7 @@ class _CmaWalk(GeneratorSearch):
         super().__init__(box)
         self.options = options
         self._starts = starts
-        self._dice = rng
+        self._rng = rng
 
     def _walk(self) -> Moves:
         reason = ""
@@ -146,7 +146,7 @@ class _CmaWalk(GeneratorSearch):
             "popsize": population,
             "tolx": self.options.tolerance,
             "seed": math.nan,  # do not change NumPy's global random numbers
-            "randn": _normal(self._dice),
+            "randn": _normal(self._rng),
             "verbose": -10,  # and read no file of signals
             "verb_log": 0,
             "verb_disp": 0,

@@ -198,4 +198,4 @@ def _next(answer: "SensitivityAnswer", plot: Path | None, project: Path) -> str:
         return f"{again} --indices"
     if answer.kept is not None:
         return shlex.join(["fixel", "report", *project_words(project)])
-    return f"{again} --samples {10 * len(answer.findings[0].fan.reasons)}"
+    return f"{again} --samples {10 * len(answer.findings[0].ensemble.reasons)}"

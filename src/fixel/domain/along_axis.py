@@ -12,7 +12,13 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.objective import Evaluation
-from fixel.domain.growth import NONE, OneSet, RolloutQueue, Singles, one_set
+from fixel.domain.growth import (
+    NONE,
+    GroupParameters,
+    RolloutQueue,
+    SingleCalibrations,
+    group_parameters,
+)
 from fixel.domain.places import AXES, ExperimentGroup, along, interval
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
@@ -81,7 +87,7 @@ class AxisStudy:
     steps : (n_step,) int
         Steps of the experiments on the axis, ascending.
     layouts : tuple of str
-    sets : tuple of OneSet
+    sets : tuple of GroupParameters
         Parameter sets, one per layout.
     error : (n_layout, n_step) float64
         Error E with the set; nan without an experiment or set, inf for a failure.
@@ -95,7 +101,7 @@ class AxisStudy:
     interval: tuple[int, int]
     steps: IntArray
     layouts: tuple[str, ...]
-    sets: tuple[OneSet, ...]
+    sets: tuple[GroupParameters, ...]
     error: FloatArray
     own: FloatArray
 
@@ -160,7 +166,7 @@ class AxisStudies:
     Parameters
     ----------
     groups : sequence of ExperimentGroup
-    singles : Singles
+    singles : SingleCalibrations
     sizes : mapping from axis to sizes, optional
         Numbers of samples of the intervals; by default those of the thesis.
     """
@@ -168,7 +174,7 @@ class AxisStudies:
     def __init__(
         self,
         groups: Sequence[ExperimentGroup],
-        singles: Singles,
+        singles: SingleCalibrations,
         sizes: Mapping[str, Sequence[int]] = SIZES,
     ) -> None:
         self.singles = singles
@@ -199,9 +205,9 @@ class AxisStudies:
             members = group.found(inside)
             if missing:
                 reason = "not performed: " + ", ".join(place.name for place in missing)
-                sets.append(OneSet(members, None, NONE, reason=reason))
+                sets.append(GroupParameters(members, None, NONE, reason=reason))
                 continue
-            sets.append(one_set(members, self.singles))
+            sets.append(group_parameters(members, self.singles))
             point = sets[-1].point
             for column, step in enumerate(steps.tolist()):
                 place = along(axis, step)
@@ -240,7 +246,7 @@ class _PlannedStep(NamedTuple):
     axis: str
     size: int
     steps: IntArray
-    sets: tuple[OneSet, ...]
+    sets: tuple[GroupParameters, ...]
     places: IntArray  # (n_layout, n_step) indices of the rollouts; -1 for none
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from fixel.domain.cells import Cells
 from fixel.domain.evidence import HeldOutErrors, Measure, threshold_score, value_of
-from fixel.domain.promised_cells import untried
+from fixel.domain.predicted_cells import untried
 from fixel.domain.surface import CellObservations, Surface, fit_surface
 from fixel.errors import InvalidInput
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -280,7 +280,7 @@ def _quantile(scores: FloatArray, level: float) -> float:
     return float(ordered[min(len(ordered) - 1, math.ceil(level * len(ordered) - 1e-9) - 1)])
 
 
-def usual_threshold(evidence: HeldOutErrors, measure: Measure = "absolute") -> float:
+def default_threshold(evidence: HeldOutErrors, measure: Measure = "absolute") -> float:
     """Return the default threshold: twice the median error, to two digits."""
     scores = evidence.scores(measure)
     good = scores[np.isfinite(scores)]

@@ -14,7 +14,7 @@ FOLDS: Final = 5
 MANY: Final = 2000  # experiments above which two folds are sufficient
 
 
-def usual_folds(n: int) -> int:
+def default_folds(n: int) -> int:
     """Return the default number of folds for n experiments."""
     return 2 if n > MANY else FOLDS
 

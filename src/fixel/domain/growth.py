@@ -38,7 +38,7 @@ class Joint(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Singles:
+class SingleCalibrations:
     """Results of the calibrations of single experiments.
 
     Parameters
@@ -64,7 +64,7 @@ class Singles:
         settle(self, joint=MappingProxyType(dict(self.joint)))
 
 
-class OneSet(NamedTuple):
+class GroupParameters(NamedTuple):
     """Parameter set for some experiments."""
 
     members: tuple[int, ...]  # repeated members count repeatedly
@@ -74,7 +74,7 @@ class OneSet(NamedTuple):
     reason: str = ""
 
 
-def one_set(members: Sequence[int], singles: Singles) -> OneSet:
+def group_parameters(members: Sequence[int], singles: SingleCalibrations) -> GroupParameters:
     """Return the stored set for exactly these experiments, else the mean of their own sets.
 
     The mean is weighted with inverse errors, as in section 5.2.2 of the thesis; experiments without
@@ -83,18 +83,18 @@ def one_set(members: Sequence[int], singles: Singles) -> OneSet:
     own = tuple(members)
     if len(own) == 1:
         if not math.isfinite(singles.errors[own[0]]):
-            return OneSet(own, None, NONE, reason="its own calibration has no error")
-        return OneSet(own, singles.points[own[0]], OWN)
+            return GroupParameters(own, None, NONE, reason="its own calibration has no error")
+        return GroupParameters(own, singles.points[own[0]], OWN)
     stored = singles.joint.get(tuple(sorted(own)))
     if stored is not None:
-        return OneSet(own, stored.point, STORED, stored.calibration)
+        return GroupParameters(own, stored.point, STORED, stored.calibration)
     rows = np.array(own)
     if not np.isfinite(singles.errors[rows]).any():
-        return OneSet(own, None, NONE, reason="no member's own calibration has an error")
-    return OneSet(own, weighted_mean(singles.points[rows], singles.errors[rows]), AVERAGED)
+        return GroupParameters(own, None, NONE, reason="no member's own calibration has an error")
+    return GroupParameters(own, weighted_mean(singles.points[rows], singles.errors[rows]), AVERAGED)
 
 
-def weights(members: Sequence[int], singles: Singles) -> FloatArray:
+def weights(members: Sequence[int], singles: SingleCalibrations) -> FloatArray:
     """Return the weights (n_member,) of the members in their mean."""
     errors = singles.errors[np.array(members)]
     weight = np.where(np.isfinite(errors), 1.0 / np.maximum(errors, MIN_ERROR), 0.0)
@@ -147,7 +147,7 @@ class Step:
     ----------
     group : ExperimentGroup
     step : int
-    used : OneSet
+    used : GroupParameters
         Parameter set, with its members.
     errors : (n_member,) float64
         Error E of every member with it; inf for a failed simulation; empty without a set.
@@ -157,7 +157,7 @@ class Step:
 
     group: ExperimentGroup
     step: int
-    used: OneSet
+    used: GroupParameters
     errors: FloatArray
     reason: str = ""
 
@@ -216,23 +216,26 @@ def n_steps_of(groups: Sequence[ExperimentGroup], index: Index) -> int:
     return max(group.reach for group in groups)
 
 
-class Grower:
+class DomainGrowth:
     """Computation of the growth: collects rollouts in a queue, then evaluates their results.
 
     Parameters
     ----------
     groups : sequence of ExperimentGroup
-    singles : Singles
+    singles : SingleCalibrations
     index : str
         `"corrected"`, or `"printed"` for the thesis's code as it is printed.
     """
 
     def __init__(
-        self, groups: Sequence[ExperimentGroup], singles: Singles, index: Index = "corrected"
+        self,
+        groups: Sequence[ExperimentGroup],
+        singles: SingleCalibrations,
+        index: Index = "corrected",
     ) -> None:
         self.groups, self.singles, self.index = tuple(groups), singles, index
         self.n_steps = n_steps_of(self.groups, index)
-        self._plan: list[list[tuple[OneSet, list[int], str]]] = []
+        self._plan: list[list[tuple[GroupParameters, list[int], str]]] = []
 
     def ask(self, wanted: RolloutQueue) -> None:
         """Add the required rollouts to a queue."""
@@ -243,13 +246,13 @@ class Grower:
 
     def _planned(
         self, group: ExperimentGroup, step: int, wanted: RolloutQueue
-    ) -> tuple[OneSet, list[int], str]:
+    ) -> tuple[GroupParameters, list[int], str]:
         places = domain(step, self.index)
         missing = group.missing(places)
         if missing:
             reason = "not performed: " + ", ".join(place.name for place in missing)
-            return OneSet(group.found(places), None, NONE, reason=reason), [], reason
-        used = one_set(group.found(places), self.singles)
+            return GroupParameters(group.found(places), None, NONE, reason=reason), [], reason
+        used = group_parameters(group.found(places), self.singles)
         if used.point is None:
             return used, [], used.reason
         return used, [wanted.add(member, used.point) for member in used.members], ""
@@ -269,7 +272,7 @@ class Grower:
         self,
         group: ExperimentGroup,
         step: int,
-        planned: tuple[OneSet, list[int], str],
+        planned: tuple[GroupParameters, list[int], str],
         answer: Evaluation,
     ) -> Step:
         used, places, reason = planned
@@ -283,7 +286,7 @@ class Grower:
 
 def grow(
     groups: Sequence[ExperimentGroup],
-    singles: Singles,
+    singles: SingleCalibrations,
     evaluate: Evaluate,
     index: Index = "corrected",
 ) -> Growth:
@@ -292,10 +295,10 @@ def grow(
     Parameters
     ----------
     groups, singles, index
-        Arguments of `Grower`.
+        Arguments of `DomainGrowth`.
     evaluate : callable
         Function of experiments (n,) and points (n, n_parameter) -> errors; `Comparer.errors`.
     """
-    grower, wanted = Grower(groups, singles, index), RolloutQueue()
+    grower, wanted = DomainGrowth(groups, singles, index), RolloutQueue()
     grower.ask(wanted)
     return grower.read(wanted.run(evaluate))

@@ -39,7 +39,7 @@ def unpowered(values: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(values, 0.0) ** (1.0 / POWER))
 
 
-def usual_model(n: int) -> str:
+def default_model(n: int) -> str:
     """Return the name of the best available model for n experiments."""
     if n < MIN_MODEL:
         return "constant"

@@ -68,7 +68,7 @@ def gathered(sights: Sequence[FrameMeasurement]) -> FrameMeasurement:
 
 @final
 @dataclass(slots=True)
-class Crowd:
+class Particles:
     """Particles at one instant. Arrays have one row for each particle.
 
     Attributes
@@ -120,13 +120,13 @@ class Crowd:
         }
         return np.array([np.mean(on.get(name, self.pushed)) for name in names])
 
-    def take(self, which: np.ndarray) -> Crowd:
+    def take(self, which: np.ndarray) -> Particles:
         """Return a copy of some particles."""
-        return Crowd(*(np.array(getattr(self, name)[which]) for name in Crowd.__slots__))
+        return Particles(*(np.array(getattr(self, name)[which]) for name in Particles.__slots__))
 
-    def put(self, which: np.ndarray, other: Crowd) -> None:
+    def put(self, which: np.ndarray, other: Particles) -> None:
         """Replace some particles by others."""
-        for name in Crowd.__slots__:
+        for name in Particles.__slots__:
             column = getattr(self, name).copy()  # two columns may be the same array
             column[which] = getattr(other, name)
             setattr(self, name, column)
@@ -153,10 +153,10 @@ class Mechanics:
         self._method = method_of(motion, stepper, Newton(), MOST_CONTACTS)
         self._template = Template(scene, motion.kind, step=FRAME, tolerance=None, largest=math.inf)
 
-    def begun(self, unknowns: Unknowns, free: FloatArray) -> Crowd:
+    def begun(self, unknowns: Unknowns, free: FloatArray) -> Particles:
         """Return particles at the start."""
         n = len(free)
-        crowd = Crowd(
+        crowd = Particles(
             free=free,
             pose=unknowns.start(free),
             shift=np.zeros((n, 3)),
@@ -175,7 +175,7 @@ class Mechanics:
 
     def advance(
         self,
-        crowd: Crowd,
+        crowd: Particles,
         unknowns: Unknowns,
         sights: Sequence[FrameMeasurement],
         path: FloatArray,
@@ -186,7 +186,7 @@ class Mechanics:
 
         Parameters
         ----------
-        crowd : Crowd
+        crowd : Particles
             At frame `first`; changed in place.
         unknowns : Unknowns
         sights : sequence of FrameMeasurement
@@ -247,12 +247,12 @@ class Mechanics:
         pose = np.where(thrown[:, None, None], start[:, None], pose)
         return pose, failed, result.stalled[:, 0]
 
-    def _grow(self, crowd: Crowd, walk: FloatArray, seconds: float, shake: FloatArray) -> None:
+    def _grow(self, crowd: Particles, walk: FloatArray, seconds: float, shake: FloatArray) -> None:
         model = np.column_stack((walk, walk / LEVER)) ** 2 / FRAME
         pusher = np.where(crowd.pushed[:, None], shake, 0.0)
         crowd.variance = crowd.variance + seconds * (model + pusher)
 
-    def _weigh(self, crowd: Crowd, sight: FrameMeasurement, behind: FloatArray) -> None:
+    def _weigh(self, crowd: Particles, sight: FrameMeasurement, behind: FloatArray) -> None:
         """Weigh by a sight that lies `behind` the poses (n, 3) on their way."""
         options = self.options
         crowd.expected, crowd.doubt = crowd.place, crowd.variance
@@ -280,7 +280,7 @@ class Mechanics:
             )
             crowd.score += likelihood
 
-    def _contact(self, crowd: Crowd) -> tuple[FloatArray, FloatArray]:
+    def _contact(self, crowd: Particles) -> tuple[FloatArray, FloatArray]:
         """Probabilities of contact by the gaps, and how much of the old ones still holds."""
         gap, variance = self.gaps.of(crowd.place), crowd.variance[:, :1]
         contact = contact_probability(gap, self.options.touch_gap, np.sqrt(variance))

@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.filtering.crowd import FOLD, FRAME, GROUP, Crowd, FrameMeasurement, Mechanics, gathered
+from fixel.filtering.crowd import (
+    FOLD,
+    FRAME,
+    GROUP,
+    FrameMeasurement,
+    Mechanics,
+    Particles,
+    gathered,
+)
 from fixel.filtering.head_path import smoothed
 from fixel.filtering.prior import UniformPrior, prior_for
 from fixel.filtering.resampling import (
@@ -100,7 +108,7 @@ class FilterEstimate:
 class Move(NamedTuple):
     """Proposals for the particles of an island, on their way from the start to now."""
 
-    both: Crowd  # the island's particles, and after them a proposal for each
+    both: Particles  # the island's particles, and after them a proposal for each
     frame: int  # at which they are
     prior_ratio: FloatArray  # (n,) see `Unknowns.proposed`
 
@@ -133,7 +141,7 @@ class RunningFilter:
     island particle model, for islands.
     """
 
-    _crowd: Crowd
+    _crowd: Particles
     _driven: FloatArray  # (3,) where the particles believe the pusher to be
     _path: FloatArray  # (n_frame, 3) of the pusher, smoothed
     _shake: FloatArray  # see `Mechanics.advance`

@@ -10,7 +10,7 @@ import numpy as np
 from fixel.datasets.rpi_2dgad import Rpi2dgad
 from fixel.model import Body, Experiment, LineDrive, Polygon, Pusher, Scene, Tripod
 from fixel.typing import BoolArray, FloatArray
-from fixel.uncertainty.fan import fan_of
+from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import StartError, even_points
 
 NAMES: Final = ("126", "127", "129", "130", "132", "134", "136")
@@ -56,7 +56,7 @@ class AlikeGroup(NamedTuple):
         }
         drawn = np.random.default_rng(10).standard_normal((n, 3)) * self.error.size
         scene = _scene(self.start.mean(axis=0))
-        fan = fan_of(scene, self.error, drawn=drawn, values=values, times=[scene.duration])
+        fan = simulate_starts(scene, self.error, drawn=drawn, values=values, times=[scene.duration])
         return fan.pose[:, -1], fan.ended
 
 

@@ -18,8 +18,8 @@ import numpy as np
 from fixel.calibration.registration import gaps_and_normals
 from fixel.datasets.raw.mit_push import PUSHER_RADIUS, read
 from fixel.domain.contacts import PushedContacts, TouchedPlaces, contacts_of
+from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, min_experiments
 from fixel.domain.features import Configurations
-from fixel.domain.promise import LEVEL, Experience, Promise, least_experiments
 from fixel.drawing.promise import NewSidesChart
 from fixel.io.result_cache import ResultCache
 from fixel.model import wrapped
@@ -194,16 +194,16 @@ class CoverageCount(NamedTuple):
 
 def _beyond(
     bench: BenchmarkData, plates: Sequence[str], left: Sequence[LeftOut], column: int
-) -> dict[str, Promise | None]:
+) -> dict[str, ErrorBound | None]:
     """Bounds for new sides and speeds of every plate, from those of the other plates."""
-    found: dict[str, Promise | None] = {}
+    found: dict[str, ErrorBound | None] = {}
     for plate in plates:
         others = [own for own in left if own.key[1] != plate]
         found[plate] = None
-        if len(others) >= least_experiments(LEVEL):
+        if len(others) >= min_experiments(LEVEL):
             first = list({own.key: own for own in others}.values())
             features, errors = _rows(others, lambda own: own.new, column)
-            found[plate] = Promise.fit(
+            found[plate] = ErrorBound.fit(
                 features, errors, _spread(others, lambda own: own.key[1], lambda own: own.new),
                 also=Experience(*_rows(first, lambda own: ~own.new, column)),
                 units=_spread(others, lambda own: own.unit, lambda own: own.new),
@@ -213,7 +213,7 @@ def _beyond(
 
 
 def _counted(
-    bench: BenchmarkData, left: Sequence[LeftOut], beyond: dict[str, Promise | None], column: int
+    bench: BenchmarkData, left: Sequence[LeftOut], beyond: dict[str, ErrorBound | None], column: int
 ) -> CoverageCount | None:
     """Bounds and errors of all left-out pushes; None where too few are left to judge any."""
     plates: dict[Key, list[LeftOut]] = {}
@@ -229,10 +229,10 @@ def _counted(
         )
         features, errors = _rows(use, lambda own: own.known, column)
         bench.tell(f"bounds {k + 1}")
-        if len(errors) < least_experiments(LEVEL):
+        if len(errors) < min_experiments(LEVEL):
             continue  # a quick look at few pushes
         also = Experience(*_rows(use, lambda own: own.train, column))
-        plain = Promise.fit(features, errors, names, also=also)
+        plain = ErrorBound.fit(features, errors, names, also=also)
         pushed = PushedContacts(contacts, names)
         for own in [own[k] for own in plates.values() if k < len(own)]:
             rows = np.flatnonzero(own.new)

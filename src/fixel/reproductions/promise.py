@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from fixel.datasets.raw.mit_push import read
-from fixel.domain.promise import LEVEL, Experience, Promise, constant_bound
+from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, constant_bound
 from fixel.drawing.promise import PromiseChart
 from fixel.io.result_cache import ResultCache
 from fixel.reproductions.evidence import PushErrors, evidence_of
@@ -152,10 +152,10 @@ def _halves(table: PushTable, seed: int) -> tuple[IntArray, IntArray]:
 
 def _counted(
     table: PushTable, column: int, repeat: int, judging: IntArray, counting: IntArray
-) -> tuple[Promise, HalfCount]:
+) -> tuple[ErrorBound, HalfCount]:
     error, group = table.errors[:, column], table.group
     train = np.flatnonzero(~table.held_out)
-    promise = Promise.fit(
+    promise = ErrorBound.fit(
         table.features[judging],
         error[judging],
         group[judging].tolist(),

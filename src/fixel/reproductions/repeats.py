@@ -22,7 +22,7 @@ from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.reproductions.two_point_groups import RepeatGroup, group_scene, read_groups, rig_noise
 from fixel.simulation import StewartTrinkle
 from fixel.typing import FloatArray, NotedProgress
-from fixel.uncertainty.fan import fan_of
+from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import StartError, even_points
 
 RANGES: Final = {
@@ -117,7 +117,7 @@ def _two_point(group: RepeatGroup, groups: list[RepeatGroup], worlds: int) -> Gr
     n = group.runs
     values = _rigs(worlds, n)
     drawn = np.random.default_rng(7).standard_normal((worlds * n, 3)) * error.size
-    fan = fan_of(
+    fan = simulate_starts(
         group_scene(group),
         error,
         drawn=drawn,

@@ -13,7 +13,7 @@ from fixel.datasets.cmu_two_point import FINGER_RADIUS, FINGER_SPACING, CmuTwoPo
 from fixel.model import Body, Experiment, PathDrive, Polygon, Pusher, Scene, UniformPressure
 from fixel.model.trajectory import wrapped
 from fixel.typing import FloatArray
-from fixel.uncertainty.apart import Neighbour, set_apart
+from fixel.uncertainty.overlap import Neighbour, remove_overlap
 
 MIN_ROWS: Final = 30  # minimum number of rows of a push
 JUMP: Final = 4e-3  # [m], minimum distance of two rows that belong to different pushes
@@ -158,7 +158,7 @@ def group_scene(group: RepeatGroup) -> Scene:
     """
     fingers = Polygon(_fingers())
     outline = outline_of(group.object)
-    start, reasons = set_apart(
+    start, reasons = remove_overlap(
         outline,
         group.start.mean(axis=0)[None],
         [Neighbour("fingers", fingers, group.path[0, 1:])],

@@ -17,7 +17,7 @@ from fixel.model.parameters import info_of
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.typing import FloatArray, Progress
-from fixel.uncertainty.fan import START, Fan, fan_of
+from fixel.uncertainty.start_ensemble import START, StartEnsemble, simulate_starts
 from fixel.uncertainty.starts import Kind, StartError
 
 OUTCOMES: Final = ("along", "across", "angle")
@@ -139,7 +139,7 @@ def sobol_indices(
     ------
     Saltelli et al. (2010), Variance based sensitivity analysis of model output; computed by SALib.
     """
-    _refuse(factors, n)
+    _check(factors, n)
     sample, analyse = _salib()
     problem = {
         "num_vars": len(factors),
@@ -208,7 +208,7 @@ def indices_of(
     values : mapping of name to float, optional
         Parameters without uncertainty.
     motion, stepper, seed, threads, progress
-        Options of `fan_of`.
+        Options of `simulate_starts`.
 
     Returns
     -------
@@ -223,7 +223,7 @@ def indices_of(
     def ends(points: FloatArray) -> FloatArray:
         own = {f.name: points[:, k] for k, f in enumerate(factors)}
         drawn = np.column_stack([own.get(name, np.zeros(len(points))) for name in START])
-        fan = fan_of(
+        ensemble = simulate_starts(
             scene,
             error,
             drawn=drawn,
@@ -234,22 +234,22 @@ def indices_of(
             threads=threads,
             progress=progress,
         )
-        return scalars(fan)
+        return scalars(ensemble)
 
     return sobol_indices(ends, factors, OUTCOMES, n, units=UNITS, seed=seed)
 
 
-def scalars(fan: Fan) -> FloatArray:
+def scalars(ensemble: StartEnsemble) -> FloatArray:
     """Return deviations (n, 3) of ends from the nominal one: along and across the nominal way, and
     angle; NaN for starts without an end."""
-    off = fan.pose[:, -1] - fan.nominal[-1]
-    way = fan.nominal[-1, :2] - fan.scene.bodies[0].pose[:2]
+    off = ensemble.pose[:, -1] - ensemble.nominal[-1]
+    way = ensemble.nominal[-1, :2] - ensemble.scene.bodies[0].pose[:2]
     length = float(np.hypot(*way))
     c, s = way / length if length > 0.0 else (1.0, 0.0)
     found = np.column_stack(
         (c * off[:, 0] + s * off[:, 1], c * off[:, 1] - s * off[:, 0], off[:, 2])
     )
-    found[~fan.ended] = math.nan
+    found[~ensemble.ended] = math.nan
     return found
 
 
@@ -272,7 +272,7 @@ def _ranged(name: str, low: float, high: float) -> Factor:
     return Factor(name, low, high)
 
 
-def _refuse(factors: Sequence[Factor], n: int) -> None:
+def _check(factors: Sequence[Factor], n: int) -> None:
     if not factors:
         raise InvalidInput("factors", found="none", expected="one at least")
     if isinstance(n, bool) or n < 2 or n & (n - 1):

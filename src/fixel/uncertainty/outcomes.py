@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.fan import Fan
+from fixel.uncertainty.start_ensemble import StartEnsemble
 
 MIN_OUTCOMES: Final = 50  # outcomes that an ensemble needs for an analysis
 
@@ -138,7 +138,7 @@ class Sensitivity:
         }
 
 
-def sensitivity_of(fan: Fan) -> Sensitivity:
+def sensitivity_of(ensemble: StartEnsemble) -> Sensitivity:
     """Compute the sensitivity of a push from its ensemble.
 
     Raises
@@ -146,26 +146,26 @@ def sensitivity_of(fan: Fan) -> Sensitivity:
     InvalidInput
         Fewer than 50 starts with an outcome.
     """
-    end, arm = fan.end, fan.arm
+    end, arm = ensemble.end, ensemble.arm
     if len(end) < MIN_OUTCOMES:
-        why = next((reason for reason in fan.reasons if reason), "")
+        why = next((reason for reason in ensemble.reasons if reason), "")
         raise InvalidInput(
             "samples",
             found=f"{len(end)} starts with an outcome" + (f" ({why})" if why else ""),
             expected=f"{MIN_OUTCOMES} at least",
         )
     weight = np.array([1.0, 1.0, arm])
-    start, after = fan.drawn[fan.ended] * weight, (end - end.mean(axis=0)) * weight
+    start, after = ensemble.drawn[ensemble.ended] * weight, (end - end.mean(axis=0)) * weight
     size_in, size_out = _rms(start), _rms(after)
-    gain, worst = _gain(start, (end - fan.nominal[-1]) * weight)
+    gain, worst = _gain(start, (end - ensemble.nominal[-1]) * weight)
     usual, largest, distance = _tears(start, after)
-    outcome = parted(after, floor=size_in)
-    mode = fan.mode[fan.ended]
+    outcome = group_outcomes(after, floor=size_in)
+    mode = ensemble.mode[ensemble.ended]
     shares = np.bincount(outcome) / len(outcome)
     apart = max(_apart(after, outcome), _apart(after, _numbered(mode)))
     several = len(shares) > 1 or int(np.sum(_shares(mode) >= RARE)) > 1
     return Sensitivity(
-        before=_spread(fan.drawn[fan.ended]),
+        before=_spread(ensemble.drawn[ensemble.ended]),
         after=_spread(end),
         arm=arm,
         amplification=size_out / size_in,
@@ -180,11 +180,11 @@ def sensitivity_of(fan: Fan) -> Sensitivity:
         apart=apart,
         torn=distance > size_in,
         bifurcates=several and apart > size_in,
-        failed=_failed(fan),
+        failed=_failed(ensemble),
     )
 
 
-def parted(cloud: FloatArray, floor: float) -> IntArray:
+def group_outcomes(cloud: FloatArray, floor: float) -> IntArray:
     """Divide points into groups with gaps between them.
 
     Points are projected on their principal axes. In a cloud without a gap, distances between
@@ -306,9 +306,9 @@ def _named(mode: np.ndarray) -> dict[str, float]:
     return {str(names[k]): float(counts[k] / len(mode)) for k in order if names[k]}
 
 
-def _failed(fan: Fan) -> dict[str, int]:
+def _failed(ensemble: StartEnsemble) -> dict[str, int]:
     """Count the reasons of failures, without the instants, which differ from start to start."""
-    why = [fan.reasons[k].partition(" at ")[0] for k in np.flatnonzero(~fan.ended)]
+    why = [ensemble.reasons[k].partition(" at ")[0] for k in np.flatnonzero(~ensemble.ended)]
     return {reason: why.count(reason) for reason in sorted(set(why))}
 
 

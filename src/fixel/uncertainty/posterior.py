@@ -19,7 +19,7 @@ import numpy as np
 from fixel.calibration.solutions import find_solutions
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.lockstep import Batched, Lockstep
+from fixel.uncertainty.batched_sampler import Batched, BatchedSampler
 
 # Effective samples that a live point brings, over sqrt(n / 2): 2 sqrt(pi) = 3.5 for a normal
 # posterior of n parameters.
@@ -184,7 +184,7 @@ class NestedSampling:
         """
         begun = clock.perf_counter()
         count = _Count(progress, self.remaining)
-        pool = Lockstep(log_likelihood, prior.transform, count)
+        pool = BatchedSampler(log_likelihood, prior.transform, count)
         runs: list[Any] = []
         for k in range(MAX_RUNS):
             rng = np.random.Generator(np.random.PCG64([seed, k]))
@@ -235,7 +235,7 @@ class NestedSampling:
 
     def _run(
         self,
-        pool: Lockstep,
+        pool: BatchedSampler,
         log_likelihood: Batched,
         prior: Any,
         rng: np.random.Generator,
@@ -262,7 +262,7 @@ class NestedSampling:
                 bootstrap=0,
                 update_interval=UPDATED,
             )
-            _refuse_nothing(sampler.live_logl)
+            _check_any_likelihood(sampler.live_logl)
             walking, spent, taken = self._walks(n), 0, 0
             for step in sampler.sample(dlogz=self.remaining, save_bounds=False):
                 count.left(float(step.delta_logz))
@@ -394,7 +394,7 @@ def _walk_on(sampler: Any, n: int) -> None:
     sampler.bound_update_interval = walks * sampler.nlive
 
 
-def _refuse_nothing(values: FloatArray) -> None:
+def _check_any_likelihood(values: FloatArray) -> None:
     from fixel.uncertainty.likelihood import FLOOR
 
     if not (np.asarray(values, np.float64) > FLOOR).any():

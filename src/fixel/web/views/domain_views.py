@@ -17,7 +17,7 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.domain.cells import CellAxis, Cells
-from fixel.domain.domain import COLOURS, TRUSTED, Claim, DomainMap, usual_threshold
+from fixel.domain.domain import COLOURS, TRUSTED, Claim, DomainMap, default_threshold
 from fixel.domain.evidence import HeldOutErrors, Measure, value_of
 from fixel.domain.next_experiment import Proposal, proposals
 from fixel.errors import FixelError, JobRefused, NotStored
@@ -99,7 +99,7 @@ class MapView(NamedTuple):
         asked = self.asked.threshold
         if asked is not None and self.asked.measure == self.kept.analysis.question["measure"]:
             return asked
-        return usual_threshold(self.evidence, self.domain.measure)
+        return default_threshold(self.evidence, self.domain.measure)
 
 
 class ThresholdMap(NamedTuple):

@@ -23,7 +23,7 @@ from fixel.model import (
     Trajectory,
 )
 from fixel.typing import FloatArray
-from fixel.uncertainty.apart import Neighbour, set_apart
+from fixel.uncertainty.overlap import Neighbour, remove_overlap
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.actuator import ActuatorMotion, motion_of
 from fixel.vision.tracking.judge import stamp_scatter
@@ -245,7 +245,7 @@ def _start(trajectory: Trajectory, begins: float) -> FloatArray:
 
 def _apart(shape: object, start: FloatArray, others: tuple[Pusher | Fixel, ...]) -> FloatArray:
     neighbours = [Neighbour(other.name, other.shape, other.pose) for other in others]
-    poses, reasons = set_apart(shape, start[None], neighbours, MAX_APART)  # type: ignore[arg-type]
+    poses, reasons = remove_overlap(shape, start[None], neighbours, MAX_APART)  # type: ignore[arg-type]
     if reasons[0]:
         raise InvalidInput("scene", found=reasons[0], expected="parts that do not overlap")
     return np.asarray(poses[0])

@@ -18,7 +18,7 @@ from fixel.calibration.target import Target
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.domain.evidence import HeldOutErrors, Value
-from fixel.domain.folds import usual_folds
+from fixel.domain.folds import default_folds
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
@@ -166,7 +166,7 @@ def _computed(
 def _usual(targets: Sequence[Target], asked: DomainRequest) -> int:
     if asked.leave_out:
         return len({label_of(t.conditions, (asked.leave_out,)) for t in targets})
-    return usual_folds(len(targets))
+    return default_folds(len(targets))
 
 
 def _scale(model: CalibrationModel) -> float:

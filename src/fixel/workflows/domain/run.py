@@ -12,10 +12,10 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.domain.cells import Cells, cells_of, varying
-from fixel.domain.domain import CellVerdict, Claim, DomainMap, domain_map, usual_threshold
+from fixel.domain.domain import CellVerdict, Claim, DomainMap, default_threshold, domain_map
 from fixel.domain.evidence import HeldOutErrors
 from fixel.domain.next_experiment import Proposal, proposals
-from fixel.domain.promised_cells import promised_cells
+from fixel.domain.predicted_cells import predicted_cells
 from fixel.domain.surface import Surface
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, Progress
@@ -190,7 +190,7 @@ def _promised(evidence: HeldOutErrors, cells: Cells, asked: DomainRequest) -> Fl
     """Error bounds of the cells; only for the error itself, not relative to the own best."""
     if asked.measure != "absolute":
         return None
-    return promised_cells(evidence, cells, asked.level, asked.seed)
+    return predicted_cells(evidence, cells, asked.level, asked.seed)
 
 
 def usual_axes(evidence: HeldOutErrors, by: tuple[str, ...] | Any = ()) -> list[str]:
@@ -225,7 +225,7 @@ def _at_nominal(evidence: HeldOutErrors, axes: list[str]) -> tuple[HeldOutErrors
 def _claim(asked: DomainRequest, gathered: DomainEvidence, evidence: HeldOutErrors) -> Claim:
     threshold = asked.threshold
     if threshold is None:
-        threshold = usual_threshold(evidence, asked.measure)
+        threshold = default_threshold(evidence, asked.measure)
     floor = gathered.floor_mm
     if asked.measure == "absolute" and floor is not None and threshold < floor:
         raise InvalidInput(

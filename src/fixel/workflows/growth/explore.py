@@ -14,7 +14,15 @@ import numpy as np
 from fixel.calibration.objective import Comparer, Evaluation
 from fixel.database.store import Store
 from fixel.domain.along_axis import SIZES, AxisStudies, AxisStudy
-from fixel.domain.growth import AVERAGED, Grower, Growth, RolloutQueue, Singles, Step, weights
+from fixel.domain.growth import (
+    AVERAGED,
+    DomainGrowth,
+    Growth,
+    RolloutQueue,
+    SingleCalibrations,
+    Step,
+    weights,
+)
 from fixel.domain.places import Index
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, Provenance
@@ -113,7 +121,7 @@ def explore(
     summaries = store.calibration_summaries()
     stored = best_singles(summaries, samples, motion, error, project)
     limit = threshold_in(threshold, stored.method.unit)
-    grower = Grower(samples.groups, stored.singles, index)
+    grower = DomainGrowth(samples.groups, stored.singles, index)
     studies = AxisStudies(samples.groups, stored.singles, sizes)
     wanted = RolloutQueue()
     grower.ask(wanted)
@@ -259,7 +267,7 @@ def _record(
 # --- warnings -----------------------------------------------------------------------------------
 
 
-def _changed(growth: Growth, singles: Singles) -> list[str]:
+def _changed(growth: Growth, singles: SingleCalibrations) -> list[str]:
     """Warn if errors of nominal experiments differ from the stored ones."""
     changed = []
     for row in growth.steps:
@@ -279,7 +287,7 @@ def _changed(growth: Growth, singles: Singles) -> list[str]:
 
 
 def _beaten(
-    wanted: RolloutQueue, answer: Evaluation, singles: Singles, samples: GrowthSamples
+    wanted: RolloutQueue, answer: Evaluation, singles: SingleCalibrations, samples: GrowthSamples
 ) -> list[str]:
     """Warn of experiments with a far smaller error under a domain's set than under their own."""
     least = singles.errors.copy()

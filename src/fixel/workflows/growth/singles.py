@@ -9,7 +9,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from fixel.domain.growth import Joint, Singles
+from fixel.domain.growth import Joint, SingleCalibrations
 from fixel.errors import InvalidInput
 from fixel.model.records import CalibrationRecord
 from fixel.workflows.calibration.result import GROWTH
@@ -57,7 +57,7 @@ class StoredSets:
     method : SingleMethod
     best : list of One
         Best set of each experiment.
-    singles : Singles
+    singles : SingleCalibrations
         The same sets for the growth; parameters in the order of `method.names`.
     calibrated : CalibratedValues
         One of the sets, for motion model and error.
@@ -66,7 +66,7 @@ class StoredSets:
 
     method: SingleMethod
     best: list[One]
-    singles: Singles
+    singles: SingleCalibrations
     calibrated: CalibratedValues
     warnings: list[str] = field(default_factory=list)
 
@@ -119,7 +119,7 @@ def best_singles(
     return StoredSets(
         method=method,
         best=found,
-        singles=Singles(
+        singles=SingleCalibrations(
             points=points, errors=errors, joint=_joint(summaries, method, place, samples)
         ),
         calibrated=CalibratedValues(found[0].id, found[0].record),

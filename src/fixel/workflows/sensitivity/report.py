@@ -111,12 +111,12 @@ def _warnings(found: Sequence[Finding], skipped: Mapping[str, str]) -> list[str]
         failed = sum(finding.sensitivity.failed.values())
         if failed:
             why = "; ".join(f"{n} x {r}" for r, n in finding.sensitivity.failed.items())
-            n = len(finding.fan.reasons)
+            n = len(finding.ensemble.reasons)
             said.append(f"{finding.subject.key}: {failed} of {n} starts have no outcome: {why}.")
-        if finding.fan.moved_apart > 0.0:
+        if finding.ensemble.moved_apart > 0.0:
             said.append(
-                f"{finding.subject.key}: {finding.fan.moved_apart:.0%} of the starts would overlap"
-                " a neighbour and were moved beside it."
+                f"{finding.subject.key}: {finding.ensemble.moved_apart:.0%} of the starts would"
+                " overlap a neighbour and were moved beside it."
             )
         if finding.indices is not None and float(finding.indices.total_error.max()) > 0.2:
             said.append(
@@ -173,8 +173,8 @@ def _index_table(key: str, own: Indices) -> TextTable:
 
 def _methods(one: Finding, request: SensitivityRequest) -> list[str]:
     said = [
-        f"The outcome of each push was simulated ({one.fan.motion}) for {request.samples} starts"
-        f" {request.error.written()}, drawn as a scrambled Sobol sequence; starts that would"
+        f"The outcome of each push was simulated ({one.ensemble.motion}) for {request.samples}"
+        f" starts {request.error.written()}, drawn as a scrambled Sobol sequence; starts that would"
         " overlap a neighbour were moved out the shortest way.",
         "Amplification is the root mean square spread of end poses over that of starts, turns"
         " counted at the body's radius of gyration; outcomes are groups of end poses with a gap"
@@ -193,8 +193,8 @@ def _numbers(finding: Finding) -> dict[str, Any]:
         "key": finding.subject.key,
         "experiment_id": finding.subject.id,
         **finding.sensitivity.summary(),
-        "moved_apart": finding.fan.moved_apart,
-        "nominal_end": finding.fan.nominal[-1].tolist(),
+        "moved_apart": finding.ensemble.moved_apart,
+        "nominal_end": finding.ensemble.nominal[-1].tolist(),
         "values": dict(Parameters(finding.subject.values)),
     }
     if finding.indices is not None:
@@ -206,23 +206,23 @@ def pictures_of(found: Sequence[Finding]) -> list[Picture]:
     """Draw charts of the pushes to avoid first."""
     pictures = []
     for k, finding in enumerate(found[:MAX_PICTURES], 1):
-        own, fan, subject = finding.sensitivity, finding.fan, finding.subject
+        own, ensemble, subject = finding.sensitivity, finding.ensemble, finding.subject
         stem = f"{k:02d}-" + "".join(c if c.isalnum() else "-" for c in subject.key)
         chart = FanChart(
             title=f"{subject.key}: {own.flag}",
             scene=subject.scene,
-            drawn=fan.drawn[fan.ended],
-            end=fan.end,
-            nominal=fan.nominal[-1],
+            drawn=ensemble.drawn[ensemble.ended],
+            end=ensemble.end,
+            nominal=ensemble.nominal[-1],
             outcome=own.outcome,
             share=own.share,
         )
         pictures.append(
             Picture(
-                f"{stem}-fan",
+                f"{stem}-ensemble",
                 chart,
                 subject.banner,
-                f"End poses of {subject.key} over starts {fan.error.written()}: {own.flag},"
+                f"End poses of {subject.key} over starts {ensemble.error.written()}: {own.flag},"
                 f" amplification {own.amplification:.2g}. Colours are outcomes; the black outline"
                 " is the end without an error.",
             )
@@ -259,7 +259,7 @@ def arrays_of(found: Sequence[Finding]) -> dict[str, FloatArray]:
     """Return the starts and poses shown in the charts."""
     arrays: dict[str, FloatArray] = {}
     for k, finding in enumerate(found[:MAX_PICTURES], 1):
-        arrays[f"drawn_{k}"] = finding.fan.drawn
-        arrays[f"pose_{k}"] = finding.fan.pose
-        arrays[f"ended_{k}"] = finding.fan.ended.astype(np.float64)
+        arrays[f"drawn_{k}"] = finding.ensemble.drawn
+        arrays[f"pose_{k}"] = finding.ensemble.pose
+        arrays[f"ended_{k}"] = finding.ensemble.ended.astype(np.float64)
     return arrays

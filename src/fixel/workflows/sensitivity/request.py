@@ -9,9 +9,9 @@ from typing import Any, NamedTuple, final
 from fixel.model import Scene
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
-from fixel.uncertainty.fan import Fan
 from fixel.uncertainty.indices import Indices
 from fixel.uncertainty.outcomes import Sensitivity
+from fixel.uncertainty.start_ensemble import StartEnsemble
 from fixel.uncertainty.starts import StartError
 
 
@@ -79,6 +79,6 @@ class Finding(NamedTuple):
     """Sensitivity of one push."""
 
     subject: Subject
-    fan: Fan
+    ensemble: StartEnsemble
     sensitivity: Sensitivity
     indices: Indices | None

@@ -17,9 +17,9 @@ from fixel.formats import load_scene
 from fixel.model import Experiment, Scene
 from fixel.simulation import Dynamic
 from fixel.typing import Progress
-from fixel.uncertainty.fan import fan_of
 from fixel.uncertainty.indices import indices_of
 from fixel.uncertainty.outcomes import FLAGS, sensitivity_of
+from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.workflows.analysis import Analysis, StoredAnalysis, keep
 from fixel.workflows.calibration.stored import CalibratedValues, calibrated, newest, parted
 from fixel.workflows.figures import Picture
@@ -139,12 +139,12 @@ def _look(subject: Subject, request: SensitivityRequest, told: Progress | None) 
         "threads": request.threads,
         "progress": told,
     }
-    fan = fan_of(subject.scene, request.error, request.samples, **method)
-    judged = sensitivity_of(fan)
+    ensemble = simulate_starts(subject.scene, request.error, request.samples, **method)
+    judged = sensitivity_of(ensemble)
     indices = None
     if request.indices:
         indices = indices_of(subject.scene, request.error, subject.ranges, request.base, **method)
-    return Finding(subject, fan, judged, indices)
+    return Finding(subject, ensemble, judged, indices)
 
 
 # --- pushes to analyse --------------------------------------------------------------------------

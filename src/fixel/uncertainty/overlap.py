@@ -34,7 +34,7 @@ class Neighbour(NamedTuple):
     moved: FloatArray | None = None  # (n, 3) world motions that take it to its poses
 
 
-def set_apart(
+def remove_overlap(
     shape: Shape, poses: FloatArray, neighbours: list[Neighbour], most: float
 ) -> tuple[FloatArray, list[str]]:
     """Move poses out of their neighbours.

@@ -27,7 +27,7 @@ WORTH: Final = 16
 
 
 @final
-class Lockstep:
+class BatchedSampler:
     """Pool with the interface that dynesty expects.
 
     Parameters
@@ -76,7 +76,7 @@ class Lockstep:
         self, waiting: list[Any], drawn: Callable[[Any, np.random.Generator], FloatArray]
     ) -> list[Any]:
         """Draw points for each proposal until one is likelier than the limit."""
-        rng = [_dice(one) for one in waiting]
+        rng = [_rng(one) for one in waiting]
         tries = [0] * len(waiting)
         found: list[Any] = [None] * len(waiting)
         left = list(range(len(waiting)))
@@ -125,7 +125,7 @@ class _Walker:
 
     def __init__(self, argument: Any) -> None:
         self._argument = argument
-        self._dice = _dice(argument)
+        self._rng = _rng(argument)
         self.unit = np.array(argument.u, np.float64)
         self.point = self.unit
         self.value = float(argument.loglstar)
@@ -142,7 +142,7 @@ class _Walker:
             own.axes,
             len(self.unit),
             own.axes.shape[0],
-            rstate=self._dice,
+            rstate=self._rng,
             nonbounded=own.kwargs.get("nonbounded"),
         )
         if outside:
@@ -164,7 +164,7 @@ class _Walker:
         return _answer(self.unit, self.point, self.value, own.kwargs["walks"], told, stats)
 
 
-def _dice(argument: Any) -> np.random.Generator:
+def _rng(argument: Any) -> np.random.Generator:
     from dynesty.utils import get_random_generator
 
     rng: np.random.Generator = get_random_generator(argument.rseed)

@@ -7,7 +7,7 @@ import shapely
 from fixel.model import Disk, Polygon, placed
 from fixel.model.overlap import overlap_depth
 from fixel.testing.scenes import box
-from fixel.uncertainty.apart import Neighbour, overlaps, set_apart
+from fixel.uncertainty.overlap import Neighbour, overlaps, remove_overlap
 
 NOTCHED = Polygon(np.array([[0, 0], [4, 0], [4, 1], [1, 1], [1, 3], [0, 3]]) * 0.01)
 SHAPES = {"disk": Disk(0.015), "box": box(0.05, 0.03), "notched": NOTCHED}
@@ -33,7 +33,7 @@ def test_convex_bodies_set_apart_touch_their_neighbour(shape):
     draw = np.random.default_rng(4)
     poses = draw.uniform((-0.03, -0.03, -3.0), (0.03, 0.03, 3.0), (80, 3))
     other = Neighbour("block", box(0.02, 0.02), np.array([0.0, 0.0, 0.3]))
-    moved, reasons = set_apart(SHAPES[shape], poses, [other], most=0.1)
+    moved, reasons = remove_overlap(SHAPES[shape], poses, [other], most=0.1)
 
     assert reasons == [""] * 80
     before = overlaps(SHAPES[shape], poses, other.shape, other.pose).depth
@@ -47,7 +47,7 @@ def test_convex_bodies_set_apart_touch_their_neighbour(shape):
 def test_a_body_with_a_notch_leaves_it():
     other = Neighbour("peg", Disk(0.004), np.zeros(3))
     poses = np.column_stack((np.linspace(-0.03, 0.0, 40), np.full(40, -0.012), np.zeros(40)))
-    moved, reasons = set_apart(NOTCHED, poses, [other], most=0.1)
+    moved, reasons = remove_overlap(NOTCHED, poses, [other], most=0.1)
     peg = shapely.Point(0.0, 0.0).buffer(0.004 * (1.0 - 1e-3), quad_segs=64)
     for pose, reason in zip(moved, reasons, strict=True):
         assert reason or not shapely.Polygon(placed(NOTCHED.outline, pose)).intersects(peg)
@@ -58,7 +58,7 @@ def test_neighbours_that_were_moved_are_met_where_they_are():
     poses = np.array([[0.0, 0.024, 0.0]] * 2)
     moved = np.array([[0.0, 0.0, 0.0], [0.0, 0.005, 0.1]])
     other = Neighbour("peg", Disk(0.01), np.zeros(3), moved)
-    found, _ = set_apart(Disk(0.015), poses, [other], most=0.1)
+    found, _ = remove_overlap(Disk(0.015), poses, [other], most=0.1)
     np.testing.assert_allclose(found[:, 1], [0.025, 0.030], atol=1e-12)
 
 
@@ -67,7 +67,7 @@ def test_no_room_has_a_reason():
         Neighbour("left", box(0.02, 0.1), np.array([-0.018, 0.0, 0.0])),
         Neighbour("right", box(0.02, 0.1), np.array([0.018, 0.0, 0.0])),
     ]
-    _, caught = set_apart(Disk(0.01), np.zeros((1, 3)), walls, most=0.1)
+    _, caught = remove_overlap(Disk(0.01), np.zeros((1, 3)), walls, most=0.1)
     assert caught[0].startswith("starts inside")
-    _, far = set_apart(Disk(0.01), np.zeros((1, 3)), walls[:1], most=1e-4)
+    _, far = remove_overlap(Disk(0.01), np.zeros((1, 3)), walls[:1], most=1e-4)
     assert "no room" in far[0]

@@ -18,7 +18,7 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.vary import grown_by, moves, varied_start
 from fixel.typing import BoolArray, FloatArray, Progress
-from fixel.uncertainty.apart import Neighbour, overlaps, set_apart
+from fixel.uncertainty.overlap import Neighbour, overlaps, remove_overlap
 from fixel.uncertainty.starts import StartError
 
 Values = Mapping[str, FloatArray]
@@ -37,7 +37,7 @@ ROOM: Final = 2.0
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Fan:
+class StartEnsemble:
     """Ensemble of the outcomes of n perturbed starts of one scene.
 
     Attributes
@@ -95,7 +95,7 @@ class Fan:
         return float(np.sqrt(self.scene.bodies[0].shape.unit_inertia))
 
 
-def fan_of(
+def simulate_starts(
     scene: Scene,
     error: StartError,
     n: int = 1000,
@@ -108,7 +108,7 @@ def fan_of(
     seed: int = 0,
     threads: int | None = None,
     progress: Progress | None = None,
-) -> Fan:
+) -> StartEnsemble:
     """Simulate perturbed starts of a scene.
 
     Parameters
@@ -162,7 +162,7 @@ def fan_of(
             "scene", found=f"no end without an error: {reasons[-1]}", expected="a push that ends"
         )
     offset = np.column_stack([columns[name][:-1] for name in START])
-    return Fan(
+    return StartEnsemble(
         scene=scene,
         error=error,
         drawn=drawn,
@@ -234,7 +234,7 @@ def _pusher(scene: Scene, pusher: Pusher, values: Values) -> Neighbour:
 def _set_apart(
     shape: Shape, poses: FloatArray, neighbours: list[Neighbour], most: float
 ) -> tuple[FloatArray, list[str]]:
-    """Call `set_apart` with only those neighbours that a start may reach."""
+    """Call `remove_overlap` with only those neighbours that a start may reach."""
     radius = _radius(shape)
     middle = poses[:, :2].mean(axis=0)
     wander = float(np.hypot(*(poses[:, :2] - middle).T).max()) + most
@@ -244,7 +244,7 @@ def _set_apart(
         if other.moved is not None
         or np.hypot(*(other.pose[:2] - middle)) < radius + _radius(other.shape) + wander
     ]
-    return set_apart(shape, poses, near, most)
+    return remove_overlap(shape, poses, near, most)
 
 
 def _radius(shape: Shape) -> float:

@@ -6,7 +6,7 @@ import pytest
 from fixel.domain.cells import cells_of
 from fixel.domain.domain import Claim, domain_map
 from fixel.domain.evidence import HeldOutErrors
-from fixel.domain.promised_cells import promised_cells
+from fixel.domain.predicted_cells import predicted_cells
 
 
 def _evidence(n, groups=("",), seed=0):
@@ -30,7 +30,7 @@ def _cells(evidence):
 def test_bounds_follow_the_errors_and_hold():
     evidence = _evidence(40)
     cells = _cells(evidence)
-    (bound,) = promised_cells(evidence, cells, 0.9)
+    (bound,) = predicted_cells(evidence, cells, 0.9)
     assert bound[0] < 0.6 * bound[-1]
     new = _evidence(400, seed=1)
     inside = np.sqrt(new.error_mm2) <= bound[cells.find(new)]
@@ -39,7 +39,7 @@ def test_bounds_follow_the_errors_and_hold():
 
 def test_each_map_has_bounds_of_its_own():
     evidence = _evidence(30, ("a", "b"))
-    bounds = promised_cells(evidence, _cells(evidence), 0.9)
+    bounds = predicted_cells(evidence, _cells(evidence), 0.9)
     assert bounds.shape == (2, 5)
     assert np.isfinite(bounds).all()
 
@@ -47,7 +47,7 @@ def test_each_map_has_bounds_of_its_own():
 @pytest.mark.parametrize(("level", "n", "some"), [(0.9, 2, True), (0.95, 2, False)])
 def test_too_few_experiments_promise_nothing(level, n, some):
     evidence = _evidence(n)
-    assert (promised_cells(evidence, _cells(evidence), level) is not None) == some
+    assert (predicted_cells(evidence, _cells(evidence), level) is not None) == some
 
 
 def test_experiments_without_evidence_say_nothing():
@@ -60,7 +60,7 @@ def test_experiments_without_evidence_say_nothing():
         coordinates=evidence.coordinates,
         error_mm2=error,
     )
-    assert np.isfinite(promised_cells(kept, _cells(kept), 0.9)).all()
+    assert np.isfinite(predicted_cells(kept, _cells(kept), 0.9)).all()
 
 
 @pytest.mark.parametrize("repetitions", [1, 3])
@@ -81,7 +81,7 @@ def test_a_cell_nobody_tried_is_judged_by_cells_and_not_by_repetitions(repetitio
             error_mm2=error**2,
         )
         cells = cells_of(evidence, ["offset_y_m"], steps={"offset_y_m": 1e-3})
-        (bound,) = promised_cells(evidence, cells, 0.9, seed)
+        (bound,) = predicted_cells(evidence, cells, 0.9, seed)
         number = {round(1e3 * c): k for k, c in enumerate(cells.axes[0].centres)}
         new = [p for p in places if p not in set(tried.tolist()) and p in number]
         promised = bound[[number[p] for p in new]]
@@ -93,7 +93,7 @@ def test_a_cell_nobody_tried_is_judged_by_cells_and_not_by_repetitions(repetitio
 def test_of_few_cells_repeated_nothing_follows_for_another():
     evidence = _evidence(2)  # five cells: too few to say anything of a sixth
     cells = cells_of(evidence, ["offset_y_m"], steps={"offset_y_m": 0.5e-3})
-    (bound,) = promised_cells(evidence, cells, 0.9)
+    (bound,) = predicted_cells(evidence, cells, 0.9)
     tried = np.unique(cells.find(evidence))
     assert np.isfinite(bound[tried]).all()
     assert np.isinf(np.delete(bound, tried)).all()
@@ -111,7 +111,7 @@ def test_a_side_that_was_pushed_on_another_part_only_has_no_data():
         group=("a",) * 12 + ("b",) * 9,
     )
     cells = cells_of(evidence, ["contact_angle_rad"])
-    bounds = promised_cells(evidence, cells, 0.9)
+    bounds = predicted_cells(evidence, cells, 0.9)
     assert bounds is not None
     assert np.isfinite(bounds[0]).all()
     assert np.isfinite(bounds[1]).tolist() == 9 * [True] + 3 * [False]

@@ -1,7 +1,7 @@
 """Bounds on the error of the calibrated simulator that hold with a stated probability.
 
-For configurations never tried, from experiments the calibration has not seen. See
-docs/theory/promise.md for the guarantee and what it rests on.
+They apply to untried configurations, and are learned from experiments that the calibration has not
+seen. docs/theory/promise.md states the guarantee and its assumptions.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from fixel.domain.contacts import SIDE, SPEED, Novelty, PushedContacts, TouchedP
 from fixel.domain.scale_model import (
     Scale,
     ScaleModel,
+    default_model,
     fitted_model,
     powered,
     unpowered,
-    usual_model,
 )
 from fixel.errors import InvalidInput
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 LEVEL: Final = 0.9
-# Parts that are left out in turn, so that every score is of an experiment its model has not seen.
+# Parts that are left out in turn, so that the model of every score has not seen its experiment.
 FOLDS: Final = 5
-# The scores of all groups together count as so many of a group's own. More is sharper and lets
-# groups that are unlike the others down; chosen on inner splits of real pushes.
+# Number of a group's own scores that the scores of all groups together count as. A larger one makes
+# bounds sharper, and less reliable in unusual groups; chosen on inner splits of real pushes.
 BORROWED: Final = 40.0
-# Nothing is promised farther from all evidence than this times what is far among the evidence.
+# Largest distance to the evidence of a bound, over what is a large distance within the evidence.
 FAR_RATIO: Final = 2.0
 FAR_SHARE: Final = 0.99
 FAR_AWAY: Final = "far from all experiments in its features"
@@ -56,8 +56,8 @@ class Experience(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Promise:
-    """Made by `Promise.fit`.
+class ErrorBound:
+    """Bounds on errors that hold with a stated probability; made by `ErrorBound.fit`.
 
     Attributes
     ----------
@@ -66,21 +66,21 @@ class Promise:
     model : str
         `"forest"`, `"neighbours"` (without scikit-learn) or `"constant"` (few experiments).
     n : int
-        Experiments that judge it.
+        Number of experiments that it is calibrated on.
     """
 
     level: float
     model: str
     n: int
     _models: tuple[ScaleModel, ...]
-    _fold: IntArray  # (n,) which model has not seen an experiment
-    _score: FloatArray  # (n,) power of the error above what that model says; may be inf
+    _fold: IntArray  # (n,) number of the model that has not seen an experiment
+    _score: FloatArray  # (n,) power of the error minus the prediction of that model; may be inf
     _group: IntArray  # (n,)
     _groups: tuple[Hashable, ...]
     _near: _Near
-    _unit: IntArray | None = None  # (n,) of what was left out together
+    _unit: IntArray | None = None  # (n,) number of the unit that was left out as a whole
     _pushed: PushedContacts | None = None
-    _beyond: Promise | None = None
+    _beyond: ErrorBound | None = None
 
     @classmethod
     def fit(
@@ -94,38 +94,38 @@ class Promise:
         also: Experience | None = None,
         model: str | None = None,
         units: Labels | None = None,
-    ) -> Promise:
+    ) -> ErrorBound:
         """Learn from experiments that the calibration has not seen.
 
         Parameters
         ----------
         features : (n, f) array_like
-            What is known of each before it is tried; finite, any units.
+            Features known before an experiment; finite, any units.
         errors : (n,) array_like
-            Of the calibrated simulator, 0 or more in any unit; inf where it came to no end.
+            Errors of the calibrated simulator, 0 or more in any unit; inf for a failed simulation.
         groups : (n,) sequence, optional
-            Labels, such as shape and surface: bounds hold in each of them, as far as it has
+            Labels, such as shape and surface. Bounds hold in each group that has enough
             experiments.
         level : float
-            Between 0 and 1, both excluded.
+            Probability of a bound, between 0 and 1, both excluded.
         seed : int
-            Of the folds and trees.
+            Seed of the folds and trees.
         also : Experience, optional
         model : str, optional
-            The best there is where left out.
+            Name of the model of errors; by default the best that is available.
         units : (n,) sequence, optional
-            Labels of sides or speeds that the calibration was fitted without, whole. Bounds then
-            hold for a unit that is not among these: models leave out whole groups (whole units
-            without groups), and every unit weighs the same, however many experiments it has.
+            Labels of sides or speeds that were left out of the calibration as a whole. Bounds then
+            hold for a new unit: models leave out whole groups (whole units without groups), and
+            all units have the same weight, whatever their number of experiments.
 
         Raises
         ------
         InvalidInput
-            Too few experiments for the level; numbers that cannot be.
+            Too few experiments for the level, or invalid numbers.
         """
         table, off = _checked(features, errors)
         labels = _labels(groups, len(off))
-        _refuse_level(level, len(off))
+        _check_experiments(level, len(off))
         more, more_off = (table[:0], off[:0]) if also is None else _checked(*also)
         if more.shape[1] != table.shape[1]:
             raise InvalidInput("also.features", found=f"{more.shape[1]} columns",
@@ -134,10 +134,12 @@ class Promise:
         group = _numbered(labels)
         unit = None if units is None else _numbered(_labels(units, len(off)))
         if unit is not None:
-            _refuse_units(level, int(unit.max()) + 1)
+            n_unit = int(unit.max()) + 1
+            _check_number(level, n_unit, "units", f"{n_unit} sides or speeds left out",
+                          "leave out more", " on a new one")  # fmt: skip
         whole = unit if len(known) == 1 else group
         fold = _folds(group, seed) if unit is None or whole is None else _whole_folds(whole, seed)
-        name = model or usual_model(len(off))
+        name = model or default_model(len(off))
         models, score = [], np.empty(len(off))
         for k in range(FOLDS):
             own = fold == k
@@ -151,22 +153,25 @@ class Promise:
         return cls(level, name, len(off), tuple(models), fold, score, group, known, near, unit)
 
     def for_contacts(
-        self, contacts: TouchedPlaces, groups: Labels | None = None, beyond: Promise | None = None
-    ) -> Promise:
-        """Return the promise that has no data on sides and at speeds that were never pushed.
+        self,
+        contacts: TouchedPlaces,
+        groups: Labels | None = None,
+        beyond: ErrorBound | None = None,
+    ) -> ErrorBound:
+        """Return the same bounds without data on sides and at speeds that were never pushed.
 
         Parameters
         ----------
         contacts : TouchedPlaces
-            Of experiments.
+            Contacts of the experiments.
         groups : (k,) sequence, optional
             Labels of these; a group is one part.
-        beyond : Promise, optional
-            Fitted with `units`: gives bounds on a new side or at a new speed of a pushed part. What
-            is new in both has none.
+        beyond : ErrorBound, optional
+            Bounds for a new side or a new speed of a pushed part, fitted with `units`. A contact
+            that is new in both has no bound.
         """
         if beyond is not None and beyond._unit is None:
-            raise InvalidInput("beyond", found="a promise fitted without units",
+            raise InvalidInput("beyond", found="bounds fitted without units",
                                expected="units=, with sides or speeds left out whole")  # fmt: skip
         pushed = PushedContacts(contacts, _labels(groups, len(contacts.normal)))
         return replace(self, _pushed=pushed, _beyond=beyond)
@@ -208,11 +213,11 @@ class Promise:
         groups : (m,) sequence or None
         levels : (n_level,) sequence of float
         contacts : TouchedPlaces, optional
-            Of the new configurations; required of a promise `for_contacts`.
+            Contacts of the new configurations; required after `for_contacts`.
         """
         table = self._table(features)
         for level in levels:
-            _refuse_share(level)
+            _check_level(level)
         labels = _labels(groups, len(table))
         kind = np.array(self._novelty(contacts, labels).kind, object)
         answer = self._quantiles(table, labels, levels)
@@ -228,7 +233,7 @@ class Promise:
         groups: Labels | None = None,
         contacts: TouchedPlaces | None = None,
     ) -> tuple[str, ...]:
-        """Return why there is no data for new configurations (m,); empty where there is."""
+        """Return reasons (m,) why new configurations have no data; empty for those that have."""
         table = self._table(features)
         novelty = self._novelty(contacts, _labels(groups, len(table)))
         far = np.where(self._near(table), "", FAR_AWAY)
@@ -245,12 +250,12 @@ class Promise:
         groups: Labels | None = None,
         contacts: TouchedPlaces | None = None,
     ) -> BoolArray:
-        """Return whether there is data for a bound (m,)."""
+        """Return a mask (m,) of the configurations with data for a bound."""
         return np.array([not reason for reason in self.reasons(features, groups, contacts)], bool)
 
     def _novelty(self, contacts: TouchedPlaces | None, labels: list[Hashable]) -> Novelty:
         if (self._pushed is None) != (contacts is None):
-            found = "none" if contacts is None else "some, of a promise that knows none"
+            found = "none" if contacts is None else "some, for bounds without contacts"
             raise InvalidInput("contacts", found=found, expected="as in `for_contacts`")
         if self._pushed is None or contacts is None:
             return Novelty(("",) * len(labels), ("",) * len(labels))
@@ -266,7 +271,7 @@ class Promise:
     def _quantiles(
         self, table: FloatArray, labels: list[Hashable], levels: Sequence[float]
     ) -> FloatArray:
-        """Bounds (n_level, m), whatever the contacts."""
+        """Return bounds (n_level, m), disregarding contacts."""
         if not len(table):
             return np.zeros((len(levels), 0))
         expected = np.stack([model(table) for model in self._models])
@@ -280,7 +285,7 @@ class Promise:
         return unpowered(answer)
 
     def _weights(self, label: Hashable) -> tuple[FloatArray, float]:
-        """(n,) of the scores for a configuration of a group, and of the configuration itself."""
+        """Return the weights (n,) of the scores for a group, and that of the new configuration."""
         if self._unit is not None:
             return 1.0 / np.bincount(self._unit)[self._unit], 1.0
         if label not in self._groups or len(self._groups) == 1:
@@ -290,39 +295,39 @@ class Promise:
         return np.where(own, 1.0 + borrowed, borrowed), 1.0 + borrowed
 
 
-def least_experiments(level: float) -> int:
+def min_experiments(level: float) -> int:
     """Return the number of held-out experiments for a finite bound: 9 for 90 %, 19 for 95 %."""
-    _refuse_share(level)
+    _check_level(level)
     return math.ceil(round(level / (1.0 - level), 9))
 
 
 def constant_bound(errors: ArrayLike, level: float = LEVEL) -> float:
-    """The same bound for everything: split conformal without features, what any other is to beat.
+    """Return one bound for all configurations: split conformal prediction without features.
 
     Source: Vovk, Gammerman & Shafer (2005); the (n + 1) level'th smallest error.
     """
     off = np.sort(np.asarray(errors, np.float64))
-    _refuse_level(level, len(off))
+    _check_experiments(level, len(off))
     return float(off[math.ceil(round((len(off) + 1) * level, 9)) - 1])
 
 
 def colours(bounds: FloatArray, expected: FloatArray, near: BoolArray, tau: float) -> NDArray:  # type: ignore[type-arg]
-    """(m,) out of `COLOURS`, for a tolerance.
+    """Return the `COLOURS` (m,) of configurations for a tolerance.
 
     Parameters
     ----------
     bounds, expected : (m,) float64
-        Of `Promise`, in one unit.
+        Answers of `ErrorBound`, in one unit.
     near : (m,) bool
-        Whether there is evidence.
+        Mask of the configurations with data.
     tau : float
-        What errors are tolerated up to, in the same unit.
+        Tolerated error, in the same unit.
 
     Returns
     -------
     (m,) of str
         Trusted: the bound is within the tolerance. Doubtful: the expected error is, the bound is
-        not. Not trusted: the expected error is beyond it. No data: nothing is promised.
+        not. Not trusted: the expected error is beyond it. No data: there is no bound.
     """
     if not (math.isfinite(tau) and tau > 0.0):
         raise InvalidInput("tau", found=tau, expected="a positive tolerance")
@@ -333,17 +338,17 @@ def colours(bounds: FloatArray, expected: FloatArray, near: BoolArray, tau: floa
 class PredictedBounds(NamedTuple):
     """Predicted error bounds of configurations without experiments."""
 
-    bound: FloatArray  # (m,) inf where nothing is
-    expected: FloatArray  # (m,) median; inf where nothing is
-    near: BoolArray  # (m,)
-    reasons: tuple[str, ...]  # (m,) why there is no data; empty where there is
+    bound: FloatArray  # (m,) inf without data
+    expected: FloatArray  # (m,) median; inf without data
+    near: BoolArray  # (m,) mask of those with data
+    reasons: tuple[str, ...]  # (m,) reason of missing data; empty with data
 
     def colours(self, tau: float) -> NDArray:  # type: ignore[type-arg]
-        """(m,) out of `COLOURS`; see `colours`."""
+        """Return the `COLOURS` (m,) for a tolerance; see `colours`."""
         return colours(self.bound, self.expected, self.near, tau)
 
 
-def promised(
+def held_out_bounds(
     evidence: ArrayLike,
     errors: ArrayLike,
     new: ArrayLike,
@@ -352,33 +357,30 @@ def promised(
     seed: int = 0,
     contacts: tuple[TouchedPlaces, TouchedPlaces] | None = None,
 ) -> PredictedBounds:
-    """Bounds for new configurations of one part in one call.
+    """Compute error bounds for new configurations of one part.
 
     Parameters
     ----------
     evidence : (n, f) array_like
         Features of experiments that the calibration has not seen.
     errors : (n,) array_like
-        Of the calibrated simulator there.
+        Errors of the calibrated simulator in them.
     new : (m, f) array_like
-        Features of configurations never tried.
+        Features of untried configurations.
     level : float
     seed : int
-    contacts : (Contacts, Contacts), optional
-        Of the experiments and of the new configurations: sides and speeds that were never pushed
-        then have no data.
+    contacts : (TouchedPlaces, TouchedPlaces), optional
+        Contacts of the experiments and of the new configurations. Sides and speeds that were never
+        pushed then have no data.
     """
     known, asked = (None, None) if contacts is None else contacts
-    promise = Promise.fit(evidence, errors, None, level, seed)
+    bounds = ErrorBound.fit(evidence, errors, None, level, seed)
     if known is not None:
-        promise = promise.for_contacts(known)
-    bound, expected = promise.quantiles(new, None, (level, 0.5), asked)
-    reasons = promise.reasons(new, None, asked)
+        bounds = bounds.for_contacts(known)
+    bound, expected = bounds.quantiles(new, None, (level, 0.5), asked)
+    reasons = bounds.reasons(new, None, asked)
     near = np.array([not reason for reason in reasons], bool)
     return PredictedBounds(bound, expected, near, reasons)
-
-
-# --- how ----------------------------------------------------------------------------------------
 
 
 class _Near(NamedTuple):
@@ -419,8 +421,8 @@ class _Near(NamedTuple):
 def _weighted(
     values: FloatArray, weight: FloatArray, itself: float, levels: Sequence[float]
 ) -> FloatArray:
-    """(n_level, m) smallest of values (n, m) that so much of the weight is at or below; the weight
-    of the configuration itself lies at infinity."""
+    """Return weighted quantiles (n_level, m) of values (n, m); the new configuration itself lies at
+    infinity with the weight `itself`."""
     order = np.argsort(values, axis=0, kind="stable")
     reached = np.cumsum(weight[order], axis=0)
     ordered = np.take_along_axis(values, order, axis=0)
@@ -435,7 +437,7 @@ def _weighted(
 
 
 def _folds(group: IntArray, seed: int) -> IntArray:
-    """(n,) parts of every group, dealt out at random and evenly."""
+    """Return folds (n,) that divide every group evenly and at random."""
     rng = np.random.default_rng(seed)
     fold, dealt = np.empty(len(group), np.int64), 0
     for g in np.unique(group):
@@ -446,7 +448,7 @@ def _folds(group: IntArray, seed: int) -> IntArray:
 
 
 def _whole_folds(whole: IntArray, seed: int) -> IntArray:
-    """(n,) parts that split no group or unit."""
+    """Return folds (n,) that divide no group or unit."""
     rng = np.random.default_rng(seed)
     order = rng.permutation(int(whole.max()) + 1)
     return np.asarray(np.argsort(order)[whole] % FOLDS)
@@ -484,28 +486,21 @@ def _labels(groups: Labels | None, n: int) -> list[Hashable]:
     return labels
 
 
-def _refuse_level(level: float, n: int) -> None:
-    least = least_experiments(level)
+def _check_experiments(level: float, n: int) -> None:
+    _check_number(level, n, "experiments", f"{n} held out", "run more experiments")
+
+
+def _check_number(level: float, n: int, where: str, found: str, more: str, on: str = "") -> None:
+    least = min_experiments(level)
     if n < least:
         raise InvalidInput(
-            "experiments",
-            found=f"{n} held out",
-            expected=f"{least} or more for bounds that hold with {100.0 * level:g} %",
-            hint="run more experiments, or ask for a lower level",
+            where,
+            found=found,
+            expected=f"{least} or more for bounds that hold with {100.0 * level:g} %{on}",
+            hint=f"{more}, or ask for a lower level",
         )
 
 
-def _refuse_units(level: float, n: int) -> None:
-    least = least_experiments(level)
-    if n < least:
-        raise InvalidInput(
-            "units",
-            found=f"{n} sides or speeds left out",
-            expected=f"{least} or more for bounds that hold with {100.0 * level:g} % on a new one",
-            hint="leave out more, or ask for a lower level",
-        )
-
-
-def _refuse_share(level: float) -> None:
+def _check_level(level: float) -> None:
     if not 0.0 < level < 1.0:
         raise InvalidInput("level", found=level, expected="a number between 0 and 1")

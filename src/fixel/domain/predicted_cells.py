@@ -6,13 +6,13 @@ import numpy as np
 
 from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.contacts import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
+from fixel.domain.error_bound import ErrorBound, min_experiments
 from fixel.domain.evidence import HeldOutErrors, Value, unit_in
-from fixel.domain.promise import Promise, least_experiments
 from fixel.model import wrapped
 from fixel.typing import FloatArray, IntArray
 
 
-def promised_cells(
+def predicted_cells(
     evidence: HeldOutErrors, cells: Cells, level: float, seed: int = 0
 ) -> FloatArray | None:
     """Return bounds (n_group, n_cell) that errors of new experiments satisfy [mm].
@@ -100,11 +100,11 @@ def _bounds(
     evidence: HeldOutErrors, cells: Cells, place: IntArray, rows: IntArray, level: float, seed: int
 ) -> FloatArray | None:
     """Return the bounds of all cells from some of the experiments; None from too few."""
-    if len(rows) < least_experiments(level):
+    if len(rows) < min_experiments(level):
         return None
     groups = list(dict.fromkeys(evidence.group))
     apart = len(groups) > 1
-    promise = Promise.fit(
+    fitted = ErrorBound.fit(
         cells.places[place[rows]],
         np.sqrt(evidence.error_mm2[rows]),
         [evidence.group[k] for k in rows.tolist()] if apart else None,
@@ -112,4 +112,4 @@ def _bounds(
         seed,
     )
     n = len(cells)
-    return np.array([promise.bounds(cells.places, [own] * n if apart else None) for own in groups])
+    return np.array([fitted.bounds(cells.places, [own] * n if apart else None) for own in groups])
