@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from fixel.database.query import Query
+from fixel.database.query import Bound, ExperimentQuery
 from fixel.database.store import Store
 from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
 from fixel.testing.scenes import grasp
 
 FRAMES = 330
 QUERIES = {
-    "all": Query(),
-    "by condition": Query(conditions={"surface": "abs"}),
-    "by name": Query(name="*77*"),
-    "by flag": Query(flag="odd"),
+    "all": ExperimentQuery(),
+    "by condition": ExperimentQuery(conditions=(Bound("surface", "=", "abs"),)),
+    "by name": ExperimentQuery(name="*77*"),
+    "by flag": ExperimentQuery(flags=("odd",)),
 }
 
 
@@ -68,7 +68,7 @@ def main() -> None:
                 begun = time.perf_counter()
                 listing = store.experiments(query)
                 spent = 1e3 * (time.perf_counter() - begun)
-                print(f"{name:13s} {len(listing.summaries):6d} listed in {spent:6.1f} ms")
+                print(f"{name:13s} {len(listing.rows):6d} listed in {spent:6.1f} ms")
 
 
 if __name__ == "__main__":

@@ -137,7 +137,7 @@ def test_a_backup_reads_back_while_another_process_writes(folder, tmp_path):
     shutil.copyfile(copy, folder / "experiments.db")
     assert json.loads(call("check", folder, "--json")[1])["counts"]["experiment"] == 4
     with Project.open(folder).store() as store:
-        assert [s.name for s in store.experiments().summaries] == ["a", "b", "c", "d"]
+        assert [s.name for s in store.experiments().rows] == ["a", "b", "c", "d"]
         assert store.add_experiment(experiment("f")).new
 
 

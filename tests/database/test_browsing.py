@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.database.browsing import Bound, ExperimentView
-from fixel.database.query import Query
+from fixel.database.query import Bound, ExperimentQuery
 from fixel.errors import InvalidInput, NotStored
-from fixel.model import Experiment, Flag, Parameters, Provenance, Trajectory, trajectory
+from fixel.model import Experiment, Flag, Parameters, Provenance, Trajectory
 from fixel.model.records import CalibrationRecord, Member, SimulationRecord
 from fixel.workflows.project.filters import coverage, view_of, vocabulary
 
@@ -58,44 +57,46 @@ def pushes(store):
 
 
 def test_errors_are_the_newest(pushes):
-    first, second, third = pushes.browse(ExperimentView(limit=3)).rows
+    first, second, third = pushes.experiments(view_of(limit=3), details=True).details
     assert (first.before_mm2, first.after_mm2) == (4.0, 0.25)
     assert (second.before_mm2, second.after_mm2) == (None, 16.0)
     assert (third.before_mm2, third.after_mm2) == (None, None)
-    assert pushes.browse_ids(view_of("error>=4")) == [2]
-    assert pushes.browse_ids(view_of("before<2.1")) == [1]
-    found = pushes.browse_tally(view_of("error>0"), ("id", "after_mm"))
+    assert pushes.experiment_ids(view_of("error>=4")) == [2]
+    assert pushes.experiment_ids(view_of("before<2.1")) == [1]
+    found = pushes.tally(view_of("error>0"), ("id", "after_mm"))
     assert sorted(found) == [(1, 0.5, 1), (2, 4.0, 1)]
 
 
 def test_a_condition_may_be_a_text_here_and_a_number_there(pushes):
-    assert pushes.browse_ids(view_of("surface=abs")) == [1, 3]
-    assert pushes.browse_ids(view_of("surface!=abs")) == [2, 4, 5]
-    assert pushes.browse_ids(view_of("surface>2")) == [4]
-    assert pushes.browse_ids(view_of(sort="surface")) == [4, 1, 3, 2, 5]
-    assert pushes.browse_ids(view_of(sort="speed_m_s", descending=True)) == [5, 4, 3, 2, 1]
-    assert pushes.browse_ids(view_of(sort="nobody_has_it")) == [1, 2, 3, 4, 5]
-    assert pushes.browse_ids(view_of("speed_m_s>=0.02 speed_m_s<0.04")) == [2, 3]
+    assert pushes.experiment_ids(view_of("surface=abs")) == [1, 3]
+    assert pushes.experiment_ids(view_of("surface!=abs")) == [2, 4, 5]
+    assert pushes.experiment_ids(view_of("surface>2")) == [4]
+    assert pushes.experiment_ids(view_of(sort="surface")) == [4, 1, 3, 2, 5]
+    assert pushes.experiment_ids(view_of(sort="speed_m_s", descending=True)) == [5, 4, 3, 2, 1]
+    assert pushes.experiment_ids(view_of(sort="nobody_has_it")) == [1, 2, 3, 4, 5]
+    assert pushes.experiment_ids(view_of("speed_m_s>=0.02 speed_m_s<0.04")) == [2, 3]
 
 
 def test_words_stand_anywhere_in_either_case(pushes):
-    assert pushes.browse_ids(view_of("PLYWOOD")) == [2, 5]
-    assert pushes.browse_ids(view_of("push/03")) == [3]
-    assert pushes.browse_ids(view_of('"by 0.2"')) == [3]
-    assert pushes.browse_ids(view_of("_")) == [1, 2, 3, 4, 5]  # of speed_m_s
-    assert pushes.browse_ids(view_of("%")) == []
-    assert pushes.browse_ids(view_of("'; drop table flag; --")) == []
+    assert pushes.experiment_ids(view_of("PLYWOOD")) == [2, 5]
+    assert pushes.experiment_ids(view_of("push/03")) == [3]
+    assert pushes.experiment_ids(view_of('"by 0.2"')) == [3]
+    assert pushes.experiment_ids(view_of("_")) == [1, 2, 3, 4, 5]  # of speed_m_s
+    assert pushes.experiment_ids(view_of("%")) == []
+    assert pushes.experiment_ids(view_of("'; drop table flag; --")) == []
 
 
 def test_pages_and_counts(pushes):
-    leaf = pushes.browse(ExperimentView(limit=2, offset=2, sort="moved_m", descending=True))
-    assert ([row.id for row in leaf.rows], leaf.total, leaf.faulty) == ([3, 2], 5, 1)
-    assert leaf.rows[0].flags == [("late", "by 0.2 s", True)]
-    assert pushes.browse(view_of("is:clean", limit=1)).total == 4
+    page = pushes.experiments(
+        view_of(limit=2, offset=2, sort="moved_m", descending=True), details=True
+    )
+    assert ([row.id for row in page.rows], page.total, page.faulty) == ([3, 2], 5, 1)
+    assert page.details[0].flags == [Flag("late", "by 0.2 s", True)]
+    assert pushes.experiments(view_of("is:clean", limit=1)).total == 4
     # A correction takes the place of what it corrects.
     again = pushes.add_experiment(experiment(2, surface="abs")).id
-    assert pushes.browse_ids(view_of("push/02")) == [again]
-    assert pushes.browse_ids(view_of("push/02 is:replaced")) == [2, again]
+    assert pushes.experiment_ids(view_of("push/02")) == [again]
+    assert pushes.experiment_ids(view_of("push/02 is:replaced")) == [2, again]
 
 
 def test_marks_tell_what_changed(pushes):
@@ -103,11 +104,11 @@ def test_marks_tell_what_changed(pushes):
     assert pushes.unflag_all([1, 2, 3], "late") == [2, 3]
     assert pushes.delete_all([1, 2]) == [1, 2]
     assert pushes.delete_all([2, 3]) == [3]
-    assert pushes.browse_ids(view_of("is:deleted")) == [1, 2, 3]
+    assert pushes.experiment_ids(view_of("is:deleted")) == [1, 2, 3]
     assert pushes.delete_all([1, 2, 3, 4], back=True) == [1, 2, 3]
     made = pushes.annotate([4, 1], "slipped")
     assert [note.text for note in pushes.notes(4)] == ["slipped"]
-    assert pushes.browse_ids(view_of("is:noted slip")) == [1, 4]
+    assert pushes.experiment_ids(view_of("is:noted slip")) == [1, 4]
     assert pushes.delete_notes(made) == made
     assert pushes.notes(4) == []
     assert pushes.delete_notes(made, back=True) == made
@@ -121,8 +122,8 @@ def test_an_act_is_done_whole_or_not_at_all(pushes):
     ):
         with pytest.raises(NotStored, match="experiment 99"):
             act()
-    assert pushes.browse_ids(view_of("is:flagged")) == [3]
-    assert pushes.browse_ids(view_of("is:deleted")) == []
+    assert pushes.experiment_ids(view_of("is:flagged")) == [3]
+    assert pushes.experiment_ids(view_of("is:deleted")) == []
     assert pushes.notes(1) == []
     with pytest.raises(InvalidInput, match="characters"):
         pushes.annotate([1], "  ")
@@ -133,7 +134,7 @@ def test_what_there_is_to_filter_by(pushes):
     assert found.conditions["surface"].texts == {"abs": 2, "plywood": 2}
     assert found.conditions["surface"].total == 5
     assert (found.conditions["speed_m_s"].low, found.conditions["speed_m_s"].high) == (0.01, 0.05)
-    seen = coverage(pushes, ExperimentView(), "speed_m_s", "end_x_m")
+    seen = coverage(pushes, view_of(), "speed_m_s", "end_x_m")
     assert seen.number.sum() == 5
     assert np.array_equal(seen.number, np.eye(5))
 
@@ -141,21 +142,21 @@ def test_what_there_is_to_filter_by(pushes):
 def test_coverage_counts_what_is_at_the_same_place(pushes):
     for k, (shape, layout) in enumerate([("square", "a"), ("square", "a"), (3.0, "b")]):
         pushes.add_experiment(experiment(10 + k, shape=shape, layout=layout, speed_m_s=0.05))
-    seen = coverage(pushes, ExperimentView(), "speed_m_s", "speed_m_s")
+    seen = coverage(pushes, view_of(), "speed_m_s", "speed_m_s")
     assert seen.number.diagonal().tolist() == [1, 1, 1, 1, 4]
     assert (seen.shapes, seen.layouts) == (("3", "square"), ("a", "b"))
     assert seen.table.tolist() == [[0, 1], [2, 0]]
     # Where it is a text, it is at no place.
-    assert coverage(pushes, ExperimentView(), "surface", "speed_m_s").without == 7
-    assert ("abs", 1) in pushes.browse_tally(view_of("is:clean"), ("surface",))
+    assert coverage(pushes, view_of(), "surface", "speed_m_s").without == 7
+    assert ("abs", 1) in pushes.tally(view_of("is:clean"), ("surface",))
 
 
 @pytest.mark.parametrize("name", ['a"b', "$", "a'b", "", "x" * 101, "\n"])
 def test_names_that_no_condition_has_are_refused(pushes, name):
     with pytest.raises(InvalidInput, match="column"):
-        pushes.browse(ExperimentView(sort=name))
+        pushes.experiments(ExperimentQuery(sort=name))
     with pytest.raises(InvalidInput, match="column"):
-        pushes.browse(ExperimentView(bounds=(Bound(name, "=", "x"),)))
+        pushes.experiments(ExperimentQuery(bounds=(Bound(name, "=", "x"),)))
 
 
 def test_a_small_turn_across_half_a_turn_is_small(store):
@@ -167,12 +168,9 @@ def test_a_small_turn_across_half_a_turn_is_small(store):
     turn = np.radians(np.linspace(0.0, 400.0, 50))
     whole = Trajectory(time=np.arange(50.0), pose=np.c_[0.0 * turn, 0.0 * turn, turn])
     store.add_experiment(replace(experiment(9), trajectory=whole))
-    assert store.browse_ids(view_of("turned>20 turned<30")) == [1]
-    assert store.browse_ids(view_of("turned<-20")) == [2]
-    assert store.browse_ids(view_of("turned>390")) == [4]
-    assert store.browse_ids(view_of(sort="turned")) == [2, 3, 1, 4]
-    told = [
-        trajectory.turned(s.start_theta_rad, s.end_theta_rad, s.n_frame)
-        for s in store.experiments(Query(flagged=True)).summaries
-    ]
-    assert np.degrees(told) == pytest.approx([26.5, -26.5, 10.0, 400.0])
+    assert store.experiment_ids(view_of("turned>20 turned<30")) == [1]
+    assert store.experiment_ids(view_of("turned<-20")) == [2]
+    assert store.experiment_ids(view_of("turned>390")) == [4]
+    assert store.experiment_ids(view_of(sort="turned")) == [2, 3, 1, 4]
+    turned = [row.turned_rad for row in store.experiments(view_of()).rows]
+    assert np.degrees(turned) == pytest.approx([26.5, -26.5, 10.0, 400.0])

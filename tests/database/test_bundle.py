@@ -15,7 +15,7 @@ import pytest
 from fixel.database import arrays
 from fixel.database.bundle import export_bundle, import_bundle
 from fixel.database.bundle_file import LIMITS, read_npy
-from fixel.database.query import Query
+from fixel.database.query import ALL_EXPERIMENTS, ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
 from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Trajectory
@@ -31,7 +31,6 @@ from fixel.model.records import (
 from fixel.testing.scenes import grasp
 
 HERE = Provenance(version="0.1", command="test", source="a.csv", sha256="00", seed=7)
-ALL = Query(flagged=True, replaced=True)
 NOTHING_NEW = {
     "experiments": 0,
     "parameters": 0,
@@ -159,7 +158,7 @@ def sealed(members):
 def refused(path, store, words, **more):
     with pytest.raises(InvalidInput, match=words):
         import_bundle(path, store, **more)
-    assert store.experiments(ALL).total == 0
+    assert store.experiments(ALL_EXPERIMENTS).total == 0
 
 
 def test_round_trip_loses_nothing(store, tmp_path):
@@ -176,8 +175,8 @@ def test_round_trip_loses_nothing(store, tmp_path):
         counts = import_bundle(tmp_path / "a.zip", other)
         assert counts["experiments"] == 5
         assert (counts["simulations"], counts["filter_runs"]) == (2, 1)
-        theirs = [s.id for s in other.experiments(ALL).summaries][1:]
-        ours = [s.id for s in store.experiments(ALL).summaries]
+        theirs = [s.id for s in other.experiments(ALL_EXPERIMENTS).rows][1:]
+        ours = [s.id for s in store.experiments(ALL_EXPERIMENTS).rows]
         assert theirs != ours
         for a, b in zip(ours, theirs, strict=True):
             assert store.experiment(a) == other.experiment(b)
@@ -185,7 +184,7 @@ def test_round_trip_loses_nothing(store, tmp_path):
             for k, m in zip(one, two, strict=True):
                 assert replace(store.simulation(k), experiment_id=b) == other.simulation(m)
         assert store.flags() == other.flags()
-        assert other.experiments(Query(real=False)).total == 1
+        assert other.experiments(ExperimentQuery(marks=("simulated",))).total == 1
         assert store.calibration(1).evaluations == other.calibration(1).evaluations
         assert [m.experiment_id for m in other.calibration(1).members] == [theirs[0], theirs[3]]
         video = other.experiment(theirs[0]).video
@@ -227,7 +226,7 @@ def test_what_is_newer_here_stays_on_top(store, tmp_path):
     here = store.add_experiment(newer).id
     counts = import_bundle(tmp_path / "a.zip", store)
     assert (counts["known"], counts["outdated"]) == (1, 1)
-    assert [s.id for s in store.experiments().summaries] == [here]
+    assert [s.id for s in store.experiments().rows] == [here]
 
 
 def test_notes_come_along_once_and_stay_deleted(store, tmp_path):
@@ -270,7 +269,7 @@ def test_interrupted_it_goes_on_where_it_was(store, tmp_path):
         other.upgrade()
         with pytest.raises(KeyboardInterrupt):
             import_bundle(tmp_path / "a.zip", other, progress=stop)
-        assert other.experiments(ALL).total == 2
+        assert other.experiments(ALL_EXPERIMENTS).total == 2
         counts = import_bundle(tmp_path / "a.zip", other)
         assert (counts["known"], counts["experiments"], counts["simulations"]) == (2, 3, 2)
 

@@ -18,7 +18,7 @@ from sqlalchemy import event
 from tests.processes import line_of
 
 from fixel.database import arrays, engine
-from fixel.database.query import Query
+from fixel.database.query import ALL_EXPERIMENTS, ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import StoreRefused
 
@@ -63,10 +63,12 @@ def kill_while_importing(url, media, batch, chance):
 
 def whole(store, batch):
     """Numbers of the experiments of a batch; each must be as it was sent."""
-    listing = store.experiments(Query(dataset=f"batch-{batch}", flagged=True, replaced=True))
-    for summary in listing.summaries:
+    listing = store.experiments(
+        ExperimentQuery(dataset=f"batch-{batch}", include_faulty=True, marks=("replaced",))
+    )
+    for summary in listing.rows:
         assert store.experiment(summary.id) == importing.experiment(batch, int(summary.name))
-    found = [int(summary.name) for summary in listing.summaries]
+    found = [int(summary.name) for summary in listing.rows]
     assert len(found) == len(set(found))
     return set(found)
 
@@ -92,7 +94,7 @@ def killed_often(store, url, media, n, seed=1):
 
 def test_kills(store, url, tmp_path):
     killed_often(store, url, tmp_path / "media", 6)
-    assert store.experiments(Query(flagged=True, replaced=True)).total == 6 * importing.N
+    assert store.experiments(ALL_EXPERIMENTS).total == 6 * importing.N
 
 
 @pytest.mark.slow

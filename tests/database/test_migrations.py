@@ -115,7 +115,7 @@ def test_a_file_of_every_version_upgrades_and_reads_back(file, tmp_path):
     with Store(f"sqlite:///{copy}", tmp_path / "media") as store:
         assert store.upgrade() == (file.stem.removeprefix("schema-"), schema.newest())
         assert left_to_do(store) == []
-        assert [s.key for s in store.experiments().summaries] == ["batch-0/1"]
+        assert [s.key for s in store.experiments().rows] == ["batch-0/1"]
         found = store.experiment(1)
         assert found.conditions == {"surface": "plywood", "speed_m_s": 0.02}
         assert [flag.detail for flag in found.flags] == ["by 1 s"]

@@ -8,7 +8,7 @@ import pytest
 import sqlalchemy as sa
 
 from fixel.database import tables
-from fixel.database.query import Query
+from fixel.database.query import Bound, ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, NotStored, StoreRefused
 from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Trajectory
@@ -94,25 +94,25 @@ def test_the_same_again_adds_nothing(store):
 
 def test_a_correction_takes_the_place(store):
     old, new = stored(store, experiment(), experiment(contact_mode="110"))
-    assert [s.id for s in store.experiments().summaries] == [new]
-    assert store.experiments(Query(replaced=True)).total == 2
+    assert [s.id for s in store.experiments().rows] == [new]
+    assert store.experiments(ExperimentQuery(marks=("replaced",))).total == 2
     assert store.experiment(old).contact_mode == "010"
     store.delete(new)
-    assert [s.id for s in store.experiments().summaries] == [old]
+    assert [s.id for s in store.experiments().rows] == [old]
 
 
 def test_flagged_rows_are_left_out_and_counted(store):
     good, bad = stored(store, experiment("1"), experiment("2", flags=[Flag("misregistered")]))
     listing = store.experiments()
-    assert [s.id for s in listing.summaries] == [good]
+    assert [s.id for s in listing.rows] == [good]
     assert (listing.total, listing.left_out) == (1, 1)
-    assert store.experiments(Query(flagged=True)).total == 2
-    assert [s.id for s in store.experiments(Query(flag="misregistered")).summaries] == [bad]
+    assert store.experiments(ExperimentQuery(include_faulty=True)).total == 2
+    assert store.experiment_ids(ExperimentQuery(flags=("misregistered",))) == [bad]
     assert store.flags() == {"misregistered": 1}
     store.unflag(bad, "misregistered")
     assert store.experiments().total == 2
     store.flag(good, Flag("by-hand", "looked odd"))
-    assert [s.id for s in store.experiments().summaries] == [bad]
+    assert [s.id for s in store.experiments().rows] == [bad]
     assert store.experiment(good).flags == (Flag("by-hand", "looked odd"),)
 
 
@@ -120,7 +120,7 @@ def test_deletion_is_soft(store):
     (number,) = stored(store, experiment())
     store.delete(number)
     assert store.experiments().total == 0
-    assert store.experiments(Query(deleted=True)).total == 1
+    assert store.experiments(ExperimentQuery(marks=("deleted",))).total == 1
     store.undelete(number)
     assert store.experiments().total == 1
 
@@ -128,16 +128,16 @@ def test_deletion_is_soft(store):
 @pytest.mark.parametrize(
     ("query", "names"),
     [
-        (Query(dataset="lab"), ["a_1", "b%2"]),
-        (Query(name="a*"), ["a_1"]),
-        (Query(name="a_*"), ["a_1"]),
-        (Query(name="axx*"), []),
-        (Query(name="*%2"), ["b%2"]),
-        (Query(real=False), ["c"]),
-        (Query(contact_mode="110"), ["b%2"]),
-        (Query(conditions={"surface": "abs"}), ["b%2"]),
-        (Query(conditions={"speed_m_s": 0.02}), ["a_1", "c"]),
-        (Query(conditions={"speed_m_s": 0.02}, real=True), ["a_1"]),
+        (ExperimentQuery(dataset="lab"), ["a_1", "b%2"]),
+        (ExperimentQuery(name="a*"), ["a_1"]),
+        (ExperimentQuery(name="a_*"), ["a_1"]),
+        (ExperimentQuery(name="axx*"), []),
+        (ExperimentQuery(name="*%2"), ["b%2"]),
+        (ExperimentQuery(marks=("simulated",)), ["c"]),
+        (ExperimentQuery(bounds=(Bound("contacts", "=", "110"),)), ["b%2"]),
+        (ExperimentQuery(conditions=(Bound("surface", "=", "abs"),)), ["b%2"]),
+        (ExperimentQuery(conditions=(Bound("speed_m_s", "=", 0.02),)), ["a_1", "c"]),
+        (ExperimentQuery(conditions=(Bound("speed_m_s", "=", 0.02),), marks=("real",)), ["a_1"]),
     ],
 )
 def test_filters(store, query, names):
@@ -147,13 +147,13 @@ def test_filters(store, query, names):
         experiment("b%2", contact_mode="110", conditions={"surface": "abs", "speed_m_s": 0.01}),
         experiment("c", dataset="bench", real=False, simulated_by="me"),
     )
-    assert [s.name for s in store.experiments(query).summaries] == names
+    assert [s.name for s in store.experiments(query).rows] == names
 
 
 def test_pages(store):
     ids = stored(store, *(experiment(str(k)) for k in range(5)))
-    page = store.experiments(limit=2, offset=2)
-    assert [s.id for s in page.summaries] == ids[2:4]
+    page = store.experiments(ExperimentQuery(limit=2, offset=2))
+    assert [s.id for s in page.rows] == ids[2:4]
     assert page.total == 5
     assert store.datasets() == {"lab": 5}
 
@@ -290,7 +290,7 @@ def test_a_failure_half_way_leaves_nothing(store, monkeypatch):
     with pytest.raises(RuntimeError):
         store.add_experiment(experiment(flags=[Flag("late")]))
     monkeypatch.undo()
-    assert store.experiments(Query(flagged=True)).total == 0
+    assert store.experiments(ExperimentQuery(include_faulty=True)).total == 0
     assert store.add_experiment(experiment(flags=[Flag("late")])).new
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from tests.jobs.helpers import blocks_written, names_in
 
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
 from fixel.jobs.engine import LocalEngine
@@ -118,7 +118,7 @@ class Campaign(JobKind):
         with project.store() as store:
             for experiment in SimulatedTestbed.ideal().run(planned):
                 store.add_experiment(experiment)
-            chosen = calibrations.choose(store, (), Query())
+            chosen = calibrations.choose(store, (), ExperimentQuery())
         return _to_be_run(calibrations.prepare(project, chosen, self._request(chosen)), run)
 
     def _request(self, chosen):

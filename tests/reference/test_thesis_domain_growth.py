@@ -14,7 +14,7 @@ from tests.workflows.growing import comparer_of, planned
 
 from fixel.calibration.target import target_of
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.model import Parameters
 from fixel.simulation import QuasiStatic, simulate
 from fixel.testbed.simulated import SimulatedTestbed
@@ -35,7 +35,7 @@ def project(tmp_path_factory):
     with made.store() as store:
         for experiment in SimulatedTestbed(seed=3).run(planned("pentagon", ("concave-tight",))):
             store.add_experiment(experiment)
-        chosen = run.choose(store, (), Query())
+        chosen = run.choose(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
         mode="each",

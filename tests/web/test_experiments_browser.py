@@ -149,12 +149,12 @@ def test_what_is_deleted_is_not_calibrated(table):
 
 def test_errors_before_are_made_for_those_that_have_none(table, server):
     table.fill("#filter", "shape=square")
-    wanted = server.desk.store.browse_unsimulated(view_of("shape=square"))
+    wanted = server.desk.store.unsimulated_ids(view_of("shape=square"))
     table.click(f"#simulate:has-text('Simulate {len(wanted)} experiments')")
     table.wait_for_selector(f"text=Simulated {len(wanted)} experiments", timeout=60_000)
     table.wait_for_selector("#simulate", state="hidden")
     table.wait_for_function("() => !document.querySelector('td.before.unknown')")
-    assert server.desk.store.browse_unsimulated(view_of("shape=square")) == []
+    assert server.desk.store.unsimulated_ids(view_of("shape=square")) == []
 
 
 def test_flagging_many_with_undo_by_the_toast(table):

@@ -93,10 +93,10 @@ def test_what_is_not_there_is_a_document_below_api_and_a_page_elsewhere(bench):
 
 
 def test_a_mistake_of_ours_is_told_to_who_started_it(bench, monkeypatch, caplog):
-    def mistaken(*_):
+    def mistaken(*_, **__):
         raise KeyError("of ours")
 
-    monkeypatch.setattr(Store, "browse", mistaken)
+    monkeypatch.setattr(Store, "experiments", mistaken)
     monkeypatch.setattr(Store, "experiment", mistaken)
     document = bench.client().get("/api/v1/experiments")
     page = bench.client().get("/experiments/1")

@@ -12,8 +12,7 @@ import typer
 from fixel.cli.options import AsJson, DatasetName, Flagged, ProjectFolder, Where, project_words
 
 if TYPE_CHECKING:
-    from fixel.database.query import Summary
-    from fixel.database.store import Listing
+    from fixel.database.browsing import ExperimentPage, ExperimentRow
     from fixel.workflows.project.importing import ImportSummary
 
 MAX_ROWS = 30
@@ -162,8 +161,9 @@ def list_(
         flag=flag,
         flagged=flagged,
         deleted=deleted,
+        limit=limit,
     )
-    listing = list_experiments(project, query, limit)
+    listing = list_experiments(project, query)
     if as_json:
         typer.echo(json.dumps(_listed(listing)))
         return
@@ -174,8 +174,8 @@ def list_(
         typer.echo("datasets: " + ", ".join(f"{k} {n}" for k, n in datasets.items()))
     if flags and not flag:
         typer.echo("flags:    " + ", ".join(f"{k} {n}" for k, n in flags.items()))
-    if listing.summaries:
-        words = ["fixel", "show", listing.summaries[0].key, *project_words(folder)]
+    if listing.rows:
+        words = ["fixel", "show", listing.rows[0].key, *project_words(folder)]
         typer.echo(f"Next: {shlex.join([*words, '--plot', 'run.png'])}")
     else:
         words = ["fixel", "testbed", "run", "--limit", "30", *project_words(folder)]
@@ -230,11 +230,11 @@ def _say_imported(
     typer.echo(f"Next: {answer.get('next', following)}")
 
 
-def _lines(listing: "Listing") -> list[str]:
+def _lines(listing: "ExperimentPage") -> list[str]:
     from fixel.cli.screen import table
 
     head = ("id", "experiment", "", "frames", "time [s]", "moved [mm]", "turned [deg]", "contacts")
-    rows = [_row(summary) for summary in listing.summaries]
+    rows = [_row(summary) for summary in listing.rows]
     lines = table(head, rows, left=3) if rows else []
     more = listing.total - len(rows)
     lines.append(f"{listing.total} experiments" + (f", {more} not shown" if more else ""))
@@ -243,32 +243,22 @@ def _lines(listing: "Listing") -> list[str]:
     return lines
 
 
-def _row(summary: "Summary") -> tuple[str, ...]:
-    from fixel.model.trajectory import turned
-
-    moved = _distance(summary)
-    angle = degrees(turned(summary.start_theta_rad, summary.end_theta_rad, summary.n_frame))
+def _row(summary: "ExperimentRow") -> tuple[str, ...]:
     return (
         str(summary.id),
         summary.key,
         "" if summary.is_real else "SIMULATED",
         str(summary.n_frame),
         f"{summary.duration_s:.2f}",
-        f"{1e3 * moved:.1f}",
-        f"{angle:.1f}",
+        f"{1e3 * summary.moved_m:.1f}",
+        f"{degrees(summary.turned_rad):.1f}",
         summary.contact_mode,
     )
 
 
-def _distance(summary: "Summary") -> float:
-    dx = summary.end_x_m - summary.start_x_m
-    dy = summary.end_y_m - summary.start_y_m
-    return float((dx * dx + dy * dy) ** 0.5)
-
-
-def _listed(listing: "Listing") -> dict[str, Any]:
+def _listed(listing: "ExperimentPage") -> dict[str, Any]:
     experiments = []
-    for summary in listing.summaries:
+    for summary in listing.rows:
         row = summary._asdict()
         del row["conditions_json"]
         experiments.append(row | {"conditions": summary.conditions})

@@ -1,95 +1,96 @@
-"""Table of experiments, filtered and sorted by any column or condition, page by page."""
+"""Pages of the table of experiments, and counts of their values."""
 
 from __future__ import annotations
 
 import json
-import math
-import re
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple, final
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
 
 import sqlalchemy as sa
 
-from fixel.database import rows
-from fixel.database.query import RELATIONS, Bound, condition_holds, condition_of
-from fixel.database.tables import (
-    calibration,
-    calibration_member,
-    experiment,
-    flag,
-    note,
-    simulation,
-    system_parameters,
+from fixel.database.query import (
+    AFTER,
+    BEFORE,
+    FAULTY,
+    NEWEST_NOMINAL,
+    SQUARES,
+    WITH_ERRORS,
+    ExperimentQuery,
+    clauses,
+    expressions,
+    order,
+    sources,
 )
-from fixel.errors import InvalidInput
-
-MARKS: Final = ("clean", "faulty", "flagged", "noted", "real", "simulated", "deleted", "replaced")
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExperimentView:
-    """Filter, order and page of a table of experiments.
-
-    Parameters
-    ----------
-    words : tuple of str
-        Words that must all occur in the name, a condition, a flag or a note.
-    bounds : tuple of Bound
-    flags : tuple of str
-        Names of flags that each experiment must have.
-    marks : tuple of str
-        Marks out of `MARKS`. Deleted experiments are listed only with `deleted` (then no others),
-        experiments replaced by a correction only with `replaced`.
-    sort : str
-        Column or condition to sort by.
-    descending : bool
-    limit : int, optional
-    offset : int
-    """
-
-    words: tuple[str, ...] = ()
-    bounds: tuple[Bound, ...] = ()
-    flags: tuple[str, ...] = ()
-    marks: tuple[str, ...] = ()
-    sort: str = "id"
-    descending: bool = False
-    limit: int | None = None
-    offset: int = 0
+from fixel.database.tables import experiment, flag, note
+from fixel.model import Flag
+from fixel.model.trajectory import turned
 
 
 class ExperimentRow(NamedTuple):
-    """Row of the table of experiments."""
+    """Row of the table of experiments: one experiment without its series."""
 
     id: int
     dataset: str
     name: str
-    real: bool
-    frames: int
+    is_real: bool
+    n_frame: int
     duration_s: float
-    start: tuple[float, float, float]  # [m, m, rad]
-    end: tuple[float, float, float]
-    contacts: str
-    conditions: dict[str, str | float]
-    created: str
-    content: str  # checksum
-    before_mm2: float | None
-    after_mm2: float | None
-    flags: list[tuple[str, str, bool]]  # name, detail, whether a fault
+    start_x_m: float
+    start_y_m: float
+    start_theta_rad: float
+    end_x_m: float
+    end_y_m: float
+    end_theta_rad: float
+    contact_mode: str
+    conditions_json: str
+    created_at_utc: str
+
+    @property
+    def conditions(self) -> dict[str, str | float]:
+        """Further recorded conditions, by name."""
+        found: dict[str, str | float] = json.loads(self.conditions_json)
+        return found
+
+    @property
+    def key(self) -> str:
+        """Dataset and name, joined by a slash."""
+        return f"{self.dataset}/{self.name}"
+
+    @property
+    def moved_m(self) -> float:
+        """Distance between the positions at the start and at the end [m]."""
+        dx, dy = self.end_x_m - self.start_x_m, self.end_y_m - self.start_y_m
+        return float((dx * dx + dy * dy) ** 0.5)
+
+    @property
+    def turned_rad(self) -> float:
+        """Rotation from the start to the end [rad]."""
+        return turned(self.start_theta_rad, self.end_theta_rad, self.n_frame)
+
+
+class ExperimentDetails(NamedTuple):
+    """Results and marks of an experiment on a page."""
+
+    content_sha256: str
+    deleted_at_utc: str | None
+    before_mm2: float | None  # error of the newest simulation with nominal values
+    after_mm2: float | None  # error of the newest calibration that it is a member of
+    flags: list[Flag]
     notes: int
-    deleted: bool
 
 
-class Leaf(NamedTuple):
+class ExperimentPage(NamedTuple):
     """Page of the table of experiments, with counts."""
 
     rows: list[ExperimentRow]
     total: int  # matching experiments on all pages
-    faulty: int  # matching experiments with a fault
+    faulty: int  # experiments with a fault, on all pages or left out
+    left_out: int  # experiments that match but are left out for a fault
+    details: list[ExperimentDetails]  # of each row; empty unless requested
 
 
-class Conditions(NamedTuple):
+class ConditionValues(NamedTuple):
     """Values of one condition among all experiments."""
 
     texts: dict[str, int]  # text -> number of experiments
@@ -98,191 +99,95 @@ class Conditions(NamedTuple):
     numbers: int  # number of experiments where it is a number
 
 
-# --- columns ----------------------------------------------------------------------------------
-
-# Errors of the newest simulation with nominal values, and of the newest calibration.
-_NOMINAL: Final = rows.parameters_row({})["content_sha256"]
-_newest = (
-    sa.select(simulation.c.experiment_id, sa.func.max(simulation.c.id).label("id"))
-    .join(system_parameters, system_parameters.c.id == simulation.c.system_parameters_id)
-    .where(simulation.c.deleted_at_utc.is_(None), system_parameters.c.content_sha256 == _NOMINAL)
-    .group_by(simulation.c.experiment_id)
-    .subquery("newest_nominal")
-)
-_before = (
-    sa.select(simulation.c.experiment_id, simulation.c.error_mm2)
-    .join(_newest, _newest.c.id == simulation.c.id)
-    .subquery("before")
-)
-_last = (
-    sa.select(
-        calibration_member.c.experiment_id,
-        sa.func.max(calibration_member.c.calibration_id).label("calibration_id"),
-    )
-    .join(calibration, calibration.c.id == calibration_member.c.calibration_id)
-    .where(calibration.c.deleted_at_utc.is_(None))
-    .group_by(calibration_member.c.experiment_id)
-    .subquery("newest_calibration")
-)
-_after = (
-    sa.select(
-        calibration_member.c.experiment_id,
-        sa.func.max(calibration_member.c.error_mm2).label("error_mm2"),
-    )
-    .join(
-        _last,
-        sa.and_(
-            _last.c.calibration_id == calibration_member.c.calibration_id,
-            _last.c.experiment_id == calibration_member.c.experiment_id,
-        ),
-    )
-    .group_by(calibration_member.c.experiment_id)
-    .subquery("after")
-)
-_FROM = experiment.outerjoin(_before, _before.c.experiment_id == experiment.c.id).outerjoin(
-    _after, _after.c.experiment_id == experiment.c.id
-)
-
-_live_flag = flag.c.deleted_at_utc.is_(None)
-_FAULTY = sa.select(flag.c.experiment_id).where(_live_flag, flag.c.is_fault)
-_FLAGGED = sa.select(flag.c.experiment_id).where(_live_flag)
-_NOTED = sa.select(note.c.experiment_id).where(note.c.deleted_at_utc.is_(None))
-_REPLACED = sa.select(experiment.c.replaces_id).where(
-    experiment.c.replaces_id.is_not(None), experiment.c.deleted_at_utc.is_(None)
-)
-_n_flag = (
-    sa.select(sa.func.count())
-    .where(flag.c.experiment_id == experiment.c.id, _live_flag)
-    .scalar_subquery()
-)
-_n_note = (
-    sa.select(sa.func.count())
-    .where(note.c.experiment_id == experiment.c.id, note.c.deleted_at_utc.is_(None))
-    .scalar_subquery()
-)
-_dx = experiment.c.end_x_m - experiment.c.start_x_m
-_dy = experiment.c.end_y_m - experiment.c.start_y_m
-
-# Squares instead of roots: the order is the same, and not every database has a square root.
-TEXTS: Final[dict[str, sa.ColumnElement[Any]]] = {
-    "dataset": experiment.c.dataset,
-    "name": experiment.c.name,
-    "contacts": experiment.c.contact_mode,
-    "created": experiment.c.created_at_utc,
-}
-# Same rule as `model.trajectory.turned`.
-_angle: Final = experiment.c.end_theta_rad - experiment.c.start_theta_rad
-_turned: Final = sa.case(
-    (experiment.c.n_frame > 2, _angle),
-    (_angle >= math.pi, _angle - 2.0 * math.pi),
-    (_angle < -math.pi, _angle + 2.0 * math.pi),
-    else_=_angle,
-)
-NUMBERS: Final[dict[str, sa.ColumnElement[Any]]] = {
-    "id": experiment.c.id,
-    "frames": experiment.c.n_frame,
-    "duration_s": experiment.c.duration_s,
-    "start_x_m": experiment.c.start_x_m,
-    "start_y_m": experiment.c.start_y_m,
-    "start_angle_rad": experiment.c.start_theta_rad,
-    "end_x_m": experiment.c.end_x_m,
-    "end_y_m": experiment.c.end_y_m,
-    "end_angle_rad": experiment.c.end_theta_rad,
-    "turned_rad": _turned,
-    "flags": _n_flag,
-    "notes": _n_note,
-}
-SQUARES: Final[dict[str, sa.ColumnElement[Any]]] = {
-    "moved_m": _dx * _dx + _dy * _dy,
-    "before_mm": _before.c.error_mm2,
-    "after_mm": _after.c.error_mm2,
-    "error_mm": sa.func.coalesce(_after.c.error_mm2, _before.c.error_mm2),
-}
+# Conditions stay text until requested, since few lines of a long listing are read.
+_ROW: Final = [
+    sa.cast(experiment.c.conditions, sa.Text) if name == "conditions_json" else experiment.c[name]
+    for name in ExperimentRow._fields
+]
+_DETAILS: Final = [
+    experiment.c.content_sha256,
+    experiment.c.deleted_at_utc,
+    BEFORE.c.error_mm2.label("before_mm2"),
+    AFTER.c.error_mm2.label("after_mm2"),
+]
 
 
-def _condition(connection: sa.Connection, name: str) -> tuple[Any, Any]:
-    return condition_of(connection.dialect.name, name)
-
-
-# --- queries ----------------------------------------------------------------------------------
-
-
-def browse(connection: sa.Connection, view: ExperimentView) -> Leaf:
+def browse(
+    connection: sa.Connection, query: ExperimentQuery, *, details: bool = False
+) -> ExperimentPage:
     """Return one page of the table, with the numbers of matching and of faulty experiments."""
-    where = _where(connection, view)
+    dialect = connection.dialect.name
+    everything = replace(query, include_faulty=True, sort="id")
+    count = sa.select(sa.func.count()).select_from(sources(everything))
+    count = count.where(*clauses(everything, dialect))
+    total = int(connection.scalar(count) or 0)
+    faulty = int(connection.scalar(count.where(experiment.c.id.in_(FAULTY))) or 0)
+    left_out = faulty if query.omits_faulty else 0
     wanted = (
-        sa.select(
-            experiment.c.id,
-            experiment.c.dataset,
-            experiment.c.name,
-            experiment.c.is_real,
-            experiment.c.n_frame,
-            experiment.c.duration_s,
-            experiment.c.start_x_m,
-            experiment.c.start_y_m,
-            experiment.c.start_theta_rad,
-            experiment.c.end_x_m,
-            experiment.c.end_y_m,
-            experiment.c.end_theta_rad,
-            experiment.c.contact_mode,
-            sa.cast(experiment.c.conditions, sa.Text).label("conditions"),
-            experiment.c.created_at_utc,
-            experiment.c.content_sha256,
-            _before.c.error_mm2.label("before_mm2"),
-            _after.c.error_mm2.label("after_mm2"),
-            experiment.c.deleted_at_utc,
-        )
-        .select_from(_FROM)
-        .where(*where)
-        .order_by(*_order(connection, view))
-        .limit(view.limit)
-        .offset(view.offset)
+        sa.select(*_ROW, *(_DETAILS if details else ()))
+        .select_from(WITH_ERRORS if details else sources(query))
+        .where(*clauses(query, dialect))
+        .order_by(*order(query, dialect))
+        .limit(query.limit)
+        .offset(query.offset)
     )
     found = list(connection.execute(wanted))
-    numbers = [row.id for row in found]
-    flags, notes = _flags_of(connection, numbers), _notes_of(connection, numbers)
-    count = sa.select(sa.func.count()).select_from(_needed(replace(view, sort="id"))).where(*where)
-    total = int(connection.scalar(count) or 0)
-    faulty = int(connection.scalar(count.where(experiment.c.id.in_(_FAULTY))) or 0)
-    return Leaf([_row(row, flags, notes) for row in found], total, faulty)
+    rows = [ExperimentRow._make(row[: len(_ROW)]) for row in found]
+    more = []
+    if details:
+        ids = [row.id for row in rows]
+        flags, notes = _flags(connection, ids), _n_notes(connection, ids)
+        more = [
+            ExperimentDetails(
+                content_sha256=row.content_sha256,
+                deleted_at_utc=row.deleted_at_utc,
+                before_mm2=row.before_mm2,
+                after_mm2=row.after_mm2,
+                flags=flags.get(row.id, []),
+                notes=notes.get(row.id, 0),
+            )
+            for row in found
+        ]
+    return ExperimentPage(rows, total - left_out, faulty, left_out, more)
 
 
-def ids(connection: sa.Connection, view: ExperimentView) -> list[int]:
-    """Ids of all matching experiments, in the order of the view."""
+def ids(connection: sa.Connection, query: ExperimentQuery) -> list[int]:
+    """Ids of the matching experiments on all pages, in the order of the query."""
     wanted = (
         sa.select(experiment.c.id)
-        .select_from(_needed(view))
-        .where(*_where(connection, view))
-        .order_by(*_order(connection, view))
+        .select_from(sources(query))
+        .where(*clauses(query, connection.dialect.name))
+        .order_by(*order(query, connection.dialect.name))
     )
     return list(connection.scalars(wanted))
 
 
-def unsimulated(connection: sa.Connection, view: ExperimentView) -> list[int]:
+def unsimulated(connection: sa.Connection, query: ExperimentQuery) -> list[int]:
     """Ids of matching experiments with a scene but no simulation with nominal parameters yet."""
     wanted = (
         sa.select(experiment.c.id)
-        .select_from(_FROM)
+        .select_from(WITH_ERRORS)
         .where(
-            *_where(connection, view),
+            *clauses(query, connection.dialect.name),
             experiment.c.deleted_at_utc.is_(None),
             experiment.c.scene.is_not(None),
-            experiment.c.id.not_in(sa.select(_newest.c.experiment_id)),
+            experiment.c.id.not_in(sa.select(NEWEST_NOMINAL.c.experiment_id)),
         )
-        .order_by(*_order(connection, view))
+        .order_by(*order(query, connection.dialect.name))
     )
     return list(connection.scalars(wanted))
 
 
 def tally(
-    connection: sa.Connection, view: ExperimentView, names: Sequence[str]
+    connection: sa.Connection, query: ExperimentQuery, names: Sequence[str]
 ) -> list[tuple[Any, ...]]:
     """Count distinct combinations of values: one text, number or None per name, then the count."""
-    chosen = [_text_and_number(connection, name) for name in names]
+    dialect = connection.dialect.name
+    chosen = [expressions(dialect, name) for name in names]
     every = (
         sa.select(*(e.label(f"c{k}") for k, e in enumerate(e for some in chosen for e in some)))
-        .select_from(_needed(view, names))
-        .where(*_where(connection, view))
+        .select_from(sources(query, names))
+        .where(*clauses(query, dialect))
         .subquery()
     )
     grouped = sa.select(*every.c, sa.func.count()).group_by(*every.c)
@@ -305,13 +210,7 @@ def _values(
     return [None if v is None else v**0.5 for v in values] if name in SQUARES else values
 
 
-def _text_and_number(connection: sa.Connection, name: str) -> tuple[Any, ...]:
-    """SQL expressions for a name: text and number of a condition (one is null), or one column."""
-    known = (TEXTS | NUMBERS | SQUARES).get(name)
-    return _condition(connection, name) if known is None else (known,)
-
-
-def conditions(connection: sa.Connection) -> dict[str, Conditions]:
+def conditions(connection: sa.Connection) -> dict[str, ConditionValues]:
     """Values of all conditions of experiments that are not deleted, by name."""
     every = _each_condition(connection)
     grouped = sa.select(
@@ -330,7 +229,8 @@ def conditions(connection: sa.Connection) -> dict[str, Conditions]:
         else:
             texts[name][text] = n
     return {
-        name: Conditions(own, *numbers.get(name, (None, None, 0))) for name, own in texts.items()
+        name: ConditionValues(own, *numbers.get(name, (None, None, 0)))
+        for name, own in texts.items()
     }
 
 
@@ -355,113 +255,22 @@ def _each_condition(connection: sa.Connection) -> sa.Subquery:
     )
 
 
-def _needed(view: ExperimentView, names: Iterable[str] = ()) -> Any:
-    """Tables to select from; errors are joined only where a view or name refers to them."""
-    asked = {view.sort, *names, *(bound.name for bound in view.bounds)}
-    return _FROM if asked & {"before_mm", "after_mm", "error_mm"} else experiment
-
-
-def _where(connection: sa.Connection, view: ExperimentView) -> list[sa.ColumnElement[bool]]:
-    gone = experiment.c.deleted_at_utc
-    found: list[Any] = [gone.is_not(None) if "deleted" in view.marks else gone.is_(None)]
-    if "replaced" not in view.marks:
-        found.append(experiment.c.id.not_in(_REPLACED))
-    meaning: dict[str, Any] = {
-        "clean": experiment.c.id.not_in(_FAULTY),
-        "faulty": experiment.c.id.in_(_FAULTY),
-        "flagged": experiment.c.id.in_(_FLAGGED),
-        "noted": experiment.c.id.in_(_NOTED),
-        "real": experiment.c.is_real,
-        "simulated": ~experiment.c.is_real,
-    }
-    found += [meaning[mark] for mark in view.marks if mark in meaning]
-    found += [experiment.c.id.in_(_FLAGGED.where(flag.c.name == name)) for name in view.flags]
-    found += [_held(connection, one) for one in view.bounds]
-    found += [_has_word(word) for word in view.words]
-    return found
-
-
-def _held(connection: sa.Connection, bound: Bound) -> Any:
-    relate = RELATIONS[bound.relation]
-    name, value = bound.name, bound.value
-    if name in TEXTS:
-        return relate(TEXTS[name], str(value) if isinstance(value, str) else f"{value:g}")
-    if name in NUMBERS or name in SQUARES:
-        if isinstance(value, str):
-            raise InvalidInput(f"filter: {name}", found=repr(value), expected="a number")
-        if name in NUMBERS:
-            return relate(NUMBERS[name], value)
-        # The sign is retained: every error exceeds a negative bound.
-        return relate(SQUARES[name], value * abs(value))
-    return condition_holds(connection.dialect.name, bound)
-
-
-def _has_word(word: str) -> Any:
-    pattern = "%" + re.sub(r"([\\%_])", r"\\\1", word) + "%"
-    flags = _FLAGGED.where(
-        sa.or_(flag.c.name.ilike(pattern, escape="\\"), flag.c.detail.ilike(pattern, escape="\\"))
-    )
-    return sa.or_(
-        (experiment.c.dataset + "/" + experiment.c.name).ilike(pattern, escape="\\"),
-        sa.cast(experiment.c.conditions, sa.Text).ilike(pattern, escape="\\"),
-        experiment.c.id.in_(flags),
-        experiment.c.id.in_(_NOTED.where(note.c.text.ilike(pattern, escape="\\"))),
-    )
-
-
-def _order(connection: sa.Connection, view: ExperimentView) -> list[Any]:
-    """Clauses of ORDER BY: nulls come last in both directions, ties are ordered by id."""
-    keys: tuple[Any, ...]
-    if view.sort in TEXTS or view.sort in NUMBERS or view.sort in SQUARES:
-        keys = ((TEXTS | NUMBERS | SQUARES)[view.sort],)
-    else:
-        text, number = _condition(connection, view.sort)
-        keys = (number, text)
-    order: list[Any] = []
-    for key in keys:
-        order += [] if view.sort in ("id", "created", "frames") else [key.is_(None)]
-        order.append(key.desc() if view.descending else key.asc())
-    return [*order, experiment.c.id.desc() if view.descending else experiment.c.id.asc()]
-
-
-def _flags_of(connection: sa.Connection, numbers: list[int]) -> dict[int, list[Any]]:
+def _flags(connection: sa.Connection, experiment_ids: list[int]) -> dict[int, list[Flag]]:
     wanted = (
         sa.select(flag.c.experiment_id, flag.c.name, flag.c.detail, flag.c.is_fault)
-        .where(flag.c.experiment_id.in_(numbers), _live_flag)
+        .where(flag.c.experiment_id.in_(experiment_ids), flag.c.deleted_at_utc.is_(None))
         .order_by(flag.c.id)
     )
-    found: dict[int, list[Any]] = {}
-    for number, *one in connection.execute(wanted):
-        found.setdefault(number, []).append(tuple(one))
+    found: dict[int, list[Flag]] = {}
+    for experiment_id, *one in connection.execute(wanted):
+        found.setdefault(experiment_id, []).append(Flag(*one))
     return found
 
 
-def _notes_of(connection: sa.Connection, numbers: list[int]) -> dict[int, int]:
+def _n_notes(connection: sa.Connection, experiment_ids: list[int]) -> dict[int, int]:
     wanted = (
         sa.select(note.c.experiment_id, sa.func.count())
-        .where(note.c.experiment_id.in_(numbers), note.c.deleted_at_utc.is_(None))
+        .where(note.c.experiment_id.in_(experiment_ids), note.c.deleted_at_utc.is_(None))
         .group_by(note.c.experiment_id)
     )
-    return {number: count for number, count in connection.execute(wanted)}
-
-
-def _row(row: Any, flags: dict[int, list[Any]], notes: dict[int, int]) -> ExperimentRow:
-    return ExperimentRow(
-        id=row.id,
-        dataset=row.dataset,
-        name=row.name,
-        real=row.is_real,
-        frames=row.n_frame,
-        duration_s=row.duration_s,
-        start=(row.start_x_m, row.start_y_m, row.start_theta_rad),
-        end=(row.end_x_m, row.end_y_m, row.end_theta_rad),
-        contacts=row.contact_mode,
-        conditions=json.loads(row.conditions),
-        created=row.created_at_utc,
-        content=row.content_sha256,
-        before_mm2=row.before_mm2,
-        after_mm2=row.after_mm2,
-        flags=flags.get(row.id, []),
-        notes=notes.get(row.id, 0),
-        deleted=row.deleted_at_utc is not None,
-    )
+    return {experiment_id: n for experiment_id, n in connection.execute(wanted)}

@@ -49,7 +49,7 @@ from fixel.database.bundle_lines import (
     SimulationLine,
 )
 from fixel.database.engine import reading, writing
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.database.rows import Measured
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
@@ -115,17 +115,21 @@ def export_bundle(
         with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
             found = _Writer(store, archive, ids, whole=dataset is None).write(progress)
         _to_disk(unfinished)
-    deleted = store.experiments(Query(dataset=dataset, deleted=True, replaced=True), limit=0).total
+    deleted = store.experiments(
+        ExperimentQuery(dataset=dataset, marks=("deleted", "replaced"), limit=0)
+    ).total
     found.left_out["deleted"] = deleted
-    found.counts["flagged"] = store.experiments(Query(dataset=dataset), limit=0).left_out
-    current = store.experiments(Query(dataset=dataset, flagged=True), limit=0).total
+    found.counts["flagged"] = store.experiments(ExperimentQuery(dataset=dataset, limit=0)).left_out
+    current = store.experiments(
+        ExperimentQuery(dataset=dataset, include_faulty=True, limit=0)
+    ).total
     found.counts["replaced"] = len(ids) - current
     return found
 
 
 def _ids(store: Store, dataset: str | None) -> list[int]:
-    query = Query(dataset=dataset, flagged=True, replaced=True)
-    return [summary.id for summary in store.experiments(query).summaries]
+    query = ExperimentQuery(dataset=dataset, include_faulty=True, marks=("replaced",))
+    return store.experiment_ids(query)
 
 
 def _to_disk(path: Path) -> None:

@@ -1,17 +1,26 @@
-"""Queries for experiments, and the summaries that a listing shows."""
+"""Query for experiments: which ones, in which order, and which page; as SQL clauses."""
 
 from __future__ import annotations
 
-import json
+import math
 import operator
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple, final
 
 import sqlalchemy as sa
 
-from fixel.database.tables import experiment, flag
+from fixel.database import rows
+from fixel.database.tables import (
+    calibration,
+    calibration_member,
+    experiment,
+    flag,
+    note,
+    simulation,
+    system_parameters,
+)
 from fixel.errors import InvalidInput
 
 Relation = Literal["=", "!=", "<", "<=", ">", ">="]
@@ -24,6 +33,7 @@ RELATIONS: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
     ">": operator.gt,
     ">=": operator.ge,
 }
+MARKS: Final = ("clean", "faulty", "flagged", "noted", "real", "simulated", "deleted", "replaced")
 
 
 class Bound(NamedTuple):
@@ -36,90 +46,165 @@ class Bound(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Query:
-    """Criteria that select experiments.
+class ExperimentQuery:
+    """Criteria that select experiments, their order, and one page of them.
 
     Parameters
     ----------
     dataset : str, optional
     name : str, optional
         Name; `*` matches any text.
-    real : bool, optional
-        Select only real (True) or only simulated (False) experiments.
-    contact_mode : str, optional
-    conditions : mapping of str to str or float
-        Required values of conditions.
-    bounds : tuple of Bound
+    words : tuple of str
+        Words that must all occur in the name, a condition, a flag or a note.
+    conditions : tuple of Bound
         Comparisons of conditions with values.
-    flag : str, optional
-        Select only experiments with this flag; faulty ones are then included.
-    flagged : bool
+    bounds : tuple of Bound
+        Comparisons of columns, or of conditions where there is no such column.
+    flags : tuple of str
+        Names of flags that each experiment must have; faulty ones are then included.
+    marks : tuple of str
+        Marks out of `MARKS`. Deleted experiments are listed only with `deleted` (then no others),
+        experiments replaced by a correction only with `replaced`.
+    include_faulty : bool
         Include experiments with a flag that marks a fault.
-    deleted : bool
-        Select only deleted experiments.
-    replaced : bool
-        Include experiments that a correction has replaced.
+    sort : str
+        Column or condition to sort by.
+    descending : bool
+    limit : int, optional
+    offset : int
     """
 
     dataset: str | None = None
     name: str | None = None
-    real: bool | None = None
-    contact_mode: str | None = None
-    conditions: Mapping[str, str | float] = field(default_factory=dict)
+    words: tuple[str, ...] = ()
+    conditions: tuple[Bound, ...] = ()
     bounds: tuple[Bound, ...] = ()
-    flag: str | None = None
-    flagged: bool = False
-    deleted: bool = False
-    replaced: bool = False
-
-
-class Summary(NamedTuple):
-    """Line of a listing: one experiment without its series."""
-
-    id: int
-    dataset: str
-    name: str
-    is_real: bool
-    n_frame: int
-    duration_s: float
-    start_x_m: float
-    start_y_m: float
-    start_theta_rad: float
-    end_x_m: float
-    end_y_m: float
-    end_theta_rad: float
-    contact_mode: str
-    conditions_json: str
-    created_at_utc: str
+    flags: tuple[str, ...] = ()
+    marks: tuple[str, ...] = ()
+    include_faulty: bool = False
+    sort: str = "id"
+    descending: bool = False
+    limit: int | None = None
+    offset: int = 0
 
     @property
-    def conditions(self) -> dict[str, str | float]:
-        """Further recorded conditions, by name."""
-        found: dict[str, str | float] = json.loads(self.conditions_json)
-        return found
-
-    @property
-    def key(self) -> str:
-        """Dataset and name, joined by a slash."""
-        return f"{self.dataset}/{self.name}"
+    def omits_faulty(self) -> bool:
+        """Whether experiments with a fault are left out of the page, and only counted."""
+        return not (self.include_faulty or self.flags or "deleted" in self.marks)
 
 
-# Conditions stay text until requested, since few lines of a long listing are read.
-COLUMNS = [
-    sa.cast(experiment.c.conditions, sa.Text) if name == "conditions_json" else experiment.c[name]
-    for name in Summary._fields
-]
+ALL_EXPERIMENTS: Final = ExperimentQuery(include_faulty=True, marks=("replaced",))
+
+# --- columns ----------------------------------------------------------------------------------
+
+# Errors of the newest simulation with nominal values, and of the newest calibration.
+_NOMINAL: Final = rows.parameters_row({})["content_sha256"]
+NEWEST_NOMINAL = (
+    sa.select(simulation.c.experiment_id, sa.func.max(simulation.c.id).label("id"))
+    .join(system_parameters, system_parameters.c.id == simulation.c.system_parameters_id)
+    .where(simulation.c.deleted_at_utc.is_(None), system_parameters.c.content_sha256 == _NOMINAL)
+    .group_by(simulation.c.experiment_id)
+    .subquery("newest_nominal")
+)
+BEFORE = (
+    sa.select(simulation.c.experiment_id, simulation.c.error_mm2)
+    .join(NEWEST_NOMINAL, NEWEST_NOMINAL.c.id == simulation.c.id)
+    .subquery("before")
+)
+_last = (
+    sa.select(
+        calibration_member.c.experiment_id,
+        sa.func.max(calibration_member.c.calibration_id).label("calibration_id"),
+    )
+    .join(calibration, calibration.c.id == calibration_member.c.calibration_id)
+    .where(calibration.c.deleted_at_utc.is_(None))
+    .group_by(calibration_member.c.experiment_id)
+    .subquery("newest_calibration")
+)
+AFTER = (
+    sa.select(
+        calibration_member.c.experiment_id,
+        sa.func.max(calibration_member.c.error_mm2).label("error_mm2"),
+    )
+    .join(
+        _last,
+        sa.and_(
+            _last.c.calibration_id == calibration_member.c.calibration_id,
+            _last.c.experiment_id == calibration_member.c.experiment_id,
+        ),
+    )
+    .group_by(calibration_member.c.experiment_id)
+    .subquery("after")
+)
+WITH_ERRORS = experiment.outerjoin(BEFORE, BEFORE.c.experiment_id == experiment.c.id).outerjoin(
+    AFTER, AFTER.c.experiment_id == experiment.c.id
+)
 
 # Subqueries of ids instead of one lookup per row: a server without table statistics would scan
 # whole tables for each row.
-_FLAGGED = sa.select(flag.c.experiment_id).where(flag.c.deleted_at_utc.is_(None))
+_live_flag = flag.c.deleted_at_utc.is_(None)
+_FLAGGED = sa.select(flag.c.experiment_id).where(_live_flag)
+FAULTY = _FLAGGED.where(flag.c.is_fault)
+_NOTED = sa.select(note.c.experiment_id).where(note.c.deleted_at_utc.is_(None))
 _REPLACED = sa.select(experiment.c.replaces_id).where(
     experiment.c.replaces_id.is_not(None), experiment.c.deleted_at_utc.is_(None)
 )
+LIVE: Final = (experiment.c.deleted_at_utc.is_(None), experiment.c.id.not_in(_REPLACED))
+_n_flag = (
+    sa.select(sa.func.count())
+    .where(flag.c.experiment_id == experiment.c.id, _live_flag)
+    .scalar_subquery()
+)
+_n_note = (
+    sa.select(sa.func.count())
+    .where(note.c.experiment_id == experiment.c.id, note.c.deleted_at_utc.is_(None))
+    .scalar_subquery()
+)
+_dx = experiment.c.end_x_m - experiment.c.start_x_m
+_dy = experiment.c.end_y_m - experiment.c.start_y_m
+# Same rule as `model.trajectory.turned`.
+_angle: Final = experiment.c.end_theta_rad - experiment.c.start_theta_rad
+_turned: Final = sa.case(
+    (experiment.c.n_frame > 2, _angle),
+    (_angle >= math.pi, _angle - 2.0 * math.pi),
+    (_angle < -math.pi, _angle + 2.0 * math.pi),
+    else_=_angle,
+)
+
+TEXTS: Final[dict[str, sa.ColumnElement[Any]]] = {
+    "dataset": experiment.c.dataset,
+    "name": experiment.c.name,
+    "contacts": experiment.c.contact_mode,
+    "created": experiment.c.created_at_utc,
+}
+NUMBERS: Final[dict[str, sa.ColumnElement[Any]]] = {
+    "id": experiment.c.id,
+    "frames": experiment.c.n_frame,
+    "duration_s": experiment.c.duration_s,
+    "start_x_m": experiment.c.start_x_m,
+    "start_y_m": experiment.c.start_y_m,
+    "start_angle_rad": experiment.c.start_theta_rad,
+    "end_x_m": experiment.c.end_x_m,
+    "end_y_m": experiment.c.end_y_m,
+    "end_angle_rad": experiment.c.end_theta_rad,
+    "turned_rad": _turned,
+    "flags": _n_flag,
+    "notes": _n_note,
+}
+# Squares instead of roots: the order is the same, and not every database has a square root.
+SQUARES: Final[dict[str, sa.ColumnElement[Any]]] = {
+    "moved_m": _dx * _dx + _dy * _dy,
+    "before_mm": BEFORE.c.error_mm2,
+    "after_mm": AFTER.c.error_mm2,
+    "error_mm": sa.func.coalesce(AFTER.c.error_mm2, BEFORE.c.error_mm2),
+}
+COLUMNS: Final = TEXTS | NUMBERS | SQUARES
 
 
-def condition_of(dialect: str, name: str) -> tuple[Any, Any]:
-    """SQL expressions of a condition as text and as number; null if missing or not a number."""
+def expressions(dialect: str, name: str) -> tuple[sa.ColumnElement[Any], ...]:
+    """SQL expressions of a name: one of a column, or text and number (else null) of a condition."""
+    if name in COLUMNS:
+        return (COLUMNS[name],)
     if not re.fullmatch(r"\w[\w. -]{0,99}", name):
         raise InvalidInput(
             "column", found=repr(name), expected="a column or the name of a condition"
@@ -133,9 +218,75 @@ def condition_of(dialect: str, name: str) -> tuple[Any, Any]:
     return entry.as_string(), sa.case((kind, entry.as_float()), else_=None)
 
 
-def condition_holds(dialect: str, bound: Bound) -> Any:
-    """SQL clause that compares a condition with a value."""
-    relate, (text, number) = RELATIONS[bound.relation], condition_of(dialect, bound.name)
+# --- clauses ----------------------------------------------------------------------------------
+
+
+def sources(query: ExperimentQuery, names: Iterable[str] = ()) -> sa.FromClause:
+    """Tables to select from; errors are joined only where the query or a name refers to them."""
+    named = {query.sort, *names, *(bound.name for bound in query.bounds)}
+    return WITH_ERRORS if named & {"before_mm", "after_mm", "error_mm"} else experiment
+
+
+def clauses(query: ExperimentQuery, dialect: str) -> list[Any]:
+    """SQL clauses that select the experiments of a query."""
+    gone = experiment.c.deleted_at_utc
+    found: list[Any] = [gone.is_not(None) if "deleted" in query.marks else gone.is_(None)]
+    if "replaced" not in query.marks:
+        found.append(experiment.c.id.not_in(_REPLACED))
+    if query.dataset is not None:
+        found.append(experiment.c.dataset == query.dataset)
+    if query.name is not None:
+        pattern = _escaped(query.name).replace("*", "%")
+        found.append(experiment.c.name.like(pattern, escape="\\"))
+    meaning: dict[str, Any] = {
+        "clean": experiment.c.id.not_in(FAULTY),
+        "faulty": experiment.c.id.in_(FAULTY),
+        "flagged": experiment.c.id.in_(_FLAGGED),
+        "noted": experiment.c.id.in_(_NOTED),
+        "real": experiment.c.is_real,
+        "simulated": ~experiment.c.is_real,
+    }
+    found += [meaning[mark] for mark in query.marks if mark in meaning]
+    found += [meaning["clean"]] if query.omits_faulty else []
+    found += [experiment.c.id.in_(_FLAGGED.where(flag.c.name == name)) for name in query.flags]
+    found += [_condition_holds(dialect, bound) for bound in query.conditions]
+    found += [_bound_holds(dialect, bound) for bound in query.bounds]
+    return found + [_has_word(word) for word in query.words]
+
+
+def order(query: ExperimentQuery, dialect: str) -> list[Any]:
+    """Clauses of ORDER BY: nulls come last in both directions, ties are ordered by id."""
+    found: list[Any] = []
+    for key in reversed(expressions(dialect, query.sort)):  # numbers before texts
+        found += [] if query.sort in ("id", "created", "frames") else [key.is_(None)]
+        found.append(key.desc() if query.descending else key.asc())
+    return [*found, experiment.c.id.desc() if query.descending else experiment.c.id.asc()]
+
+
+def _condition_holds(dialect: str, bound: Bound) -> Any:
+    if bound.relation != "=":
+        return _compared(bound, *expressions(dialect, bound.name))
+    entry = experiment.c.conditions[bound.name]
+    value = bound.value
+    return entry.as_string() == value if isinstance(value, str) else entry.as_float() == value
+
+
+def _bound_holds(dialect: str, bound: Bound) -> Any:
+    relate = RELATIONS[bound.relation]
+    name, value = bound.name, bound.value
+    if name in TEXTS:
+        return relate(TEXTS[name], str(value) if isinstance(value, str) else f"{value:g}")
+    if name not in COLUMNS:
+        return _compared(bound, *expressions(dialect, name))
+    if isinstance(value, str):
+        raise InvalidInput(f"filter: {name}", found=repr(value), expected="a number")
+    # The sign is retained: every error exceeds a negative bound.
+    return relate(COLUMNS[name], value * abs(value) if name in SQUARES else value)
+
+
+def _compared(bound: Bound, text: Any, number: Any) -> Any:
+    """SQL clause that compares the text or the number of a condition with a value."""
+    relate = RELATIONS[bound.relation]
     if not isinstance(bound.value, str):
         return relate(number, bound.value)
     if bound.relation == "!=":
@@ -143,39 +294,19 @@ def condition_holds(dialect: str, bound: Bound) -> Any:
     return relate(text, bound.value)
 
 
-def conditions_of(query: Query, dialect: str) -> list[sa.ColumnElement[bool]]:
-    """SQL clauses of a query, except for `flagged`."""
-    found: list[sa.ColumnElement[bool]] = []
-    gone = experiment.c.deleted_at_utc
-    found.append(gone.is_not(None) if query.deleted else gone.is_(None))
-    if not query.replaced:
-        found.append(experiment.c.id.not_in(_REPLACED))
-    if query.dataset is not None:
-        found.append(experiment.c.dataset == query.dataset)
-    if query.name is not None:
-        found.append(experiment.c.name.like(_pattern(query.name), escape="\\"))
-    if query.real is not None:
-        found.append(experiment.c.is_real.is_(query.real))
-    if query.contact_mode is not None:
-        found.append(experiment.c.contact_mode == query.contact_mode)
-    for name, value in query.conditions.items():
-        entry = experiment.c.conditions[name]
-        found.append(
-            entry.as_string() == value if isinstance(value, str) else entry.as_float() == value
-        )
-    found += [condition_holds(dialect, bound) for bound in query.bounds]
-    if query.flag is not None:
-        found.append(experiment.c.id.in_(_FLAGGED.where(flag.c.name == query.flag)))
-    return found
+def _has_word(word: str) -> Any:
+    pattern = f"%{_escaped(word)}%"
+    flags = _FLAGGED.where(
+        sa.or_(flag.c.name.ilike(pattern, escape="\\"), flag.c.detail.ilike(pattern, escape="\\"))
+    )
+    return sa.or_(
+        (experiment.c.dataset + "/" + experiment.c.name).ilike(pattern, escape="\\"),
+        sa.cast(experiment.c.conditions, sa.Text).ilike(pattern, escape="\\"),
+        experiment.c.id.in_(flags),
+        experiment.c.id.in_(_NOTED.where(note.c.text.ilike(pattern, escape="\\"))),
+    )
 
 
-def only_clean(query: Query) -> list[sa.ColumnElement[bool]]:
-    """SQL clauses that exclude faulty experiments, unless the query includes them."""
-    if query.flagged or query.flag is not None or query.deleted:
-        return []
-    return [experiment.c.id.not_in(_FLAGGED.where(flag.c.is_fault))]
-
-
-def _pattern(name: str) -> str:
-    escaped = name.replace("\\", "\\\\").replace("%", "\\%").replace("_", "\\_")
-    return escaped.replace("*", "%")
+def _escaped(text: str) -> str:
+    """Text for LIKE, in which no character stands for others."""
+    return re.sub(r"([\\%_])", r"\\\1", text)

@@ -13,10 +13,10 @@ import numpy as np
 import sqlalchemy as sa
 
 from fixel.database import arrays, browsing, marks, rows, schema, tables
-from fixel.database.browsing import Conditions, ExperimentView, Leaf
+from fixel.database.browsing import ConditionValues, ExperimentPage
 from fixel.database.engine import open_engine, reading, set_journal, writing
 from fixel.database.marks import Note
-from fixel.database.query import COLUMNS, Query, Summary, conditions_of, only_clean
+from fixel.database.query import LIVE, ExperimentQuery
 from fixel.errors import InvalidInput, NotStored, StoreRefused, os_reason
 from fixel.model import Experiment, Flag, Parameters
 from fixel.model.records import (
@@ -58,14 +58,6 @@ class AddResult(NamedTuple):
 
     id: int
     new: bool  # False if the same record was already stored
-
-
-class Listing(NamedTuple):
-    """Page of summaries of experiments, with counts."""
-
-    summaries: list[Summary]
-    total: int  # matching experiments on all pages
-    left_out: int  # experiments that match but have a flag that marks a fault
 
 
 @final
@@ -222,9 +214,8 @@ class Store:
         if key.startswith("id:") and number.isdecimal() and self._has(int(number)):
             return int(number)
         table = tables.experiment
-        live = conditions_of(Query(), self.engine_name)
         whole = table.c.dataset + "/" + table.c.name
-        named = sa.select(table.c.id, whole).where(sa.or_(table.c.name == key, whole == key), *live)
+        named = sa.select(table.c.id, whole).where(sa.or_(table.c.name == key, whole == key), *LIVE)
         with reading(self._engine) as connection:
             found: dict[int, str] = {row[0]: row[1] for row in connection.execute(named)}
         if key.isdecimal() and self._has(int(key)) and int(key) not in found:
@@ -247,9 +238,7 @@ class Store:
     def _resembling(self, key: str) -> str | None:
         """Hint with the stored name closest to an unknown one; None if none is close."""
         table = tables.experiment
-        wanted = sa.select(table.c.dataset, table.c.name).where(
-            *conditions_of(Query(), self.engine_name)
-        )
+        wanted = sa.select(table.c.dataset, table.c.name).where(*LIVE)
         with reading(self._engine) as connection:
             keys = connection.execute(wanted.order_by(table.c.id.desc()).limit(MAX_NAMES)).all()
         known = {name: f"{dataset}/{name}" for dataset, name in keys}
@@ -265,26 +254,31 @@ class Store:
             return connection.scalar(sa.select(table.c.id).where(table.c.id == number)) is not None
 
     def experiments(
-        self, query: Query | None = None, *, limit: int | None = None, offset: int = 0
-    ) -> Listing:
-        """List summaries of the matching experiments, ordered by id."""
-        query = query or Query()
-        wanted = conditions_of(query, self.engine_name)
-        clean = only_clean(query)
-        table = tables.experiment
-        page = (
-            sa.select(*COLUMNS)
-            .where(*wanted, *clean)
-            .order_by(table.c.id)
-            .limit(limit)
-            .offset(offset)
-        )
-        count = sa.select(sa.func.count()).select_from(table).where(*wanted)
+        self, query: ExperimentQuery | None = None, *, details: bool = False
+    ) -> ExperimentPage:
+        """Return one page of the experiments that match; `details` are their results and marks."""
         with reading(self._engine) as connection:
-            summaries = [Summary._make(row) for row in connection.execute(page)]
-            everything = int(connection.scalar(count) or 0)
-            total = int(connection.scalar(count.where(*clean)) or 0) if clean else everything
-        return Listing(summaries, total, everything - total)
+            return browsing.browse(connection, query or ExperimentQuery(), details=details)
+
+    def experiment_ids(self, query: ExperimentQuery) -> list[int]:
+        """Ids of all experiments that match, on all pages, in the order of the query."""
+        with reading(self._engine) as connection:
+            return browsing.ids(connection, query)
+
+    def unsimulated_ids(self, query: ExperimentQuery) -> list[int]:
+        """Ids of matching experiments with a scene but no simulation with nominal parameters."""
+        with reading(self._engine) as connection:
+            return browsing.unsimulated(connection, query)
+
+    def tally(self, query: ExperimentQuery, names: Sequence[str]) -> list[tuple[Any, ...]]:
+        """Count distinct combinations of columns and conditions; see `browsing.tally`."""
+        with reading(self._engine) as connection:
+            return browsing.tally(connection, query, names)
+
+    def conditions(self) -> dict[str, ConditionValues]:
+        """Values of all conditions of experiments, by name."""
+        with reading(self._engine) as connection:
+            return browsing.conditions(connection)
 
     def checksum(self, numbers: Iterable[int]) -> str:
         """SHA-256 of the content of experiments, independent of their order."""
@@ -298,10 +292,9 @@ class Store:
     def datasets(self) -> dict[str, int]:
         """Number of experiments in each dataset, including flagged ones."""
         table = tables.experiment
-        wanted = conditions_of(Query(flagged=True), self.engine_name)
         counted = (
             sa.select(table.c.dataset, sa.func.count())
-            .where(*wanted)
+            .where(*LIVE)
             .group_by(table.c.dataset)
             .order_by(table.c.dataset)
         )
@@ -311,11 +304,10 @@ class Store:
     def flags(self) -> dict[str, int]:
         """Number of experiments with each flag."""
         flag = tables.flag
-        live = conditions_of(Query(flagged=True), self.engine_name)
         counted = (
             sa.select(flag.c.name, sa.func.count(sa.distinct(flag.c.experiment_id)))
             .join(tables.experiment)
-            .where(flag.c.deleted_at_utc.is_(None), *live)
+            .where(flag.c.deleted_at_utc.is_(None), *LIVE)
             .group_by(flag.c.name)
             .order_by(flag.c.name)
         )
@@ -371,33 +363,6 @@ class Store:
         """Notes of an experiment, oldest first."""
         with reading(self._engine) as connection:
             return marks.notes_of(connection, number)
-
-    # --- browsing -------------------------------------------------------------------------------
-
-    def browse(self, view: ExperimentView) -> Leaf:
-        """Return one page of a sorted, filtered table of experiments."""
-        with reading(self._engine) as connection:
-            return browsing.browse(connection, view)
-
-    def browse_ids(self, view: ExperimentView) -> list[int]:
-        """Ids of all experiments that match a view, on all pages, in its order."""
-        with reading(self._engine) as connection:
-            return browsing.ids(connection, view)
-
-    def browse_unsimulated(self, view: ExperimentView) -> list[int]:
-        """Ids of matching experiments with a scene but no simulation with nominal parameters."""
-        with reading(self._engine) as connection:
-            return browsing.unsimulated(connection, view)
-
-    def browse_tally(self, view: ExperimentView, names: Sequence[str]) -> list[tuple[Any, ...]]:
-        """Count distinct combinations of columns and conditions; see `browsing.tally`."""
-        with reading(self._engine) as connection:
-            return browsing.tally(connection, view, names)
-
-    def conditions(self) -> dict[str, Conditions]:
-        """Values of all conditions of experiments, by name."""
-        with reading(self._engine) as connection:
-            return browsing.conditions(connection)
 
     def content(self, number: int) -> str:
         """Checksum of an experiment's content; equal only for equal experiments."""

@@ -15,8 +15,8 @@ from typing import Any, Final, final
 from fastapi import FastAPI
 
 import fixel
-from fixel.database.browsing import ExperimentView
 from fixel.database.project import Project
+from fixel.database.query import ExperimentQuery
 from fixel.web import api as resources
 from fixel.web import pages as shown
 from fixel.web.app import Page
@@ -51,9 +51,8 @@ class ProjectContext:
     def __init__(self, project: Project) -> None:
         self.project = project
         self.store = project.store()
-        self.store.browse(
-            ExperimentView(limit=1)
-        )  # so that the first page does not wait for its statements
+        # So that the first page does not wait for its statements.
+        self.store.experiments(ExperimentQuery(include_faulty=True, limit=1), details=True)
 
     @property
     def name(self) -> str:

@@ -8,7 +8,7 @@ import pytest
 
 from fixel.calibration.study import box_of
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate
 from fixel.sampling.thesis import thesis_plan
@@ -32,7 +32,7 @@ def lab(tmp_path_factory):
     with project.store() as store:
         for experiment in SimulatedTestbed.ideal().run([PLANNED[k] for k in (0, 1, 2, 7)]):
             store.add_experiment(experiment)
-        return project, run.choose(store, (), Query())
+        return project, run.choose(store, (), ExperimentQuery())
 
 
 def _done(lab, n=4, **changes):

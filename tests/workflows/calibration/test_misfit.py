@@ -12,7 +12,7 @@ import pytest
 from fixel.calibration.target import scene_of
 from fixel.cli.calibration_text import lines_of
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.model import Parameters
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
@@ -43,7 +43,7 @@ def found(tmp_path_factory):
     with project.store() as store:
         for one in SimulatedTestbed(seed=4).run(thesis_plan().experiments[2:202:40]):
             store.add_experiment(one)
-        chosen = run.choose(store, (), Query())
+        chosen = run.choose(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
         mode="joint",
@@ -122,7 +122,7 @@ def enlarged(found):
     """The same experiments with the larger model that was offered."""
     project, done = found
     with project.store() as store:
-        chosen = run.choose(store, (), Query())
+        chosen = run.choose(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
     unknowns = [entry_of(u) for u in fitted(["mu_pusher", *LARGER], scenes)]
     request = done.request.model_copy(update={"unknowns": unknowns})

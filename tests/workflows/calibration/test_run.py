@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.errors import InvalidInput
 from fixel.jobs.work import StopRequest
 from fixel.model import Trajectory, UniformPressure
@@ -57,7 +57,7 @@ def project(tmp_path, experiments):
 @pytest.fixture
 def chosen(project):
     with project.store() as store:
-        return run.choose(store, (), Query())
+        return run.choose(store, (), ExperimentQuery())
 
 
 def _request(chosen, **changes):
@@ -270,7 +270,7 @@ def test_errors_are_stored_in_the_unit_that_their_names_say(project, chosen):
     with project.store() as store:
         record = store.calibration(done.ids[0])
         (shown,) = (row for row in listed(store) if row.id == done.ids[0])
-        best = store.browse(view_of(limit=4)).rows
+        best = store.experiments(view_of(limit=4), details=True).details
     squares = [float(error) ** 2 for error in one.errors]
     assert [member.error_mm2 for member in record.members] == squares
     assert record.mean_error_mm2 == pytest.approx(np.mean(squares))
@@ -488,11 +488,11 @@ def test_experiments_that_cannot_be_compared(project, experiments):
     with project.store() as store:
         for experiment in (scene_less, one_frame):
             store.add_experiment(experiment)
-        found = run.choose(store, (), Query())
+        found = run.choose(store, (), ExperimentQuery())
         assert len(found.targets) == 4
         assert "no scene" in found.left_out["testbed/lost"]
         assert "no measured pose" in found.left_out["testbed/one"]
         with pytest.raises(InvalidInput, match="no scene"):
-            run.choose(store, ("lost",), Query())
+            run.choose(store, ("lost",), ExperimentQuery())
         with pytest.raises(InvalidInput, match="expected one of testbed"):
-            run.choose(store, (), Query(dataset="nowhere"))
+            run.choose(store, (), ExperimentQuery(dataset="nowhere"))

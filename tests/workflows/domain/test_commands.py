@@ -6,7 +6,7 @@ from pathlib import Path
 from typer.main import get_command
 
 from fixel.cli.main import app
-from fixel.database.query import Query
+from fixel.database.query import Bound, ExperimentQuery
 from fixel.domain.domain import Claim
 from fixel.workflows.domain.commands import command_of
 from fixel.workflows.domain.request import DomainRequest
@@ -14,7 +14,9 @@ from fixel.workflows.domain.request import DomainRequest
 
 def test_every_option_of_the_command_that_is_written_is_one():
     asked = DomainRequest(
-        query=Query(dataset="mit", conditions={"surface": "abs"}, flagged=True),
+        query=ExperimentQuery(
+            dataset="mit", conditions=(Bound("surface", "=", "abs"),), include_faulty=True
+        ),
         calibration=3,
         fit=("mu_pusher=0:1:0.2",),
         axes=("offset_y_m",),

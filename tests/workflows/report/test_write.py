@@ -14,7 +14,7 @@ from PIL import Image
 
 import fixel
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.drawing.calibration import SecondsChart
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate
@@ -43,7 +43,7 @@ def project(tmp_path_factory):
     with made.store() as store:
         for experiment in experiments:
             store.add_experiment(experiment)
-        chosen = run.choose(store, (), Query())
+        chosen = run.choose(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
         mode="joint",

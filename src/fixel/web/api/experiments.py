@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Final, final
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, Response
 
-from fixel.database.browsing import ExperimentRow
+from fixel.database.browsing import ExperimentDetails, ExperimentRow
 from fixel.drawing.thumbnail import thumbnail
 from fixel.errors import NotStored
 from fixel.formats.trajectory_file import plain_numbers
 from fixel.model import Experiment, Trajectory
-from fixel.model.trajectory import turned
 from fixel.web.api._experiments import (
     CoverageAxisOut,
     CoverageOut,
@@ -77,11 +76,11 @@ def _add_table(router: APIRouter, desk: ProjectContext) -> None:
         offset: Annotated[int, Query(ge=0, le=MAX_ID)] = 0,
     ) -> ExperimentPageOut:
         view = view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
-        leaf = desk.store.browse(view)
-        rows = [row_out(row) for row in leaf.rows]
-        meant = None if leaf.total else meant_filter(desk.store, filter)
+        page = desk.store.experiments(view, details=True)
+        rows = [row_out(*both) for both in zip(page.rows, page.details, strict=True)]
+        meant = None if page.total else meant_filter(desk.store, filter)
         return ExperimentPageOut(
-            experiments=rows, total=leaf.total, faulty=leaf.faulty, meant=meant
+            experiments=rows, total=page.total, faulty=page.faulty, meant=meant
         )
 
     @router.get("/experiments/ids", summary="Ids of all that match, in order")
@@ -91,14 +90,14 @@ def _add_table(router: APIRouter, desk: ProjectContext) -> None:
         descending: bool = False,
     ) -> IdsOut:
         view = view_of(filter, sort=sort, descending=descending)
-        return IdsOut(ids=desk.store.browse_ids(view))
+        return IdsOut(ids=desk.store.experiment_ids(view))
 
     @router.get(
         "/experiments/unsimulated",
         summary="Ids of those that match and could have a simulation with nominal values",
     )
     def unsimulated(filter: Filter = "") -> IdsOut:
-        return IdsOut(ids=desk.store.browse_unsimulated(view_of(filter)))
+        return IdsOut(ids=desk.store.unsimulated_ids(view_of(filter)))
 
     @router.get("/vocabulary", summary="What experiments can be told apart by")
     def words() -> VocabularyOut:
@@ -222,31 +221,31 @@ def _add_one(router: APIRouter, desk: ProjectContext) -> None:
         )
 
 
-def row_out(row: ExperimentRow) -> ExperimentRowOut:
+def row_out(row: ExperimentRow, details: ExperimentDetails) -> ExperimentRowOut:
     """Convert a row of the table for JSON."""
-    dx, dy = row.end[0] - row.start[0], row.end[1] - row.start[1]
+    conditions = row.conditions
     return ExperimentRowOut(
         id=row.id,
         dataset=row.dataset,
         name=row.name,
-        real=row.real,
-        shape=_text(row.conditions.get("shape")),
-        layout=_text(row.conditions.get("layout")),
-        frames=row.frames,
+        real=row.is_real,
+        shape=_text(conditions.get("shape")),
+        layout=_text(conditions.get("layout")),
+        frames=row.n_frame,
         duration_s=row.duration_s,
-        start=list(row.start),
-        end=list(row.end),
-        moved_m=(dx * dx + dy * dy) ** 0.5,
-        turned_rad=turned(row.start[2], row.end[2], row.frames),
-        contacts=row.contacts,
-        conditions=row.conditions,
-        created_utc=row.created,
-        content=row.content[:16],
-        before_mm=_root(row.before_mm2),
-        after_mm=_root(row.after_mm2),
-        flags=[FlagOut(name=name, detail=detail, fault=fault) for name, detail, fault in row.flags],
-        notes=row.notes,
-        deleted=row.deleted,
+        start=[row.start_x_m, row.start_y_m, row.start_theta_rad],
+        end=[row.end_x_m, row.end_y_m, row.end_theta_rad],
+        moved_m=row.moved_m,
+        turned_rad=row.turned_rad,
+        contacts=row.contact_mode,
+        conditions=conditions,
+        created_utc=row.created_at_utc,
+        content=details.content_sha256[:16],
+        before_mm=_root(details.before_mm2),
+        after_mm=_root(details.after_mm2),
+        flags=[FlagOut(name=f.name, detail=f.detail, fault=f.fault) for f in details.flags],
+        notes=details.notes,
+        deleted=details.deleted_at_utc is not None,
     )
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fastapi import Request
 
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.errors import NotStored
 from fixel.web.app import Page
 
@@ -20,7 +20,7 @@ def pages(desk: ProjectContext) -> list[Page]:
     """Page `/compare?experiment=KEY`."""
 
     def fill(request: Request) -> dict[str, Any]:
-        listed = desk.store.experiments(Query(), limit=OFFERED).summaries
+        listed = desk.store.experiments(ExperimentQuery(limit=OFFERED)).rows
         key = request.query_params.get("experiment", "")
         if not key and not listed:
             raise NotStored("experiment to compare with", hint="import some with: fixel import")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fastapi import Request
 
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.web.app import Page
 from fixel.web.views import scene_editor
 
@@ -25,7 +25,7 @@ def pages(desk: ProjectContext) -> list[Page]:
         # A simulation is likely to follow: its process should be ready by then.
         Thread(target=scene_editor.get_ready, name="fixel-beside", daemon=True).start()
         key = request.query_params.get("experiment", "")
-        listed = desk.store.experiments(Query(), limit=OFFERED).summaries
+        listed = desk.store.experiments(ExperimentQuery(limit=OFFERED)).rows
         return {
             "examples": scene_editor.examples(),
             "example": request.query_params.get("example", FIRST),

@@ -156,8 +156,8 @@ def _matching(store: Store, filter: str, ids: Sequence[int]) -> tuple[list[int],
     if ids:
         return sorted(set(ids)), 0
     view = view_of(filter)
-    every = store.browse_ids(view)
-    clean = every if "faulty" in view.marks else store.browse_ids(view_of(f"{filter} is:clean"))
+    every = store.experiment_ids(view)
+    clean = every if "faulty" in view.marks else store.experiment_ids(view_of(f"{filter} is:clean"))
     return sorted(clean), len(every) - len(clean)
 
 

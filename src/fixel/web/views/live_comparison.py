@@ -12,7 +12,7 @@ from typing import Final, Literal, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.target import scene_of
-from fixel.database.browsing import ExperimentView
+from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters
@@ -191,7 +191,9 @@ class CompareDesk:
         stored: list[int] = []
         refused: dict[int, str] = {}
         with self._keeping:  # or two pages would do the same twice
-            wanted = set(self._store.browse_unsimulated(ExperimentView())).intersection(numbers)
+            wanted = set(
+                self._store.unsimulated_ids(ExperimentQuery(include_faulty=True))
+            ).intersection(numbers)
             for number in sorted(wanted):
                 try:
                     experiment = self._store.experiment(number)

@@ -220,12 +220,9 @@ def _residuals(
 
 def keys_of(store: Store, ids: Sequence[int]) -> list[str]:
     """Names of experiments, deleted and replaced ones too."""
-    from fixel.database.query import Query
+    from fixel.database.query import ALL_EXPERIMENTS
 
-    known = {
-        summary.id: summary.key
-        for summary in store.experiments(Query(flagged=True, replaced=True)).summaries
-    }
+    known = {row.id: row.key for row in store.experiments(ALL_EXPERIMENTS).rows}
     return [known.get(number, f"experiment {number}") for number in ids]
 
 

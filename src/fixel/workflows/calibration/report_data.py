@@ -12,7 +12,7 @@ from fixel.calibration.objective import Comparer
 from fixel.calibration.study import NOMINAL, box_of
 from fixel.calibration.target import Target
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import ALL_EXPERIMENTS
 from fixel.drawing.offsets import OffsetSeries
 from fixel.model.space import ParameterSpace
 from fixel.typing import FloatArray
@@ -89,7 +89,7 @@ class CalibrationReportData:
         folder = self.calibration.folder
         ids = experiments_of(folder)
         with Project.open(folder.parents[1]).store() as store:
-            listed = store.experiments(Query(flagged=True, replaced=True)).summaries
+            listed = store.experiments(ALL_EXPERIMENTS).rows
             real = {summary.id for summary in listed if summary.is_real}
             makers = {k: store.experiment(k).simulated_by for k in set(ids) - real}
         return [f"SIMULATED by {makers[k]}" if makers.get(k) else "" for k in ids]

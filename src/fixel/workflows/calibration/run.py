@@ -17,7 +17,7 @@ import numpy as np
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
@@ -63,7 +63,7 @@ class ExperimentSelection:
     sample_of: int | None = None
 
 
-def choose(store: Store, keys: Sequence[str], query: Query) -> ExperimentSelection:
+def choose(store: Store, keys: Sequence[str], query: ExperimentQuery) -> ExperimentSelection:
     """Experiments by name, or by what they have in common.
 
     Named ones must be fit for it, and count once under whatever names; of a listing, those that are
@@ -71,7 +71,7 @@ def choose(store: Store, keys: Sequence[str], query: Query) -> ExperimentSelecti
     """
     ids = list(dict.fromkeys(store.find(key) for key in keys))
     if not ids:
-        ids = [summary.id for summary in store.experiments(query).summaries]
+        ids = [summary.id for summary in store.experiments(query).rows]
         if not ids:
             refuse_mistyped(store, query)
     found: list[int] = []

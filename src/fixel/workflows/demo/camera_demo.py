@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.database.project import SETTINGS, Project
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.drawing.side_by_side import SideBySide, TrackedRun
 from fixel.errors import InvalidInput
 from fixel.formats.recording import is_recording, open_recording
@@ -154,8 +154,8 @@ def run_camera_tour(
     numbers = [_calibrate(project, dataset, command % dataset) for dataset in (TRUE, TRACKED)]
     with project.store() as store:
         true, tracked = (store.calibration(number).estimates for number in numbers)
-        listing = store.experiments(Query(dataset=TRACKED, flagged=True))
-        members = [summary.id for summary in listing.summaries]
+        listing = store.experiments(ExperimentQuery(dataset=TRACKED, include_faulty=True))
+        members = [summary.id for summary in listing.rows]
     estimates = tuple(zip(tracked, true, strict=True))
     _keep(project, tuple(runs), estimates, numbers[1], members)
     tell("writing the report")
@@ -342,7 +342,9 @@ def _firmware(folder: Path, tell: Notify) -> Path | None:
 
 def _calibrate(project: Project, dataset: str, command: str) -> int:
     with project.store() as store:
-        chosen = calibration.choose(store, (), Query(dataset=dataset, flagged=True))
+        chosen = calibration.choose(
+            store, (), ExperimentQuery(dataset=dataset, include_faulty=True)
+        )
     request = CalibrationRequest(
         name=dataset,
         mode="joint",

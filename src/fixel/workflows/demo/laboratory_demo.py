@@ -12,7 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
@@ -86,9 +86,7 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     tell("calibrating friction and support to all of them, with verdicts")
     number = _calibrate(project, f"fixel calibrate --optimiser {LEAST_SQUARES} {at}")
     tell("mapping where the calibrated simulator can be trusted")
-    map_domain(
-        project, DomainRequest(query=Query(), calibration=number), command=f"fixel domain {at}"
-    )
+    map_domain(project, DomainRequest(calibration=number), command=f"fixel domain {at}")
     tell("asking how far the start decides the outcome")
     _ask_starts(project, number, at)
     tell("asking what is not known, and what follows from it")
@@ -105,7 +103,7 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
 
 def _perform(store: Store) -> None:
     """Store the experiments, unless there are some already."""
-    if store.experiments(limit=1).total == 0:
+    if store.experiments(ExperimentQuery(limit=1)).total == 0:
         planned = thesis_plan().experiments[:EXPERIMENTS]
         for experiment in SimulatedTestbed(seed=SEED).run(planned):
             store.add_experiment(experiment)
@@ -113,7 +111,7 @@ def _perform(store: Store) -> None:
 
 def _calibrate(project: Project, command: str) -> int:
     with project.store() as store:
-        chosen = calibration.choose(store, (), Query())
+        chosen = calibration.choose(store, (), ExperimentQuery())
     request = CalibrationRequest(
         mode="joint",
         unknowns=[entry_of(u) for u in default_unknowns([t.case.scene for t in chosen.targets])],

@@ -24,9 +24,9 @@ def command_of(folder: Path, asked: DomainRequest, claim: Claim) -> str:
     words += [] if folder == Path() else ["--project", str(folder)]
     if asked.query.dataset:
         words += ["--dataset", asked.query.dataset]
-    for name, value in asked.query.conditions.items():
-        words += ["--where", f"{name}={value}"]
-    words += ["--all"] * asked.query.flagged
+    for name, relation, value in asked.query.conditions:
+        words += ["--where", f"{name}{relation}{value}"]
+    words += ["--all"] * asked.query.include_faulty
     if asked.calibration is not None:
         words += ["--calibration", str(asked.calibration)]
     for setting in asked.fit:

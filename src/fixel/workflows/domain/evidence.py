@@ -72,7 +72,7 @@ def gather(
     They are shared by maps of the same experiments with other axes, thresholds and nominals.
     """
     with project.store() as store:
-        summaries = store.experiments(asked.query).summaries
+        summaries = store.experiments(asked.query).rows
         if not summaries:
             raise InvalidInput(
                 "experiments", found="none", expected="some", hint="see what there is: fixel list"
@@ -104,13 +104,13 @@ def gathered_before(
         gathered = _gathered(content, asked)
     if asked.measure == "relative":
         gathered = _with_own(project, store, asked, gathered)
-    real = all(summary.is_real for summary in store.experiments(asked.query).summaries)
+    real = all(summary.is_real for summary in store.experiments(asked.query).rows)
     return gathered._replace(is_real=real, mark=mark)
 
 
 def mark_of(store: Store, asked: DomainRequest, calibration: int | None) -> str:
     """Name of the folder in which evidence was stored when a calibration was the newest."""
-    ids = [one.id for one in store.experiments(asked.query).summaries]
+    ids = store.experiment_ids(asked.query)
     return _mark(asked, ids, calibration)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from fixel.calibration.objective import MeanSquare
 from fixel.calibration.target import Target
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import Bound, ExperimentQuery
 from fixel.database.store import Store
 from fixel.domain.evidence import Measure
 from fixel.errors import InvalidInput
@@ -33,7 +33,7 @@ class DomainRequest:
 
     Attributes
     ----------
-    query : Query
+    query : ExperimentQuery
         Selection of experiments.
     calibration : int, optional
         Calibration at which fits start; by default the newest for several experiments.
@@ -55,7 +55,7 @@ class DomainRequest:
     seed : int
     """
 
-    query: Query = field(default_factory=Query)
+    query: ExperimentQuery = field(default_factory=ExperimentQuery)
     calibration: int | None = None
     fit: Sequence[str] = ()
     axes: Sequence[str] = ()
@@ -75,8 +75,8 @@ class DomainRequest:
         """Return the request as plain content."""
         return {
             "dataset": self.query.dataset,
-            "where": dict(self.query.conditions),
-            "flagged": self.query.flagged,
+            "where": {one.name: one.value for one in self.query.conditions if one.relation == "="},
+            "flagged": self.query.include_faulty,
             "calibration": self.calibration,
             "fit": list(self.fit),
             "axes": list(self.axes),
@@ -97,8 +97,11 @@ class DomainRequest:
 def asked_again(question: Mapping[str, Any]) -> DomainRequest:
     """Rebuild a request from stored content; inverse of `DomainRequest.question`."""
     known = dict(question)
-    query = Query(
-        dataset=known.pop("dataset"), conditions=known.pop("where"), flagged=known.pop("flagged")
+    where: dict[str, str | float] = known.pop("where")
+    query = ExperimentQuery(
+        dataset=known.pop("dataset"),
+        conditions=tuple(Bound(name, "=", value) for name, value in where.items()),
+        include_faulty=known.pop("flagged"),
     )
     return DomainRequest(query=query, **known)
 

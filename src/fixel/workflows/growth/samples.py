@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, final
 
 from fixel.calibration.target import Target, target_of
-from fixel.database.query import Query, Summary
+from fixel.database.browsing import ExperimentRow
+from fixel.database.query import Bound, ExperimentQuery
 from fixel.database.store import Store
 from fixel.domain.places import AXES, NOMINAL, AxisPlace, ExperimentGroup
 from fixel.errors import InvalidInput
@@ -78,10 +79,10 @@ def read_samples(
     InvalidInput
         No such experiments, a group without its nominal one, or two datasets at one place.
     """
-    conditions: dict[str, str | float] = {} if shape is None else {"shape": shape}
-    listing = store.experiments(Query(dataset=dataset, conditions=conditions))
-    seated: dict[_Seat, list[Summary]] = {}
-    for summary in listing.summaries:
+    conditions = () if shape is None else (Bound("shape", "=", shape),)
+    listing = store.experiments(ExperimentQuery(dataset=dataset, conditions=conditions))
+    seated: dict[_Seat, list[ExperimentRow]] = {}
+    for summary in listing.rows:
         seat = _seat_of(summary)
         if seat is not None:
             seated.setdefault(seat, []).append(summary)
@@ -97,7 +98,7 @@ def read_samples(
     return _read(store, first, warnings)
 
 
-def _seat_of(summary: Summary) -> _Seat | None:
+def _seat_of(summary: ExperimentRow) -> _Seat | None:
     """Return shape, layout and place of an experiment; None if it is on no axis."""
     own = summary.conditions
     axis, step = own.get("axis"), own.get("step", 0.0)
@@ -112,11 +113,11 @@ def _seat_of(summary: Summary) -> _Seat | None:
     return _Seat(str(own["shape"]), str(own["layout"]), AxisPlace(str(axis), round(step)))
 
 
-def _repetition(summary: Summary) -> tuple[float, int]:
+def _repetition(summary: ExperimentRow) -> tuple[float, int]:
     return float(summary.conditions.get("repetition", 1.0)), summary.id
 
 
-def _refuse_none(seated: dict[_Seat, list[Summary]], shape: str | None) -> None:
+def _refuse_none(seated: dict[_Seat, list[ExperimentRow]], shape: str | None) -> None:
     if not seated:
         raise InvalidInput(
             "experiments",
@@ -127,7 +128,7 @@ def _refuse_none(seated: dict[_Seat, list[Summary]], shape: str | None) -> None:
         )  # fmt: skip
 
 
-def _refuse_datasets(seated: dict[_Seat, list[Summary]]) -> None:
+def _refuse_datasets(seated: dict[_Seat, list[ExperimentRow]]) -> None:
     for seat, found in seated.items():
         names = sorted({summary.dataset for summary in found})
         if len(names) > 1:
@@ -139,7 +140,7 @@ def _refuse_datasets(seated: dict[_Seat, list[Summary]]) -> None:
             )
 
 
-def _read(store: Store, first: dict[_Seat, Summary], warnings: list[str]) -> GrowthSamples:
+def _read(store: Store, first: dict[_Seat, ExperimentRow], warnings: list[str]) -> GrowthSamples:
     ids: list[int] = []
     targets: list[Target] = []
     makers: list[str] = []
@@ -171,7 +172,7 @@ def _read(store: Store, first: dict[_Seat, Summary], warnings: list[str]) -> Gro
     )
 
 
-def _lengths(first: dict[_Seat, Summary]) -> dict[str, float]:
+def _lengths(first: dict[_Seat, ExperimentRow]) -> dict[str, float]:
     """Length of a step on each axis, if all experiments agree to a thousandth."""
     found: dict[str, list[float]] = {}
     for seat, summary in first.items():

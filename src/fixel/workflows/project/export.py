@@ -11,10 +11,11 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from fixel.database.browsing import ExperimentRow
 from fixel.database.bundle import export_bundle, import_bundle
 from fixel.database.bundle_file import LIMITS, BundleFile
 from fixel.database.project import Project
-from fixel.database.query import Query, Summary
+from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.datasets import IMPORTERS
 from fixel.datasets.table import CsvTable
@@ -33,7 +34,7 @@ RATES: Final = (1, 1000)  # [Hz]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportAnswer:
-    """Summary of an export.
+    """ExperimentRow of an export.
 
     Attributes
     ----------
@@ -120,7 +121,7 @@ def export(
     started = time.perf_counter()
     project = Project.open(folder)
     with project.store() as store:
-        everything = store.experiments(Query(dataset=dataset, flagged=True)).summaries
+        everything = store.experiments(ExperimentQuery(dataset=dataset, include_faulty=True)).rows
         if not everything:
             what = "experiments" if dataset is None else f"experiments of dataset {dataset!r}"
             raise NotStored(what, hint="see what there is with: fixel list")
@@ -131,9 +132,12 @@ def export(
         else:
             name = dataset or project.settings.name
             counts["frames"] = _tables(store, everything, target, format, fps, name, progress)
-            counts["flagged"] = store.experiments(Query(dataset=dataset), limit=0).left_out
-        simulated = Query(dataset=dataset, flagged=True, real=False, replaced=format == "bundle")
-        counts["simulated"] = store.experiments(simulated, limit=0).total
+            counts["flagged"] = store.experiments(
+                ExperimentQuery(dataset=dataset, limit=0)
+            ).left_out
+        marks = ("simulated", "replaced") if format == "bundle" else ("simulated",)
+        simulated = ExperimentQuery(dataset=dataset, marks=marks, include_faulty=True, limit=0)
+        counts["simulated"] = store.experiments(simulated).total
     return ExportAnswer(
         target=target,
         format=format,
@@ -146,7 +150,7 @@ def export(
 
 def _tables(
     store: Store,
-    summaries: list[Summary],
+    summaries: list[ExperimentRow],
     target: Path,
     format: str,
     fps: int | None,
@@ -162,7 +166,7 @@ def _tables(
 
 
 def _read(
-    store: Store, summaries: list[Summary], progress: Progress | None
+    store: Store, summaries: list[ExperimentRow], progress: Progress | None
 ) -> Iterator[Experiment]:
     for done, summary in enumerate(summaries, start=1):
         yield store.experiment(summary.id)
@@ -170,7 +174,7 @@ def _read(
             progress(done, len(summaries))
 
 
-def median_rate(summaries: list[Summary]) -> int:
+def median_rate(summaries: list[ExperimentRow]) -> int:
     """Median frame rate of the experiments [Hz], rounded and limited."""
     rates = [(s.n_frame - 1) / s.duration_s for s in summaries if s.duration_s > 0.0]
     middle = round(float(np.median(rates))) if rates else RATES[0]

@@ -10,8 +10,7 @@ from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
-from fixel.database.browsing import MARKS, NUMBERS, SQUARES, TEXTS, ExperimentView
-from fixel.database.query import Bound, Relation
+from fixel.database.query import COLUMNS, MARKS, TEXTS, Bound, ExperimentQuery, Relation
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
@@ -43,7 +42,7 @@ def view_of(
     descending: bool = False,
     limit: int | None = None,
     offset: int = 0,
-) -> ExperimentView:
+) -> ExperimentQuery:
     """Parse a filter as it is typed.
 
     Parameters
@@ -86,11 +85,12 @@ def view_of(
             bounds.append(_bound(*found.groups()))
         else:
             words.append(token)
-    return ExperimentView(
+    return ExperimentQuery(
         words=tuple(words),
         bounds=tuple(bounds),
         flags=tuple(flags),
         marks=tuple(marks),
+        include_faulty=True,
         sort=NAMES.get(sort, (sort, 1.0))[0],
         descending=descending,
         limit=limit,
@@ -123,11 +123,9 @@ def _mark(name: str) -> str:
 def _bound(name: str, relation: str, value: str) -> Bound:
     known, unit = NAMES.get(name, (name, 1.0))
     number = _number(value)
-    if number is None:
-        if known in NUMBERS or known in SQUARES:
-            raise InvalidInput(f"filter: {name}", found=repr(value), expected="a number")
-        return Bound(known, cast(Relation, relation), value)
-    if known in TEXTS:
+    if number is None and known in COLUMNS and known not in TEXTS:
+        raise InvalidInput(f"filter: {name}", found=repr(value), expected="a number")
+    if number is None or known in TEXTS:
         return Bound(known, cast(Relation, relation), value)
     return Bound(known, cast(Relation, relation), number * unit)
 
@@ -212,14 +210,14 @@ _NUMBER: Final = (int, float)
 
 
 def coverage(
-    store: Store, view: ExperimentView, x: str | None = None, y: str | None = None
+    store: Store, view: ExperimentQuery, x: str | None = None, y: str | None = None
 ) -> Coverage:
     """Count the experiments that were run in each configuration.
 
     Parameters
     ----------
     store : Store
-    view : ExperimentView
+    view : ExperimentQuery
     x, y : str, optional
         Columns or conditions with numbers; by default offsets along x and y, or else the start of
         the object.
@@ -232,7 +230,7 @@ def coverage(
     )
     usual = OFFSETS if {*OFFSETS} <= {*known} else PLACES
     x, y = x or usual[0], y or usual[1]
-    tally = store.browse_tally(view, (x, y))
+    tally = store.tally(view, (x, y))
     placed = [row for row in tally if isinstance(row[0], _NUMBER) and isinstance(row[1], _NUMBER)]
     points = np.array(placed, dtype=np.float64).reshape(-1, 3)
     across, up = _axis(x, points[:, 0]), _axis(y, points[:, 1])
@@ -240,7 +238,7 @@ def coverage(
         points[:, 0], points[:, 1], bins=(across.edges, up.edges), weights=points[:, 2]
     )
     kinds = ("shape", "layout")
-    shapes, layouts, table = _table(store.browse_tally(view, kinds) if {*kinds} <= {*noted} else [])
+    shapes, layouts, table = _table(store.tally(view, kinds) if {*kinds} <= {*noted} else [])
     without = sum(row[2] for row in tally) - sum(row[2] for row in placed)
     return Coverage(across, up, count, shapes, layouts, table, (*PLACES, *known), without)
 

@@ -12,9 +12,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple, cast
 
+from fixel.database.browsing import ExperimentPage
 from fixel.database.project import Project
-from fixel.database.query import Bound, Query, Relation
-from fixel.database.store import Listing, Store
+from fixel.database.query import Bound, ExperimentQuery, Relation
+from fixel.database.store import Store
 from fixel.datasets import ImportPlan, importer_for
 from fixel.datasets.own_scene import template_text
 from fixel.datasets.table import DATASET as TABLE
@@ -175,10 +176,10 @@ def run_testbed(
         return _add(store, experiments, len(planned), progress)
 
 
-def list_experiments(project: Project, query: Query, limit: int | None = None) -> Listing:
+def list_experiments(project: Project, query: ExperimentQuery) -> ExperimentPage:
     """Return one page of a project's experiments."""
     with project.store() as store:
-        found = store.experiments(query, limit=limit)
+        found = store.experiments(query)
         if not found.total and not found.left_out:
             refuse_mistyped(store, query)
         return found
@@ -199,18 +200,20 @@ def query_of(
     flag: str | None = None,
     flagged: bool = False,
     deleted: bool = False,
-) -> Query:
+    limit: int | None = None,
+) -> ExperimentQuery:
     """Build a query from options; `where` are `CONDITION=VALUE`, or with another relation."""
     bounds = [_bound(text) for text in where]
-    return Query(
+    equal = {one.name: one for one in bounds if one.relation == "="}  # the last of a name counts
+    marks = {"real": real is True, "simulated": real is False, "deleted": deleted}
+    return ExperimentQuery(
         dataset=dataset,
         name=name,
-        real=real,
-        conditions={one.name: one.value for one in bounds if one.relation == "="},
-        bounds=tuple(one for one in bounds if one.relation != "="),
-        flag=flag,
-        flagged=flagged,
-        deleted=deleted,
+        conditions=(*equal.values(), *(one for one in bounds if one.relation != "=")),
+        flags=() if flag is None else (flag,),
+        marks=tuple(mark for mark, chosen in marks.items() if chosen),
+        include_faulty=flagged,
+        limit=limit,
     )
 
 

@@ -6,8 +6,7 @@ import difflib
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from fixel.database.browsing import NUMBERS, SQUARES, TEXTS, ExperimentView
-from fixel.database.query import Bound, Query
+from fixel.database.query import COLUMNS, Bound, ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.workflows.project.filters import NAMES, view_of
@@ -41,7 +40,7 @@ class UnknownName(NamedTuple):
         )
 
 
-def refuse_mistyped(store: Store, query: Query) -> None:
+def refuse_mistyped(store: Store, query: ExperimentQuery) -> None:
     """Raise if a query has a dataset, flag, condition or value that no experiment has.
 
     Raises
@@ -70,26 +69,24 @@ def meant_filter(store: Store, filter: str) -> str | None:
     return changed if changed != filter else None
 
 
-def _unknown_in(store: Store, query: Query) -> Iterator[UnknownName]:
+def _unknown_in(store: Store, query: ExperimentQuery) -> Iterator[UnknownName]:
     if query.dataset is not None:
         yield from _not_among("--dataset", query.dataset, store.datasets())
-    if query.flag is not None:
-        yield from _not_among("--flag", query.flag, store.flags())
-    equal = (Bound(name, "=", value) for name, value in query.conditions.items())
-    yield from _unknown_conditions(store, (*equal, *query.bounds), "--where ")
+    for name in query.flags:
+        yield from _not_among("--flag", name, store.flags())
+    yield from _unknown_conditions(store, query.conditions, "--where ")
 
 
-def _unknown_in_view(store: Store, view: ExperimentView) -> Iterator[UnknownName]:
+def _unknown_in_view(store: Store, view: ExperimentQuery) -> Iterator[UnknownName]:
     for name in view.flags:
         yield from _not_among("flag", name, store.flags())
     texts = [text for known in store.conditions().values() for text in known.texts]
     for word in view.words:
         yield from _not_among("filter", word, (*texts, *store.datasets(), *store.flags()))
-    columns = {*TEXTS, *NUMBERS, *SQUARES}
     for bound in view.bounds:
         if bound.name == "dataset":
             yield from _not_among("dataset", str(bound.value), store.datasets())
-    others = [bound for bound in view.bounds if bound.name not in columns]
+    others = [bound for bound in view.bounds if bound.name not in COLUMNS]
     yield from _unknown_conditions(store, others, "", NAMES)
 
 

@@ -10,7 +10,8 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.database.query import Query, Summary
+from fixel.database.browsing import ExperimentRow
+from fixel.database.query import ALL_EXPERIMENTS, ExperimentQuery
 from fixel.database.store import Store
 from fixel.model.trajectory import turned
 from fixel.workflows.analysis import TextTable
@@ -27,14 +28,14 @@ class ReportData:
 
     Parameters
     ----------
-    summaries : list of Summary
+    summaries : list of ExperimentRow
         Experiments that are used.
     flags : mapping from name of a flag to how many experiments of the project carry it
     left_out : int
         Number of experiments of the project that are left out for their flags.
     """
 
-    summaries: list[Summary]
+    summaries: list[ExperimentRow]
     flags: Mapping[str, int]
     left_out: int
 
@@ -65,9 +66,9 @@ class ReportData:
 
 def data_of(store: Store, ids: Sequence[int]) -> ReportData:
     """Load the summaries and flags of experiments."""
-    listed = store.experiments(Query(flagged=True, replaced=True)).summaries
+    listed = store.experiments(ALL_EXPERIMENTS).rows
     wanted = set(ids)
-    clean = store.experiments(Query())
+    clean = store.experiments(ExperimentQuery())
     return ReportData([s for s in listed if s.id in wanted], store.flags(), clean.left_out)
 
 

@@ -10,7 +10,7 @@ from typing import Any, Final, final
 
 from fixel.calibration.target import target_of
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.formats import load_scene
@@ -176,7 +176,7 @@ def _subjects(
 
 
 def _all(store: Store) -> dict[str, int]:
-    return {summary.key: summary.id for summary in store.experiments(Query()).summaries}
+    return {summary.key: summary.id for summary in store.experiments(ExperimentQuery()).rows}
 
 
 def _of_file(thing: str, request: SensitivityRequest, model: CalibratedValues | None) -> Subject:

@@ -15,7 +15,7 @@ from fixel.calibration.objective import Comparer
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
-from fixel.database.query import Query
+from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
@@ -199,7 +199,7 @@ def _ids(store: Store, request: UncertaintyRequest, one: CalibratedValues | None
         return list(dict.fromkeys(store.find(key) for key in request.experiments))
     if one is not None:
         return sorted(one.members)
-    listed = store.experiments(Query(), limit=2).summaries
+    listed = store.experiments(ExperimentQuery(limit=2)).rows
     if len(listed) == 1:
         return [listed[0].id]
     raise InvalidInput(
