@@ -25,7 +25,7 @@ from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.parameter_options import default_unknowns
-from fixel.workflows.domain.coordinates import coordinates_of
+from fixel.workflows.domain.evidence import coordinates_of
 from fixel.workflows.domain.held_out import Apart, CalibrationModel, calibrated_on, held_out
 
 # Not those on which the settings of the surface were chosen.

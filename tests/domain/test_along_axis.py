@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from fixel.calibration.objective import Evaluation
 from fixel.domain.along_axis import AxisEdges, AxisStudies, edges
-from fixel.domain.growth import RolloutQueue, SingleCalibrations
-from fixel.domain.places import ROWS, AxisPlace, ExperimentGroup
+from fixel.domain.growth import ROWS, AxisPlace, ExperimentGroup, RolloutQueue, SingleCalibrations
 from fixel.errors import InvalidInput
 
 STEPS = np.arange(-5, 6)

@@ -18,8 +18,7 @@ from fixel.domain.domain import (
     default_threshold,
     domain_map,
 )
-from fixel.domain.evidence import HeldOutErrors, threshold_score, value_of
-from fixel.domain.folds import default_folds, folds_of
+from fixel.domain.evidence import HeldOutErrors, default_folds, folds_of, threshold_score, value_of
 from fixel.domain.next_experiment import proposals
 from fixel.errors import InvalidInput
 

@@ -7,7 +7,10 @@ from fixel.calibration.objective import Evaluation
 from fixel.domain.growth import (
     AVERAGED,
     OWN,
+    ROWS,
     STORED,
+    AxisPlace,
+    ExperimentGroup,
     Joint,
     RolloutQueue,
     SingleCalibrations,
@@ -15,7 +18,6 @@ from fixel.domain.growth import (
     grow,
     weights,
 )
-from fixel.domain.places import ROWS, AxisPlace, ExperimentGroup
 from fixel.errors import InvalidInput
 
 # A toy: every experiment has a best point of its own, and its error is the squared distance to it.

@@ -82,7 +82,7 @@ def test_an_object_that_is_elsewhere_is_found_again():
 
 
 def test_when_no_particle_can_be_simulated_it_starts_again_wider(monkeypatch):
-    from fixel.filtering import crowd as module
+    from fixel.filtering import particles as module
 
     real = module.simulate_packed
 
@@ -105,7 +105,7 @@ def test_when_no_particle_can_be_simulated_it_starts_again_wider(monkeypatch):
 
 def test_no_frame_simulates_all_proposals_at_once(monkeypatch):
     """Cost is even: a third of 300 particles have theirs simulated beside the 300 themselves."""
-    from fixel.filtering import crowd as module
+    from fixel.filtering import particles as module
 
     real, rollouts = module.simulate_packed, []
 
@@ -125,7 +125,7 @@ def test_no_frame_simulates_all_proposals_at_once(monkeypatch):
 
 def test_an_island_that_alone_is_lost_is_replaced():
     running = ParticleFilter(n_particles=250).start(SCENE)
-    running._crowd.pose[125:] += (0.05, 0.03, 1.0)
+    running._particles.pose[125:] += (0.05, 0.03, 1.0)
     estimate = running.step(FilterFrame(1 / 30, HEAD, START))
 
     assert not estimate.recovered

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from fixel.filtering.observation import (
+from fixel.filtering.particles import (
     FixelGaps,
     contact_probability,
     lasting,
     told,
 )
-from fixel.filtering.statistics import mean_pose, pose_covariance, quantiles
+from fixel.filtering.weights import mean_pose, pose_covariance, quantiles
 from fixel.simulation.geometry import gap
 from fixel.testing.scenes import grasp
 

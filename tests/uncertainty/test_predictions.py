@@ -8,8 +8,7 @@ from benchmarks.sbc import MODEL_ERROR, NOISE
 from tests.uncertainty.test_likelihood import TRUTH, measured
 
 from fixel.errors import InvalidInput
-from fixel.uncertainty.bands import PARTS, bounds_of, levels_of, predict, shortest
-from fixel.uncertainty.coverage import coverage_curve
+from fixel.uncertainty.bands import PARTS, bounds_of, coverage_curve, levels_of, predict, shortest
 from fixel.uncertainty.likelihood import LogLikelihood
 from fixel.uncertainty.linear import Outcomes, fit_predictive
 from fixel.uncertainty.near_optimal import near_optimal, rise_of

@@ -228,7 +228,7 @@ def _next(done: "DomainResult", folder: Path, asked: "DomainRequest") -> str:
     """Return the next command: charts, then a tighter threshold or, below the noise, a report."""
     from dataclasses import replace
 
-    from fixel.workflows.domain.commands import command_of
+    from fixel.workflows.domain.request import command_of
 
     if not done.files:
         return f"{command_of(folder, asked, done.claim)} --plot domain"

@@ -13,7 +13,7 @@ from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnalysis, TextTable
-    from fixel.workflows.growth.explore import Exploration
+    from fixel.workflows.growth.run import Exploration
 
 
 def growth(
@@ -62,7 +62,7 @@ def growth(
     """
     from fixel.cli.screen import notify
     from fixel.database.project import Project
-    from fixel.domain.places import INDEXES
+    from fixel.domain.growth import INDEXES
     from fixel.workflows.growth.run import GrowthRequest, run_growth
 
     if index not in INDEXES:
@@ -97,7 +97,7 @@ def growth(
 
 
 def _sizes(texts: list[str]) -> dict[str, tuple[int, ...]] | None:
-    from fixel.domain.places import AXES
+    from fixel.domain.growth import AXES
 
     found: dict[str, tuple[int, ...]] = {}
     for text in texts:

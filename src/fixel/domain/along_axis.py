@@ -13,13 +13,16 @@ import numpy as np
 
 from fixel.calibration.objective import Evaluation
 from fixel.domain.growth import (
+    AXES,
     NONE,
+    ExperimentGroup,
     GroupParameters,
     RolloutQueue,
     SingleCalibrations,
+    along,
     group_parameters,
+    interval,
 )
-from fixel.domain.places import AXES, ExperimentGroup, along, interval
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
 

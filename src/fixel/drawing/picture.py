@@ -151,13 +151,13 @@ def _figure(simulation: Simulation) -> Any:
 
 def _draw(simulation: Simulation, axes: Axes, box: Rectangle) -> list[Artist]:
     unit = unit_for(box.size)
-    crowd = len(simulation.scene.bodies) >= CROWD
+    particles = len(simulation.scene.bodies) >= CROWD
     frame_axes(axes, box, unit)
     handles: list[Artist] = []
     handles += _fixels(simulation, axes, unit)
     handles += _pushers(simulation, axes, unit)
-    handles += _bodies(simulation, axes, unit, crowd)
-    handles += _forces(simulation, axes, unit, box, crowd)
+    handles += _bodies(simulation, axes, unit, particles)
+    handles += _forces(simulation, axes, unit, box, particles)
     handles += _stop(simulation, axes, unit)
     _heading(simulation, axes)
     return handles
@@ -302,7 +302,7 @@ def _pushers(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artis
     return [_patch(label=names, **style)]
 
 
-def _bodies(simulation: Simulation, axes: Axes, unit: LengthUnit, crowd: bool) -> list[Artist]:
+def _bodies(simulation: Simulation, axes: Axes, unit: LengthUnit, particles: bool) -> list[Artist]:
     from matplotlib.collections import LineCollection
 
     shapes = shapes_of(simulation)
@@ -313,10 +313,10 @@ def _bodies(simulation: Simulation, axes: Axes, unit: LengthUnit, crowd: bool) -
         poses = simulation.pose[body.name]
         starts += _outlines(shapes[body.name], poses[:1], unit)
         ends += _outlines(shapes[body.name], poses[-1:], unit)
-        if not crowd:
+        if not particles:
             _ghosts(axes, _outlines(body.shape, ghosts(poses, body.shape), unit))
     trails = [centre_path(simulation, b.name) * unit.per_metre for b in bodies]
-    thin = 0.4 if crowd else 0.8
+    thin = 0.4 if particles else 0.8
     start: Style = {"facecolor": "none", "edgecolor": palette.BODY, "linewidth": thin}
     end: Style = {
         "facecolor": tint(palette.BODY, 0.30),
@@ -324,11 +324,11 @@ def _bodies(simulation: Simulation, axes: Axes, unit: LengthUnit, crowd: bool) -
         "linewidth": thin,
     }
     dashes = (0, (3, 2))
-    _patches(axes, starts, linestyle=dashes, zorder=1.5, alpha=0.4 if crowd else 1.0, **start)
+    _patches(axes, starts, linestyle=dashes, zorder=1.5, alpha=0.4 if particles else 1.0, **start)
     _patches(axes, ends, zorder=2.5, **end)
     trail: Style = {
         "color": palette.BODY,
-        "linewidth": 0.5 if crowd else 0.9,
+        "linewidth": 0.5 if particles else 0.9,
         "linestyle": (0, (1, 1)),
     }
     axes.add_collection(LineCollection(trails, zorder=3.5, **trail), autolim=False)
@@ -338,7 +338,7 @@ def _bodies(simulation: Simulation, axes: Axes, unit: LengthUnit, crowd: bool) -
         _patch(label=f"{who}, end", **end),
         _line(label="centre of mass", **trail),
     ]
-    if not crowd and not any(isinstance(b.support, Ellipsoid) for b in bodies):
+    if not particles and not any(isinstance(b.support, Ellipsoid) for b in bodies):
         handles += _supports(simulation, axes, unit)
     return handles
 
@@ -369,7 +369,7 @@ def _supports(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Arti
 
 
 def _forces(
-    simulation: Simulation, axes: Axes, unit: LengthUnit, box: Rectangle, crowd: bool
+    simulation: Simulation, axes: Axes, unit: LengthUnit, box: Rectangle, particles: bool
 ) -> list[Artist]:
     end = float(simulation.time[-1])
     rows = contacts_at(simulation, end)
@@ -380,7 +380,7 @@ def _forces(
         return []
     points = contacts.point * unit.per_metre
     per_newton = arrow_length_per_newton(largest, box.size) * unit.per_metre
-    if crowd:
+    if particles:
         return _force_chains(axes, points, force, largest)
     handles = _cones(
         axes, frictions(simulation, rows), points, contacts.normal, largest * per_newton

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.filtering.crowd import (
+from fixel.filtering.head_path import smoothed
+from fixel.filtering.particles import (
     FOLD,
     FRAME,
     GROUP,
@@ -20,18 +21,18 @@ from fixel.filtering.crowd import (
     Particles,
     gathered,
 )
-from fixel.filtering.head_path import smoothed
-from fixel.filtering.prior import UniformPrior, prior_for
-from fixel.filtering.resampling import (
+from fixel.filtering.prior import UniformPrior, Unknowns, accepted, prior_for
+from fixel.filtering.weights import (
     COARSE,
     Indices,
     effective_sample_size,
+    mean_pose,
     normalised,
+    pose_covariance,
     power,
+    quantiles,
     systematic,
 )
-from fixel.filtering.statistics import mean_pose, pose_covariance, quantiles
-from fixel.filtering.unknowns import Unknowns, accepted
 from fixel.model import Scene, wrapped
 from fixel.model.fields import vector
 from fixel.typing import BoolArray, FloatArray
@@ -141,7 +142,7 @@ class RunningFilter:
     island particle model, for islands.
     """
 
-    _crowd: Particles
+    _particles: Particles
     _driven: FloatArray  # (3,) where the particles believe the pusher to be
     _path: FloatArray  # (n_frame, 3) of the pusher, smoothed
     _shake: FloatArray  # see `Mechanics.advance`
@@ -172,15 +173,15 @@ class RunningFilter:
         self.estimate = self._estimated(0.0, 0, False)
         # Compiled code is loaded now, so that the first frame takes no longer than the others.
         sights = [FrameMeasurement(time), FrameMeasurement(time + FRAME)]
-        copy = self._crowd.take(np.arange(options.n_particles))
+        copy = self._particles.take(np.arange(options.n_particles))
         path = np.tile(pusher, (options.n_particles, 2, 1))
         self._mechanics.advance(copy, self._unknowns, sights, path, self._shake)
 
     @property
     def particles(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Copies of poses (n, 3), parameters (n, n_name) and weights (n,)."""
-        crowd = self._crowd
-        return crowd.place, self._unknowns.values(crowd.free), normalised(self._log_weight)
+        particles = self._particles
+        return particles.place, self._unknowns.values(particles.free), normalised(self._log_weight)
 
     def draws(self, n: int) -> FloatArray:
         """Draw parameters (n, n_name) of the particles, in proportion to their weights."""
@@ -203,15 +204,15 @@ class RunningFilter:
         self._sights.append(sight)
         self._measured.append(pusher)
         self._smooth()
-        crowd, unknowns = self._crowd, self._unknowns
-        path = np.tile((self._driven, self._path[-1]), (len(crowd.free), 1, 1))
-        self._mechanics.advance(crowd, unknowns, self._sights[-2:], path, self._shake)
+        particles, unknowns = self._particles, self._unknowns
+        path = np.tile((self._driven, self._path[-1]), (len(particles.free), 1, 1))
+        self._mechanics.advance(particles, unknowns, self._sights[-2:], path, self._shake)
         self._driven = self._path[-1]
         surprise, near = self._surprise(sight.seen)
-        failed = int(crowd.failed.sum())
+        failed = int(particles.failed.sum())
         alive = normalised(self._log_weight) > 0.0
         adrift = [
-            bool(crowd.failed[own].all() or not near[own].any())
+            bool(particles.failed[own].all() or not near[own].any())
             for own in (island[alive[island]] for island in self._islands)
         ]
         if all(adrift):
@@ -263,7 +264,7 @@ class RunningFilter:
         self._path = np.array([pusher])
         self._shake = np.zeros(2)
         self._driven = pusher
-        self._crowd = self._mechanics.begun(self._unknowns, free)
+        self._particles = self._mechanics.begun(self._unknowns, free)
         self._log_weight = np.full(len(free), -math.log(len(free)))
         self._reached = np.zeros(len(free))
         self._moves = [self._proposed(island) for island in self._islands]
@@ -278,18 +279,18 @@ class RunningFilter:
 
     def _surprise(self, seen: FloatArray | None) -> tuple[float, BoolArray]:
         """Return the surprise of a seen pose, and a mask (n,) of the particles near it."""
-        crowd, options = self._crowd, self.options
+        particles, options = self._particles, self.options
         if seen is None:
-            return 0.0, np.ones(len(crowd.free), np.bool_)
+            return 0.0, np.ones(len(particles.free), np.bool_)
         noise = np.array([options.position_deviation, options.angle_deviation])[[0, 0, 1]] ** 2
-        away = seen - crowd.expected
+        away = seen - particles.expected
         away[:, 2] = wrapped(away[:, 2])
-        near = np.sum(away**2 / (noise + crowd.doubt[:, [0, 0, 1]]), axis=1) < LOST**2
+        near = np.sum(away**2 / (noise + particles.doubt[:, [0, 0, 1]]), axis=1) < LOST**2
         weight = normalised(self._log_weight)
         mean = np.sum(weight[:, None] * away, axis=0)
         about = away - mean
         total = np.einsum("i,ij,ik->jk", weight, about, about)
-        total += np.diag(noise + np.sum(weight[:, None] * crowd.doubt, axis=0)[[0, 0, 1]])
+        total += np.diag(noise + np.sum(weight[:, None] * particles.doubt, axis=0)[[0, 0, 1]])
         return float(mean @ np.linalg.solve(total, mean)), near
 
     def _weigh(self, island: Indices) -> float:
@@ -297,7 +298,7 @@ class RunningFilter:
 
         All islands weigh the same: their likelihoods belong to different versions of the path.
         """
-        score, reached = self._crowd.score[island], self._reached[island]
+        score, reached = self._particles.score[island], self._reached[island]
         log_weight = self._log_weight[island]
         found = power(log_weight, score, reached, MIN_SHARE * len(island))
         weight = normalised(log_weight + found * score - reached)
@@ -320,7 +321,7 @@ class RunningFilter:
 
     def _put(self, island: Indices, chosen: Indices) -> None:
         """Make the particles of an island equal copies of chosen ones."""
-        self._crowd.put(island, self._crowd.take(chosen))
+        self._particles.put(island, self._particles.take(chosen))
         self._reached[island] = self._reached[chosen]
         self._log_weight[island] = -math.log(len(island) * len(self._islands))
 
@@ -330,7 +331,7 @@ class RunningFilter:
         if effective_sample_size(weight) < self.options.resample_below * len(weight):
             self._put(island, island[systematic(weight, self._random)])
             weight = np.full(len(weight), 1.0 / len(weight))
-        own = self._crowd.take(island)
+        own = self._particles.take(island)
         there, prior_ratio = self._unknowns.proposed(
             own.free, weight, own.depends(self.prior.names), self._random
         )
@@ -352,22 +353,22 @@ class RunningFilter:
             return
         n, both = len(island), move.both
         # The particles themselves too: the pusher's path is known better now.
-        self._crowd.put(island, both.take(np.arange(n)))
+        self._particles.put(island, both.take(np.arange(n)))
         found = self._weigh(island)
         ratio = found * (both.score[n:] - both.score[:n]) + move.prior_ratio
         moved = accepted(ratio, self._random)
-        self._crowd.put(island, both.take(np.arange(n) + np.where(moved, n, 0)))
-        self._reached[island] = found * self._crowd.score[island]
+        self._particles.put(island, both.take(np.arange(n) + np.where(moved, n, 0)))
+        self._reached[island] = found * self._particles.score[island]
         self._moves[turn] = self._proposed(island)
 
     def _catch_up(self, move: Move, end: int) -> None:
         """Simulate an island's move up to a frame."""
-        begun, crowd = move.frame, move.both
+        begun, particles = move.frame, move.both
         knots = sorted({begun, end, *range(begun - begun % GROUP + GROUP, end, GROUP)})
         sights = [self._sights[begun]]
         sights += [gathered(self._sights[a + 1 : b + 1]) for a, b in pairwise(knots)]
-        path = np.tile(self._path[knots], (len(crowd.free), 1, 1))
-        self._mechanics.advance(crowd, self._unknowns, sights, path, self._shake, coarse=True)
+        path = np.tile(self._path[knots], (len(particles.free), 1, 1))
+        self._mechanics.advance(particles, self._unknowns, sights, path, self._shake, coarse=True)
 
     @property
     def _start_spread(self) -> tuple[float, float]:
@@ -382,11 +383,11 @@ class RunningFilter:
         free = self._unknowns.drawn(n, random)
         keep = random.permutation(n)[: n - n // 2]
         names = len(self.prior.names)
-        free[keep, :names] = self._crowd.free[systematic(weight, random)[keep], :names]
+        free[keep, :names] = self._particles.free[systematic(weight, random)[keep], :names]
         if sight.seen is None:
             wider = min(2.0**self._losses, MAX_WIDENED)
             position, angle = (wider * spread for spread in self._start_spread)
-            centre = mean_pose(self._crowd.place, weight, self._angle)
+            centre = mean_pose(self._particles.place, weight, self._angle)
         else:
             position, angle = options.position_deviation, options.angle_deviation
             centre = sight.seen
@@ -406,20 +407,20 @@ class RunningFilter:
         return weight
 
     def _estimated(self, surprise: float, failed: int, recovered: bool) -> FilterEstimate:
-        crowd, weight = self._crowd, normalised(self._log_weight)
-        values = self._unknowns.values(crowd.free)
+        particles, weight = self._particles, normalised(self._log_weight)
+        values = self._unknowns.values(particles.free)
         whole = self._whole_weight()
-        pose = mean_pose(crowd.place, whole, self._angle)
+        pose = mean_pose(particles.place, whole, self._angle)
         self._angle = float(pose[2])
-        own = np.sum(whole[:, None] * crowd.variance, axis=0)[[0, 0, 1]]
+        own = np.sum(whole[:, None] * particles.variance, axis=0)[[0, 0, 1]]
         return FilterEstimate(
             time=self._sights[-1].time,
             pose=pose,
-            covariance=pose_covariance(crowd.place, whole, pose) + np.diag(own),
+            covariance=pose_covariance(particles.place, whole, pose) + np.diag(own),
             names=self.prior.names,
             mean=np.sum(weight[:, None] * values, axis=0),
             quantiles=quantiles(values, weight, QUANTILES),
-            touch=np.sum(whole[:, None] * crowd.touch, axis=0),
+            touch=np.sum(whole[:, None] * particles.touch, axis=0),
             ess=effective_sample_size(weight),
             failed=failed,
             surprise=surprise,

@@ -24,7 +24,7 @@ from fixel.reproductions.pushes import Key, PushGroup
 from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.reproductions.splits import Split
 from fixel.typing import FloatArray, IntArray, NotedProgress
-from fixel.uncertainty.coverage import LEVELS, CoverageCurve, coverage_curve
+from fixel.uncertainty.bands import CURVE_LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.linear import LinearPredictive, Outcomes, Spreads, fit_predictive
 
 NAME: Final = "coverage"
@@ -171,7 +171,7 @@ def _curve_rows(curves: Sequence[CoverageCurve]) -> list[Row]:
             "true_levels_from": round(float(curves[0].low[k]), 4),
             "true_levels_to": round(float(curves[0].high[k]), 4),
         }
-        for k, level in enumerate(LEVELS)
+        for k, level in enumerate(CURVE_LEVELS)
     ]
 
 
@@ -184,7 +184,7 @@ def _group_rows(held: Sequence[HeldOutPushes]) -> list[Row]:
             curve = _curve(own, k)
             row["held_out"] = curve.outcomes
             for level in (0.5, 0.9):
-                at = LEVELS.index(level)
+                at = CURVE_LEVELS.index(level)
                 row[f"{name}_held_{100 * level:.0f}"] = round(float(curve.held[at]), 4)
         rows.append(row)
     return rows
@@ -210,8 +210,10 @@ def _part_rows(held: Sequence[HeldOutPushes]) -> list[Row]:
 def _conclusions(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes]) -> list[str]:
     said = []
     for name, curve in zip(("position", "angle"), curves, strict=True):
-        at = [LEVELS.index(level) for level in (0.5, 0.9, 0.95)]
-        told = ", ".join(f"{100 * curve.held[k]:.1f} % at {100 * LEVELS[k]:.0f} %" for k in at)
+        at = [CURVE_LEVELS.index(level) for level in (0.5, 0.9, 0.95)]
+        told = ", ".join(
+            f"{100 * curve.held[k]:.1f} % at {100 * CURVE_LEVELS[k]:.0f} %" for k in at
+        )
         said.append(
             f"Bounds on the final {name} of {curve.outcomes} held-out pushes hold {told}; the"
             f" largest gap over levels from 10 to 95 % is {100 * curve.largest_gap:.1f} points."

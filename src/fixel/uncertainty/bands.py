@@ -3,7 +3,7 @@
 A draw is the simulation of one posterior sample from one start, plus one random walk of the model
 error with that sample's standard deviation, plus the noise of the camera. The contributions are
 reported separately, to show whether better parameters, a better placed start, a better model or
-a better camera would narrow the prediction.
+a better camera would narrow the prediction. A coverage curve compares bounds with real outcomes.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ from fixel.uncertainty.prior import ParameterPrior
 PARTS: Final = ("parameters", "start", "model error", "noise")
 START: Final = ("start_x", "start_y", "start_theta")
 LEVELS: Final = (0.5, 0.9)
+
+
+CURVE_LEVELS: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 
 
 class Band(NamedTuple):
@@ -253,3 +256,37 @@ def _shape(positions: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _distances(positions: FloatArray, centre: FloatArray, spread: FloatArray) -> FloatArray:
     away = positions - centre
     return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", away, np.linalg.inv(spread), away)))
+
+
+class CoverageCurve(NamedTuple):
+    """Share of outcomes inside the bounds of each level."""
+
+    levels: FloatArray  # (n,)
+    held: FloatArray  # (n,)
+    low: FloatArray  # (n,) 2.5 % point of the share, were the levels true
+    high: FloatArray  # (n,) 97.5 %
+    outcomes: int
+
+    @property
+    def largest_gap(self) -> float:
+        """Largest difference between a level and the share of outcomes inside its bounds."""
+        return float(np.abs(self.held - self.levels).max())
+
+
+def coverage_curve(found: FloatArray, levels: tuple[float, ...] = CURVE_LEVELS) -> CoverageCurve:
+    """Return the coverage curve of outcomes.
+
+    Each outcome is given by the level (n,) of the smallest bounds that contain it. The range `low`
+    to `high` assumes independent outcomes.
+    """
+    from scipy.stats import binom
+
+    own = np.asarray(found, np.float64)
+    if own.ndim != 1 or not len(own) or not np.isfinite(own).all():
+        raise InvalidInput("coverage", found="no outcomes", expected="one level an outcome")
+    wanted = np.array(levels)
+    held = np.array([float(np.mean(own <= level)) for level in levels])
+    n = len(own)
+    return CoverageCurve(
+        wanted, held, binom.ppf(0.025, n, wanted) / n, binom.ppf(0.975, n, wanted) / n, n
+    )

@@ -8,8 +8,7 @@ from typer.main import get_command
 from fixel.cli.main import app
 from fixel.database.query import Bound, ExperimentQuery
 from fixel.domain.domain import Claim
-from fixel.workflows.domain.commands import command_of
-from fixel.workflows.domain.request import DomainRequest
+from fixel.workflows.domain.request import DomainRequest, command_of
 
 
 def test_every_option_of_the_command_that_is_written_is_one():

@@ -18,8 +18,7 @@ from fixel.simulation import Dynamic
 from fixel.simulation.stepper import Adaptive
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration.parameter_options import fitted
-from fixel.workflows.domain.coordinates import coordinates_of
-from fixel.workflows.domain.evidence import gather, noise_floor
+from fixel.workflows.domain.evidence import coordinates_of, gather, noise_floor
 from fixel.workflows.domain.held_out import Apart, CalibrationModel, held_out, label_of, stepper_for
 from fixel.workflows.domain.request import DomainRequest, model_of, own_best
 

@@ -14,15 +14,13 @@ from tests.workflows.growing import (
     record,
 )
 
-from fixel.domain.growth import STORED
-from fixel.domain.places import ROWS, domain
+from fixel.domain.growth import ROWS, STORED, domain
 from fixel.errors import InvalidInput
 from fixel.workflows.analysis import kept
 from fixel.workflows.calibration.result import GROWTH
 from fixel.workflows.calibration.stored import calibrated
 from fixel.workflows.growth import report
-from fixel.workflows.growth.explore import explore, threshold_in
-from fixel.workflows.growth.run import GrowthRequest, run_growth
+from fixel.workflows.growth.run import GrowthRequest, explore, run_growth, threshold_in
 
 
 @pytest.fixture(scope="module")

@@ -26,8 +26,7 @@ from fixel.web.views.domain_views import (
 )
 from fixel.workflows import jobs
 from fixel.workflows.domain import job
-from fixel.workflows.domain.commands import command_of
-from fixel.workflows.domain.request import DomainRequest
+from fixel.workflows.domain.request import DomainRequest, command_of
 
 if TYPE_CHECKING:
     from fixel.domain.cells import CellAxis

@@ -17,17 +17,18 @@ from fixel.calibration.repetitions import repetitions, same_configuration
 from fixel.calibration.target import Target
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.domain.evidence import HeldOutErrors, Value
-from fixel.domain.folds import default_folds
+from fixel.domain.contacts import CONTACT_ANGLE
+from fixel.domain.evidence import HeldOutErrors, Value, default_folds
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
 from fixel.io.result_cache import ResultCache
+from fixel.model.trajectory import wrapped
+from fixel.simulation.pack import pusher_path
 from fixel.typing import FloatArray, Progress
 from fixel.workflows.analysis import ANALYSES
 from fixel.workflows.calibration.run import choose
 from fixel.workflows.calibration.stored import newest
-from fixel.workflows.domain.coordinates import coordinates_of
 from fixel.workflows.domain.held_out import (
     MAX_TRAINING,
     SQUARES,
@@ -42,6 +43,12 @@ from fixel.workflows.domain.request import DomainRequest, model_of, own_best
 FOLDER: Final = "held-out"
 WHOLE: Final = "evidence.json"
 VERSION: Final = 2  # increase it when the same request no longer means the same numbers
+
+
+PUSH: Final = "push_angle_rad"
+TRAVEL: Final = "travel_m"
+_HIDDEN: Final = ("experiment", "repetition", "step")
+_TRUTH: Final = "truth_"
 
 
 class DomainEvidence(NamedTuple):
@@ -269,3 +276,44 @@ def _bends(pose: FloatArray) -> float:
     second = np.diff(pose, n=2, axis=0)
     middle = np.median(second**2, axis=0) / 0.4549  # variance of normal numbers from the median
     return float(np.sqrt(middle.sum() / 6.0))
+
+
+def coordinates_of(target: Target) -> dict[str, Value]:
+    """Return all coordinates that an axis can use.
+
+    In addition to the conditions: the bearing of the pusher at the start from the centre of mass,
+    in the body's frame [rad]; its direction of travel relative to the line to the centre of mass
+    [rad]; its distance of travel [m]. Truths that no real laboratory could know are left out.
+    """
+    found: dict[str, Value] = {
+        name: value
+        for name, value in target.conditions.items()
+        if name not in _HIDDEN and not name.startswith(_TRUTH)
+    }
+    for name, number in _geometry(target).items():
+        found.setdefault(name, number)
+    return found
+
+
+def _geometry(target: Target) -> dict[str, float]:
+    scene = target.case.scene
+    if not scene.pushers:
+        return {}
+    path = pusher_path(scene.pushers[0], float(target.case.times[-1]))
+    way = path[-1, 1:3] - path[0, 1:3]
+    body = scene.bodies[0]
+    c, s = math.cos(float(body.pose[2])), math.sin(float(body.pose[2]))
+    turn = np.array([[c, -s], [s, c]])
+    arm = path[0, 1:3] - (body.pose[:2] + turn @ body.com)
+    found = {TRAVEL: float(np.hypot(*way))}
+    if np.hypot(*arm) > 0.0:
+        bearing = math.atan2(float(arm[1]), float(arm[0])) - float(body.pose[2])
+        found[CONTACT_ANGLE] = _short(bearing)
+        if found[TRAVEL] > 0.0:
+            heading = math.atan2(float(way[1]), float(way[0]))
+            found[PUSH] = _short(heading - math.atan2(-float(arm[1]), -float(arm[0])))
+    return found
+
+
+def _short(angle: float) -> float:
+    return float(wrapped(np.array([angle]))[0])

@@ -21,7 +21,7 @@ from fixel.calibration.objective import AbstractError, Comparer, EndPose, MeanSq
 from fixel.calibration.repetitions import same_configuration
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
-from fixel.domain.folds import folds_of
+from fixel.domain.evidence import folds_of
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache
 from fixel.model.space import ParameterSpace

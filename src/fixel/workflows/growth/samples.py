@@ -11,7 +11,7 @@ from fixel.calibration.target import Target, target_of
 from fixel.database.browsing import ExperimentRow
 from fixel.database.query import Bound, ExperimentQuery
 from fixel.database.store import Store
-from fixel.domain.places import AXES, NOMINAL, AxisPlace, ExperimentGroup
+from fixel.domain.growth import AXES, NOMINAL, AxisPlace, ExperimentGroup
 from fixel.errors import InvalidInput
 from fixel.workflows.figures import banner_of
 

@@ -19,8 +19,7 @@ from fixel.drawing.uncertainty import (
 )
 from fixel.model import Disk
 from fixel.typing import FloatArray
-from fixel.uncertainty.bands import LEVELS
-from fixel.uncertainty.coverage import CoverageCurve, coverage_curve
+from fixel.uncertainty.bands import LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.workflows.figures import Picture, banner_of
 from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fixel.filtering.prior import UniformPrior
-from fixel.filtering.resampling import (
+from fixel.filtering.weights import (
     COARSE,
     effective_sample_size,
     normalised,

@@ -9,17 +9,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.filtering.observation import (
-    CLEAR,
-    FixelGaps,
-    contact_probability,
-    lasting,
-    told,
-)
-from fixel.filtering.unknowns import Unknowns
+from fixel.filtering.prior import Unknowns
+from fixel.kernels.measure import measure_gaps
 from fixel.model import Scene, wrapped
 from fixel.simulation import Newton, StewartTrinkle
 from fixel.simulation.batch import simulate_packed
+from fixel.simulation.geometry import pack_shapes
 from fixel.simulation.pack import Template, Variation
 from fixel.simulation.simulate import method_of
 from fixel.typing import BoolArray, FloatArray
@@ -36,6 +31,10 @@ AT_REST: Final = 1e-9  # of the object's size: motion below is rounding
 SIDES: Final = [0, 0, 1]  # which variance is that of x, y and the angle
 MOST_CONTACTS: Final = 24  # in one rollout
 FARTHEST: Final = 5.0  # times the pusher's way: an object that goes further was not pushed there
+
+
+CLEAR: Final = 1e-3  # probability from which a contact is clear
+FAR_GAP: Final = 5e-3  # [m] gaps beyond it are bounded, not measured
 
 
 class FrameMeasurement(NamedTuple):
@@ -134,7 +133,7 @@ class Particles:
 
 @final
 class Mechanics:
-    """Moves crowds through frames.
+    """Mechanics that move particles through frames.
 
     Parameters
     ----------
@@ -156,7 +155,7 @@ class Mechanics:
     def begun(self, unknowns: Unknowns, free: FloatArray) -> Particles:
         """Return particles at the start."""
         n = len(free)
-        crowd = Particles(
+        particles = Particles(
             free=free,
             pose=unknowns.start(free),
             shift=np.zeros((n, 3)),
@@ -170,12 +169,12 @@ class Mechanics:
             stalled=np.zeros(n, np.bool_),
             touched=np.zeros(n, np.bool_),
         )
-        crowd.touch, _ = self._contact(crowd)
-        return crowd
+        particles.touch, _ = self._contact(particles)
+        return particles
 
     def advance(
         self,
-        crowd: Particles,
+        particles: Particles,
         unknowns: Unknowns,
         sights: Sequence[FrameMeasurement],
         path: FloatArray,
@@ -186,7 +185,7 @@ class Mechanics:
 
         Parameters
         ----------
-        crowd : Particles
+        particles : Particles
             At frame `first`; changed in place.
         unknowns : Unknowns
         sights : sequence of FrameMeasurement
@@ -199,25 +198,25 @@ class Mechanics:
             Whether steps may be as long as a group of frames.
         """
         time = np.array([sight.time for sight in sights])
-        poses, crowd.failed, stalled = self._simulated(
-            crowd.pose, unknowns.columns(crowd.free), path, coarse
+        poses, particles.failed, stalled = self._simulated(
+            particles.pose, unknowns.columns(particles.free), path, coarse
         )
-        walk = unknowns.walk(crowd.free)
-        before = crowd.pose
+        walk = unknowns.walk(particles.free)
+        before = particles.pose
         moved = np.abs(poses[:, -1] - before).max(axis=1) > AT_REST * self._reach
-        crowd.pushed, crowd.stalled = crowd.pushed | moved, crowd.stalled | stalled
+        particles.pushed, particles.stalled = particles.pushed | moved, particles.stalled | stalled
         for k, sight in enumerate(sights[1:], 1):
-            crowd.pose = poses[:, k - 1]
+            particles.pose = poses[:, k - 1]
             back = 0.0
             if sight.seen is not None:
                 back = (sight.time - sight.seen_at) / (time[k] - time[k - 1])
-            behind = back * (crowd.pose - before)
-            before = crowd.pose
-            self._grow(crowd, walk, time[k] - time[k - 1], shake)
-            self._weigh(crowd, sight, behind)
+            behind = back * (particles.pose - before)
+            before = particles.pose
+            self._grow(particles, walk, time[k] - time[k - 1], shake)
+            self._weigh(particles, sight, behind)
         # Not in between: the poses after it are simulated already, without the correction.
         if sights[-1].fold:
-            crowd.pose, crowd.shift = crowd.place, np.zeros_like(crowd.shift)
+            particles.pose, particles.shift = particles.place, np.zeros_like(particles.shift)
 
     def _simulated(
         self, start: FloatArray, values: dict[str, FloatArray], path: FloatArray, coarse: bool
@@ -247,41 +246,149 @@ class Mechanics:
         pose = np.where(thrown[:, None, None], start[:, None], pose)
         return pose, failed, result.stalled[:, 0]
 
-    def _grow(self, crowd: Particles, walk: FloatArray, seconds: float, shake: FloatArray) -> None:
+    def _grow(
+        self, particles: Particles, walk: FloatArray, seconds: float, shake: FloatArray
+    ) -> None:
         model = np.column_stack((walk, walk / LEVER)) ** 2 / FRAME
-        pusher = np.where(crowd.pushed[:, None], shake, 0.0)
-        crowd.variance = crowd.variance + seconds * (model + pusher)
+        pusher = np.where(particles.pushed[:, None], shake, 0.0)
+        particles.variance = particles.variance + seconds * (model + pusher)
 
-    def _weigh(self, crowd: Particles, sight: FrameMeasurement, behind: FloatArray) -> None:
+    def _weigh(self, particles: Particles, sight: FrameMeasurement, behind: FloatArray) -> None:
         """Weigh by a sight that lies `behind` the poses (n, 3) on their way."""
         options = self.options
-        crowd.expected, crowd.doubt = crowd.place, crowd.variance
+        particles.expected, particles.doubt = particles.place, particles.variance
         if sight.seen is not None:
             noise = np.array([options.position_deviation, options.angle_deviation]) ** 2
             noise = noise / sight.number
-            away = sight.seen - crowd.place + behind
+            away = sight.seen - particles.place + behind
             away[:, 2] = wrapped(away[:, 2])
-            total = crowd.variance + noise
-            gain = crowd.variance / total
+            total = particles.variance + noise
+            gain = particles.variance / total
             square = away**2 / total[:, SIDES]
-            crowd.score -= 0.5 * np.sum(square + np.log(total / noise)[:, SIDES], axis=1)
-            crowd.shift = crowd.shift + gain[:, SIDES] * away
-            crowd.variance = crowd.variance * (1.0 - gain)
-        contact, memory = self._contact(crowd)
-        crowd.touch = lasting(contact, crowd.touch, memory)
-        crowd.touched = crowd.touched | (contact > CLEAR).any(axis=1)
+            particles.score -= 0.5 * np.sum(square + np.log(total / noise)[:, SIDES], axis=1)
+            particles.shift = particles.shift + gain[:, SIDES] * away
+            particles.variance = particles.variance * (1.0 - gain)
+        contact, memory = self._contact(particles)
+        particles.touch = lasting(contact, particles.touch, memory)
+        particles.touched = particles.touched | (contact > CLEAR).any(axis=1)
         if sight.ones is not None and sight.zeros is not None:
-            likelihood, crowd.touch = told(
-                crowd.touch,
+            likelihood, particles.touch = told(
+                particles.touch,
                 sight.ones,
                 sight.zeros,
                 options.no_contact_reliability,
                 options.contact_reliability,
             )
-            crowd.score += likelihood
+            particles.score += likelihood
 
-    def _contact(self, crowd: Particles) -> tuple[FloatArray, FloatArray]:
+    def _contact(self, particles: Particles) -> tuple[FloatArray, FloatArray]:
         """Probabilities of contact by the gaps, and how much of the old ones still holds."""
-        gap, variance = self.gaps.of(crowd.place), crowd.variance[:, :1]
+        gap, variance = self.gaps.of(particles.place), particles.variance[:, :1]
         contact = contact_probability(gap, self.options.touch_gap, np.sqrt(variance))
         return contact, variance / (variance + (0.25 * self.options.touch_gap) ** 2)
+
+
+def contact_probability(gap: FloatArray, touch_gap: float, spread: FloatArray) -> FloatArray:
+    """Return the probability that shapes touch, from the gap between them [-].
+
+    A half at half of `touch_gap`; how far on both sides it is in between is given by `touch_gap`
+    and by how uncertain the gap itself is.
+
+    Parameters
+    ----------
+    gap : (n, n_fixel) float64
+        [m]
+    touch_gap : float
+        [m]
+    spread : (n, 1) float64
+        Standard deviation of the gap [m].
+    """
+    width = np.sqrt((0.25 * touch_gap) ** 2 + spread**2)
+    # The logistic function is the normal distribution's within 0.01 on this scale.
+    return np.asarray(0.5 * (1.0 + np.tanh(0.851 * (0.5 * touch_gap - gap) / width)))
+
+
+def lasting(contact: FloatArray, before: FloatArray, memory: FloatArray) -> FloatArray:
+    """Return probabilities of contact (n, n_fixel) that remember those of the frame before.
+
+    Where the pose is uncertain, it is as uncertain in the next frame, in the same direction: sixty
+    frames at an unclear gap are one unknown, not sixty. Contacts that are clear remember nothing.
+
+    Parameters
+    ----------
+    contact, before : (n, n_fixel) float64
+        By the gaps now, and after the readings of the frame before.
+    memory : (n, 1) float64
+        Share of the old one that is kept [-].
+    """
+    unclear = (contact > CLEAR) & (contact < 1.0 - CLEAR)
+    return np.asarray(np.where(unclear, contact + memory * (before - contact), contact))
+
+
+def told(
+    contact: FloatArray, ones: FloatArray, zeros: FloatArray, silent: float, heard: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the log likelihood of readings, and probabilities of contact after them (Bayes' rule).
+
+    Parameters
+    ----------
+    contact : (n, n_fixel) float64
+        Probability that there is contact, before the readings.
+    ones, zeros : (n_fixel,) float64
+        How often each fixel has read 1 and 0.
+    silent, heard : float
+        P(read 0 | no contact) and P(read 1 | contact) [-].
+
+    Returns
+    -------
+    likelihood : (n,) float64
+        Logarithm of the probability of the readings.
+    contact : (n, n_fixel) float64
+        Probability that there is contact, after the readings.
+    """
+    likely = contact * (heard**ones * (1.0 - heard) ** zeros)
+    other = (1.0 - contact) * (silent**zeros * (1.0 - silent) ** ones)
+    both = likely + other
+    return np.asarray(np.sum(np.log(both), axis=1)), np.asarray(likely / both)
+
+
+@final
+class FixelGaps:
+    """Distances from the object to every fixel, for many poses at a time.
+
+    Parameters
+    ----------
+    scene : Scene
+        With one free body.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        pieces = [scene.bodies[0].shape, *(f.shape for f in scene.fixels)]
+        shapes = pack_shapes(pieces)
+        # Sizes of order one: the kernels' tolerances are meant for that.
+        self._size = float(max(np.abs(shapes.vertex).max(), shapes.piece_radius.max()))
+        self._shapes = shapes._replace(
+            vertex=shapes.vertex / self._size, piece_radius=shapes.piece_radius / self._size
+        )
+        self._fixel = np.array([f.pose for f in scene.fixels]).reshape(-1, 3)
+        reach = np.array([np.hypot(*shape.outline.T).max() for shape in pieces])
+        self._reach = reach[0] + reach[1:]
+
+    @property
+    def n_fixel(self) -> int:
+        """Number of fixels."""
+        return len(self._fixel)
+
+    def of(self, pose: FloatArray) -> FloatArray:
+        """(n, n_fixel) gaps [m] at poses (n, 3); negative in overlap, lower bounds from 5 mm on."""
+        away = pose[:, None, :2] - self._fixel[:, :2]
+        gap = np.asarray(np.hypot(away[:, :, 0], away[:, :, 1]) - self._reach)
+        row, fixel = np.nonzero(gap < FAR_GAP)
+        if len(row) == 0:
+            return gap
+        first = np.column_stack((away[row, fixel] / self._size, pose[row, 2]))
+        second = np.zeros_like(first)
+        second[:, 2] = self._fixel[fixel, 2]
+        found = measure_gaps(*self._shapes, np.zeros_like(fixel), 1 + fixel, first, second)
+        gap[row, fixel] = self._size * found[:, 0]
+        return gap

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fixel.domain.places import NOMINAL, ROWS, AxisPlace, ExperimentGroup, domain, interval, joining
+from fixel.domain.growth import NOMINAL, ROWS, AxisPlace, ExperimentGroup, domain, interval, joining
 from fixel.errors import InvalidInput
 
 
