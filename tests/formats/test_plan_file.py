@@ -68,7 +68,11 @@ def test_json_is_read_too(tmp_path):
 
 
 WRONG = [
-    (("head", "speed"), -1.0, r"^head\.speed: found -1\.0, expected greater than 0 \(\[m/s\]\)"),
+    (
+        ("head", "speed"),
+        -1.0,
+        r"^head\.speed: found -1\.0, expected a number greater than 0 \(\[m/s\]\)",
+    ),
     (("head", "speed"), "fast", r"^head\.speed: found 'fast', expected a number"),
     (("head", "speed"), float("nan"), r"^head\.speed: "),
     (("head", "shape"), {}, r"^head\.shape: found nothing, expected exactly one of polygon"),

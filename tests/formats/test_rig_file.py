@@ -86,7 +86,7 @@ Path_ = tuple[str | int, ...]
         (("parts", "object", "tags", 0, "family"), "x", "parts.object.tags[0].family", "36h11"),
         (("parts", "object", "tags", 0, "id"), 20, "rig.parts", "tag 20"),
         (("parts", "object", "tags", 0, "size_mm"), float("nan"), "size_mm", "number"),
-        (("plate", 0, "pose_mm_deg"), [0.0], "plate[0].pose_mm_deg", "3 items"),
+        (("plate", 0, "pose_mm_deg"), [0.0], "plate[0].pose_mm_deg", "3 entries"),
         (("tactile_bits",), ["a", "a"], "rig.tactile", "each once"),
         (("name",), "", "rig.name", "name"),
         (("fixel_rig",), 2, "fixel_rig", "1"),

@@ -13,8 +13,7 @@ import numpy as np
 import sqlalchemy as sa
 
 from fixel.database import arrays
-from fixel.formats.scene_build import scene_of
-from fixel.formats.scene_content import scene_content
+from fixel.formats.scene_model import scene_content, scene_of
 from fixel.formats.scene_schema import SceneRecord
 from fixel.model import (
     Channel,

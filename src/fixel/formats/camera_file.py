@@ -9,11 +9,20 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from fixel.errors import InvalidInput
-from fixel.formats.file_errors import explained, only_form, within
-from fixel.formats.scene_schema import NonNegative, Number, Point, Positive, SceneLevel, Triple
+from fixel.formats.records import (
+    FileRecord,
+    NonNegative,
+    Number,
+    Point,
+    Positive,
+    Triple,
+    only_form,
+    validated,
+    within,
+)
 from fixel.io.atomic import written_whole
 from fixel.io.document import read_document, yaml_text
 from fixel.vision.camera import Camera
@@ -24,7 +33,7 @@ Size = Annotated[list[Annotated[int, Field(gt=0)]], Field(min_length=2, max_leng
 Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
 
 
-class LensRecord(SceneLevel):
+class LensRecord(FileRecord):
     image_size_px: Size = Field(description="width, height [px]")
     focal_px: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
         description="focal lengths along u, v [px]"
@@ -37,26 +46,26 @@ class LensRecord(SceneLevel):
     fisheye: bool = Field(False, description="equidistant model of Kannala and Brandt")
 
 
-class LookingRecord(SceneLevel):
+class LookingRecord(FileRecord):
     height_mm: Positive = Field(description="of the camera above the plate [mm]")
     above_mm: Point = Field([0.0, 0.0], description="place of the world under it [mm]")
     turned_deg: Number = Field(0.0, description="from world x to the picture's right [deg]")
     tilted_deg: Point = Field([0.0, 0.0], description="axis down, right in the picture [deg]")
 
 
-class MatrixRecord(SceneLevel):
+class MatrixRecord(FileRecord):
     rotation: Matrix = Field(description="camera_from_world, x right, y down, z away")
     translation_mm: Triple = Field(description="of the world's origin, in the camera's axes [mm]")
 
 
-class PlaceRecord(SceneLevel):
+class PlaceRecord(FileRecord):
     """Pose of a camera, in exactly one form."""
 
     looking: LookingRecord | None = Field(None, description="a camera that looks down")
     matrix: MatrixRecord | None = Field(None, description="a rotation and a translation")
 
 
-class MeasuredRecord(SceneLevel):
+class MeasuredRecord(FileRecord):
     names: list[str] = Field([], description="what was measured: fx, k1, tz, ...")
     covariance: list[list[Number]] = Field([], description="of these [px, -, rad, m]")
     noise_px: Positive | None = Field(None, description="of a corner along each axis [px]")
@@ -65,7 +74,7 @@ class MeasuredRecord(SceneLevel):
     )
 
 
-class CameraRecord(SceneLevel):
+class CameraRecord(FileRecord):
     """Content of a camera file."""
 
     fixel_camera: Literal[1] = Field(1, description="version of the format")
@@ -97,10 +106,7 @@ def load_camera(path: str | Path) -> MeasuredCamera:
 
 def camera_from_dict(raw: Any) -> MeasuredCamera:
     """Build a camera from the content of a camera file, as dicts and lists."""
-    try:
-        record = CameraRecord.model_validate(raw)
-    except ValidationError as problems:
-        raise explained(problems, CameraRecord, "camera") from None
+    record = validated(CameraRecord, raw, "camera")
     lens = _lens(record.lens)
     measured = record.measured or MeasuredRecord.model_validate({})
     with within("measured", "measured."):

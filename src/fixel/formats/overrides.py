@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Any, get_origin
 
 from fixel.errors import InvalidInput
-from fixel.formats.scene_schema import Path, empty_at, record_at, unknown_key, written
+from fixel.formats.records import Path, annotation_at, record_at, unknown_key, written
+from fixel.formats.scene_schema import SceneRecord
 from fixel.io.document import parse_yaml
 
 
@@ -37,7 +38,7 @@ def apply_override(raw: Any, override: str) -> None:
     for segment in segments[:-1]:
         key = _key(container, segment, path)
         if isinstance(container, dict) and container.get(key) is None:
-            container[key] = empty_at((*path, key))
+            container[key] = _empty_at((*path, key))
         container, path = container[key], (*path, key)
     key = _key(container, segments[-1], path)
     container[key] = parse_yaml(value, f"--set {override}")
@@ -58,12 +59,19 @@ def _key(container: Any, segment: str, path: Path) -> str | int:
             expected=f"a number below {len(container)}" + (f", or one of {there}" if there else ""),
         )
     if isinstance(container, dict):
-        record = record_at(path)
+        record = record_at(SceneRecord, path)
         if segment in container or (record and segment in record.model_fields):
             return segment
-        raise unknown_key(path, segment)
+        raise unknown_key(SceneRecord, (*path, segment))
     raise InvalidInput(
         ".".join((written(path), segment)).removeprefix("."),
         found=f"{container!r} at {written(path) or 'the top'}",
         expected="a list or keys there",
     )
+
+
+def _empty_at(path: Path) -> dict[str, Any] | list[Any] | None:
+    """Empty container to insert for a missing key: a list, a dict, or None for a value."""
+    if get_origin(annotation_at(SceneRecord, path)) is list:
+        return []
+    return {} if record_at(SceneRecord, path) else None

@@ -9,33 +9,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from fixel.errors import InvalidInput
-from fixel.formats.file_errors import explained, only_form, within
-from fixel.formats.scene_schema import (
+from fixel.formats.records import (
+    FileRecord,
     NoneRecord,
     NonNegative,
     Number,
     Point,
-    PointsRecord,
     Positive,
-    SceneLevel,
     Triple,
-    TripodRecord,
-    UniformRecord,
+    built,
+    only_form,
+    validated,
+    within,
 )
+from fixel.formats.scene_model import plain_content, support_of
+from fixel.formats.scene_schema import PointsRecord, TripodRecord, UniformRecord
 from fixel.io.document import parse_yaml, read_document, yaml_text
-from fixel.model import (
-    Disk,
-    NoSupport,
-    Polygon,
-    Support,
-    SupportPoints,
-    Tripod,
-    UniformPressure,
-)
+from fixel.model import Disk, Ellipsoid, Polygon, Tripod
 from fixel.sampling import (
     FixelLayout,
     Grid,
@@ -56,12 +49,12 @@ Rows = Annotated[list[Triple], Field(min_length=1)]
 Bounds = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
-class RegularRecord(SceneLevel):
+class RegularRecord(FileRecord):
     sides: int = Field(description="how many")
     side: Positive = Field(description="length of a side [m]")
 
 
-class OutlineRecord(SceneLevel):
+class OutlineRecord(FileRecord):
     """Outline of a head or an object, in exactly one form."""
 
     polygon: list[Point] | None = Field(None, description="corners x, y [m]")
@@ -69,7 +62,7 @@ class OutlineRecord(SceneLevel):
     regular: RegularRecord | None = Field(None, description="regular polygon, a side facing -x")
 
 
-class RestRecord(SceneLevel):
+class RestRecord(FileRecord):
     """Support of an object, in exactly one form."""
 
     tripod: TripodRecord | None = Field(None, description="three points about the centre of mass")
@@ -78,7 +71,7 @@ class RestRecord(SceneLevel):
     none: NoneRecord | None = Field(None, description="no friction with the plane")
 
 
-class HeadRecord(SceneLevel):
+class HeadRecord(FileRecord):
     shape: OutlineRecord
     speed: Positive = Field(description="[m/s]")
     travel: Positive = Field(description="[m]")
@@ -86,18 +79,18 @@ class HeadRecord(SceneLevel):
     friction: NonNegative = Field(description="coefficient against the object")
 
 
-class FixelsRecord(SceneLevel):
+class FixelsRecord(FileRecord):
     radius: Positive = Field(description="of each [m]")
     friction: NonNegative = Field(description="coefficient against the object")
     zone_side: Positive = Field(description="of the square zone they stand in [m]")
 
 
-class NominalPoseRecord(SceneLevel):
+class NominalPoseRecord(FileRecord):
     gap: Number = Field(description="from head to object along the motion [m]")
     angle: Number = Field(0.0, description="of the object [rad]")
 
 
-class PlanShapeRecord(SceneLevel):
+class PlanShapeRecord(FileRecord):
     name: str
     shape: OutlineRecord
     mass: Positive = Field(description="[kg]")
@@ -105,26 +98,26 @@ class PlanShapeRecord(SceneLevel):
     zone_start: Number = Field(description="from the head's start to the fixel zone [m]")
 
 
-class LayoutRecord(SceneLevel):
+class LayoutRecord(FileRecord):
     name: str
     pegs: list[Point] = Field(description="u, v in the unit square of the zone, from 0 to 1")
     number: int | None = Field(None, description="by which a publication calls it")
 
 
-class AxisRecord(SceneLevel):
+class AxisRecord(FileRecord):
     name: Literal["x", "y", "theta"]
     step: Positive = Field(description="[m], or [rad] for theta")
     first: int = Field(description="count of the first step, may be negative")
     last: int = Field(description="count of the last step")
 
 
-class GridRecord(SceneLevel):
+class GridRecord(FileRecord):
     x: Values = Field([0.0], description="[m]")
     y: Values = Field([0.0], description="[m]")
     theta: Values = Field([0.0], description="[rad]")
 
 
-class SampleRecord(SceneLevel):
+class SampleRecord(FileRecord):
     method: Literal["sobol", "halton", "uniform"] = "sobol"
     count: int = Field(description="of points")
     seed: int = Field(0, description="of the scrambling or the random numbers")
@@ -133,7 +126,7 @@ class SampleRecord(SceneLevel):
     theta: Bounds = Field([0.0, 0.0], description="least, largest [rad]")
 
 
-class OffsetsRecord(SceneLevel):
+class OffsetsRecord(FileRecord):
     """Scheme of offsets from the nominal pose, in exactly one form."""
 
     nominal: NoneRecord | None = Field(None, description="the nominal pose: {}")
@@ -143,7 +136,7 @@ class OffsetsRecord(SceneLevel):
     sample: SampleRecord | None = Field(None, description="points that fill a box")
 
 
-class PlanRecord(SceneLevel):
+class PlanRecord(FileRecord):
     """Content of a plan file."""
 
     fixel_plan: Literal[1] = Field(description="version of the format")
@@ -178,14 +171,8 @@ def plan_text(plan: Plan) -> str:
     return yaml_text(_content(plan))
 
 
-# --- reading --------------------------------------------------------------------------------------
-
-
 def _plan(raw: Any) -> Plan:
-    try:
-        record = PlanRecord.model_validate(raw)
-    except ValidationError as problems:
-        raise explained(problems, PlanRecord, "plan") from None
+    record = validated(PlanRecord, raw, "plan")
     head, fixels, nominal = record.head, record.fixels, record.nominal
     rig = SamplingRig(
         head=_outline(head.shape, "head.shape"),
@@ -211,7 +198,7 @@ def _plan(raw: Any) -> Plan:
 
 def _shape(record: PlanShapeRecord, path: str) -> PlannedShape:
     outline = _outline(record.shape, f"{path}.shape")
-    support = _support(record.support, f"{path}.support")
+    support = support_of(record.support, f"{path}.support")
     with within(path, f"shape {record.name!r}.", "shape."):
         return PlannedShape(
             name=record.name,
@@ -224,50 +211,29 @@ def _shape(record: PlanShapeRecord, path: str) -> PlannedShape:
 
 def _outline(record: OutlineRecord, path: str) -> Outline:
     form = only_form(record, path)
+    if record.regular:
+        return built(RegularPolygon, record.regular, path)
     with within(path):
-        if form == "disk":
-            return Disk(record.disk or 0.0)
-        if record.regular:
-            return RegularPolygon(**record.regular.model_dump())
-        return Polygon(record.polygon)  # type: ignore[arg-type]
-
-
-def _support(record: RestRecord | None, path: str) -> Support:
-    if record is None:
-        return NoSupport()
-    only_form(record, path)
-    with within(path):
-        if record.tripod:
-            return Tripod(**record.tripod.model_dump())
-        if record.points:
-            given = record.points
-            return SupportPoints(points=given.at, friction=given.friction, loads=given.loads)  # type: ignore[arg-type]
-        if record.uniform:
-            return UniformPressure(**record.uniform.model_dump())
-    return NoSupport()
+        return (Disk if form == "disk" else Polygon)(getattr(record, form))
 
 
 def _layout(record: LayoutRecord, path: str) -> FixelLayout:
-    with within(path, f"layout {record.name!r}.", "layout."):
-        pegs = tuple((u, v) for u, v in record.pegs)
-        return FixelLayout(name=record.name, pegs=pegs, number=record.number)
+    pegs = tuple((u, v) for u, v in record.pegs)
+    return built(FixelLayout, record, path, f"layout {record.name!r}.", "layout.", pegs=pegs)
 
 
 def _scheme(record: OffsetsRecord, path: str) -> OffsetScheme:
     only_form(record, path)
-    with within(path):
-        if record.axis:
-            return OffsetAxis(**record.axis.model_dump())
-        if record.grid:
-            return Grid(**{name: tuple(v) for name, v in record.grid.model_dump().items()})
-        if record.list:
+    if record.axis:
+        return built(OffsetAxis, record.axis, path)
+    if record.grid:
+        return built(Grid, record.grid, path, **{name: tuple(v) for name, v in record.grid})
+    if record.sample:
+        return built(OffsetSample, record.sample, path)
+    if record.list:
+        with within(path):
             return OffsetList(tuple((x, y, theta) for x, y, theta in record.list))
-        if record.sample:
-            return OffsetSample(**record.sample.model_dump())
     return Nominal()
-
-
-# --- writing --------------------------------------------------------------------------------------
 
 
 def _content(plan: Plan) -> dict[str, Any]:
@@ -289,7 +255,16 @@ def _content(plan: Plan) -> dict[str, Any]:
             "zone_side": rig.zone_side,
         },
         "nominal": {"gap": rig.gap, "angle": rig.angle},
-        "shapes": [_shape_content(shape) for shape in plan.shapes],
+        "shapes": [
+            {
+                "name": shape.name,
+                "shape": _outline_content(shape.outline),
+                "mass": shape.mass,
+                "support": _support_content(shape),
+                "zone_start": shape.zone_start,
+            }
+            for shape in plan.shapes
+        ],
         "layouts": [
             {
                 "name": layout.name,
@@ -303,42 +278,25 @@ def _content(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _shape_content(shape: PlannedShape) -> dict[str, Any]:
-    return {
-        "name": shape.name,
-        "shape": _outline_content(shape.outline),
-        "mass": shape.mass,
-        "support": _support_content(shape),
-        "zone_start": shape.zone_start,
-    }
-
-
-def _outline_content(outline: Outline) -> dict[str, Any]:
+def _outline_content(outline: Outline) -> Any:
     if isinstance(outline, RegularPolygon):
         return {"regular": {"sides": outline.sides, "side": outline.side}}
-    if isinstance(outline, Disk):
-        return {"disk": outline.radius}
-    return {"polygon": outline.vertices.tolist()}
+    return plain_content(outline)
 
 
-def _support_content(shape: PlannedShape) -> dict[str, Any]:
+def _support_content(shape: PlannedShape) -> Any:
     support = shape.support
-    if isinstance(support, NoSupport):
-        return {"none": {}}
-    if isinstance(support, Tripod):
-        turned = {"angle": support.angle} if support.angle else {}
-        return {"tripod": {"radius": support.radius, "friction": support.friction, **turned}}
-    if isinstance(support, SupportPoints):
-        loads = {} if support.loads is None else {"loads": support.loads.tolist()}
-        friction = np.asarray(support.friction).tolist()
-        return {"points": {"at": support.points.tolist(), "friction": friction, **loads}}
-    if isinstance(support, UniformPressure):
-        return {"uniform": {"friction": support.friction, "n_points": support.n_points}}
-    raise InvalidInput(
-        f"shape {shape.name!r}.support",
-        found=f"a {type(support).__name__}",
-        expected="a Tripod, SupportPoints, UniformPressure or NoSupport: plan files have no others",
-    )
+    if isinstance(support, Ellipsoid):
+        raise InvalidInput(
+            f"shape {shape.name!r}.support",
+            found="a Ellipsoid",
+            expected="a Tripod, SupportPoints, UniformPressure or NoSupport: plan files have no "
+            "others",
+        )
+    content = plain_content(support)
+    if isinstance(support, Tripod) and not support.angle:
+        del content["tripod"]["angle"]
+    return content
 
 
 def _scheme_content(scheme: OffsetScheme) -> dict[str, Any]:

@@ -11,12 +11,19 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from fixel.errors import InvalidInput
 from fixel.formats.camera_file import camera_dict, camera_from_dict, load_camera, plain
-from fixel.formats.file_errors import explained, within
-from fixel.formats.scene_schema import NonNegative, Point, Positive, SceneLevel, Triple
+from fixel.formats.records import (
+    FileRecord,
+    NonNegative,
+    Point,
+    Positive,
+    Triple,
+    validated,
+    within,
+)
 from fixel.io.atomic import written_whole
 from fixel.io.document import read_document, yaml_text
 from fixel.vision.marks import COLOURS, FAMILIES, THESIS_BITS, MarkedPart, Rig, Sticker, Tag
@@ -25,7 +32,7 @@ from fixel.vision.measured_camera import MeasuredCamera
 EXAMPLES = ("thesis-tags", "thesis-stickers", "microscope")
 
 
-class TagRecord(SceneLevel):
+class TagRecord(FileRecord):
     id: int = Field(ge=0, description="which of its family")
     size_mm: Positive = Field(description="side of the black square [mm]")
     pose_mm_deg: Triple = Field([0.0] * 3, description="of its middle: x, y [mm], angle [deg]")
@@ -33,25 +40,25 @@ class TagRecord(SceneLevel):
     family: str = Field(FAMILIES[0], description=", ".join(FAMILIES))
 
 
-class StickerRecord(SceneLevel):
+class StickerRecord(FileRecord):
     colour: str = Field(description=", ".join(COLOURS))
     diameter_mm: Positive = Field(description="[mm]")
     place_mm: Point = Field(description="of its middle: x, y [mm]")
     height_mm: NonNegative = Field(description="of its upper face above the plate [mm]")
 
 
-class PartRecord(SceneLevel):
+class PartRecord(FileRecord):
     height_mm: Positive = Field(description="of its upper face above the plate [mm]")
     tags: list[TagRecord] = Field([], description="in the frame of the part")
     stickers: list[StickerRecord] = Field([], description="in the frame of the part")
 
 
-class PlacementRecord(SceneLevel):
+class PlacementRecord(FileRecord):
     position_mm: Positive = Field(1.0, description="[mm]")
     angle_deg: Positive = Field(1.0, description="[deg]")
 
 
-class RigRecord(SceneLevel):
+class RigRecord(FileRecord):
     """Content of a rig file."""
 
     fixel_rig: Literal[1] = Field(description="version of the format")
@@ -94,7 +101,7 @@ def plate_of(name_or_path: str | Path) -> tuple[Tag, ...]:
     """Load the tags on the plate of a rig, whose camera need not be placed yet; see `rig_of`."""
     if str(name_or_path) in EXAMPLES:
         return rig_of(name_or_path).plate
-    return _plate(_record(read_document(Path(name_or_path))))
+    return _plate(validated(RigRecord, read_document(Path(name_or_path)), "rig"))
 
 
 def load_rig(path: str | Path) -> Rig:
@@ -111,7 +118,7 @@ def load_rig(path: str | Path) -> Rig:
 
 def rig_from_dict(raw: Any, folder: Path | None = None) -> Rig:
     """Build a rig from the content of a rig file; camera files are searched in `folder`."""
-    record = _record(raw)
+    record = validated(RigRecord, raw, "rig")
     measured = _camera(record.camera, folder)
     return Rig(
         name=record.name,
@@ -163,13 +170,6 @@ def _camera(raw: Any, folder: Path | None) -> MeasuredCamera:
             found = load_camera((folder or Path()) / raw)
         found.placed()
         return found
-
-
-def _record(raw: Any) -> RigRecord:
-    try:
-        return RigRecord.model_validate(raw)
-    except ValidationError as problems:
-        raise explained(problems, RigRecord, "rig") from None
 
 
 def _plate(record: RigRecord) -> tuple[Tag, ...]:

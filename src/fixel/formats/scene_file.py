@@ -11,8 +11,7 @@ from typing import Any, final
 
 from fixel.formats import scene_schema as schema
 from fixel.formats.overrides import apply_override
-from fixel.formats.scene_build import scene_of
-from fixel.formats.scene_content import scene_content
+from fixel.formats.scene_model import scene_content, scene_of
 from fixel.io.document import read_document, yaml_text
 from fixel.model import Scene
 

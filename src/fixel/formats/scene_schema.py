@@ -1,29 +1,32 @@
-"""Schema of scene files: keys, kinds of value, units.
-
-It contains only what a text editor could check. Whether a polygon crosses itself or a body tips
-over is checked in `fixel.model`.
-"""
+"""Schema of scene files: keys, kinds of value, units."""
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator
-from typing import Annotated, Any, Final, Literal, get_args, get_origin
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field
 
 from fixel.errors import InvalidInput
+from fixel.formats.records import (
+    FileRecord,
+    Fraction,
+    NoneRecord,
+    NonNegative,
+    Number,
+    Path,
+    Point,
+    Positive,
+    Triple,
+    description_at,
+    record_at,
+    validated,
+    written,
+)
 
 MAX_KEYS = 1000  # maximum number of keys in one mapping; scenes have about ten
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
-Point = Annotated[list[Number], Field(min_length=2, max_length=2)]
-Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Waypoint = Annotated[list[Number], Field(min_length=4, max_length=4)]
-Path = tuple[str | int, ...]
 
 # Placeholder in a template for a value that only the user knows.
 FILL_IN: Final = "FILL_IN"
@@ -33,13 +36,7 @@ def _one_of(*forms: str) -> dict[str, Any]:
     return {"oneOf": [{"required": [form]} for form in forms]}
 
 
-class SceneLevel(BaseModel):
-    """Base of all records: rejects unknown keys, and numbers written as text."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class ShapeRecord(SceneLevel):
+class ShapeRecord(FileRecord):
     """Shape, in exactly one form."""
 
     model_config = ConfigDict(json_schema_extra=_one_of("polygon", "disk"))
@@ -47,34 +44,30 @@ class ShapeRecord(SceneLevel):
     disk: Positive | None = Field(None, description="radius [m]")
 
 
-class TripodRecord(SceneLevel):
+class TripodRecord(FileRecord):
     radius: Positive = Field(description="distance of the points from the centre of mass [m]")
     friction: NonNegative = Field(description="coefficient against the plane")
     angle: Number = Field(0.0, description="of the first point from body x [rad]")
 
 
-class PointsRecord(SceneLevel):
+class PointsRecord(FileRecord):
     at: list[Point] = Field(description="points in the frame of the shape [m]")
     friction: NonNegative | list[NonNegative] = Field(description="coefficients against the plane")
     loads: list[NonNegative] | None = Field(None, description="normal force at each point [N]")
 
 
-class UniformRecord(SceneLevel):
+class UniformRecord(FileRecord):
     friction: NonNegative = Field(description="coefficient against the plane")
     n_points: int = Field(64, ge=3, le=100_000, description="about how many quadrature points")
 
 
-class EllipsoidRecord(SceneLevel):
+class EllipsoidRecord(FileRecord):
     force: Positive = Field(description="largest friction force [N]")
     torque: Positive = Field(description="largest friction torque [N m]")
     centre: Point = Field([0.0, 0.0], description="centre of friction in the shape's frame [m]")
 
 
-class NoneRecord(SceneLevel):
-    """Record without keys."""
-
-
-class SupportRecord(SceneLevel):
+class SupportRecord(FileRecord):
     """Support of a body, in exactly one form."""
 
     model_config = ConfigDict(
@@ -87,12 +80,12 @@ class SupportRecord(SceneLevel):
     none: NoneRecord | None = Field(None, description="no friction with the plane")
 
 
-class SpringRecord(SceneLevel):
+class SpringRecord(FileRecord):
     stiffness: Positive = Field(description="[N/m]")
     anchor: Point = Field(description="in the world [m]")
 
 
-class BodyRecord(SceneLevel):
+class BodyRecord(FileRecord):
     name: str
     shape: ShapeRecord
     mass: Positive = Field(description="[kg]")
@@ -105,7 +98,7 @@ class BodyRecord(SceneLevel):
     spring: SpringRecord | None = Field(None, description="pulls the centre of mass to a point")
 
 
-class DriveRecord(SceneLevel):
+class DriveRecord(FileRecord):
     """Drive of a pusher: either a direction with a speed, or waypoints."""
 
     model_config = ConfigDict(json_schema_extra=_one_of("direction", "waypoints"))
@@ -116,7 +109,7 @@ class DriveRecord(SceneLevel):
     force_limit: Positive | None = Field(None, description="at which the drive stalls [N]")
 
 
-class PusherRecord(SceneLevel):
+class PusherRecord(FileRecord):
     name: str
     shape: ShapeRecord
     pose: Triple | None = Field(None, description="x [m], y [m], angle [rad] at t = 0")
@@ -125,7 +118,7 @@ class PusherRecord(SceneLevel):
     restitution: Fraction = Field(0.0, description="share of the approach speed given back")
 
 
-class FixelRecord(SceneLevel):
+class FixelRecord(FileRecord):
     name: str
     shape: ShapeRecord
     pose: Triple = Field(description="x [m], y [m], angle [rad]")
@@ -133,7 +126,7 @@ class FixelRecord(SceneLevel):
     restitution: Fraction = Field(0.0, description="share of the approach speed given back")
 
 
-class PairRecord(SceneLevel):
+class PairRecord(FileRecord):
     pair: Annotated[list[str], Field(min_length=2, max_length=2)] = Field(
         description="two names; * and ? match as in a shell"
     )
@@ -141,7 +134,7 @@ class PairRecord(SceneLevel):
     restitution: Fraction | None = Field(None, description="share of the approach speed given back")
 
 
-class FrictionMapRecord(SceneLevel):
+class FrictionMapRecord(FileRecord):
     origin: Point = Field(description="world position of node [0, 0] [m]")
     cell: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
         description="distance of neighbouring nodes along x and y [m]"
@@ -149,7 +142,7 @@ class FrictionMapRecord(SceneLevel):
     factor: list[list[Positive]] = Field(description="multiplier at each node, row by row")
 
 
-class PlaneRecord(SceneLevel):
+class PlaneRecord(FileRecord):
     anisotropy: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
         [1.0, 1.0], description="factors along the axis and across it"
     )
@@ -157,7 +150,7 @@ class PlaneRecord(SceneLevel):
     friction_map: FrictionMapRecord | None = Field(None, description="multiplier by place")
 
 
-class SceneRecord(SceneLevel):
+class SceneRecord(FileRecord):
     """Content of a scene file."""
 
     fixel: Literal[1] = Field(1, description="version of the format")
@@ -186,11 +179,11 @@ def scene_record(raw: Any) -> SceneRecord:
     """
     _refuse_many_keys(raw)
     try:
-        return SceneRecord.model_validate(raw)
-    except ValidationError as problems:
+        return validated(SceneRecord, raw, "scene")
+    except InvalidInput:
         if left := list(_placeholders(raw)):
             raise _unfilled(left) from None
-        raise _explained(problems, raw) from None
+        raise
 
 
 def _refuse_many_keys(raw: Any, where: str = "scene") -> None:
@@ -200,50 +193,6 @@ def _refuse_many_keys(raw: Any, where: str = "scene") -> None:
     for value in raw.values() if isinstance(raw, dict) else raw if isinstance(raw, list) else ():
         if isinstance(value, dict | list):
             _refuse_many_keys(value, where)
-
-
-def record_at(path: Path) -> type[SceneLevel] | None:
-    """Class of the record at a path; None if there is no record."""
-    record: type[SceneLevel] | None = SceneRecord
-    for key in path:
-        if isinstance(key, str):
-            field = record.model_fields.get(key) if record else None
-            record = _record_in(field.annotation) if field else None
-    return record
-
-
-def empty_at(path: Path) -> dict[str, Any] | list[Any] | None:
-    """Empty container to insert for a missing key: a list, a dict, or None for a value."""
-    parent, key = record_at(path[:-1]), path[-1]
-    field = parent.model_fields.get(str(key)) if parent else None
-    if field and get_origin(field.annotation) is list:
-        return []
-    return {} if record_at(path) else None
-
-
-def written(path: Path) -> str:
-    """Format a path as `bodies[0].shape.polygon[2]`."""
-    return "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in path).removeprefix(".")
-
-
-def unknown_key(path: Path, key: str) -> InvalidInput:
-    """Error for a key that the record at a path does not have."""
-    record = record_at(path)
-    known = list(record.model_fields) if record else []
-    close = difflib.get_close_matches(key, known, n=1)
-    return InvalidInput(
-        written((*path, key)),
-        found="an unknown key",
-        expected="one of " + ", ".join(known) if known else "no keys here",
-        hint=f"did you mean {close[0]!r}?" if close else None,
-    )
-
-
-def _record_in(annotation: Any) -> type[SceneLevel] | None:
-    if isinstance(annotation, type) and issubclass(annotation, SceneLevel):
-        return annotation
-    inner = (_record_in(argument) for argument in get_args(annotation))
-    return next((record for record in inner if record), None)
 
 
 def _placeholders(raw: Any, path: Path = ()) -> Iterator[Path]:
@@ -258,72 +207,13 @@ def _placeholders(raw: Any, path: Path = ()) -> Iterator[Path]:
 
 
 def _unfilled(left: list[Path]) -> InvalidInput:
-    first, record = left[0], record_at(left[0])
+    first, record = left[0], record_at(SceneRecord, left[0])
     forms = [f"{{{k}: {v.description}}}" for k, v in record.model_fields.items()] if record else []
     also = ", ".join(written(path) for path in left[1:])
+    value = description_at(SceneRecord, first) or "see the scene file"
     return InvalidInput(
         written(first),
         found=f"the placeholder {FILL_IN}",
-        expected=" or ".join(forms) or f"a value: {_description(first) or 'see the scene file'}",
+        expected=" or ".join(forms) or f"a value: {value}",
         hint=f"{FILL_IN} is left at {also} too" if also else None,
     )
-
-
-def _explained(problems: ValidationError, raw: Any) -> InvalidInput:
-    first = problems.errors(include_url=False)[0]
-    kind, context = first["type"], first.get("ctx", {})
-    path = _path(first["loc"], raw, kind)
-    if kind == "extra_forbidden":
-        return unknown_key(path[:-1], str(path[-1]))
-    found = None if kind == "missing" else _shown(first["input"])
-    expected = _expected(kind, context, first["msg"], path)
-    return InvalidInput(written(path) or "scene", found=found, expected=expected)
-
-
-def _path(location: tuple[int | str, ...], raw: Any, kind: str) -> Path:
-    """Path of a pydantic location, without its names for the members of unions."""
-    path: list[str | int] = []
-    for depth, key in enumerate(location):
-        is_last = depth == len(location) - 1
-        if isinstance(raw, list) and isinstance(key, int) and key < len(raw):  # noqa: SIM114
-            raw = raw[key]
-        elif isinstance(raw, dict) and key in raw:
-            raw = raw[key]
-        elif not (is_last and kind == "missing"):
-            continue
-        path.append(key)
-    return tuple(path)
-
-
-def _expected(kind: str, context: dict[str, Any], message: str, path: Path) -> str:
-    record = record_at(path)
-    if kind in ("model_type", "dict_type", "model_attributes_type"):
-        return "the keys " + ", ".join(record.model_fields if record else ())
-    phrases = {
-        "missing": "a value: this key is required",
-        "float_type": "a number",
-        "int_type": "a whole number",
-        "finite_number": "a finite number",
-        "string_type": "text",
-        "list_type": "a list",
-        "greater_than": "a number greater than {gt:g}",
-        "greater_than_equal": "a number of at least {ge:g}",
-        "less_than_equal": "a number of at most {le:g}",
-        "too_short": "at least {min_length} entries",
-        "too_long": "at most {max_length} entries",
-        "literal_error": "{expected}",
-    }
-    phrase = phrases[kind].format(**context) if kind in phrases else message
-    description = _description(path)
-    return f"{phrase} ({description})" if description else phrase
-
-
-def _description(path: Path) -> str | None:
-    named = [k for k, key in enumerate(path) if isinstance(key, str)]
-    record = record_at(path[: named[-1]]) if named else None
-    field = record.model_fields.get(str(path[named[-1]])) if record else None
-    return field.description if field else None
-
-
-def _shown(value: Any) -> Any:
-    return repr(value) if isinstance(value, str) else value

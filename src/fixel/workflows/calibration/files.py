@@ -10,8 +10,7 @@ from typing import Final
 import numpy as np
 
 from fixel.calibration.target import Target
-from fixel.formats.scene_build import scene_of
-from fixel.formats.scene_content import scene_content
+from fixel.formats.scene_model import scene_content, scene_of
 from fixel.formats.scene_schema import SceneRecord
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.damaged_files import readable
