@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from typing import Final, final
 
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.formats.jpeg_blocks import JpegBlocks, blocks_of
 from fixel.vision.frame import Gray, Picture
 
 BEGIN: Final = b"\xff\xd8"
@@ -88,7 +88,7 @@ def shrunk(picture: Picture) -> Gray:
 
 @final
 class JpegPlanes:
-    """JPEG picture for `Frame` that decodes only the requested window, if its coding allows it.
+    """JPEG picture for `Frame`, decoded on access: to brightness only, where that suffices.
 
     Parameters
     ----------
@@ -99,50 +99,45 @@ class JpegPlanes:
         Name of the picture in errors.
     """
 
-    __slots__ = ("_blocks", "_data", "_looked", "_luma", "_picture", "_where", "size")
+    __slots__ = ("_data", "_luma", "_picture", "_where", "size")
 
     def __init__(self, data: bytes, size: tuple[int, int], where: str = "picture") -> None:
         self._data, self._where = data, where
         self.size = size
         self._picture: Picture | None = None
         self._luma: Gray | None = None
-        self._blocks: JpegBlocks | None = None
-        self._looked = False
 
     def luma(self) -> Gray:
         """Brightness of the picture, (height, width)."""
         if self._luma is None:
-            self._luma = brightness(self._data, where=self._where)
+            self._luma = _fast(self._data, brightness, "IMREAD_GRAYSCALE", self._where)
         return self._luma
-
-    def luma_in(self, rows: slice, columns: slice) -> Gray:
-        """Brightness of a window, (height, width)."""
-        if self._luma is None:
-            blocks = self._walked()
-            window = None if blocks is None else blocks.luma(rows, columns)
-            if window is not None:
-                return window
-        return self.luma()[rows, columns]
 
     def colour(self, rows: slice, columns: slice) -> Picture:
         """Colours of a window, (height, width, 3): blue, green, red."""
-        width, height = self.size
-        whole = rows.indices(height)[:2] == (0, height) and columns.indices(width)[:2] == (0, width)
-        if self._picture is None and not whole:
-            blocks = self._walked()
-            window = None if blocks is None else blocks.colour(rows, columns)
-            if window is not None:
-                return window
         if self._picture is None:
-            self._picture = decoded(self._data, self._where)
+            self._picture = _fast(self._data, decoded, "IMREAD_COLOR", self._where)
         return self._picture[rows, columns]
 
-    def _walked(self) -> JpegBlocks | None:
-        if not self._looked:
-            self._looked = True
-            self._blocks = blocks_of(self._data)
-        return self._blocks
+
+def _fast(data: bytes, slow: Callable[..., Picture], mode: str, where: str) -> Picture:
+    """Decode with OpenCV, which takes half the time for the same pixels, else with Pillow."""
+    try:
+        import cv2
+    except ImportError:
+        return slow(data, where=where)
+    if END not in data:  # OpenCV would return the rest of a truncated picture as grey
+        raise _spoilt(where, "it is truncated")
+    try:
+        whole = cv2.imdecode(
+            np.frombuffer(data, np.uint8), getattr(cv2, mode) | cv2.IMREAD_IGNORE_ORIENTATION
+        )
+    except cv2.error as problem:
+        raise _spoilt(where, problem) from None
+    if whole is None:
+        raise _spoilt(where, "no picture in it")
+    return np.asarray(whole, dtype=np.uint8)
 
 
-def _spoilt(where: str, problem: Exception) -> InvalidInput:
+def _spoilt(where: str, problem: object) -> InvalidInput:
     return InvalidInput(where, found=f"spoilt JPEG data ({problem})", expected="JPEG")

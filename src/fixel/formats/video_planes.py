@@ -52,10 +52,6 @@ class DecodedPlanes:
             return self._plane(0, *self._size)
         return np.asarray(np.rint(self._all() @ LUMA), dtype=np.uint8)
 
-    def luma_in(self, rows: slice, columns: slice) -> Gray:
-        """Brightness of a window, (height, width)."""
-        return self.luma()[rows, columns]
-
     def colour(self, rows: slice, columns: slice) -> Picture:
         """Colours of a window, (height, width, 3): blue, green, red."""
         width, height = self._size

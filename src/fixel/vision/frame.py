@@ -24,9 +24,6 @@ class Planes(Protocol):
     def luma(self) -> Gray:
         """Brightness (height, width), read-only."""
 
-    def luma_in(self, rows: slice, columns: slice) -> Gray:
-        """Brightness of a window, read-only."""
-
     def colour(self, rows: slice, columns: slice) -> Picture:
         """Colours (height, width, 3) of a window: blue, green, red."""
 
@@ -74,12 +71,6 @@ class Frame:
         if self._luma is None:
             self._luma = self._planes.luma() if self._planes else _gray(self.picture)
         return self._luma
-
-    def luma_in(self, rows: slice, columns: slice) -> Gray:
-        """Brightness (height, width) uint8 of a window, decoded alone where possible."""
-        if self._luma is None and self._planes is not None:
-            return self._planes.luma_in(rows, columns)
-        return self.luma[rows, columns]
 
     def colour(self, rows: slice, columns: slice) -> Picture:
         """Colours (height, width, 3) uint8 of a window: blue, green, red."""

@@ -202,7 +202,7 @@ def window_of(
     if right - left < MIN_WINDOW or bottom - top < MIN_WINDOW:
         return None
     # Always a copy: the loops would be recompiled for each memory layout.
-    return np.array(frame.luma_in(slice(top, bottom), slice(left, right))), (left, top)
+    return np.array(frame.luma[top:bottom, left:right]), (left, top)
 
 
 def circle_edges(

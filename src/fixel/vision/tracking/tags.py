@@ -238,7 +238,7 @@ class _TaggedPart:
         right, bottom = min(int(high[0]), width), min(int(high[1]), height)
         if right - left < MARGIN or bottom - top < MARGIN:
             return frame.luma, np.zeros(2)
-        window = frame.luma_in(slice(top, bottom), slice(left, right))
+        window = frame.luma[top:bottom, left:right]
         return window, np.array([left, top], dtype=np.float64)
 
 

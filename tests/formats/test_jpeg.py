@@ -1,8 +1,9 @@
-"""Windows of JPEG pictures: the pixels that libjpeg makes of them, or a refusal like its own."""
+"""Decoding of JPEG pictures: the same pixels by OpenCV and Pillow, or a refusal."""
 
 from __future__ import annotations
 
 import io
+import sys
 
 import numpy as np
 import pytest
@@ -10,7 +11,6 @@ from PIL import Image
 
 from fixel.errors import InvalidInput
 from fixel.formats.jpeg import JpegPlanes, brightness, decoded, jpeg_of
-from fixel.formats.jpeg_blocks import blocks_of
 from fixel.vision.frame import Frame
 
 SIZE = (139, 85)
@@ -47,6 +47,7 @@ KINDS = {
     "own codes": {"quality": 95, "subsampling": 0, "optimize": True},
     "without loss, nearly": {"quality": 100, "subsampling": 0},
     "coarse": {"quality": 5, "subsampling": 0},
+    "progressive": {"progressive": True},
     "restarts": {"quality": 90, "subsampling": 0, "restart_marker_blocks": 3},
     "a restart a row": {"quality": 75, "subsampling": 2, "restart_marker_rows": 1},
 }
@@ -54,48 +55,29 @@ KINDS = {
 
 @pytest.mark.parametrize("mode", ["RGB", "L"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_brightness_is_that_of_libjpeg(kind, mode):
+def test_pixels_are_those_of_pillow(kind, mode):
     data = jpeg(mode, **KINDS[kind])
-    blocks, whole = blocks_of(data), brightness(data)
-    for rows, columns in WINDOWS[::-1]:  # the walk goes on from window to window
-        assert (blocks.luma(rows, columns) == whole[rows, columns]).all()
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_colours_are_those_of_libjpeg(kind):
-    data = jpeg(**KINDS[kind])
-    blocks, whole = blocks_of(data), decoded(data)
-    reduced = KINDS[kind].get("subsampling") != 0
-    for rows, columns in WINDOWS:
-        found = blocks.colour(rows, columns)
-        assert found.shape == whole[rows, columns].shape
-        if not reduced:
-            assert (found == whole[rows, columns]).all()
-        elif found.size > 200:  # it smooths colours of half the resolution, over their own noise
-            assert np.abs(found.astype(float) - whole[rows, columns]).mean() < 25.0
-
-
-def test_smooth_colours_of_half_the_resolution():
-    file = io.BytesIO()
-    v, u = np.mgrid[0:96, 0:96]
-    Image.fromarray(np.stack([v + 60, 2 * u, 200 - v], -1).astype(np.uint8)).save(
-        file, "JPEG", quality=95, subsampling=2
-    )
-    window = slice(10, 90), slice(7, 80)
-    found = blocks_of(file.getvalue()).colour(*window)
-    assert np.abs(found.astype(int) - decoded(file.getvalue())[window]).max() <= 4
-
-
-def test_what_it_cannot_is_left_to_libjpeg():
-    data = jpeg(progressive=True)
-    assert blocks_of(data) is None
-    window = slice(10, 20), slice(30, 50)
     planes = JpegPlanes(data, SIZE)
-    assert (planes.luma_in(*window) == brightness(data)[window]).all()
-    assert (planes.colour(*window) == decoded(data)[window]).all()
-    cmyk = io.BytesIO()
-    Image.fromarray(picture()).convert("CMYK").save(cmyk, "JPEG")
-    assert blocks_of(cmyk.getvalue()) is None
+    for rows, columns in WINDOWS:
+        assert (planes.luma()[rows, columns] == brightness(data)[rows, columns]).all()
+        assert (planes.colour(rows, columns) == decoded(data)[rows, columns]).all()
+
+
+def test_without_opencv_pillow_decodes(monkeypatch):
+    data = jpeg()
+    fast = JpegPlanes(data, SIZE)
+    expected = fast.luma(), fast.colour(*WINDOWS[1])
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    slow = JpegPlanes(data, SIZE)
+    assert (slow.luma() == expected[0]).all()
+    assert (slow.colour(*WINDOWS[1]) == expected[1]).all()
+
+
+def test_a_turned_camera_does_not_turn_the_pixels():
+    turned = Image.Exif()
+    turned[0x0112] = 6
+    data = jpeg(exif=turned)
+    assert (JpegPlanes(data, SIZE).colour(*WINDOWS[1]) == decoded(data)[WINDOWS[1]]).all()
 
 
 def test_a_gray_picture_has_colours():
@@ -105,7 +87,7 @@ def test_a_gray_picture_has_colours():
 
 
 def test_spoilt_data_are_refused_or_read_as_they_are():
-    """No crash and no wait, whatever bits were lost; a cut picture is refused where it is cut."""
+    """No crash and no wait, whatever bits were lost; a truncated picture is refused."""
     data = jpeg_of(picture())
     random = np.random.default_rng(3)
     for _ in range(150):
@@ -114,14 +96,13 @@ def test_spoilt_data_are_refused_or_read_as_they_are():
             bad[place] = random.integers(0, 256)
         planes = JpegPlanes(bytes(bad[: random.integers(len(bad) // 2, len(bad))]), SIZE)
         try:
-            window = planes.luma_in(slice(60, 85), slice(0, 139))
+            window = planes.luma()[60:85]
             assert window.dtype == np.uint8
         except InvalidInput:
             pass
-    short = JpegPlanes(data[: len(data) // 2], SIZE)
-    assert (short.luma_in(slice(0, 16), slice(0, 60)) == brightness(data)[:16, :60]).all()
-    with pytest.raises(InvalidInput, match="spoilt"):
-        short.luma_in(slice(60, 85), slice(0, 60))
+    for part in (data[: len(data) // 2], b"", b"no picture" + data[-2:]):
+        with pytest.raises(InvalidInput, match="spoilt"):
+            JpegPlanes(part, SIZE).luma()
 
 
 def test_frames_take_windows_of_what_they_have():
@@ -129,9 +110,7 @@ def test_frames_take_windows_of_what_they_have():
     window = slice(10, 20), slice(30, 50)
     frame = Frame(0.0, planes=JpegPlanes(data, SIZE))
     assert frame.size == SIZE
-    assert (frame.luma_in(*window) == frame.luma[window]).all()
-    assert (frame.luma_in(*window) == brightness(data)[window]).all()
+    assert (frame.luma == brightness(data)).all()
     assert (frame.colour(*window) == frame.picture[window]).all()
     pixels = Frame(0.0, decoded(data))
     assert pixels.size == SIZE
-    assert (pixels.luma_in(*window) == pixels.luma[window]).all()
