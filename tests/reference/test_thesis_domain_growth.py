@@ -21,7 +21,7 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.parameter_options import fitted
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, entry_of
-from fixel.workflows.growth.run import explore
+from fixel.workflows.growth.explore import explore
 
 INTERVAL = 2e-3  # [s] between samples of the plain simulations
 NAMES = ("mu_pusher", "tripod_radius")

@@ -13,7 +13,7 @@ from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnalysis, TextTable
-    from fixel.workflows.growth.run import Exploration
+    from fixel.workflows.growth.explore import Exploration
 
 
 def growth(

@@ -20,7 +20,8 @@ from fixel.workflows.analysis import kept
 from fixel.workflows.calibration.result import GROWTH
 from fixel.workflows.calibration.stored import calibrated
 from fixel.workflows.growth import report
-from fixel.workflows.growth.run import GrowthRequest, explore, run_growth, threshold_in
+from fixel.workflows.growth.explore import explore, threshold_in
+from fixel.workflows.growth.run import GrowthRequest, run_growth
 
 
 @pytest.fixture(scope="module")

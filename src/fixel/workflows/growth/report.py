@@ -15,7 +15,7 @@ from fixel.drawing.growth import AxisChart, GrowthMatrix, GrowthSteps
 from fixel.typing import FloatArray
 from fixel.workflows.analysis import TextTable
 from fixel.workflows.figures import Picture
-from fixel.workflows.growth.run import Exploration
+from fixel.workflows.growth.explore import Exploration
 
 
 def matrix_of(found: Exploration) -> FloatArray:

@@ -1,0 +1,322 @@
+"""Grow the domains of a project, study its axes, and store the averaged calibrations."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Final, final
+
+import numpy as np
+
+from fixel.calibration.objective import Comparer, Evaluation
+from fixel.database.store import Store
+from fixel.domain.along_axis import SIZES, AxisStudies, AxisStudy
+from fixel.domain.growth import (
+    AVERAGED,
+    DomainGrowth,
+    Growth,
+    Index,
+    RolloutQueue,
+    SingleCalibrations,
+    Step,
+    weights,
+)
+from fixel.errors import InvalidInput
+from fixel.model import Parameters, Provenance
+from fixel.model.records import CalibrationRecord, Member
+from fixel.model.space import ParameterSpace, Unknown
+from fixel.workflows.calibration.result import GROWTH
+from fixel.workflows.compilation import get_ready
+from fixel.workflows.growth.samples import GrowthSamples, read_samples
+from fixel.workflows.growth.singles import StoredSets, best_singles
+
+# Threshold of the thesis, read off figure 6.5 (section 6.3.1) [mm^2].
+THRESHOLD: Final = 5.0
+
+# A stored error that differs from a repeated simulation by more than this share comes from other
+# data or from another simulator.
+SAME_ERROR: Final = 0.01
+
+# Share of an experiment's own best error: if another set does better, its search failed.
+STUCK: Final = 0.5
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exploration:
+    """Result of an exploration.
+
+    Attributes
+    ----------
+    samples : GrowthSamples
+    stored : StoredSets
+    growth : Growth
+    studies : list of AxisStudy
+    threshold : float
+        Threshold in the unit of the error.
+    rollouts : int
+    added : list of int
+        Ids of the calibrations that were stored.
+    warnings : list of str
+    """
+
+    samples: GrowthSamples
+    stored: StoredSets
+    growth: Growth
+    studies: list[AxisStudy]
+    threshold: float
+    rollouts: int
+    added: list[int]
+    warnings: list[str]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the errors."""
+        return self.stored.method.unit
+
+
+def explore(
+    store: Store,
+    *,
+    shape: str | None = None,
+    dataset: str | None = None,
+    index: Index = "corrected",
+    sizes: Mapping[str, Sequence[int]] = SIZES,
+    threshold: str | None = None,
+    motion: str | None = None,
+    error: str | None = None,
+    command: str = "",
+    project: str = "",
+    threads: int | None = None,
+    notify: Callable[[str], None] | None = None,
+) -> Exploration:
+    """Explore the domain of applicability as in the thesis.
+
+    Parameters
+    ----------
+    store : Store
+        Store with single calibrations. New means are added to it.
+    shape, dataset : str, optional
+        Use only these experiments.
+    index : str
+        `"printed"` for the rows of the thesis's code as printed.
+    sizes : mapping from axis to sizes
+        Numbers of samples of the intervals along each axis.
+    threshold : str, optional
+        See `threshold_in`.
+    motion, error : str, optional
+        Use only calibrations made with these.
+    command, project : str
+        Command as typed; ` --project FOLDER` for hints.
+    threads : int, optional
+    notify : callable, optional
+        Called with a sentence before long operations.
+    """
+    tell = notify or _silent
+    tell("Reading the experiments and their calibrations.")
+    samples = read_samples(store, shape, dataset)
+    summaries = store.calibration_summaries()
+    stored = best_singles(summaries, samples, motion, error, project)
+    limit = threshold_in(threshold, stored.method.unit)
+    grower = DomainGrowth(samples.groups, stored.singles, index)
+    studies = AxisStudies(samples.groups, stored.singles, sizes)
+    wanted = RolloutQueue()
+    grower.ask(wanted)
+    studies.ask(wanted)
+    get_ready(samples.targets[0].case.scene, notify)
+    tell(f"Simulating {len(wanted)} times.")
+    comparer = Comparer(
+        samples.targets,
+        _space(stored),
+        stored.calibrated.error,
+        stored.calibrated.motion,
+        threads=threads,
+    )
+    answer = wanted.run(comparer.errors)
+    growth = grower.read(answer)
+    added = _keep(store, summaries, growth, samples, stored, command)
+    return Exploration(
+        samples=samples,
+        stored=stored,
+        growth=growth,
+        studies=studies.read(answer),
+        threshold=limit,
+        rollouts=len(wanted),
+        added=added,
+        warnings=[
+            *samples.warnings,
+            *stored.warnings,
+            *_changed(growth, stored.singles),
+            *_beaten(wanted, answer, stored.singles, samples),
+            *_empty(growth),
+            *_failed(answer),
+        ],
+    )
+
+
+def _silent(_: str) -> None:
+    pass
+
+
+def threshold_in(text: str | None, unit: str) -> float:
+    """Convert a threshold to the unit of the error.
+
+    Parameters
+    ----------
+    text : str, optional
+        A number in that unit, or a root mean square distance with the suffix `mm`: `"2.2mm"` is
+        4.84 for an error in mm^2. Defaults to 5 mm^2, as in the thesis.
+    unit : str
+        `"mm^2"` or `"mm"`.
+    """
+    if text is None:
+        return THRESHOLD if unit == "mm^2" else math.sqrt(THRESHOLD)
+    match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(mm\^?2|mm)?\s*", text)
+    try:
+        value = float(match[1]) if match else math.nan
+    except ValueError:
+        value = math.nan
+    if match is None or not 0.0 < value < math.inf:
+        raise InvalidInput(
+            "--threshold", found=repr(text), expected=f"a number [{unit}], or a distance like 2.2mm"
+        )
+    given = unit if match[2] is None else match[2].replace("mm2", "mm^2")
+    if given == unit:
+        return value
+    return value**2 if unit == "mm^2" else math.sqrt(value)
+
+
+def _space(stored: StoredSets) -> ParameterSpace:
+    """Parameters for the comparer; nothing is searched, so bounds need only contain the points."""
+    points = [stored.singles.points, *(j.point[None] for j in stored.singles.joint.values())]
+    every = np.concatenate(points)
+    low, high = every.min(axis=0).tolist(), every.max(axis=0).tolist()
+    return ParameterSpace(
+        unknowns=tuple(
+            Unknown(name=name, low=a, high=b if b > a else a + 1.0, nominal=a)
+            for name, a, b in zip(stored.method.names, low, high, strict=True)
+        )
+    )
+
+
+# --- stored calibrations ------------------------------------------------------------------------
+
+
+def _keep(
+    store: Store,
+    summaries: Mapping[int, CalibrationRecord],
+    growth: Growth,
+    samples: GrowthSamples,
+    stored: StoredSets,
+    command: str,
+) -> list[int]:
+    """Store a calibration for every averaged set, unless it is stored already."""
+    known = {_content(record) for record in summaries.values()}
+    added = []
+    for row in growth.steps:
+        for step in row:
+            if step.used.source != AVERAGED or step.reason:
+                continue
+            record = _record(step, growth, samples, stored, command)
+            if _content(record) not in known:
+                added.append(store.add_calibration(record))
+    return added
+
+
+def _content(record: CalibrationRecord) -> tuple[object, ...]:
+    """Content by which two averaged sets are the same."""
+    method = {k: v for k, v in record.method.items() if k not in ("step", "index")}
+    return (
+        record.members,
+        tuple(sorted(record.parameters.items())),
+        tuple(sorted(method.items(), key=str)),
+    )
+
+
+def _record(
+    step: Step, growth: Growth, samples: GrowthSamples, stored: StoredSets, command: str
+) -> CalibrationRecord:
+    members, point, method = step.used.members, step.used.point, stored.method
+    assert point is not None  # it was averaged
+    shares = weights(members, stored.singles)
+    return CalibrationRecord(
+        name=f"{GROWTH}: {step.group.name}, step {step.step}, {len(members)} experiments",
+        parameters=Parameters(dict(zip(method.names, point.tolist(), strict=True))),
+        members=tuple(
+            Member.of(samples.ids[m], share, error, method.unit)
+            for m, share, error in zip(members, shares.tolist(), step.errors.tolist(), strict=True)
+        ),
+        provenance=Provenance(version=version("fixel"), command=command),
+        method={
+            "how": GROWTH,
+            "mode": "growth",
+            "index": growth.index,
+            "step": float(step.step),
+            "weights": "inverse errors",
+            "error": method.error,
+            "error_unit": method.unit,
+            "motion": method.motion,
+            **dict(method.options),
+        },
+    )
+
+
+# --- warnings -----------------------------------------------------------------------------------
+
+
+def _changed(growth: Growth, singles: SingleCalibrations) -> list[str]:
+    """Warn if errors of nominal experiments differ from the stored ones."""
+    changed = []
+    for row in growth.steps:
+        first, errors = row[0], row[0].errors
+        if not first.reason:
+            stored = float(singles.errors[first.used.members[0]])
+            if not math.isclose(float(errors[0]), stored, rel_tol=SAME_ERROR, abs_tol=1e-9):
+                changed.append(f"{first.group.name} ({stored:.4g}, now {errors[0]:.4g})")
+    if not changed:
+        return []
+    more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
+    return [
+        "Stored errors of nominal experiments are not met when simulated again: "
+        + ", ".join(changed[:3]) + more
+        + ". The calibrations are of another version or of other data; calibrate again."
+    ]  # fmt: skip
+
+
+def _beaten(
+    wanted: RolloutQueue, answer: Evaluation, singles: SingleCalibrations, samples: GrowthSamples
+) -> list[str]:
+    """Warn of experiments with a far smaller error under a domain's set than under their own."""
+    least = singles.errors.copy()
+    np.minimum.at(least, wanted.which, answer.error)
+    stuck = np.flatnonzero(least < STUCK * singles.errors)
+    if len(stuck) == 0:
+        return []
+    with np.errstate(divide="ignore"):
+        worst = int(stuck[(singles.errors[stuck] / least[stuck]).argmax()])
+    return [
+        f"{len(stuck)} of {len(least)} experiments have less than half their own best error under"
+        f" a set of some domain, such as {samples.keys[worst]} ({least[worst]:.3g} for"
+        f" {singles.errors[worst]:.3g}): the searches for their own sets ended early. Calibrate"
+        " with --mode campaign or --starts 8."
+    ]
+
+
+def _empty(growth: Growth) -> list[str]:
+    lacking = [(row[0].group.name, step) for row in growth.steps for step in row if step.reason]
+    if not lacking:
+        return []
+    name, step = lacking[0]
+    return [
+        f"{len(lacking)} steps have no largest error; the first: {name}, step {step.step},"
+        f" {step.reason}."
+    ]
+
+
+def _failed(answer: Evaluation) -> list[str]:
+    n = int(np.isinf(answer.error).sum())
+    return [f"{n} of {len(answer.error)} simulations failed; they count as beyond any threshold."] \
+        if n else []  # fmt: skip
