@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Final, final
 
@@ -22,6 +22,7 @@ COUNTED: Final = 3  # frames likewise, for predictions by number of frames
 SAME_PREDICTION: Final = 0.05  # of the motion since the last sighting: below, two are one
 
 SEARCH_EVERY: Final = 2  # frames between two searches for a part lost for a while
+SEARCH_ALL: Final = 16  # likewise, of the whole picture
 MARGIN: Final = 40  # [px] around the last place that is searched at first
 SPREADS: Final = 6  # [px] per frame of growth: 0.1 m/s at 0.55 mm per pixel, 30 frames/s
 
@@ -108,7 +109,7 @@ class PartPrediction:
     """Prediction of the pose of a part from its last sightings.
 
     Time stamps of arrival may be uneven where the frames are not, so that the motion is also
-    predicted by number of frames: call `at` once per frame.
+    predicted by number of frames: call `follow` or `at` once per frame.
     """
 
     def __init__(self) -> None:
@@ -129,6 +130,24 @@ class PartPrediction:
             return None
         then, pose = self._last
         return pose + self._rate * min(time - then, FORGET)
+
+    def follow(self, time: float, measure: Callable[[FloatArray], Sighting]) -> Sighting | None:
+        """Measure a part near its predicted pose; None before its first sighting.
+
+        Parameters
+        ----------
+        time : float
+            Time of the frame [s]; call once per frame.
+        measure : callable
+            Measurement near a pose (3,). It is called again with the pose predicted by number of
+            frames if it finds nothing and that is another one.
+        """
+        expected = self.at(time)
+        if expected is None:
+            return None
+        sight = measure(expected)
+        counted = None if sight.pose is not None else self.by_count(expected)
+        return sight if counted is None else measure(counted)
 
     def by_count(self, expected: FloatArray) -> FloatArray | None:
         """Predict the pose (3,) from the number of frames; None if it is close to `expected`."""
@@ -157,17 +176,58 @@ class PartPrediction:
         self._unseen = 0
 
 
-def worth_a_search(lost: int) -> bool:
-    """Whether to search for a part that was not seen in the last `lost` frames."""
-    return lost < 3 or lost % SEARCH_EVERY == 0
+class PartFollower(ABC):
+    """Abstract follower of one part with markers: at its predicted pose, else by a search."""
+
+    def __init__(self) -> None:
+        self._prediction = PartPrediction()
+        self._lost = 0  # frames since it was seen
+        self._why_not = ""
+
+    def see(self, frame: Frame) -> Sighting:
+        """Measure the part in the next frame."""
+        sight = self._prediction.follow(frame.time, lambda pose: self._measured(frame, pose))
+        sight = sight or Sighting(reason=self._why_not)
+        if sight.pose is None and (self._lost < 3 or self._lost % SEARCH_EVERY == 0):
+            sight = self._searched(frame, sight)
+            self._why_not = sight.reason
+        if sight.pose is None:
+            self._lost += 1
+        else:
+            self._lost = 0
+            self._prediction.seen(frame.time, sight.pose)
+        return sight
+
+    @abstractmethod
+    def _measured(self, frame: Frame, pose: FloatArray) -> Sighting:
+        """Measure the part near a pose (3,) [m, m, rad]."""
+
+    @abstractmethod
+    def _searched(self, frame: Frame, followed: Sighting) -> Sighting:
+        """Search for a part that was not seen at its predicted pose; `followed` has the reason."""
+
+    @property
+    def _search_near(self) -> FloatArray | None:
+        """Last pose (3,) to search near; None to search the whole picture."""
+        last = self._prediction.pose
+        return None if self._lost and self._lost % SEARCH_ALL == 0 else last
+
+    @property
+    def _search_margin(self) -> int:
+        """Largest distance of the part from its last place [px]; it may move while covered."""
+        return MARGIN + SPREADS * self._lost
 
 
-def search_margin(lost: int) -> int:
-    """Largest distance [px] of a part from its last place after `lost` frames.
+@final
+class PartFollowers(AbstractFollower):
+    """Follower of several parts, each by itself."""
 
-    It may have moved while it was covered; the whole picture is searched much more rarely.
-    """
-    return MARGIN + SPREADS * lost
+    def __init__(self, parts: Mapping[str, PartFollower]) -> None:
+        self._parts = parts
+
+    def see(self, frame: Frame) -> dict[str, Sighting]:
+        """Measure the parts in the next frame."""
+        return {name: part.see(frame) for name, part in self._parts.items()}
 
 
 def vague(sd: FloatArray, scale: float) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -67,7 +67,7 @@ class NeedleFollower:
     shape: Shape
     height: float
     _needle: Needle | None = None
-    _prediction: PartPrediction | None = None
+    _prediction: PartPrediction = field(default_factory=PartPrediction)
 
     def see(
         self, frame: Frame, part: FloatArray | None, dark: NDArray[np.uint8] | None
@@ -82,14 +82,11 @@ class NeedleFollower:
         dark : (height, width) uint8, optional
             Mask of dark pixels outside the part, in which to search for the probe.
         """
-        expected = None if self._prediction is None else self._prediction.at(frame.time)
-        if expected is not None:
-            sight = self._followed(frame, self._tip_of(expected), part)
-            counted = None if sight.pose is not None else self._prediction.by_count(expected)  # type: ignore[union-attr]
-            if counted is not None:
-                sight = self._followed(frame, self._tip_of(counted), part)
-            if sight.pose is not None:
-                return sight
+        sight = self._prediction.follow(
+            frame.time, lambda pose: self._followed(frame, self._tip_of(pose), part)
+        )
+        if sight is not None and sight.pose is not None:
+            return sight
         if dark is None:
             return Sighting(reason=f"the tip of {self.name} does not show")
         start = self._found(dark)
@@ -120,8 +117,6 @@ class NeedleFollower:
             return Sighting(reason=f"sides of the needle scatter by {residual:.2f} px")
         scale = self.camera.metres_per_pixel(self.height)
         pose = self._pose_of(tip, needle)
-        if self._prediction is None:
-            self._prediction = PartPrediction()
         self._prediction.seen(frame.time, pose)
         self._needle = needle
         return Sighting(

@@ -28,7 +28,7 @@ from fixel.vision.tracking.base import (
     vague,
 )
 from fixel.vision.tracking.needle import NeedleFollower
-from fixel.vision.tracking.outline import OutlineEdges, fit_spread
+from fixel.vision.tracking.outline import OutlineEdges, circle_edges, fit_spread
 
 POINTS: Final = 160  # on an outline
 CORNER: Final = 2.0  # [px] left out near corners, which are never sharp
@@ -129,13 +129,11 @@ class _OutlineTrack:
         self._spread = 0.0
 
     def followed(self, frame: Frame) -> Sighting:
-        expected = self._prediction.at(frame.time)
-        if expected is None:
+        sight = self._prediction.follow(
+            frame.time, lambda pose: self._fitted(frame, pose, OUTLINE_REACH)
+        )
+        if sight is None:
             return Sighting(reason="not found yet")
-        sight = self._fitted(frame, expected, OUTLINE_REACH)
-        counted = None if sight.pose is not None else self._prediction.by_count(expected)
-        if counted is not None:
-            sight = self._fitted(frame, counted, OUTLINE_REACH)
         if sight.pose is not None:
             self._prediction.seen(frame.time, sight.pose)
         return sight
@@ -234,11 +232,8 @@ class _OutlineTrack:
 def outline_edges(shape: Shape, height: float, corner: float) -> OutlineEdges:
     """Create edges of an outline, dark inside, none within `corner` [m] of a corner."""
     if isinstance(shape, Disk):
-        angle = 2.0 * np.pi * np.arange(POINTS) / POINTS
-        outward = np.column_stack((np.cos(angle), np.sin(angle)))
-        point = shape.radius * outward
-    else:
-        point, outward = _along(shape.outline, corner)
+        return circle_edges(shape.radius, height, dark_inside=True, points=POINTS)
+    point, outward = _along(shape.outline, corner)
     return OutlineEdges(
         point=point,
         outward=outward,

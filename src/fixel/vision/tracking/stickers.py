@@ -17,12 +17,11 @@ from fixel.vision.marks import Rig, Sticker
 from fixel.vision.tracking.base import (
     AbstractFollower,
     AbstractTracking,
-    PartPrediction,
+    PartFollower,
+    PartFollowers,
     Sighting,
     Thing,
-    search_margin,
     vague,
-    worth_a_search,
 )
 from fixel.vision.tracking.colour import find_patches, fit_sticker
 from fixel.vision.tracking.tags import rigid
@@ -30,7 +29,6 @@ from fixel.vision.tracking.tags import rigid
 STICKER_REACH: Final = 6.0  # [px] from the expected sticker
 APART: Final = 0.6e-3  # [m] at 0.55 mm per pixel: largest error of distances between stickers
 MAX_RESIDUAL: Final = 0.7  # [px]
-SEARCH_ALL: Final = 16  # lost frames between two searches of the whole picture
 WIDER: Final = 20  # [px] added to the search margin around the last place
 MIN_SHARE: Final = 0.35  # of a sticker's edge
 
@@ -57,8 +55,13 @@ class Stickers(AbstractTracking):
 
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Create a follower; see `AbstractTracking.follow`."""
-        names = self.parts(rig, things)
-        return _StickerFollower(rig, names)
+        everything = tuple(sticker for name in rig.parts for sticker in _stickers(rig, name))
+        return PartFollowers(
+            {
+                name: _StickeredPart(rig.camera, _stickers(rig, name), everything)
+                for name in self.parts(rig, things)
+            }
+        )
 
 
 def _stickers(rig: Rig, name: str) -> tuple[Sticker, ...]:
@@ -66,51 +69,25 @@ def _stickers(rig: Rig, name: str) -> tuple[Sticker, ...]:
 
 
 @final
-class _StickerFollower(AbstractFollower):
-    def __init__(self, rig: Rig, names: Sequence[str]) -> None:
-        everything = tuple(sticker for name in rig.parts for sticker in _stickers(rig, name))
-        self._parts = {
-            name: _StickeredPart(rig.camera, _stickers(rig, name), everything) for name in names
-        }
-
-    def see(self, frame: Frame) -> dict[str, Sighting]:
-        return {name: part.see(frame) for name, part in self._parts.items()}
-
-
-@final
-class _StickeredPart:
+class _StickeredPart(PartFollower):
     """Follower of one part from frame to frame."""
 
     def __init__(
         self, camera: Camera, own: tuple[Sticker, ...], everything: tuple[Sticker, ...]
     ) -> None:
+        super().__init__()
         self._camera = camera
         self._own = own
         self._everything = everything
         self._scale = camera.metres_per_pixel(max(sticker.height for sticker in own))
         self._place = np.array([sticker.place for sticker in own])
-        self._prediction = PartPrediction()
-        self._lost = 0
-        self._why_not = ""
 
-    def see(self, frame: Frame) -> Sighting:
-        expected = self._prediction.at(frame.time)
-        sight = Sighting(reason=self._why_not)
-        if expected is not None:
-            sight = self._fitted(frame, placed(self._place, expected))
-            counted = None if sight.pose is not None else self._prediction.by_count(expected)
-            if counted is not None:
-                sight = self._fitted(frame, placed(self._place, counted))
-        if sight.pose is None and worth_a_search(self._lost):
-            found, reason = self._found(frame)
-            sight = Sighting(reason=reason) if found is None else self._fitted(frame, found)
-            self._why_not = sight.reason
-        if sight.pose is None:
-            self._lost += 1
-        else:
-            self._lost = 0
-            self._prediction.seen(frame.time, sight.pose)
-        return sight
+    def _measured(self, frame: Frame, pose: FloatArray) -> Sighting:
+        return self._fitted(frame, placed(self._place, pose))
+
+    def _searched(self, frame: Frame, followed: Sighting) -> Sighting:
+        found, reason = self._found(frame)
+        return Sighting(reason=reason) if found is None else self._fitted(frame, found)
 
     def _fitted(self, frame: Frame, places: FloatArray) -> Sighting:
         """Measure the pose from stickers near places (n, 2) [m]."""
@@ -181,8 +158,8 @@ class _StickeredPart:
         return np.array(places), ""
 
     def _where(self, frame: Frame) -> tuple[slice, slice]:
-        last = self._prediction.pose
-        if last is None or (self._lost and self._lost % SEARCH_ALL == 0):
+        last = self._search_near
+        if last is None:
             return slice(None), slice(None)
         pixel = np.array(
             [
@@ -191,7 +168,7 @@ class _StickeredPart:
             ]
         )
         width, height = frame.size
-        margin = WIDER + search_margin(self._lost)
+        margin = WIDER + self._search_margin
         low = np.maximum(pixel.min(0).astype(int) - margin, 0)
         high = np.minimum(pixel.max(0).astype(int) + margin, (width, height))
         return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))

@@ -19,12 +19,11 @@ from fixel.vision.tracking.base import (
     MARGIN,
     AbstractFollower,
     AbstractTracking,
-    PartPrediction,
+    PartFollower,
+    PartFollowers,
     Sighting,
     Thing,
-    search_margin,
     vague,
-    worth_a_search,
 )
 from fixel.vision.tracking.loops import cells_right, cells_shown
 from fixel.vision.tracking.optics import optics_of
@@ -45,7 +44,6 @@ NEAR_BY: Final = 3.0  # [px] from the expected place
 PARTLY: Final = 3.0  # factor on its standard deviations
 CONTRAST: Final = 15.0  # of brightness between black and white cells
 MAX_RESIDUAL: Final = 0.6  # [px]
-SEARCH_ALL: Final = 16  # lost frames between two searches of the whole picture
 WRONG_SIZE: Final = 0.06  # of its side, largest deviation of a tag from the rig
 
 
@@ -77,27 +75,21 @@ class Tags(AbstractTracking):
 
     def follow(self, rig: Rig, things: Mapping[str, Thing]) -> AbstractFollower:
         """Create a follower; see `AbstractTracking.follow`."""
-        names = self.parts(rig, things)
         tags = {
-            name: tuple(m for m in rig.parts[name].marks if isinstance(m, Tag)) for name in names
+            name: tuple(m for m in rig.parts[name].marks if isinstance(m, Tag))
+            for name in self.parts(rig, things)
         }
-        return _TagFollower(rig.camera, tags)
+        return PartFollowers(
+            {name: _TaggedPart(rig.camera, name, own) for name, own in tags.items()}
+        )
 
 
 @final
-class _TagFollower(AbstractFollower):
-    def __init__(self, camera: Camera, tags: Mapping[str, Sequence[Tag]]) -> None:
-        self._parts = {name: _TaggedPart(camera, name, own) for name, own in tags.items()}
-
-    def see(self, frame: Frame) -> dict[str, Sighting]:
-        return {name: part.see(frame) for name, part in self._parts.items()}
-
-
-@final
-class _TaggedPart:
+class _TaggedPart(PartFollower):
     """Follower of one part from frame to frame."""
 
     def __init__(self, camera: Camera, name: str, tags: Sequence[Tag]) -> None:
+        super().__init__()
         self._camera = camera
         self._name = name
         self._tags = tuple(tags)
@@ -105,34 +97,17 @@ class _TaggedPart:
         self._cells = tuple(_cells_on(tag) for tag in tags)
         self._families = {tag.family for tag in tags}
         self._scale = camera.metres_per_pixel(max(tag.height for tag in tags))
-        self._prediction = PartPrediction()
         self._spread = 0.0
-        self._lost = 0
-        self._why_not = ""
 
-    def see(self, frame: Frame) -> Sighting:
-        expected = self._prediction.at(frame.time)
-        sight = Sighting(reason=self._why_not)
-        if expected is not None:
-            sight = self._followed(frame, expected, TAG_REACH)
-            counted = None if sight.pose is not None else self._prediction.by_count(expected)
-            if counted is not None:
-                sight = self._followed(frame, counted, TAG_REACH)
-        if sight.pose is None and worth_a_search(self._lost):
-            read, reason = self._read(frame)
-            if read is not None:
-                sight = self._followed(frame, read, REACH_READ)
-            elif reason or expected is None:
-                sight = Sighting(reason=reason or f"no tag of {self._name} in the picture")
-            self._why_not = sight.reason
-        if sight.pose is None:
-            self._lost += 1
-        else:
-            self._lost = 0
-            self._prediction.seen(frame.time, sight.pose)
-        return sight
+    def _searched(self, frame: Frame, followed: Sighting) -> Sighting:
+        read, reason = self._read(frame)
+        if read is not None:
+            return self._measured(frame, read, REACH_READ)
+        if reason or self._prediction.pose is None:
+            return Sighting(reason=reason or f"no tag of {self._name} in the picture")
+        return followed
 
-    def _followed(self, frame: Frame, pose: FloatArray, reach: float) -> Sighting:
+    def _measured(self, frame: Frame, pose: FloatArray, reach: float = TAG_REACH) -> Sighting:
         window = window_of(frame, self._camera, self._edges, pose, reach)
         if window is None:
             return Sighting(reason="its tags are out of the picture")
@@ -223,14 +198,14 @@ class _TaggedPart:
 
     def _window(self, frame: Frame) -> tuple[Gray, FloatArray]:
         """Return the window to read: near the last place, and regularly the whole picture."""
-        last = self._prediction.pose
-        if last is None or (self._lost and self._lost % SEARCH_ALL == 0):
+        last = self._search_near
+        if last is None:
             return frame.luma, np.zeros(2)
         corners = [
             self._camera.project_at(placed(tag_corners(tag), last), tag.height)
             for tag in self._tags
         ]
-        margin = search_margin(self._lost)
+        margin = self._search_margin
         low = np.floor(np.min(np.concatenate(corners), axis=0)).astype(int) - margin
         high = np.ceil(np.max(np.concatenate(corners), axis=0)).astype(int) + margin
         width, height = frame.size
