@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.typing import FloatArray
-from fixel.vision.boards import Picture
+from fixel.vision.frame import Picture
 
 FINE: Final = 2  # samples a pixel, in each direction
 PER_MM: Final = 10  # pixels of a print

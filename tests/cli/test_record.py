@@ -23,7 +23,7 @@ from tests.testbed.films import SIZE, film
 
 from fixel.cli.record import duration
 from fixel.formats.recording import open_recording
-from fixel.formats.recording_header import ROWS, VIDEO
+from fixel.formats.recording_files import ROWS, VIDEO
 from fixel.testbed.loopback import LoopbackCamera
 from fixel.testbed.recorder import RecordingStatus
 

@@ -20,7 +20,7 @@ from fixel.formats.recording import (
     open_recording,
     repair_recording,
 )
-from fixel.formats.recording_header import CODECS, END, HEADER, ROWS
+from fixel.formats.recording_files import CODECS, END, HEADER, ROWS
 from fixel.vision.frame import LUMA, Frame, Picture
 
 SIZE = (64, 48)

@@ -22,7 +22,7 @@ import pytest
 from benchmarks.recording import plate
 
 from fixel.formats.recording import RecordingHeader, RecordingWriter, open_recording
-from fixel.formats.recording_header import ROWS
+from fixel.formats.recording_files import ROWS
 from fixel.testbed.loopback import LoopbackCamera
 from fixel.vision.frame import Frame
 

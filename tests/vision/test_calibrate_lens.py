@@ -10,9 +10,10 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.testing.board_pictures import Studio, seen_corners, spread
-from fixel.vision.boards import Board, Corners, Picture, board_of
+from fixel.vision.boards import Board, Corners, board_of
 from fixel.vision.bundle import lens_with, values_of
 from fixel.vision.calibrate_lens import BoardView, SkippedPicture, calibrate_lens, find_boards
+from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
 from fixel.vision.plane_errors import radius95
 

@@ -12,9 +12,10 @@ from fixel.errors import InvalidInput
 from fixel.formats.rig_file import rig_of
 from fixel.testing.board_pictures import Studio, seen_corners
 from fixel.typing import FloatArray
-from fixel.vision.boards import Picture, board_of
+from fixel.vision.boards import board_of
 from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import Camera
+from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Tag
 from fixel.vision.measured_camera import PLACE, MeasuredCamera

@@ -16,8 +16,7 @@ from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.measured_camera import MeasuredCamera
-from fixel.vision.plane_errors import shifted
-from fixel.vision.pose_errors import pose_covariance
+from fixel.vision.plane_errors import pose_covariance, shifted
 from fixel.vision.tracking.checks import refuse_moved
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "rx", "ry", "rz", "tx", "ty", "tz")

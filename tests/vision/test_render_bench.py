@@ -10,10 +10,9 @@ from tests.vision.rendered import AWAY, SIZE, bare_scene, small_rig, still
 from fixel.model import Disk, Fixel
 from fixel.model.shape import placed
 from fixel.vision.render.bench import RenderedBench
-from fixel.vision.render.eye import Eye
-from fixel.vision.render.ink import PAPER, TONER, inks, tag_cells
+from fixel.vision.render.bodies import DELRIN, PAPER, TONER, inks, tag_cells
 from fixel.vision.render.looks import Looks
-from fixel.vision.render.things import DELRIN
+from fixel.vision.render.virtual_camera import Eye
 
 PLAIN = Looks(shadows=0.0)
 RED = 2

@@ -11,7 +11,7 @@ from fixel.model import Trajectory
 from fixel.vision.render import Looks, changed, film_scene, frame_times, looks_named
 from fixel.vision.render.film import occlusion_of
 from fixel.vision.render.looks import PRESETS, light
-from fixel.vision.render.sensor import Sensor
+from fixel.vision.render.virtual_camera import Sensor
 
 POSE = np.array([0.15, 0.008, 0.3])
 TIMES = np.arange(0.0, 12.0, 1.0 / 30.0)

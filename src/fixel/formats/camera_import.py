@@ -15,8 +15,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput, os_reason
 from fixel.formats.camera_matlab import matlab_camera
-from fixel.formats.camera_matrix import lens_of
-from fixel.formats.camera_opencv import opencv_camera
+from fixel.formats.camera_opencv import lens_of, opencv_camera
 from fixel.formats.records import within
 from fixel.io.document import MAX_BYTES, read_document
 from fixel.vision.lens import Lens

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.formats.camera_matrix import placed_above, refuse_strange
+from fixel.formats.camera_opencv import placed_above, refuse_strange
 from fixel.typing import FloatArray
 from fixel.vision.bundle import turned
 from fixel.vision.camera import Camera

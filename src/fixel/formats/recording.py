@@ -22,19 +22,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput, os_reason
-from fixel.formats.recording_header import (
+from fixel.formats.recording_files import (
     CODECS,
     END,
     HEADER,
+    MICRO,
     ROWS,
     VIDEO,
     RecordingEnd,
     RecordingHeader,
+    RecordingRow,
+    RecordingRows,
     read_end,
     read_header,
+    read_rows,
     write_end,
 )
-from fixel.formats.recording_rows import MICRO, RecordingRow, RecordingRows, read_rows
 from fixel.formats.recording_video import Packet, PictureDecoder, packets
 from fixel.formats.recording_writer import RESERVE, RecordingWriter
 from fixel.typing import FloatArray

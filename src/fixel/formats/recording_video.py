@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from fixel.errors import InvalidInput
 from fixel.formats.jpeg import JpegPlanes, jpeg_of, jpeg_size
-from fixel.formats.recording_rows import MICRO
+from fixel.formats.recording_files import MICRO
 from fixel.vision.frame import Frame, Picture
 
 if TYPE_CHECKING:

@@ -11,16 +11,19 @@ from types import TracebackType
 from typing import Final, final
 
 from fixel.errors import InvalidInput, os_reason
-from fixel.formats.recording_header import (
+from fixel.formats.recording_files import (
+    HEAD,
     HEADER,
+    MICRO,
     ROWS,
     VIDEO,
     RecordingEnd,
     RecordingHeader,
+    RecordingRow,
+    row_text,
     write_end,
     write_header,
 )
-from fixel.formats.recording_rows import HEAD, MICRO, RecordingRow, row_text
 from fixel.formats.recording_video import FrameFate, VideoSink
 from fixel.vision.frame import Frame
 

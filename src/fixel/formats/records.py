@@ -20,7 +20,7 @@ NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
 Point = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
-Path = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 
 T = TypeVar("T")
 
@@ -115,12 +115,12 @@ def within(path: str, *prefixes: str) -> Iterator[None]:
         ).within(path) from None
 
 
-def written(path: Path) -> str:
+def written(path: KeyPath) -> str:
     """Format a path as `bodies[0].shape.polygon[2]`."""
     return "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in path).removeprefix(".")
 
 
-def annotation_at(root: type[FileRecord], path: Path) -> Any:
+def annotation_at(root: type[FileRecord], path: KeyPath) -> Any:
     """Return the annotation of the value at a path; None if there is no such key."""
     annotation: Any = root
     for key in path:
@@ -133,12 +133,12 @@ def annotation_at(root: type[FileRecord], path: Path) -> Any:
     return annotation
 
 
-def record_at(root: type[FileRecord], path: Path) -> type[FileRecord] | None:
+def record_at(root: type[FileRecord], path: KeyPath) -> type[FileRecord] | None:
     """Return the class of the record at a path, also of each in a list; None if there is none."""
     return _record_in(annotation_at(root, path))
 
 
-def description_at(root: type[FileRecord], path: Path) -> str | None:
+def description_at(root: type[FileRecord], path: KeyPath) -> str | None:
     """Return the description of the last key of a path, without indices behind it."""
     named = [k for k, key in enumerate(path) if isinstance(key, str)]
     record = record_at(root, path[: named[-1]]) if named else None
@@ -146,7 +146,7 @@ def description_at(root: type[FileRecord], path: Path) -> str | None:
     return field.description if field else None
 
 
-def unknown_key(root: type[FileRecord], path: Path) -> InvalidInput:
+def unknown_key(root: type[FileRecord], path: KeyPath) -> InvalidInput:
     """Error for a path whose last key the record there does not have."""
     record = record_at(root, path[:-1])
     known = list(record.model_fields) if record else []
@@ -181,7 +181,7 @@ def _explained(
     )
 
 
-def _path(location: tuple[int | str, ...], raw: Any, kind: str) -> Path:
+def _path(location: tuple[int | str, ...], raw: Any, kind: str) -> KeyPath:
     """Path of a pydantic location, without its names for the members of unions."""
     path: list[str | int] = []
     for depth, key in enumerate(location):
@@ -197,7 +197,7 @@ def _path(location: tuple[int | str, ...], raw: Any, kind: str) -> Path:
 
 
 def _expected(
-    kind: str, context: dict[str, Any], message: str, root: type[FileRecord], path: Path
+    kind: str, context: dict[str, Any], message: str, root: type[FileRecord], path: KeyPath
 ) -> str:
     record = record_at(root, path)
     if record and kind == "model_type":

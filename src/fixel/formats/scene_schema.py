@@ -11,10 +11,10 @@ from fixel.errors import InvalidInput
 from fixel.formats.records import (
     FileRecord,
     Fraction,
+    KeyPath,
     NoneRecord,
     NonNegative,
     Number,
-    Path,
     Point,
     Positive,
     Triple,
@@ -195,7 +195,7 @@ def _refuse_many_keys(raw: Any, where: str = "scene") -> None:
             _refuse_many_keys(value, where)
 
 
-def _placeholders(raw: Any, path: Path = ()) -> Iterator[Path]:
+def _placeholders(raw: Any, path: KeyPath = ()) -> Iterator[KeyPath]:
     """Yield the paths of placeholders that are left from a template."""
     if raw == FILL_IN:
         yield path
@@ -206,7 +206,7 @@ def _placeholders(raw: Any, path: Path = ()) -> Iterator[Path]:
         yield from _placeholders(value, (*path, key))
 
 
-def _unfilled(left: list[Path]) -> InvalidInput:
+def _unfilled(left: list[KeyPath]) -> InvalidInput:
     first, record = left[0], record_at(SceneRecord, left[0])
     forms = [f"{{{k}: {v.description}}}" for k, v in record.model_fields.items()] if record else []
     also = ", ".join(written(path) for path in left[1:])

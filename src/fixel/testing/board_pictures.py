@@ -7,8 +7,9 @@ from typing import Final, final
 import numpy as np
 
 from fixel.typing import FloatArray
-from fixel.vision.boards import Board, Corners, Picture
+from fixel.vision.boards import Board, Corners
 from fixel.vision.calibrate_lens import BoardView
+from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
 from fixel.vision.opencv import opencv
 

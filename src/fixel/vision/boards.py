@@ -11,15 +11,12 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import positive, settle
 from fixel.typing import FloatArray
+from fixel.vision.frame import Gray, Picture
 from fixel.vision.opencv import opencv
-
-Gray = NDArray[np.uint8]
-Picture = NDArray[np.uint8]
 
 MIN_OTHERS: Final = 3  # tags of another dictionary that may be found by chance
 MIN_CORNERS: Final = 8  # of one picture; a pose has six parameters, a corner two coordinates

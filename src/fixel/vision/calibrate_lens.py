@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
-from fixel.vision.boards import Board, Corners, Picture
+from fixel.vision.boards import Board, Corners
 from fixel.vision.bundle import BundleFit, PointObservations, fit, lens_with
+from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
 from fixel.vision.measured_camera import BROWN, FISHEYE, MeasuredCamera
 from fixel.vision.opencv import opencv

@@ -15,15 +15,15 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model.fields import vector
 from fixel.typing import FloatArray
-from fixel.vision.boards import Board, Picture, gray_of
+from fixel.vision.boards import Board, gray_of
 from fixel.vision.bundle import BundleFit, PointObservations, fit, slopes_of
 from fixel.vision.camera import Camera
-from fixel.vision.find_tags import find_tags
+from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Tag
 from fixel.vision.measured_camera import PLACE, MeasuredCamera
 from fixel.vision.opencv import opencv
-from fixel.vision.tracking.tag_reader import other_families, tag_corners
+from fixel.vision.tracking.tag_reader import find_tags, other_families, tag_corners
 
 MIN_TAGS: Final = 2
 UNEVEN: Final = 0.2  # variation of the shift of tags' edges between corners, as a share of it

@@ -11,7 +11,7 @@ from fixel.model import Disk, Fixel
 from fixel.testing.scenes import FIXEL_RADIUS
 from fixel.vision.frame import Frame
 from fixel.vision.render.looks import looks_named
-from fixel.vision.render.sensor import Sensor
+from fixel.vision.render.virtual_camera import Sensor
 from fixel.vision.tracking.fixels import FixelFinder
 
 PLACES = ((0.08, 0.055), (0.085, -0.03), (0.215, 0.05), (0.15, 0.06))

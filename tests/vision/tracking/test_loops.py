@@ -8,8 +8,7 @@ import pytest
 from fixel.errors import InvalidInput
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
-from fixel.vision.tracking.loops import edges_expected
-from fixel.vision.tracking.optics import optics_of, seen_at
+from fixel.vision.tracking.loops import edges_expected, optics_of, seen_at
 from fixel.vision.tracking.outline import OutlineEdges
 from fixel.vision.tracking.solver import plausible
 

@@ -11,13 +11,7 @@ from fixel.model import Scene
 from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
-from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow
-from fixel.vision.render.eye import Eye
-from fixel.vision.render.looks import Looks
-from fixel.vision.render.plate import backdrop, falloff
-from fixel.vision.render.shadows import shade, shadow_window
-from fixel.vision.render.solids import PlacedSolid, Solid, painting_order, place
-from fixel.vision.render.things import (
+from fixel.vision.render.bodies import (
     body_solid,
     fixel_solid,
     grain,
@@ -26,6 +20,12 @@ from fixel.vision.render.things import (
     pixel_of,
     pusher_solids,
 )
+from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow
+from fixel.vision.render.looks import Looks
+from fixel.vision.render.plate import backdrop, falloff
+from fixel.vision.render.shadows import shade, shadow_window
+from fixel.vision.render.solids import PlacedSolid, Solid, painting_order, place
+from fixel.vision.render.virtual_camera import Eye
 
 Poses = Mapping[str, FloatArray]
 

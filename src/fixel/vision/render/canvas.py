@@ -1,17 +1,230 @@
-"""Window of a picture on which polygons are painted."""
+"""Windows of a picture on which polygons are painted, with exact coverage of every pixel.
+
+A pixel (u, v) is the unit square around that place. Coverage is computed from signed areas: every
+edge adds the area to its right, row by row, and a running sum along the row gives the coverage.
+Without a grid of samples there is no bias: edges are exact to rounding.
+
+Source: the accumulation buffers of R. Levien's font-rs (2015) and S. Barrett's stb_truetype 2.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.typing import FloatArray
-from fixel.vision.render.fill import cover_most, paint
+from fixel.kernels.jit import entry, kernel
+from fixel.typing import FloatArray, IntArray
 
 FloatPicture = NDArray[np.float32]
+
+
+@entry
+def paint(
+    points: FloatArray,
+    starts: IntArray,
+    left: int,
+    top: int,
+    picture: FloatArray,
+    cover: FloatArray,
+    colour: FloatArray,
+    shade: FloatArray,
+    grain: FloatArray,
+    grain_from_pixel: FloatArray,
+) -> None:
+    """Paint polygons over a picture.
+
+    Parameters
+    ----------
+    points : (n, 2) float64
+        Corners of all polygons [px]; overlapping ones add up, opposite orientations cancel.
+    starts : (k + 1,) int64
+        Index of the first corner of each polygon, and n.
+    left, top : int
+        First column and row of this picture in the whole one [px].
+    picture : (h, w, 3) float32
+        Picture, changed in place.
+    cover : (h, w + 2) float64
+        Workspace; zeros before and after.
+    colour : (3,) float64
+    shade : (h, w) float32
+        Factor on the colour.
+    grain : (2^k, 2^k) float32
+        Texture, a further factor.
+    grain_from_pixel : (2, 3) float64
+        Map from (u, v, 1) to column and row of `grain`.
+    """
+    h, w = picture.shape[0], picture.shape[1]
+    first, last, begin, end = _bounds(points, left, top, h, w)
+    _accumulate(points, starts, left, top, cover, h, w)
+    size = grain.shape[0]
+    wrap = size - 1
+    for row in range(first, last):
+        run = 0.0
+        for column in range(begin, end):
+            run += cover[row, column]
+            cover[row, column] = 0.0
+            share = min(abs(run), 1.0)
+            if share > 1e-6:
+                u = float(column + left)
+                v = float(row + top)
+                light = float(shade[row, column])
+                if size > 1:
+                    light *= _grain_at(grain, wrap, grain_from_pixel, u, v)
+                for k in range(3):
+                    below = float(picture[row, column, k])
+                    picture[row, column, k] = below + share * (colour[k] * light - below)
+        for column in range(end, w + 2):
+            cover[row, column] = 0.0
+
+
+@entry
+def cover_most(
+    points: FloatArray,
+    starts: IntArray,
+    left: int,
+    top: int,
+    mask: FloatArray,
+    cover: FloatArray,
+) -> None:
+    """Raise a mask (h, w) float32 to the share of each pixel that polygons cover; see `paint`."""
+    h, w = mask.shape
+    first, last, begin, end = _bounds(points, left, top, h, w)
+    _accumulate(points, starts, left, top, cover, h, w)
+    for row in range(first, last):
+        run = 0.0
+        for column in range(begin, end):
+            run += cover[row, column]
+            cover[row, column] = 0.0
+            share = min(abs(run), 1.0)
+            if share > mask[row, column]:
+                mask[row, column] = share
+        for column in range(end, w + 2):
+            cover[row, column] = 0.0
+
+
+@kernel
+def _grain_at(
+    grain: FloatArray, wrap: int, grain_from_pixel: FloatArray, u: float, v: float
+) -> float:
+    """Interpolate the grain at a pixel linearly."""
+    x = grain_from_pixel[0, 0] * u + grain_from_pixel[0, 1] * v + grain_from_pixel[0, 2]
+    y = grain_from_pixel[1, 0] * u + grain_from_pixel[1, 1] * v + grain_from_pixel[1, 2]
+    i = math.floor(x)
+    j = math.floor(y)
+    p = x - i
+    q = y - j
+    i0 = i & wrap
+    i1 = (i + 1) & wrap
+    j0 = j & wrap
+    j1 = (j + 1) & wrap
+    above = (1.0 - p) * grain[j0, i0] + p * grain[j0, i1]
+    under = (1.0 - p) * grain[j1, i0] + p * grain[j1, i1]
+    return float((1.0 - q) * above + q * under)
+
+
+@kernel
+def _bounds(points: FloatArray, left: int, top: int, h: int, w: int) -> tuple[int, int, int, int]:
+    """Rows and columns that polygons can touch: first row, end, first column, end."""
+    low_u = low_v = 1e300
+    high_u = high_v = -1e300
+    for i in range(len(points)):
+        low_u = min(low_u, points[i, 0])
+        high_u = max(high_u, points[i, 0])
+        low_v = min(low_v, points[i, 1])
+        high_v = max(high_v, points[i, 1])
+    first = int(min(max(low_v + 0.5 - top, 0.0), float(h)))
+    last = int(min(max(high_v + 1.5 - top, 0.0), float(h)))
+    begin = int(min(max(low_u + 0.5 - left, 0.0), float(w)))
+    end = int(min(max(high_u + 2.5 - left, 0.0), float(w)))
+    return first, last, begin, end
+
+
+@kernel
+def _accumulate(
+    points: FloatArray, starts: IntArray, left: int, top: int, cover: FloatArray, h: int, w: int
+) -> None:
+    """Add all edges to the accumulation buffer."""
+    for k in range(len(starts) - 1):
+        begin = starts[k]
+        end = starts[k + 1]
+        for i in range(begin, end):
+            j = i + 1 if i + 1 < end else begin
+            _add_edge(
+                points[i, 0] + 0.5 - left,
+                points[i, 1] + 0.5 - top,
+                points[j, 0] + 0.5 - left,
+                points[j, 1] + 0.5 - top,
+                cover,
+                h,
+                w,
+            )
+
+
+@kernel
+def _add_edge(
+    x0: float, y0: float, x1: float, y1: float, cover: FloatArray, h: int, w: int
+) -> None:
+    """Add the area to the right of one edge, positive where it goes down."""
+    if y0 == y1:
+        return
+    sign = 1.0
+    if y0 > y1:
+        sign = -1.0
+        x0, y0, x1, y1 = x1, y1, x0, y0
+    slope = (x1 - x0) / (y1 - y0)
+    first = int(max(math.floor(y0), 0.0))
+    last = int(min(math.ceil(y1), float(h)))
+    for row in range(first, last):
+        upper = max(float(row), y0)
+        lower = min(float(row + 1), y1)
+        if lower <= upper:
+            continue
+        a = x0 + slope * (upper - y0)
+        b = x0 + slope * (lower - y0)
+        _add_within(min(a, b), max(a, b), sign * (lower - upper), cover, row, w)
+
+
+@kernel
+def _add_within(a: float, b: float, height: float, cover: FloatArray, row: int, w: int) -> None:
+    """Add a piece of an edge from column a to b >= a within a row, clipped to the picture."""
+    if b <= 0.0:
+        cover[row, 0] += height
+        return
+    if a >= w:
+        return
+    length = b - a
+    if a < 0.0:
+        outside = height * (-a / length)
+        cover[row, 0] += outside
+        height -= outside
+        a = 0.0
+        length = b
+    if b > w:
+        height *= (w - a) / length
+        b = float(w)
+        length = b - a
+    i = int(a)
+    j = math.ceil(b)
+    if j <= i + 1:
+        beyond = 0.5 * (a + b) - i
+        cover[row, i] += height * (1.0 - beyond)
+        cover[row, i + 1] += height * beyond
+        return
+    # Area to the right of the piece, for each column that it crosses.
+    per_column = height / length
+    before = 0.0
+    for column in range(i, j):
+        low = max(a, float(column))
+        high = min(b, float(column + 1))
+        crossed = per_column * (high - low)
+        within = crossed * (column + 1 - 0.5 * (low + high))
+        cover[row, column] += before + within
+        before = crossed - within
+    cover[row, j] += before
 
 
 class PictureWindow(NamedTuple):

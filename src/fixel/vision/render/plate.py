@@ -12,10 +12,10 @@ from fixel.model.chance import stream
 from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
+from fixel.vision.render.bodies import inks
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, Stroke, window_of
-from fixel.vision.render.eye import Eye
-from fixel.vision.render.ink import inks
 from fixel.vision.render.solids import circle, polygon
+from fixel.vision.render.virtual_camera import Eye
 
 HALF: Final = 0.305  # [m] half the plate's side
 PITCH: Final = 0.0254  # [m] between holes

@@ -10,8 +10,8 @@ import numpy as np
 from fixel.typing import FloatArray
 from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import FloatPicture, PictureWindow, cover, window_of
-from fixel.vision.render.eye import Eye
 from fixel.vision.render.solids import PlacedSolid
+from fixel.vision.render.virtual_camera import Eye
 
 COARSE: Final = 4  # [px] per value; shadows are soft
 

@@ -13,7 +13,7 @@ from fixel.model import Disk, Shape
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
 from fixel.vision.render.canvas import PLAIN, FloatPicture, Grain, PictureWindow, Stroke, window_of
-from fixel.vision.render.eye import Eye
+from fixel.vision.render.virtual_camera import Eye
 
 CHORD: Final = 8.0  # [px] longest piece of a straight edge drawn as a line, in spite of distortion
 SAGITTA: Final = 0.004  # [px] largest distance of a circle's polygon from it

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import functools
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from fixel.kernels.jit import entry
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
-from fixel.vision.frame import Frame, Picture
+from fixel.vision.frame import Frame, Gray, Picture
 from fixel.vision.marks import Sticker
 from fixel.vision.opencv import opencv
-from fixel.vision.tracking.cover import RING, cover
-from fixel.vision.tracking.loops import box_of
-from fixel.vision.tracking.optics import optics_of, seen_at
+from fixel.vision.tracking.loops import box_of, optics_of, seen_at
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, fit_pose
 
 # Hues of colours [deg]. Light changes brightness most, then saturation, and hue least.
@@ -33,6 +33,10 @@ MIN_BRIGHTNESS: Final = 35  # of 255
 AREA: Final = (0.45, 1.8)  # of the expected area, for a sticker
 ROUND: Final = 0.6  # least filling of its box, and ratio of the box's sides, for a disk
 RIM: Final = 14.0  # [px] margin of the window around a sticker
+CORE, RING = 0.55, (1.35, 1.75)  # of the radius: certainly inside, certainly outside
+CONTRAST = 25.0  # of 255 between a sticker and its surroundings
+COVERED, BARE = 215.0, 40.0  # brightness of pictures of coverage
+MIN_INSIDE, MIN_AROUND = 4, 8  # pixels needed for a mean colour
 
 
 class Patch(NamedTuple):
@@ -168,3 +172,45 @@ def _window(
         return None, (0, 0)
     # Always a copy: the loops would be recompiled for each memory layout.
     return np.array(frame.colour(slice(top, bottom), slice(left, right))), (left, top)
+
+
+@entry
+def cover(window: Picture, u: float, v: float, radius: float, covered: Gray) -> bool:
+    """Write the coverage of each pixel by a sticker near (u, v) as a picture.
+
+    Returns
+    -------
+    bool
+        Whether a sticker is visible there.
+    """
+    height, width = covered.shape
+    inside, around = np.zeros(3), np.zeros(3)
+    n_inside = n_around = 0
+    for y in range(height):
+        for x in range(width):
+            apart = math.hypot(x - u, y - v) / radius
+            if apart < CORE:
+                n_inside += 1
+                for k in range(3):
+                    inside[k] += window[y, x, k]
+            elif RING[0] < apart < RING[1]:
+                n_around += 1
+                for k in range(3):
+                    around[k] += window[y, x, k]
+    if n_inside < MIN_INSIDE or n_around < MIN_AROUND:
+        return False
+    inside /= n_inside
+    around /= n_around
+    by = inside - around
+    square = by[0] * by[0] + by[1] * by[1] + by[2] * by[2]
+    if square < CONTRAST**2:
+        return False
+    by *= (COVERED - BARE) / square
+    level = BARE - (by[0] * around[0] + by[1] * around[1] + by[2] * around[2])
+    for y in range(height):
+        for x in range(width):
+            value = level
+            for k in range(3):
+                value += by[k] * window[y, x, k]
+            covered[y, x] = int(min(max(value, 0.0), 255.0))
+    return True

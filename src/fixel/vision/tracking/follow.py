@@ -13,7 +13,7 @@ from fixel.model import Scene
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig, Tag
-from fixel.vision.pose_errors import pose_covariance
+from fixel.vision.plane_errors import pose_covariance
 from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, Sighting, Thing
 from fixel.vision.tracking.checks import (
     UNWATCHED,

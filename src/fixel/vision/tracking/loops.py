@@ -1,14 +1,19 @@
-"""Inner loops of tracking, called thousands of times a second, compiled.
+"""Inner loops of tracking, called thousands of times a second, compiled, and how to call them.
 
 As in the kernels, arguments are arrays and numbers, and errors a status instead of exceptions.
 """
 
+from __future__ import annotations
+
 import math
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from fixel.errors import InvalidInput
 from fixel.kernels.jit import entry, kernel
 from fixel.typing import BoolArray, FloatArray
+from fixel.vision.camera import Camera
 from fixel.vision.frame import Gray
 
 STEP = 0.5  # [px] between readings along a normal
@@ -18,6 +23,10 @@ BESIDE = 2.5  # [px] from an edge to the readings of its dark and bright side
 MIN_RISE = 12.0  # of brightness, of 255, least rise of an edge
 
 NUDGE = 1e-5  # [m] step for derivatives of pixels by places
+MAX_KEPT: Final = 64
+# Arrays by the identity of their camera, since its hash takes longer than a projection. Storing the
+# camera too ensures that its identity is not reused.
+_kept: dict[int, tuple[Camera, FloatArray]] = {}
 
 
 @kernel
@@ -261,3 +270,86 @@ def cells_shown(
             shown += 1
             right += (abs(level - bright) < slack) == white[i]
     return right, shown
+
+
+class EdgeLine(NamedTuple):
+    """Expected places of edges.
+
+    Attributes
+    ----------
+    pixel : (n, 2) float64
+        Points on the edge [px].
+    normal : (n, 2) float64
+        Unit vectors from the dark side to the bright one.
+    """
+
+    pixel: FloatArray
+    normal: FloatArray
+
+
+class EdgePoints(NamedTuple):
+    """Edges found at expected places.
+
+    Attributes
+    ----------
+    offset : (n,) float64
+        Offset of the edge along its normal [px].
+    dark, bright : (n,) float64
+        Brightness near the edge, on either side.
+    clear : (n,) bool
+        Whether there is an edge, well within reach.
+    """
+
+    offset: FloatArray
+    dark: FloatArray
+    bright: FloatArray
+    clear: BoolArray
+
+
+def find_edges(picture: Gray, line: EdgeLine, reach: float) -> EdgePoints:
+    """Find edges along their normals.
+
+    Parameters
+    ----------
+    picture : (height, width) uint8
+    line : EdgeLine
+        Expected places.
+    reach : float
+        Largest distance from the expected places [px].
+    """
+    n = len(line.pixel)
+    found = np.empty((n, 3))
+    clear = np.empty(n, dtype=np.bool_)
+    edges_along(picture, line.pixel, line.normal, reach, found, clear)
+    return EdgePoints(found[:, 0], found[:, 1], found[:, 2], clear)
+
+
+def optics_of(camera: Camera) -> FloatArray:
+    """Array (26,): rotation, translation, focal lengths, centre, skew, fisheye, distortion."""
+    kept = _kept.get(id(camera))
+    if kept is None:
+        lens = camera.lens
+        optics = np.concatenate(
+            (
+                camera.rotation.ravel(),
+                camera.translation,
+                lens.focal,
+                lens.centre,
+                (lens.skew, float(lens.fisheye)),
+                lens.distortion,
+            )
+        )
+        if len(_kept) >= MAX_KEPT:
+            _kept.clear()
+        kept = _kept[id(camera)] = camera, np.pad(optics, (0, 26 - len(optics)))
+    return kept[1]
+
+
+def seen_at(camera: Camera, place: FloatArray, height: float) -> tuple[float, float]:
+    """Project one place [m] at a height above the plane [m]; a fast `Camera.project_at`."""
+    u, v, there = pixel_of(optics_of(camera), float(place[0]), float(place[1]), float(height))
+    if not there or not math.isfinite(u + v):
+        raise InvalidInput(
+            "points", found="a point behind the camera", expected="points in front of it [m]"
+        )
+    return u, v

@@ -15,7 +15,7 @@ from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.opencv import opencv
 from fixel.vision.tracking.base import PartPrediction, Sighting
-from fixel.vision.tracking.edges import EdgeLine, find_edges
+from fixel.vision.tracking.loops import EdgeLine, find_edges
 
 STATIONS: Final = 24  # places along the needle at which its two sides are measured
 NEAREST, FARTHEST = 5.0, 75.0  # [px] distances of these from the tip

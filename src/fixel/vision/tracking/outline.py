@@ -16,8 +16,7 @@ from fixel.model.fields import Comparable, settle
 from fixel.typing import BoolArray, FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
-from fixel.vision.tracking.loops import box_of, edges_along, edges_expected
-from fixel.vision.tracking.optics import optics_of
+from fixel.vision.tracking.loops import box_of, edges_along, edges_expected, optics_of
 from fixel.vision.tracking.solver import plausible, solve_robustly
 
 ROBUST: Final = 3.0  # scatters beyond which an edge is left out

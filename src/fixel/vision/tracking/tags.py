@@ -25,8 +25,7 @@ from fixel.vision.tracking.base import (
     Thing,
     vague,
 )
-from fixel.vision.tracking.loops import cells_right, cells_shown
-from fixel.vision.tracking.optics import optics_of
+from fixel.vision.tracking.loops import cells_right, cells_shown, optics_of
 from fixel.vision.tracking.outline import OutlineEdges, PoseFit, fit_spread, window_of
 from fixel.vision.tracking.tag_reader import CORNERS, TagName, cells, on_tag, read_tags, tag_corners
 

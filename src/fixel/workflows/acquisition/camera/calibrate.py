@@ -19,8 +19,9 @@ from fixel.formats.rig_file import plate_of
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.io.document import read_document
 from fixel.typing import NotedProgress
-from fixel.vision.boards import Board, Picture, board_of
+from fixel.vision.boards import Board, board_of
 from fixel.vision.calibrate_lens import LensCalibration, calibrate_lens, find_boards
+from fixel.vision.frame import Picture
 from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
 from fixel.workflows.acquisition.camera.charts import files_of, first_picture, pictures_of

@@ -11,7 +11,7 @@ import numpy as np
 from fixel.errors import InvalidInput, os_reason
 from fixel.formats.video_file import ENDINGS as VIDEO_ENDINGS
 from fixel.formats.video_file import open_video
-from fixel.vision.boards import Picture
+from fixel.vision.frame import Picture
 from fixel.vision.opencv import opencv
 
 PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")

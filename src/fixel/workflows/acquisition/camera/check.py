@@ -13,12 +13,11 @@ from fixel.errors import InvalidInput
 from fixel.formats.camera_file import load_camera
 from fixel.formats.rig_file import EXAMPLES, rig_of
 from fixel.io.document import read_document
-from fixel.vision.find_tags import find_tags
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Rig
 from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.tracking.checks import moved_limit
-from fixel.vision.tracking.tag_reader import tag_corners
+from fixel.vision.tracking.tag_reader import find_tags, tag_corners
 from fixel.workflows.acquisition.camera.calibrate import CameraAnswer, draw_errors, refuse_plot
 from fixel.workflows.acquisition.camera.charts import first_picture
 from fixel.workflows.acquisition.camera.report import mm, verdict
