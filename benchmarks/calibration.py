@@ -103,8 +103,8 @@ def run_coverage(size: Size) -> list[Figure]:
         assert experiment.scene is not None
         radius = experiment.scene.bodies[0].support.radius  # type: ignore[union-attr]
         truth = {"mu_fixel": 0.2, "mu_pusher": 0.2, "mu_support": 0.25, "tripod_radius": radius}
-        for verdict in _assessed(target).verdicts:
-            if str(verdict) == "identified":
+        for verdict in _assessed(target).estimates:
+            if verdict.verdict == "identified":
                 assert verdict.low is not None
                 assert verdict.high is not None
                 held = verdict.low <= truth[verdict.label] <= verdict.high

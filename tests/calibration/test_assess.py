@@ -49,17 +49,17 @@ def rotating():
 
 
 def test_a_turning_square_determines_the_pusher_and_the_tripod(rotating):
-    found = {verdict.label: verdict for verdict in rotating.verdicts}
+    found = {verdict.label: verdict for verdict in rotating.estimates}
     for label in ("mu_pusher", "tripod_radius"):
-        assert str(found[label]) == "identified"
+        assert found[label].verdict == "identified"
         assert found[label].low <= TRUTH[label] <= found[label].high
         assert found[label].high - found[label].low < 0.1 * TRUTH[label]
 
 
 def test_friction_of_the_plane_is_not_identified_in_quasi_static_motion(rotating):
     # Scaling all friction on the plane scales all forces and leaves the path (ASME 2006).
-    verdict = next(v for v in rotating.verdicts if v.label == "mu_support")
-    assert str(verdict) == "not identified"
+    verdict = next(v for v in rotating.estimates if v.label == "mu_support")
+    assert verdict.verdict == "not identified"
     assert (verdict.low, verdict.high) == (None, None)
 
 
@@ -71,8 +71,8 @@ def test_a_perfect_fit_has_verdicts_too():
     )
     comparer = Comparer([target._replace(pose=exact.pose[0])], _space(), motion=QuasiStatic())
     found = assess(comparer, [0], comparer.space.nominal)
-    verdicts = {verdict.label: verdict for verdict in found.verdicts}
-    assert str(verdicts["mu_pusher"]) == "identified"
+    verdicts = {verdict.label: verdict for verdict in found.estimates}
+    assert verdicts["mu_pusher"].verdict == "identified"
     assert verdicts["mu_pusher"].value == pytest.approx(TRUTH["mu_pusher"], rel=1e-6)
 
 
@@ -86,7 +86,7 @@ def test_nor_is_the_mass():
     space = ParameterSpace(unknowns=unknowns)
     comparer = Comparer([target_of(turning)], space, motion=QuasiStatic())
     found = assess(comparer, [0], space.nominal, noise=CAMERA)
-    assert [str(verdict) for verdict in found.verdicts] == ["identified", "not identified"]
+    assert [verdict.verdict for verdict in found.estimates] == ["identified", "not identified"]
 
 
 def test_friction_at_a_fixel_that_is_not_touched_is_not_excited():
@@ -98,8 +98,8 @@ def test_friction_at_a_fixel_that_is_not_touched_is_not_excited():
     free = replace(experiment, scene=scene, effective=(0.0, 5.0))
     comparer = Comparer([target_of(free)], _space(), motion=QuasiStatic())
     found = assess(comparer, [0], comparer.space.nominal, noise=CAMERA)
-    verdict = next(v for v in found.verdicts if v.label == "mu_fixel")
-    assert str(verdict) == "not excited"
+    verdict = next(v for v in found.estimates if v.label == "mu_fixel")
+    assert verdict.verdict == "not excited"
 
 
 def test_intervals_are_wider_when_the_model_is_wrong_by_more_than_the_noise():
@@ -149,7 +149,7 @@ def test_intervals_do_not_widen_with_the_frames_that_are_left_out(monkeypatch):
         monkeypatch.setattr("fixel.calibration.assess.MAX_RESIDUALS", most)
         found = assess(comparer, [0], comparer.space.nominal)
         assert found.noise.correlation > 20.0
-        widths.append([v.formal_high - v.formal_low for v in found.verdicts])
+        widths.append([own.high - own.low for own in found.profiles.profiles])
     np.testing.assert_allclose(widths[1], widths[0], rtol=0.2)
 
 

@@ -199,8 +199,8 @@ def test_three_pushes_under_a_large_misfit_identify_no_friction():
     targets = targets_of(experiments)
     space = ParameterSpace(unknowns=default_unknowns([target.case.scene for target in targets]))
     comparer = Comparer(targets, space, motion=Dynamic())
-    for verdict in assess(comparer, range(3), comparer.space.nominal).verdicts:
-        assert str(verdict) != "identified"
+    for verdict in assess(comparer, range(3), comparer.space.nominal).estimates:
+        assert verdict.verdict != "identified"
         if verdict.label in FRICTIONS:
             low = -np.inf if verdict.low is None else verdict.low
             high = np.inf if verdict.high is None else verdict.high
@@ -214,11 +214,11 @@ def test_what_is_called_identified_holds_the_truth_of_the_demo():
     targets = targets_of(experiments)
     space = ParameterSpace(unknowns=default_unknowns([target.case.scene for target in targets]))
     comparer = Comparer(targets, space, motion=Dynamic())
-    for verdict in assess(comparer, range(21), comparer.space.nominal).verdicts:
+    for verdict in assess(comparer, range(21), comparer.space.nominal).estimates:
         low = -np.inf if verdict.low is None else verdict.low
         high = np.inf if verdict.high is None else verdict.high
         assert low <= verdict.value <= high
         if verdict.label in FRICTIONS:
             assert low <= _true(experiments, verdict.label) <= high
         else:
-            assert str(verdict) != "identified"  # a tripod under distributed pressure
+            assert verdict.verdict != "identified"  # a tripod under distributed pressure

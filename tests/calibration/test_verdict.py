@@ -29,7 +29,7 @@ def verdicts(residuals, where=UNIT, **options):
 
 
 def words(told):
-    return [str(verdict) for verdict in told]
+    return [verdict.verdict for verdict in told]
 
 
 def test_identified():
@@ -63,13 +63,15 @@ def test_sum_trades_off_and_the_third_does_not():
         "trades off with mu_pusher",
         "identified",
     ]
-    assert told[0].partners == ("mu_fixel",)
     assert told[0].word == "trades off"
 
 
 def test_sum_of_three_names_both_others():
     told = verdicts(lambda p: np.c_[p.sum(axis=1) - 1.5, 1e-3 * p[:, 0]] / 0.01)
-    assert {*told[0].partners} == {"mu_fixel", "mu_support"}
+    assert told[0].verdict in (
+        "trades off with mu_fixel, mu_support",
+        "trades off with mu_support, mu_fixel",
+    )
 
 
 def test_sloppy_product_trades_off():
@@ -100,7 +102,7 @@ def test_at_bound_says_whether_the_deviance_still_falls():
 
 def test_interval_that_reaches_a_bound():
     told = verdicts(lambda p: np.c_[p[:, 0] - 0.1, p[:, 1] - 0.5, p[:, 2] - 0.4] / 0.1)
-    assert str(told[0]) == "at most"
+    assert told[0].verdict == "at most"
     assert "do not tell it from the bound 0" in told[0].reason
     assert told[0].low is None
     assert 0.0 < told[0].value < told[0].high
@@ -110,7 +112,7 @@ def test_a_value_inside_is_not_at_a_bound_and_a_value_on_it_is():
     """The best lies at 0.86 or beyond 1; the interval reaches 1 either way."""
     for best, word in ((0.86, "at least"), (1.1, "at bound")):
         told = verdicts(lambda p, best=best: np.c_[p[:, 0] - best, p[:, 1:] - 0.4] / 0.1)
-        assert (str(told[0]), told[0].high) == (word, None)
+        assert (told[0].verdict, told[0].high) == (word, None)
         inside = 0.01 < told[0].value < 0.99
         assert inside == (word == "at least")
     assert (
@@ -127,7 +129,7 @@ def test_wide_is_not_identified():
 
 def test_one_sided_and_wide_says_on_which_side():
     told = verdicts(lambda p: np.c_[np.exp(-12 * p[:, 0]) / 0.05, (p[:, 1:] - 0.5) / 0.1])
-    assert str(told[0]) in ("not identified", "at bound")
+    assert told[0].verdict in ("not identified", "at bound")
     assert told[0].low is not None
     assert told[0].high is None
 
@@ -178,7 +180,7 @@ def test_frozen_unknowns_are_not_judged_and_one_is_enough():
     _, found = calibrated(lambda p: (p - 0.4) / 0.05, where)
     space = space_of(UNIT).with_frozen({"mu_fixel": 0.2, "mu_support": 0.3})
     (only,) = judge(space, found)
-    assert (only.label, str(only), only.unit) == ("mu_pusher", "identified", "-")
+    assert (only.label, only.verdict, only.unit) == ("mu_pusher", "identified", "-")
 
 
 def test_nothing_evaluated_is_a_verdict_too():
@@ -193,7 +195,6 @@ def test_nothing_evaluated_is_a_verdict_too():
 def test_verdicts_are_known_words_with_a_sentence_each():
     for told in (verdicts(decay_residuals(2), DECAY_BOX), verdicts(lambda p: p - 1.3)):
         assert all(verdict.word in WORDS and verdict.reason for verdict in told)
-        assert all(verdict.level == 0.95 for verdict in told)
 
 
 def test_refusals():
@@ -218,7 +219,6 @@ def test_a_value_lies_in_the_interval_that_allows_for_misfit():
         assert verdict.low == pytest.approx(low[k])
         assert verdict.high == pytest.approx(high[k])
         assert verdict.low < verdict.value == honest.value[k] < verdict.high
-        assert verdict.formal_high - verdict.formal_low == pytest.approx(0.0392, rel=0.05)
     assert words(told[:2]) == ["identified", "identified"]
     assert "misfit makes it 5 times as wide" in told[0].reason
 
@@ -226,16 +226,15 @@ def test_a_value_lies_in_the_interval_that_allows_for_misfit():
 def test_what_stands_for_something_else_is_effective_where_the_model_misfits():
     told, _ = _misfitting(0.05)
     assert told[2].label == "mu_support"
-    assert str(told[2]) == "effective"
+    assert told[2].verdict == "effective"
     right = verdicts(lambda p: (p - [0.3, 0.6, 0.4]) / 0.01)
-    assert str(right[2]) == "identified"
-    assert right[2].formal_low is None
+    assert right[2].verdict == "identified"
 
 
 def test_precise_is_what_only_noise_makes_narrow():
     told, _ = _misfitting(0.15)
     assert words(told[:2]) == ["precise, but the model misfits"] * 2
-    assert str(told[2]) == "effective"
+    assert told[2].verdict == "effective"
     assert {verdict.word for verdict in told} <= set(WORDS)
 
 
@@ -256,20 +255,20 @@ def test_an_interval_that_misfit_makes_wide_does_not_identify():
     pusher, fixel, support = _with_misfit(0.2, 1e-3, 0.204, 0.181 / 1.96)
     for verdict in (pusher, fixel):
         assert (verdict.low, verdict.high) == pytest.approx((0.023, 0.385), abs=1e-3)
-        assert str(verdict) == "precise, but the model misfits"
+        assert verdict.verdict == "precise, but the model misfits"
         assert verdict.reason.startswith("noise alone would put it at 0.198 to 0.202")
-    assert str(support) == "effective"
+    assert support.verdict == "effective"
     # Half as wide it is identified, and so it is where the model hardly misfits.
     assert words(_with_misfit(0.2, 1e-3, 0.204, 0.09 / 1.96)[:2]) == ["identified"] * 2
     assert words(_with_misfit(0.2, 1e-3, 0.204, 0.181 / 1.96, misfits=False)) == ["identified"] * 3
     # What noise alone leaves wide is not precise.
-    assert str(_with_misfit(0.4, 0.2, 0.4, 0.09)[0]) == "not identified"
+    assert _with_misfit(0.4, 0.2, 0.4, 0.09)[0].verdict == "not identified"
 
 
 def test_one_sided_values_of_what_stands_for_something_else_are_effective():
     """The demo's mu_support read "at least 0.648" where 0.276 was true."""
     pusher, _, support = _with_misfit(0.9, 0.1, 0.9, 0.06)
     assert (support.high, support.low) == (None, pytest.approx(0.9 - 1.96 * 0.06, abs=1e-3))
-    assert str(support) == "effective"
-    assert str(pusher) == "at least"  # which has a true value
-    assert str(_with_misfit(0.9, 0.1, 0.9, 0.06, misfits=False)[2]) == "at least"
+    assert support.verdict == "effective"
+    assert pusher.verdict == "at least"  # which has a true value
+    assert _with_misfit(0.9, 0.1, 0.9, 0.06, misfits=False)[2].verdict == "at least"

@@ -1,5 +1,7 @@
 """Drawings of calibrations: any number of anything, and data that say what the pictures show."""
 
+from dataclasses import replace
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -9,9 +11,10 @@ from fixel.drawing.calibration import ErrorsChart, SecondsChart
 from fixel.drawing.chart import draw_chart, log_scale, positive, readable
 from fixel.drawing.offsets import OffsetsChart, OffsetSeries, Quantity
 from fixel.drawing.overlay import OverlayChart, Track
-from fixel.drawing.profiles import ParameterRow, ParametersChart, ProfilePanel, ProfilesChart
+from fixel.drawing.profiles import ParametersChart, ProfilePanel, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
 from fixel.errors import InvalidInput
+from fixel.model.records import Estimate
 
 NONE = np.zeros(0, np.int64)
 LOST = np.array([np.inf, np.inf])
@@ -49,8 +52,8 @@ def errors_of(n, seed=0):
 
 
 def rows(**changes):
-    row = ParameterRow("mu_pusher", "-", (0.0, 1.0), 0.2, 0.3)
-    return ParametersChart(title="one", rows=[row._replace(**changes)])
+    row = Estimate(label="mu_pusher", unit="-", value=0.3, bounds=(0.0, 1.0), before=0.2)
+    return ParametersChart(title="one", rows=[replace(row, **changes)])
 
 
 def profile(**changes):
@@ -118,7 +121,7 @@ CHARTS = {
     "no simulation": ErrorsChart(keys=["a", "b"], series={"before": LOST, "after": LOST}, unit="m"),
     "no interval": rows(),
     "an interval": rows(low=0.2, high=0.4, verdict="identified"),
-    "half an interval": rows(high=0.4, best_fit=0.1, verdict="trades off with mu_fixel", others=()),
+    "half an interval": rows(high=0.4, best_fit=0.1, verdict="trades off with mu_fixel"),
     "nothing known": rows(verdict="not identified", label="mu_pusher[surface=plywood]"),
     "profile": profile(),
     "open profile": profile(low=None, high=None, rises=np.full(9, 0.1)),

@@ -20,7 +20,7 @@ from fixel.simulation import QuasiStatic, simulate
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.parameter_options import fitted
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, entry_of
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.growth.explore import explore
 
 INTERVAL = 2e-3  # [s] between samples of the plain simulations
@@ -39,7 +39,7 @@ def project(tmp_path_factory):
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
         mode="each",
-        unknowns=[entry_of(u) for u in fitted(["mu_pusher", "tripod_radius_mm=10:60:40"], scenes)],
+        unknowns=fitted(["mu_pusher", "tripod_radius_mm=10:60:40"], scenes),
         motion="quasistatic",
         optimiser=NamedOptions(name="pattern-search", options={"threshold_delta": 0.2}),
         verdicts=False,

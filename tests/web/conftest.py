@@ -56,7 +56,6 @@ def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
     from fixel.web.views import calibration_form
     from fixel.workflows.calibration import run
     from fixel.workflows.calibration.parameter_options import fitted
-    from fixel.workflows.calibration.request import entry_of
     from fixel.workflows.domain.request import DomainRequest
     from fixel.workflows.domain.run import map_domain
 
@@ -67,9 +66,7 @@ def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
         chosen = calibration_form.chosen_from(store, "", range(6, 12))
     scenes = [target.case.scene for target in chosen.targets]
     unknowns = fitted(["mu_pusher", "tripod_radius"], scenes)
-    request = calibration_form.request_from(
-        "first", "joint", [entry_of(u) for u in unknowns], "nelder-mead", 60, starts=2
-    )
+    request = calibration_form.request_from("first", "joint", unknowns, "nelder-mead", 60, starts=2)
     job = run.prepare(project, chosen, request)
     run.run(job)
     run.collect(project, job, "fixel calibrate --name first", {})

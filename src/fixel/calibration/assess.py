@@ -25,8 +25,9 @@ from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.profile import ProfileLikelihood, Profiles
 from fixel.calibration.repetitions import repetitions
 from fixel.calibration.study import box_of
-from fixel.calibration.verdict import ParameterVerdict, judge
+from fixel.calibration.verdict import judge
 from fixel.model import Fixel, Parameters, Pusher
+from fixel.model.records import Estimate
 from fixel.model.space import ParameterSpace
 from fixel.simulation.simulate import simulate
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -66,7 +67,7 @@ Asking = Generator[AssessmentRequest, FloatArray, T]
 class Assessment(NamedTuple):
     """All of it."""
 
-    verdicts: tuple[ParameterVerdict, ...]
+    estimates: tuple[Estimate, ...]
     profiles: Profiles
     noise: Noise
     dispersion: Dispersion
@@ -146,7 +147,7 @@ def assessing(
         "excited", np.asarray(point, np.float64)[None], "verdicts, contacts"
     )
     touched = dict(zip(comparer.space.labels, excited[0].tolist(), strict=True))
-    verdicts = judge(
+    estimates = judge(
         comparer.space,
         found,
         level=level,
@@ -156,7 +157,7 @@ def assessing(
         honest=fitted.honest,
         misfits=fitted.misfit is not None and fitted.misfit.warned,
     )
-    return Assessment(verdicts, found, noise, dispersion, fitted.misfit)
+    return Assessment(estimates, found, noise, dispersion, fitted.misfit)
 
 
 class BestFit(NamedTuple):

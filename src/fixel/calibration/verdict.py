@@ -31,8 +31,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Final, Literal, NamedTuple, final, get_args
+from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -42,6 +41,7 @@ from fixel.calibration.profile import Profile, Profiles
 from fixel.calibration.side import ON_BOUND
 from fixel.errors import InvalidInput
 from fixel.model.parameters import info_of
+from fixel.model.records import Estimate
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.typing import FloatArray
 
@@ -86,49 +86,6 @@ Excited = Callable[[str], bool]
 """Label of an unknown -> whether the simulations had what it acts on: contact, slip."""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ParameterVerdict:
-    """Interval and verdict of one unknown after a calibration.
-
-    Parameters
-    ----------
-    label, unit : str
-        Name and unit of the unknown.
-    value : float
-        Value at the best point.
-    low, high : float or None
-        Ends of the interval; None if the data do not limit it within the bounds.
-    level : float
-        Confidence level of the interval.
-    word : str
-        One of `WORDS`.
-    partners : tuple of str
-        Labels of the unknowns that it trades off with, the most important first.
-    reason : str
-        Reason of the verdict, in one sentence.
-    formal_low, formal_high : float or None
-        Ends of the interval for noise alone; None if it is open, or if `low` and `high` do not
-        allow for misfit.
-    """
-
-    label: str
-    unit: str
-    value: float
-    low: float | None
-    high: float | None
-    level: float
-    word: Word
-    partners: tuple[str, ...] = ()
-    reason: str = ""
-    formal_low: float | None = None
-    formal_high: float | None = None
-
-    def __str__(self) -> str:
-        """Return the word with the partners: `"trades off with mu_fixel, mu_pusher"`."""
-        return f"{self.word} with {', '.join(self.partners)}" if self.partners else self.word
-
-
 class _ParameterCase(NamedTuple):
     """Data of one unknown for the rules."""
 
@@ -140,7 +97,6 @@ class _ParameterCase(NamedTuple):
     high: float | None
     others: tuple[float, ...]  # values outside the interval that fit as well
     rough: bool  # whether roughness of the deviance exceeds the noise
-    level: float
     centre: float | None = None  # centre of the interval that allows for misfit
     misfits: bool = False  # whether the misfit requires a warning
 
@@ -212,7 +168,7 @@ def judge(
     dispersion: Dispersion | None = None,
     honest: Honest | None = None,
     misfits: bool = False,
-) -> tuple[ParameterVerdict, ...]:
+) -> tuple[Estimate, ...]:
     """Return a verdict for each free unknown; frozen ones have none.
 
     Parameters
@@ -241,23 +197,26 @@ def judge(
     verdicts = []
     for j, unknown in enumerate(space.free):
         if excited is not None and not excited(unknown.label):
-            verdicts.append(_not_excited(unknown, float(profiles.best.point[j]), level))
+            reason = (
+                "the simulations never had the contact or slip it acts on, so its value is a guess"
+            )
+            verdicts.append(_without_interval(unknown, profiles, j, "not excited", reason))
         elif not profiles.profiles:
-            verdicts.append(_not_evaluated(unknown, float(profiles.best.point[j]), level))
+            reason = "the best point could not be evaluated"
+            verdicts.append(_without_interval(unknown, profiles, j, "not identified", reason))
         else:
             case = _case(space, profiles, j, level, solutions, honest)._replace(misfits=misfits)
             verdicts.append(_judged(case, _prior_width(unknown, profiles, dispersion)))
     return tuple(verdicts)
 
 
-def _not_excited(unknown: Unknown, value: float, level: float) -> ParameterVerdict:
-    reason = "the simulations never had the contact or slip it acts on, so its value is a guess"
-    return _verdict(unknown, value, None, None, level, "not excited", reason)
-
-
-def _not_evaluated(unknown: Unknown, value: float, level: float) -> ParameterVerdict:
-    reason = "the best point could not be evaluated"
-    return _verdict(unknown, value, None, None, level, "not identified", reason)
+def _without_interval(
+    unknown: Unknown, profiles: Profiles, j: int, word: Word, reason: str
+) -> Estimate:
+    value = float(profiles.best.point[j])
+    return Estimate(
+        label=unknown.label, unit=unknown.unit, value=value, verdict=word, reason=reason
+    )
 
 
 def _case(
@@ -295,7 +254,6 @@ def _case(
         high=high,
         others=others,
         rough=honest is None and profiles.roughness > profiles.threshold,
-        level=level,
         centre=centre,
     )
 
@@ -320,7 +278,7 @@ def _prior_width(
     return 2.0 * unknown.prior * math.sqrt(ratio)
 
 
-def _judged(case: _ParameterCase, prior_width: float | None) -> ParameterVerdict:
+def _judged(case: _ParameterCase, prior_width: float | None) -> Estimate:
     """Apply the rules of the table, in order."""
     if case.others and not case.narrow:
         values = ", ".join(case.shown(value) for value in case.others[:3])
@@ -420,35 +378,13 @@ def _up_to(unknown: Unknown, low: float | None, high: float | None) -> float:
     return (unknown.high if high is None else high) - (unknown.low if low is None else low)
 
 
-def _of(
-    case: _ParameterCase, word: Word, reason: str, partners: tuple[str, ...] = ()
-) -> ParameterVerdict:
-    found = _verdict(
-        case.unknown, case.value, case.low, case.high, case.level, word, reason, partners
-    )
-    if case.centre is None:
-        return found
-    return replace(found, formal_low=case.profile.low, formal_high=case.profile.high)
-
-
-def _verdict(
-    unknown: Unknown,
-    value: float,
-    low: float | None,
-    high: float | None,
-    level: float,
-    word: Word,
-    reason: str,
-    partners: tuple[str, ...] = (),
-) -> ParameterVerdict:
-    return ParameterVerdict(
-        label=unknown.label,
-        unit=unknown.unit,
-        value=value,
-        low=low,
-        high=high,
-        level=level,
-        word=word,
-        partners=partners,
+def _of(case: _ParameterCase, word: Word, reason: str, partners: tuple[str, ...] = ()) -> Estimate:
+    return Estimate(
+        label=case.unknown.label,
+        unit=case.unknown.unit,
+        value=case.value,
+        low=case.low,
+        high=case.high,
+        verdict=f"{word} with {', '.join(partners)}" if partners else word,
         reason=reason,
     )

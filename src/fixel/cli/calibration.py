@@ -155,7 +155,6 @@ def calibrate(
     from fixel.workflows.calibration.request import (
         CalibrationRequest,
         NamedOptions,
-        entry_of,
         usual_optimiser,
     )
     from fixel.workflows.project.importing import query_of
@@ -191,7 +190,7 @@ def calibrate(
     request = CalibrationRequest(
         name=name,
         mode=how,
-        unknowns=[entry_of(unknown) for unknown in unknowns],
+        unknowns=unknowns,
         error=NamedOptions(name=error, options={"angle_scale": 1e-3 * angle_scale_mm}),
         motion=motion,
         optimiser=search,

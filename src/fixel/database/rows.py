@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -122,7 +121,7 @@ def evaluations_of(measured: list[Measured], reasons: Sequence[str]) -> Evaluati
 
 def estimates_row(estimates: Sequence[Estimate]) -> list[dict[str, Any]] | None:
     """Plain values of estimates, for a JSON column or a bundle; None if there are none."""
-    return [dataclasses.asdict(estimate) for estimate in estimates] or None
+    return [estimate.stored() for estimate in estimates] or None
 
 
 def estimates_of(row: Sequence[Mapping[str, Any]] | None) -> tuple[Estimate, ...]:

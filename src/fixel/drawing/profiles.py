@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 import numpy as np
@@ -21,6 +21,7 @@ from fixel.drawing.chart import (
     sheet,
     shortened,
 )
+from fixel.model.records import Estimate
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -41,26 +42,6 @@ OTHERS: Final[tuple[Style, ...]] = (
 )
 
 
-class ParameterRow(NamedTuple):
-    """Values and interval of one parameter, in its own unit."""
-
-    label: str
-    unit: str
-    bounds: tuple[float, float]
-    before: float
-    value: float
-    low: float | None = None  # ends of the interval; None if the data do not limit it
-    high: float | None = None
-    best_fit: float | None = None  # value that predicts best, if different
-    verdict: str = ""
-    others: tuple[float, ...] = ()  # values in other sets of parameters
-
-    @property
-    def judged(self) -> bool:
-        """Whether the parameter has been assessed: it has a verdict or an interval."""
-        return bool(self.verdict) or self.low is not None or self.high is not None
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParametersChart(AbstractChart):
@@ -69,26 +50,28 @@ class ParametersChart(AbstractChart):
     Parameters
     ----------
     title : str
-    rows : sequence of ParameterRow
-    others : sequence of str
-        Names of the other sets in the rows; at most three are drawn.
+    rows : sequence of Estimate
+        Estimates with the bounds of the search and the values before; with a best fit only where
+        that is another value.
+    others : mapping from name to values
+        Other sets: a value for each row. At most three are drawn.
     level : float
         Confidence level of the intervals.
     """
 
     title: str
-    rows: Sequence[ParameterRow]
-    others: Sequence[str] = ()
+    rows: Sequence[Estimate]
+    others: Mapping[str, Sequence[float]] = field(default_factory=dict)
     level: float = 0.95
 
     def figure(self) -> Figure:
         n = len(self.rows)
         figure = sheet(WIDE, 0.85 + ROW * n)
-        judged = any(row.judged for row in self.rows)
+        judged = any(row.is_assessed for row in self.rows)
         width = 0.72 if judged else 0.22
         axes, words = figure.subplots(1, 2, width_ratios=(1.0, width), sharey=True)
         for k, row in enumerate(self.rows):
-            _draw_row(axes, k, row)
+            _draw_row(axes, k, row, [own[k] for own in self.others.values()])
             _write_row(words, k, row)
         words.set_xlim(0.0, width)
         axes.set_ylim(n - 0.4, -0.6)
@@ -107,7 +90,7 @@ class ParametersChart(AbstractChart):
         from matplotlib.lines import Line2D
 
         entries: list[Any] = [Line2D([], [], label="value", **_dot(palette.BODY, "o"))]
-        if any(row.judged for row in self.rows):
+        if any(row.is_assessed for row in self.rows):
             label = f"{100 * self.level:g} % interval; an arrow: no end in the data"
             entries.append(Line2D([], [], color=palette.BODY, linewidth=3.0, alpha=0.4,
                                   label=label))  # fmt: skip
@@ -133,9 +116,9 @@ class ParametersChart(AbstractChart):
                    "interval_low", "interval_high", "best_fit", "verdict",
                    *self.others)  # fmt: skip
         rows: list[tuple[Value, ...]] = [
-            (row.label, row.unit, *row.bounds, row.before, row.value, row.low, row.high,
-             row.best_fit, row.verdict, *row.others)
-            for row in self.rows
+            (row.label, row.unit, *_bounds(row), row.before, row.value, row.low, row.high,
+             row.best_fit, row.verdict, *(own[k] for own in self.others.values()))
+            for k, row in enumerate(self.rows)
         ]  # fmt: skip
         return ChartTable(columns, rows)
 
@@ -155,8 +138,13 @@ def _dot(colour: str, marker: str, hollow: bool = False) -> Style:
     }
 
 
-def _draw_row(axes: Axes, k: int, row: ParameterRow) -> None:
-    low, high = row.bounds
+def _bounds(row: Estimate) -> tuple[float, float]:
+    assert row.bounds is not None
+    return row.bounds
+
+
+def _draw_row(axes: Axes, k: int, row: Estimate, others: Sequence[float]) -> None:
+    low, high = _bounds(row)
 
     def share(value: float) -> float:
         return (value - low) / (high - low)
@@ -168,7 +156,7 @@ def _draw_row(axes: Axes, k: int, row: ParameterRow) -> None:
     small: Style = {"fontsize": palette.FONT_SIZE - 1.5, "color": palette.FIXEL, "va": "top"}
     axes.text(0.0, k + 0.16, unit.text(low), ha="left", **small)
     axes.text(1.0, k + 0.16, f"{unit.text(high)} {unit.name}".rstrip(), ha="right", **small)
-    if row.judged:
+    if row.is_assessed:
         colour = _colour(row.verdict)
         ends = [0.0 if row.low is None else share(row.low)]
         ends.append(1.0 if row.high is None else share(row.high))
@@ -177,11 +165,12 @@ def _draw_row(axes: Axes, k: int, row: ParameterRow) -> None:
         for end, known, marker in ((ends[0], row.low, "<"), (ends[1], row.high, ">")):
             if known is None:
                 axes.plot([end], [k], marker=marker, markersize=5.0, color=colour, zorder=2.5)
-    axes.plot([share(row.before)], [k], marker="|", markersize=10, color=palette.INK, zorder=3)
-    for value, style in zip(row.others, OTHERS, strict=False):
+    if row.before is not None:
+        axes.plot([share(row.before)], [k], marker="|", markersize=10, color=palette.INK, zorder=3)
+    for value, style in zip(others, OTHERS, strict=False):
         dot = _dot(style["color"], style["marker"], hollow=True)
         axes.plot([share(value)], [k], zorder=6, **dot)
-    colour = _colour(row.verdict) if row.judged else palette.BODY
+    colour = _colour(row.verdict) if row.is_assessed else palette.BODY
     axes.plot([share(row.value)], [k], zorder=5, **_dot(colour, "o"))
     if row.best_fit is not None:
         axes.plot([share(row.best_fit)], [k], zorder=4, **_dot(colour, "o", hollow=True))
@@ -195,11 +184,11 @@ def _colour(verdict: str) -> str:
     return palette.CONE if verdict.startswith(("trades off", "effective")) else palette.FORCE
 
 
-def _write_row(axes: Axes, k: int, row: ParameterRow) -> None:
+def _write_row(axes: Axes, k: int, row: Estimate) -> None:
     unit = readable(row.unit)
     value = f"{unit.text(row.value)} {unit.name}".rstrip()
     axes.text(0.0, k, value, weight="bold", va="center")
-    if not row.judged:
+    if not row.is_assessed:
         return
     ends = ["?" if end is None else unit.text(end) for end in (row.low, row.high)]
     interval = "no end known" if ends == ["?", "?"] else f"{ends[0]} … {ends[1]}"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -115,7 +115,7 @@ class Member:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """Estimate of one unknown by a calibration.
+    """Result of a calibration for one parameter: its value, interval and verdict.
 
     Parameters
     ----------
@@ -123,14 +123,21 @@ class Estimate:
         Name of the parameter with the conditions that share it: `"mu_pusher[surface=plywood]"`.
     unit : str
     value : float
+        Value to quote, inside the interval.
     low, high : float, optional
         Ends of its interval; None where the data determine no end.
     verdict : str
-        `"identified"`, `"trades off with X"`, `"not identified"`, `"not excited"`, `"at bound"`,
-        `"at least"` or `"at most"` (the end of the interval that exists), or
-        `"frozen"`; empty where not assessed.
+        One of `fixel.calibration.verdict.WORDS`, `"trades off with X, Y"` (the most important
+        first) or `"frozen"`; empty where not assessed.
     reason : str
         Reason of the verdict, as a sentence.
+    best_fit : float, optional
+        Value that predicts best, found by the search. It is not stored with the estimate, nor are
+        the next two: they are for tables and charts.
+    bounds : (float, float), optional
+        Bounds of the search.
+    before : float, optional
+        Value before the calibration.
     """
 
     label: str
@@ -140,6 +147,26 @@ class Estimate:
     high: float | None = None
     verdict: str = ""
     reason: str = ""
+    best_fit: float | None = None
+    bounds: tuple[float, float] | None = None
+    before: float | None = None
+
+    @property
+    def word(self) -> str:
+        """Verdict without the parameters that it trades off with."""
+        return "trades off" if self.verdict.startswith("trades off") else self.verdict
+
+    @property
+    def is_assessed(self) -> bool:
+        """Whether the parameter has a verdict or an interval."""
+        return bool(self.verdict) or self.low is not None or self.high is not None
+
+    def stored(self) -> dict[str, Any]:
+        """Return the stored fields, as plain values."""
+        return {name: getattr(self, name) for name in _STORED}
+
+
+_STORED: Final = ("label", "unit", "value", "low", "high", "verdict", "reason")
 
 
 @final

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -91,6 +91,11 @@ class Unknown(Comparable):
     def unit(self) -> str:
         """Unit of the value."""
         return info_of(self.name).unit
+
+    def plain(self) -> dict[str, Any]:
+        """Return the fields as plain values, from which `Unknown(**plain)` makes the same."""
+        own = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        return own | {"where": dict(self.where)}
 
     def covers(self, conditions: Mapping[str, str | float]) -> bool:
         """Whether the value applies to an experiment under these conditions."""

@@ -27,7 +27,6 @@ from fixel.workflows.calibration.request import (
     LEAST_SQUARES,
     CalibrationRequest,
     NamedOptions,
-    entry_of,
 )
 from fixel.workflows.calibration.stored import calibrated, parameters_of, searched_space
 from fixel.workflows.demo.laboratory_demo import _beside_truth
@@ -47,7 +46,7 @@ def found(tmp_path_factory):
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
         mode="joint",
-        unknowns=[entry_of(u) for u in fitted(["mu_pusher", "tripod_radius_mm=20:75:40"], scenes)],
+        unknowns=fitted(["mu_pusher", "tripod_radius_mm=20:75:40"], scenes),
         optimiser=NamedOptions(name=LEAST_SQUARES),
         motion="quasistatic",
     )
@@ -124,7 +123,7 @@ def enlarged(found):
     with project.store() as store:
         chosen = run.choose(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
-    unknowns = [entry_of(u) for u in fitted(["mu_pusher", *LARGER], scenes)]
+    unknowns = fitted(["mu_pusher", *LARGER], scenes)
     request = done.request.model_copy(update={"unknowns": unknowns})
     folder = run.prepare(project, chosen, request)
     run.run(folder)

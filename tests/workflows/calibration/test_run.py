@@ -28,7 +28,6 @@ from fixel.workflows.calibration.parameter_options import default_unknowns, fitt
 from fixel.workflows.calibration.request import (
     CalibrationRequest,
     NamedOptions,
-    entry_of,
     usual_optimiser,
 )
 from fixel.workflows.calibration.result import outcome_bytes, outcome_of, outliers
@@ -63,7 +62,7 @@ def chosen(project):
 def _request(chosen, **changes):
     scenes = [target.case.scene for target in chosen.targets]
     names = ["mu_pusher", "tripod_radius_mm=10:60:30"]
-    unknowns = [entry_of(u) for u in fitted(names, scenes)]
+    unknowns = fitted(names, scenes)
     return CalibrationRequest(
         **({"unknowns": unknowns, "optimiser": QUICK, "verdicts": False} | changes)
     )
@@ -115,8 +114,8 @@ def test_the_box_that_was_searched_is_found_again(project, chosen):
 def test_the_box_that_was_searched_outlives_its_job(project, chosen):
     request = _request(chosen, mode="joint")
     scenes = [target.case.scene for target in chosen.targets]
-    kept = [entry_of(u) for u in held(["mu_support=0.4"])]
-    centre = [entry_of(u) for u in fitted(["friction_centre_x_mm=-2:3"], scenes)]
+    kept = held(["mu_support=0.4"])
+    centre = fitted(["friction_centre_x_mm=-2:3"], scenes)
     request = request.model_copy(update={"unknowns": [*request.unknowns, *kept, *centre]})
     done = _done(project, chosen, request)
     with project.store() as store:

@@ -23,7 +23,7 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.analysis import Analysis, TextTable, keep
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.parameter_options import fitted
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, entry_of
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.stored import CalibratedValues, calibrated
 from fixel.workflows.figures import Picture
 from fixel.workflows.report.bibliography import WORKS, bibtex, line, works
@@ -47,7 +47,7 @@ def project(tmp_path_factory):
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
         mode="joint",
-        unknowns=[entry_of(u) for u in fitted(["mu_pusher", "tripod_radius_mm=10:60:30"], scenes)],
+        unknowns=fitted(["mu_pusher", "tripod_radius_mm=10:60:30"], scenes),
         optimiser=NamedOptions(name="pattern-search", options={"threshold_delta": 0.2}),
         verdicts=False,
     )

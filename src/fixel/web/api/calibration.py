@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
@@ -9,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field, StringConstraints
 
+from fixel.model.space import Unknown
 from fixel.web.api._values import Array, Id, Number, RequestBody, Text
 from fixel.web.views import calibration_form, job_list
 from fixel.web.views.calibration_progress import Watch
 from fixel.workflows import jobs
 from fixel.workflows.calibration import detail
 from fixel.workflows.calibration.commands import command_of, python_of
-from fixel.workflows.calibration.request import UnknownEntry
 from fixel.workflows.calibration.run import sampled
 
 if TYPE_CHECKING:
@@ -305,7 +306,7 @@ def router(desk: ProjectContext) -> APIRouter:
     @found.post("", summary="Begin one, in a process of its own")
     def start(wanted: CalibrationIn) -> BegunOut:
         entries = [
-            UnknownEntry(name=one.name, low=one.low, high=one.high, nominal=one.start)
+            Unknown(name=one.name, low=one.low, high=one.high, nominal=one.start)
             for one in wanted.unknowns
         ]
         request = calibration_form.request_from(
@@ -410,7 +411,7 @@ def _whole(one: CalibrationDetail, desk: ProjectContext) -> CalibrationOut:
         name=record.name,
         unit=one.unit,
         level=one.level,
-        parameters=[EstimateOut(**row._asdict()) for row in one.rows],
+        parameters=[EstimateOut(**dataclasses.asdict(row)) for row in one.rows],
         residuals=[_residual(residual) for residual in one.residuals],
         worst=[_residual(residual) for residual in one.worst],
         objective=Array.of(one.objective) if len(one.objective) else None,

@@ -14,7 +14,7 @@ from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.space import Unknown
 from fixel.workflows import jobs
 from fixel.workflows.calibration.parameter_options import default_unknowns, usual
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions, UnknownEntry
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.run import ExperimentSelection, prepare, stored_points
 from fixel.workflows.calibration.unattended import MODULE
 from fixel.workflows.project.filters import view_of
@@ -125,7 +125,7 @@ def go_on(folder: Path) -> jobs.JobStatus:
 def request_from(
     name: str,
     mode: str,
-    unknowns: Sequence[UnknownEntry],
+    unknowns: Sequence[Unknown],
     optimiser: str,
     most: int | None,
     **more: Any,

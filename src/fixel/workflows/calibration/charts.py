@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -13,10 +14,10 @@ from fixel.calibration.target import Target
 from fixel.drawing.calibration import BEFORE, ErrorsChart, SecondsChart
 from fixel.drawing.offsets import OffsetsChart, Quantity
 from fixel.drawing.overlay import OverlayChart, Track
-from fixel.drawing.profiles import ParameterRow, ParametersChart, ProfilePanel, ProfilesChart
+from fixel.drawing.profiles import ParametersChart, ProfilePanel, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
 from fixel.model import Parameters, placed
-from fixel.model.space import Unknown
+from fixel.model.records import Estimate
 from fixel.simulation import Simulation, simulate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.job import NEARLY
@@ -259,37 +260,21 @@ def _seconds_chart(desk: CalibrationReportData, searched: list[ParameterSet]) ->
 
 
 def _parameters_chart(desk: CalibrationReportData, word: str, one: ParameterSet) -> ParametersChart:
-    others = _other_sets(desk, one)
-    estimates = {estimate.label: estimate for estimate in one.estimates}
-    values = one.values(desk.space.labels)
-    rows = []
-    for k, unknown in enumerate(desk.space.free):
-        own = estimates.get(unknown.label)
-        rows.append(
-            ParameterRow(
-                label=unknown.label,
-                unit=unknown.unit,
-                bounds=(unknown.low, unknown.high),
-                before=unknown.nominal,
-                value=float(values[k]),
-                low=None if own is None else own.low,
-                high=None if own is None else own.high,
-                best_fit=_elsewhere(float(one.point[k]), float(values[k]), unknown),
-                verdict="" if own is None else own.verdict,
-                others=tuple(float(point[k]) for point in others.values()),
-            )
-        )
     return ParametersChart(
         title=title_of(desk, one, word),
-        rows=rows,
-        others=list(others),
+        rows=[_visible(row) for row in desk.estimates(one.estimates, one)],
+        others={name: point.tolist() for name, point in _other_sets(desk, one).items()},
         level=desk.request.level,
     )
 
 
-def _elsewhere(best: float, value: float, unknown: Unknown) -> float | None:
-    """Return the best fit if it differs visibly from the value to quote."""
-    return best if abs(best - value) > VISIBLE * (unknown.high - unknown.low) else None
+def _visible(row: Estimate) -> Estimate:
+    """Return a row without its best fit, unless that differs visibly from the value to quote."""
+    assert row.bounds is not None
+    assert row.best_fit is not None
+    low, high = row.bounds
+    same = abs(row.best_fit - row.value) <= VISIBLE * (high - low)
+    return replace(row, best_fit=None) if same else row
 
 
 def _other_sets(desk: CalibrationReportData, one: ParameterSet) -> dict[str, FloatArray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import FixelError
-from fixel.model.records import CalibrationRecord
+from fixel.model.records import CalibrationRecord, Estimate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.report_data import CalibrationReportData
@@ -20,21 +21,6 @@ from fixel.workflows.calibration.run import Calibration, reopened
 from fixel.workflows.calibration.stored import parted
 
 WORST: Final = 3
-
-
-class ParameterDetail(NamedTuple):
-    """One unknown [SI]."""
-
-    label: str
-    unit: str
-    value: float  # inside its interval
-    best_fit: float  # what predicts best, found by the search
-    low: float | None
-    high: float | None
-    bounds: tuple[float, float] | None
-    before: float | None
-    verdict: str
-    reason: str
 
 
 class Residual(NamedTuple):
@@ -64,7 +50,7 @@ class CalibrationDetail(NamedTuple):
     record : CalibrationRecord
     unit : str
         Of errors, `"mm^2"` or `"mm"`.
-    rows : list of ParameterDetail
+    rows : list of Estimate
     residuals : list of Residual
         The worst first.
     objective : (n,) float64
@@ -88,7 +74,7 @@ class CalibrationDetail(NamedTuple):
     id: int
     record: CalibrationRecord
     unit: str
-    rows: list[ParameterDetail]
+    rows: list[Estimate]
     residuals: list[Residual]
     objective: FloatArray
     starts: list[Start]
@@ -167,36 +153,17 @@ def misfit_of(record: CalibrationRecord) -> list[str]:
 
 def _rows(
     record: CalibrationRecord, desk: CalibrationReportData | None, one: ParameterSet | None
-) -> list[ParameterDetail]:
-    estimates = {estimate.label: estimate for estimate in record.estimates}
+) -> list[Estimate]:
     if desk is None or one is None:
         values = dict(record.parameters)
         return [
-            ParameterDetail(e.label, e.unit, e.value, values.get(parted(e.label)[0], e.value),
-                e.low, e.high, None, None, e.verdict, e.reason)
-            for e in record.estimates
+            replace(estimate, best_fit=values.get(parted(estimate.label)[0], estimate.value))
+            for estimate in record.estimates
         ] or [
-            ParameterDetail(name, "", value, value, None, None, None, None, "", "")
+            Estimate(label=name, unit="", value=value, best_fit=value)
             for name, value in values.items()
-        ]  # fmt: skip
-    rows = []
-    for unknown, value in zip(desk.space.free, one.point.tolist(), strict=True):
-        own = estimates.get(unknown.label)
-        rows.append(
-            ParameterDetail(
-                label=unknown.label,
-                unit=unknown.unit,
-                value=value if own is None else own.value,
-                best_fit=value,
-                low=None if own is None else own.low,
-                high=None if own is None else own.high,
-                bounds=(unknown.low, unknown.high),
-                before=unknown.nominal,
-                verdict="" if own is None else own.verdict,
-                reason="" if own is None else own.reason,
-            )
-        )
-    return rows
+        ]
+    return desk.estimates(record.estimates, one)
 
 
 def _residuals(
@@ -298,8 +265,7 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> CalibrationSummary:
     verdicts: dict[str, int] = {}
     for estimate in record.estimates:
         if estimate.verdict:
-            word = "trades off" if estimate.verdict.startswith("trades") else estimate.verdict
-            verdicts[word] = verdicts.get(word, 0) + 1
+            verdicts[estimate.word] = verdicts.get(estimate.word, 0) + 1
     return CalibrationSummary(
         id=number,
         name=record.name.partition(":")[0],

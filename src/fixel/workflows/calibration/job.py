@@ -47,7 +47,6 @@ from fixel.calibration.study import (
     together,
     weighted,
 )
-from fixel.calibration.verdict import ParameterVerdict
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.jobs.functions import callable_by_jobs, threads
@@ -554,23 +553,11 @@ def _with_estimates(
 def _with_assessment(comparer: Comparer, one: ParameterSet, found: Assessment) -> ParameterSet:
     return dataclasses.replace(
         one,
-        estimates=(*(_estimate(verdict) for verdict in found.verdicts), *_frozen(comparer)),
+        estimates=(*found.estimates, *_frozen(comparer)),
         profiles=_curves(comparer.space.labels, found.profiles),
         noise=_said(found.noise),
         misfit=() if found.misfit is None else found.misfit.sentences,
         misfit_ratio=math.nan if found.misfit is None else found.misfit.ratio,
-    )
-
-
-def _estimate(verdict: ParameterVerdict) -> Estimate:
-    return Estimate(
-        label=verdict.label,
-        unit=verdict.unit,
-        value=verdict.value,
-        low=verdict.low,
-        high=verdict.high,
-        verdict=str(verdict),
-        reason=verdict.reason,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
@@ -14,6 +15,7 @@ from fixel.calibration.target import Target
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.drawing.offsets import OffsetSeries
+from fixel.model.records import Estimate
 from fixel.model.space import ParameterSpace
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.request import CalibrationRequest
@@ -128,6 +130,27 @@ class CalibrationReportData:
         """Comparison of simulation and experiment, as in the calibration."""
         request = self.request
         return Comparer(self.targets, self.space, request.made_error, request.made_motion)
+
+    def estimates(self, known: Sequence[Estimate], one: ParameterSet) -> list[Estimate]:
+        """Return an estimate for each free parameter of a set, with the bounds of the search.
+
+        Parameters
+        ----------
+        known : sequence of Estimate
+            Those of the parameters that were assessed.
+        one : ParameterSet
+        """
+        assessed = {estimate.label: estimate for estimate in known}
+        return [
+            replace(
+                assessed.get(u.label) or Estimate(label=u.label, unit=u.unit, value=best),
+                unit=u.unit,
+                best_fit=best,
+                bounds=(u.low, u.high),
+                before=u.nominal,
+            )
+            for u, best in zip(self.space.free, one.point.tolist(), strict=True)
+        ]
 
     def retraced(self, one: ParameterSet) -> SearchHistory:
         """Replay the search of a set."""

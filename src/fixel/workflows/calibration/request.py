@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator
 
 from fixel.calibration import OPTIMISERS, AbstractOptimiser, MultiStart, PatternSearch
 from fixel.calibration.least_squares import LeastSquares
@@ -32,17 +32,17 @@ class _RequestLevel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class UnknownEntry(_RequestLevel):
-    """An `Unknown`, as plain content."""
+def _unknown(content: object) -> Unknown:
+    """Return an unknown, from its plain content if necessary."""
+    if isinstance(content, Unknown):
+        return content
+    try:
+        return Unknown(**content)  # type: ignore[arg-type]
+    except TypeError as problem:
+        raise ValueError(f"no unknown: {problem}") from None
 
-    name: str
-    low: float
-    high: float
-    nominal: float
-    scale: float | None = None
-    frozen: bool = False
-    prior: float | None = None
-    where: dict[str, str | float] = {}
+
+PlainUnknown = Annotated[Unknown, PlainValidator(_unknown), PlainSerializer(Unknown.plain)]
 
 
 class NamedOptions(_RequestLevel):
@@ -62,7 +62,7 @@ class CalibrationRequest(_RequestLevel):
         `"each"`: every experiment by itself. `"joint"`: one set of parameters for all.
         `"campaign"`: each, then neighbours' values, then one set in every way of the thesis.
         `"stored"`: no search, but the one of `stored` whose largest error is smallest.
-    unknowns : list of UnknownEntry
+    unknowns : list of Unknown
     error, motion, optimiser : NamedOptions
     starts : int
         Of the search; more than one begin at random feasible points.
@@ -87,7 +87,7 @@ class CalibrationRequest(_RequestLevel):
 
     name: str = "calibration"
     mode: Mode = "each"
-    unknowns: list[UnknownEntry]
+    unknowns: list[PlainUnknown]
     error: NamedOptions = NamedOptions(name="mean-square")
     motion: str = "dynamic"
     optimiser: NamedOptions = NamedOptions(name="pattern-search")
@@ -105,7 +105,7 @@ class CalibrationRequest(_RequestLevel):
     @property
     def space(self) -> ParameterSpace:
         """Parameters to search, with their bounds."""
-        return ParameterSpace(unknowns=tuple(Unknown(**u.model_dump()) for u in self.unknowns))
+        return ParameterSpace(unknowns=tuple(self.unknowns))
 
     @property
     def made_error(self) -> AbstractError:
@@ -204,20 +204,6 @@ def usual_optimiser(mode: str, combine: str, error: str, residuals: int, unknown
     """
     squares = mode == "joint" and combine != "largest" and error != PAPER
     return LEAST_SQUARES if squares and residuals >= ENOUGH * unknowns else PATTERN_SEARCH
-
-
-def entry_of(unknown: Unknown) -> UnknownEntry:
-    """An unknown as plain content."""
-    return UnknownEntry(
-        name=unknown.name,
-        low=unknown.low,
-        high=unknown.high,
-        nominal=unknown.nominal,
-        scale=unknown.scale,
-        frozen=unknown.frozen,
-        prior=unknown.prior,
-        where=dict(unknown.where),
-    )
 
 
 def _made(family: tuple[Any, ...], choice: NamedOptions, where: str) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Final, final
 
 import numpy as np
@@ -227,7 +227,7 @@ def found_arrays(found: Sequence[ParameterSet]) -> dict[str, Any]:
             {
                 "how": one.how,
                 "members": list(one.members),
-                "estimates": [asdict(estimate) for estimate in one.estimates],
+                "estimates": [estimate.stored() for estimate in one.estimates],
                 "profiles": [
                     {name: getattr(curve, name) for name in ("label", "low", "high", "threshold")}
                     for curve in one.profiles

@@ -27,7 +27,8 @@ from fixel.jobs import folder as files
 from fixel.jobs.site import Site
 from fixel.jobs.work import JobProgress
 from fixel.model import Parameters, Provenance
-from fixel.model.records import CalibrationRecord, Estimate, Evaluations, Member
+from fixel.model.records import CalibrationRecord, Evaluations, Member
+from fixel.model.space import Unknown
 from fixel.workflows import jobs
 from fixel.workflows.calibration.files import read_targets, target_files
 from fixel.workflows.calibration.job import REQUEST
@@ -254,19 +255,7 @@ def _found(one: ParameterSet, number: int, outcome: CalibrationResult) -> dict[s
         "note": one.note,
         "noise": one.noise,
         "solutions": [dict(zip(outcome.labels, s, strict=True)) for s in one.solutions.tolist()],
-        "estimates": [_estimate(estimate) for estimate in one.estimates],
-    }
-
-
-def _estimate(estimate: Estimate) -> dict[str, Any]:
-    return {
-        "label": estimate.label,
-        "unit": estimate.unit,
-        "value": estimate.value,
-        "low": estimate.low,
-        "high": estimate.high,
-        "verdict": estimate.verdict,
-        "reason": estimate.reason,
+        "estimates": [estimate.stored() for estimate in one.estimates],
     }
 
 
@@ -404,6 +393,11 @@ def _parameters(request: CalibrationRequest, one: ParameterSet) -> Parameters:
     return Parameters({u.name: values[u.label] for u in request.space.unknowns if not u.where})
 
 
+def _without_defaults(unknown: Unknown) -> dict[str, Any]:
+    usual: dict[str, Any] = {"frozen": False, "prior": None, "where": {}}
+    return {k: v for k, v in unknown.plain().items() if k not in usual or v != usual[k]}
+
+
 def _method(
     folder: Path, request: CalibrationRequest, outcome: CalibrationResult, one: ParameterSet
 ) -> dict[str, str | float]:
@@ -422,7 +416,7 @@ def _method(
         "starts": float(request.starts),
         "combine": request.combine,
         "job": folder.name,
-        SEARCHED: json.dumps([u.model_dump(exclude_defaults=True) for u in request.unknowns]),
+        SEARCHED: json.dumps([_without_defaults(unknown) for unknown in request.unknowns]),
         "seconds": one.seconds,
         "nominal_error": float(nominal.mean()),
         "ended": "" if one.trace is None else one.trace.ended,

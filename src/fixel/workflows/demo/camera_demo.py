@@ -34,7 +34,6 @@ from fixel.workflows.calibration.request import (
     LEAST_SQUARES,
     CalibrationRequest,
     NamedOptions,
-    entry_of,
 )
 from fixel.workflows.compilation import engine_is_cold
 from fixel.workflows.demo.emulated_bench import record_film
@@ -348,7 +347,7 @@ def _calibrate(project: Project, dataset: str, command: str) -> int:
     request = CalibrationRequest(
         name=dataset,
         mode="joint",
-        unknowns=[entry_of(u) for u in default_unknowns([t.case.scene for t in chosen.targets])],
+        unknowns=default_unknowns([t.case.scene for t in chosen.targets]),
         optimiser=NamedOptions(name=LEAST_SQUARES),
     )
     job = calibration.prepare(project, chosen, request)

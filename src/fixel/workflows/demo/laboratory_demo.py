@@ -27,7 +27,6 @@ from fixel.workflows.calibration.request import (
     LEAST_SQUARES,
     CalibrationRequest,
     NamedOptions,
-    entry_of,
 )
 from fixel.workflows.domain.request import DomainRequest
 from fixel.workflows.domain.run import map_domain
@@ -114,7 +113,7 @@ def _calibrate(project: Project, command: str) -> int:
         chosen = calibration.choose(store, (), ExperimentQuery())
     request = CalibrationRequest(
         mode="joint",
-        unknowns=[entry_of(u) for u in default_unknowns([t.case.scene for t in chosen.targets])],
+        unknowns=default_unknowns([t.case.scene for t in chosen.targets]),
         optimiser=NamedOptions(name=LEAST_SQUARES),
     )
     job = calibration.prepare(project, chosen, request)
