@@ -10,7 +10,6 @@ Source: Talts, Betancourt, Simpson, Vehtari & Gelman (2018), arXiv:1804.06788.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput, SolveFailed
 from fixel.model.trajectory import wrapped
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, Progress
 from fixel.uncertainty.discrepancy import ModelError, draw_walks
 from fixel.uncertainty.likelihood import LogLikelihood, expected_shares
 from fixel.uncertainty.posterior import NestedSampling, Posterior
@@ -76,7 +75,7 @@ def calibrate_by_simulation(
     seed: int = 0,
     sampling: NestedSampling | None = None,
     threads: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Ranks:
     """Compute the ranks of truths drawn from the prior.
 

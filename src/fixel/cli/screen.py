@@ -3,9 +3,13 @@
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fixel.typing import Progress
 
 Row = Sequence[str]
 
@@ -30,13 +34,13 @@ def table(head: Row, rows: Sequence[Row], left: int = 1) -> list[str]:
     ]
 
 
-def progress_bar(what: str) -> Callable[[int, int], None] | None:
+def progress_bar(what: str) -> "Progress | None":
     """Create a bar on standard error; None if that is no terminal."""
     if not sys.stderr.isatty():
         return None
     last = 0.0
 
-    def show(done: int, total: int) -> None:
+    def show(done: int, total: int, note: str = "") -> None:
         nonlocal last
         now = time.monotonic()
         if done < total and now - last < BETWEEN_BARS:
@@ -51,22 +55,21 @@ def progress_bar(what: str) -> Callable[[int, int], None] | None:
 
 
 @contextmanager
-def counting_bar() -> Iterator[Callable[[int, int, str], None]]:
+def counting_bar() -> "Iterator[Progress]":
     """Yield a callback for a bar on standard error, which takes number, total and name."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+    from rich.progress import Progress as Bar
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
+    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("getting ready", total=None)
 
-        def tell(done: int, of: int, what: str) -> None:
-            bar.update(task, completed=done, total=of, description=what)
+        def show(done: int, total: int, note: str = "") -> None:
+            bar.update(task, completed=done, total=total, description=note)
 
-        yield tell
+        yield show
 
 
 def compare_command(

@@ -11,7 +11,7 @@ from fixel.reproductions.joint import joint_calibration
 from fixel.reproductions.mit_push import benchmark_pushes
 from fixel.reproductions.protocols import PROTOCOLS, BenchmarkRequest
 from fixel.reproductions.result import Benchmark, Row, write_tables
-from fixel.typing import NotedProgress
+from fixel.typing import Progress
 
 PARTS: Final = ("mit",)
 # Subfolder of each part's dataset in the data folder; the data folder itself is tried too.
@@ -24,7 +24,7 @@ def benchmark_real(
     *,
     part: str = "mit",
     out: Path | None = None,
-    progress: NotedProgress | None = None,
+    progress: Progress | None = None,
 ) -> Benchmark:
     """Run a benchmark on real data.
 
@@ -60,7 +60,7 @@ def benchmark_real(
     return answer
 
 
-def joint_real(data: Path, part: str = "mit", progress: NotedProgress | None = None) -> Row:
+def joint_real(data: Path, part: str = "mit", progress: Progress | None = None) -> Row:
     """Run and time a joint calibration of many pushes; see `joint_calibration`."""
     return joint_calibration(read(folder_of(data, part)), progress or _silent)
 
@@ -94,7 +94,7 @@ def _make(out: Path) -> None:
         raise InvalidInput(str(out), found=reason, expected="a folder to write to") from None
 
 
-def _silent(done: int, of: int, what: str) -> None:
+def _silent(done: int, total: int, note: str = "") -> None:
     """Progress callback that does nothing."""
 
 

@@ -24,13 +24,13 @@ from fixel.reproductions.asme_table_1 import IDENTIFICATION, P1, made_targets, o
 from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
 from fixel.testing.scenes import box
-from fixel.typing import NotedProgress
+from fixel.typing import Progress
 
 SEARCHES: Final = 2  # number of searches in the figure
 SEED: Final = 3
 
 
-def run(folder: Path | None, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
+def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Reproduction:
     """Run two searches from random vertices until their simplex is small.
 
     Parameters

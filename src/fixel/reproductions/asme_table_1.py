@@ -35,7 +35,7 @@ from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.testing.scenes import box, micro_push
-from fixel.typing import FloatArray, NotedProgress
+from fixel.typing import FloatArray, Progress
 
 # Column p1* of table 1 with decimal points restored: friction of probe and plane, support points.
 P1: Final = (0.666, 0.757, 411.3e-6, -563.3e-6, -409.1e-6, 605.9e-6, -273.2e-6, -102.1e-6)
@@ -66,7 +66,7 @@ class Sets(NamedTuple):
     features: SupportFeatures
 
 
-def run(folder: Path | None, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
+def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Reproduction:
     """Search from random starts, cluster sets as good as p1*, and vary the plane's friction.
 
     Parameters

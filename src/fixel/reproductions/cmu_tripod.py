@@ -38,10 +38,10 @@ from fixel.reproductions.tripod_pushes import (
     sliding_forces,
     support_of,
 )
-from fixel.typing import FloatArray, NotedProgress
+from fixel.typing import FloatArray, Progress
 
 
-def run(folder: Path, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
+def run(folder: Path, progress: Progress, *, quick: bool = False) -> Reproduction:
     """Estimate support points from pushes, friction from forces, and predict other pushes.
 
     Parameters

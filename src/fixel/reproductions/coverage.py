@@ -23,7 +23,7 @@ from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_
 from fixel.reproductions.pushes import Key, PushGroup
 from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.reproductions.splits import Split
-from fixel.typing import FloatArray, IntArray, NotedProgress
+from fixel.typing import FloatArray, IntArray, Progress
 from fixel.uncertainty.bands import CURVE_LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.linear import LinearPredictive, Outcomes, Spreads, fit_predictive
 
@@ -46,7 +46,7 @@ class HeldOutPushes(NamedTuple):
 
 
 def run(
-    folder: Path | None, progress: NotedProgress, *, quick: bool = False, seeds: int = 1,
+    folder: Path | None, progress: Progress, *, quick: bool = False, seeds: int = 1,
     kept: Path | None = None,
 ) -> Reproduction:  # fmt: skip
     """Measure the coverage of bounds on held-out pushes.
@@ -246,5 +246,5 @@ def _picture(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes]) -> 
     return CoverageChart(panels)
 
 
-def _silent(done: int, of: int, what: str) -> None:
+def _silent(done: int, total: int, note: str = "") -> None:
     """Progress callback that does nothing."""

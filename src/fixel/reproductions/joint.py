@@ -16,7 +16,7 @@ from fixel.model.space import ParameterSpace, Unknown
 from fixel.reproductions.pushes import DURATION, STEP, PushGroup, rows_by_key, usable_rows
 from fixel.reproductions.result import Row
 from fixel.simulation import StewartTrinkle
-from fixel.typing import FloatArray, IntArray, NotedProgress
+from fixel.typing import FloatArray, IntArray, Progress
 
 PUSHES: Final = 1000
 EVALUATIONS: Final = 2000
@@ -34,7 +34,7 @@ SPACE: Final = ParameterSpace(
 
 def joint_calibration(
     data: MitPushes,
-    progress: NotedProgress,
+    progress: Progress,
     *,
     pushes: int = PUSHES,
     evaluations: int = EVALUATIONS,
@@ -74,7 +74,7 @@ def joint_calibration(
 
 
 def _searched(
-    objective: Objective, box: SearchBox, evaluations: int, progress: NotedProgress
+    objective: Objective, box: SearchBox, evaluations: int, progress: Progress
 ) -> tuple[Best, int, float]:
     rng = np.random.default_rng(0)
     best, made, first = Best(box.start, np.inf), 0, np.nan

@@ -19,13 +19,13 @@ from fixel.model import pose_error
 from fixel.reproductions.protocols import PROTOCOLS, RUN, BenchmarkData, BenchmarkRequest, Piece
 from fixel.reproductions.pushes import usable_rows
 from fixel.reproductions.result import Benchmark, HeldOutScores, Row
-from fixel.typing import FloatArray, NotedProgress
+from fixel.typing import FloatArray, Progress
 
 PUBLISHED: Final = "poly4"  # the better of the two published limit surfaces
 
 
 def benchmark_pushes(
-    data: MitPushes, request: BenchmarkRequest, folder: Path | None, progress: NotedProgress
+    data: MitPushes, request: BenchmarkRequest, folder: Path | None, progress: Progress
 ) -> Benchmark:
     """Run protocols on recorded pushes and score their predictions.
 

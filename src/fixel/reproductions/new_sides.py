@@ -29,7 +29,7 @@ from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_
 from fixel.reproductions.pushes import Key, PushGroup
 from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.reproductions.splits import split_without
-from fixel.typing import BoolArray, FloatArray, IntArray, NotedProgress
+from fixel.typing import BoolArray, FloatArray, IntArray, Progress
 
 SIDE: Final = "side"
 SPEED: Final = "speed"
@@ -81,7 +81,7 @@ def side_labels(group: PushGroup) -> IntArray:
 
 
 def run(
-    folder: Path, progress: NotedProgress, *, quick: bool = False, kept: Path | None = None
+    folder: Path, progress: Progress, *, quick: bool = False, kept: Path | None = None
 ) -> Reproduction:
     """Measure coverage and sharpness on new sides and speeds, and what the side itself costs.
 

@@ -23,7 +23,7 @@ from fixel.reproductions import (
     rpi_141,
 )
 from fixel.reproductions.reproduction import Reproduction, Row
-from fixel.typing import NotedProgress
+from fixel.typing import Progress
 
 
 class Part(NamedTuple):
@@ -54,7 +54,7 @@ def reproduce(
     data: Path | None = None,
     *,
     out: Path | None = None,
-    progress: NotedProgress | None = None,
+    progress: Progress | None = None,
     quick: bool = False,
 ) -> Reproduction:
     """Run one reproduction, and write its tables and figure to a folder.
@@ -122,5 +122,5 @@ def _folder(data: Path | None, name: str) -> Path:
     raise DatasetMissing(data or Path(name), name or "any dataset")
 
 
-def _silent(done: int, of: int, what: str) -> None:
+def _silent(done: int, total: int, note: str = "") -> None:
     """Progress callback that does nothing."""

@@ -21,7 +21,7 @@ from fixel.io.result_cache import ResultCache
 from fixel.reproductions.evidence import PushErrors, evidence_of
 from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
 from fixel.reproductions.reproduction import Reproduction, Row
-from fixel.typing import BoolArray, FloatArray, IntArray, NotedProgress
+from fixel.typing import BoolArray, FloatArray, IntArray, Progress
 
 LEVELS: Final = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 HALVINGS: Final = 2  # number of halvings of the held-out pushes of every fit, each used both ways
@@ -53,7 +53,7 @@ class HalfCount(NamedTuple):
 
 
 def run(
-    folder: Path, progress: NotedProgress, *, quick: bool = False, kept: Path | None = None
+    folder: Path, progress: Progress, *, quick: bool = False, kept: Path | None = None
 ) -> Reproduction:
     """Measure coverage and sharpness of the error bounds.
 

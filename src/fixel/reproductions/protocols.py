@@ -31,7 +31,7 @@ from fixel.reproductions.leftover import inside_ninety, learned_ends
 from fixel.reproductions.pushes import Key, PushGroup, rows_by_key, usable_rows
 from fixel.reproductions.result import Row
 from fixel.reproductions.splits import Split, few_of, folds, random_split
-from fixel.typing import BoolArray, FloatArray, IntArray, NotedProgress
+from fixel.typing import BoolArray, FloatArray, IntArray, Progress
 
 SHARE: Final = 0.6  # share of the pushes for training, if there are no folds
 FEW_PUSHES: Final = 10
@@ -113,7 +113,7 @@ class BenchmarkData:
         data: MitPushes,
         request: BenchmarkRequest,
         finished: ResultCache,
-        progress: NotedProgress,
+        progress: Progress,
     ) -> None:
         self.data, self.request, self.finished = data, request, finished
         self._progress = progress

@@ -28,7 +28,7 @@ from fixel.reproductions.replay import ReplayRequest, replay_dataset
 from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.reproductions.rpi_141_hypotheses import hypotheses
 from fixel.reproductions.tripod_pushes import TripodPush, comparer_of, read_pushes, support_of
-from fixel.typing import FloatArray, NotedProgress
+from fixel.typing import FloatArray, Progress
 
 PAPER_RMS, PAPER_MOTION = 20e-6, 600e-6  # [m]
 PAPER_RATE: Final = PAPER_RMS / PAPER_MOTION
@@ -55,7 +55,7 @@ class RateErrors(NamedTuple):
 
 
 def run(
-    folder: Path, progress: NotedProgress, *, quick: bool = False, kept: Path | None = None
+    folder: Path, progress: Progress, *, quick: bool = False, kept: Path | None = None
 ) -> Reproduction:
     """Compute errors on each dataset in the folder, as shares of motion and size.
 

@@ -21,7 +21,7 @@ from fixel.reproductions.charts.repeats import RepeatPicture, RepeatPoint
 from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.reproductions.two_point_groups import RepeatGroup, group_scene, read_groups, rig_noise
 from fixel.simulation import StewartTrinkle
-from fixel.typing import FloatArray, NotedProgress
+from fixel.typing import FloatArray, Progress
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import StartError, even_points
 
@@ -62,7 +62,7 @@ class GroupPrediction(NamedTuple):
         return bool((self.end <= self.limit).all())
 
 
-def run(folder: Path | None, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
+def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Reproduction:
     """Predict the spread of every group from the starts of other groups, and compare.
 
     Parameters

@@ -28,7 +28,7 @@ from fixel.reproductions.charts.reproductions import PathCurve, PathPicture
 from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.reproductions.rpi_141_hypotheses import BOUNDS, CORNERS, Hypothesis, hypotheses, scene_of
 from fixel.simulation import StewartTrinkle
-from fixel.typing import FloatArray, NotedProgress
+from fixel.typing import FloatArray, Progress
 
 EXPERIMENT: Final = "141"
 RATE: Final = 30.0  # video frames per second
@@ -51,7 +51,7 @@ class HypothesisFit(NamedTuple):
     pose: FloatArray  # (n_frame, 3)
 
 
-def run(folder: Path, progress: NotedProgress, *, quick: bool = False) -> Reproduction:
+def run(folder: Path, progress: Progress, *, quick: bool = False) -> Reproduction:
     """Fit and score every hypothesis.
 
     Parameters

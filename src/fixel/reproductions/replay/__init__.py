@@ -11,11 +11,11 @@ from fixel.reproductions.replay.mit_push import replay_pushes
 from fixel.reproductions.replay.mit_timeseries import replay_runs
 from fixel.reproductions.replay.report import Replay, Timing
 from fixel.reproductions.replay.rpi_2dgad import replay_trials
-from fixel.typing import NotedProgress
+from fixel.typing import Progress
 
 
 def replay_dataset(
-    folder: str | Path, choice: ReplayRequest | None = None, progress: NotedProgress | None = None
+    folder: str | Path, choice: ReplayRequest | None = None, progress: Progress | None = None
 ) -> Replay:
     """Replay the pushes of a folder.
 
@@ -61,7 +61,7 @@ def refuse_picture(file: Path) -> None:
     refuse_file(file)
 
 
-def _silent(done: int, of: int, what: str) -> None:
+def _silent(done: int, total: int, note: str = "") -> None:
     """Progress callback that does nothing."""
 
 

@@ -31,7 +31,7 @@ from fixel.reproductions.replay.choose import (
 )
 from fixel.reproductions.replay.report import Replay, Row, Timing, mean_and_median
 from fixel.simulation import AbstractMotionModel, BatchResult, simulate_batch
-from fixel.typing import FloatArray, NotedProgress
+from fixel.typing import FloatArray, Progress
 
 # Nothing is fitted: friction at the tip as in the published simulator, even pressure. Friction of
 # the plane has no effect on quasi-static motion.
@@ -48,7 +48,7 @@ CLEAR_DISTANCE = 1.0  # place of the template's pusher, clear of the object [m]
 
 
 def replay_pushes(
-    data: MitPushes, choice: ReplayRequest, progress: NotedProgress, reading: float = 0.0
+    data: MitPushes, choice: ReplayRequest, progress: Progress, reading: float = 0.0
 ) -> Replay:
     """Simulate recorded pushes from their measured start along their measured stroke.
 

@@ -32,7 +32,7 @@ from fixel.reproductions.replay.choose import (
 )
 from fixel.reproductions.replay.report import Replay, Row, Timing, mean_and_median, rms
 from fixel.simulation import AbstractMotionModel, BatchResult, simulate_batch
-from fixel.typing import FloatArray, NotedProgress
+from fixel.typing import FloatArray, Progress
 
 # Friction as in the authors' model of their rig; masses of 13 mm steel plates: with the authors'
 # 10000 kg/m^3 for rect1, and from the MIT push dataset for the hexagon.
@@ -78,7 +78,7 @@ class WindowOutcome(NamedTuple):
 
 
 def replay_runs(
-    data: PushRuns, choice: ReplayRequest, progress: NotedProgress, reading: float = 0.0
+    data: PushRuns, choice: ReplayRequest, progress: Progress, reading: float = 0.0
 ) -> Replay:
     """Simulate the measured path of the pusher, window by window.
 

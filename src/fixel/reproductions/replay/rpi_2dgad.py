@@ -30,7 +30,7 @@ from fixel.reproductions.replay.choose import (
 )
 from fixel.reproductions.replay.report import ANGLE_LENGTH, Replay, Row, Timing, rms
 from fixel.simulation import Simulation, StewartTrinkle, simulate
-from fixel.typing import FloatArray, NotedProgress
+from fixel.typing import FloatArray, Progress
 
 GRAVITY = 9.81  # [m/s^2]
 
@@ -52,7 +52,7 @@ class ObjectMotion(NamedTuple):
 
 
 def replay_trials(
-    data: RpiTrials, choice: ReplayRequest, progress: NotedProgress, reading: float = 0.0
+    data: RpiTrials, choice: ReplayRequest, progress: Progress, reading: float = 0.0
 ) -> Replay:
     """Simulate the measured actuator path of every complete trial, and compare with the
     laboratory's own simulation.

@@ -32,7 +32,7 @@ def domain_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     """
     yield from ()  # makes this a generator, as all work is
 
-    def show(done: int, total: int) -> None:
+    def show(done: int, total: int, note: str = "") -> None:
         with written_whole(inputs.parent / PROGRESS) as path:
             path.write_text(json.dumps([done, total]))
 

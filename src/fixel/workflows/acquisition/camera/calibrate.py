@@ -18,7 +18,7 @@ from fixel.formats.camera_opencv import save_opencv, save_ros
 from fixel.formats.rig_file import plate_of
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.io.document import read_document
-from fixel.typing import NotedProgress
+from fixel.typing import Progress
 from fixel.vision.boards import Board, board_of
 from fixel.vision.calibrate_lens import LensCalibration, calibrate_lens, find_boards
 from fixel.vision.frame import Picture
@@ -108,7 +108,7 @@ def calibrate(
     *,
     coefficients: int | None = None,
     fisheye: bool = False,
-    progress: NotedProgress | None = None,
+    progress: Progress | None = None,
 ) -> CameraAnswer:
     """Calibrate a lens from pictures of a board, and save the camera.
 
