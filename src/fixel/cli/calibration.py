@@ -157,7 +157,7 @@ def calibrate(
         NamedOptions,
         usual_optimiser,
     )
-    from fixel.workflows.project.importing import query_of
+    from fixel.workflows.project.filters import query_of
 
     if experiments and (dataset or where):
         given = "--dataset" if dataset else "--where"

@@ -132,7 +132,7 @@ def domain(
     from fixel.database.project import Project
     from fixel.workflows.domain.request import DomainRequest
     from fixel.workflows.domain.run import map_domain
-    from fixel.workflows.project.importing import query_of
+    from fixel.workflows.project.filters import query_of
 
     if threshold_mm is not None and relative is not None:
         raise InvalidInput("--relative", found="--threshold-mm too", expected="one of them")

@@ -150,7 +150,8 @@ def list_(
 ) -> None:
     """List experiments."""
     from fixel.database.project import Project
-    from fixel.workflows.project.importing import list_experiments, overview, query_of
+    from fixel.workflows.project.filters import query_of
+    from fixel.workflows.project.importing import list_experiments, overview
 
     project = Project.open(folder)
     query = query_of(

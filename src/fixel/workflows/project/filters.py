@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
@@ -32,7 +33,52 @@ NAMES: Final[dict[str, tuple[str, float]]] = {
     "angle": ("start_angle_rad", DEGREE),
     "duration": ("duration_s", 1.0),
 }
+_CONDITION: Final = re.compile(r"([^=!<>]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
 _BOUND: Final = re.compile(r"([\w.-]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
+
+
+def query_of(
+    *,
+    dataset: str | None = None,
+    name: str | None = None,
+    real: bool | None = None,
+    where: Iterable[str] = (),
+    flag: str | None = None,
+    flagged: bool = False,
+    deleted: bool = False,
+    limit: int | None = None,
+) -> ExperimentQuery:
+    """Build a query from options; `where` are `CONDITION=VALUE`, or with another relation."""
+    bounds = [_condition(text) for text in where]
+    equal = {one.name: one for one in bounds if one.relation == "="}  # the last of a name counts
+    marks = {"real": real is True, "simulated": real is False, "deleted": deleted}
+    return ExperimentQuery(
+        dataset=dataset,
+        name=name,
+        conditions=(*equal.values(), *(one for one in bounds if one.relation != "=")),
+        flags=() if flag is None else (flag,),
+        marks=tuple(mark for mark, chosen in marks.items() if chosen),
+        include_faulty=flagged,
+        limit=limit,
+    )
+
+
+def _condition(text: str) -> Bound:
+    found = _CONDITION.fullmatch(text)
+    if found is None:
+        raise InvalidInput(
+            "--where",
+            found=repr(text),
+            expected="CONDITION=VALUE, or !=, <, <=, >, >= in place of =",
+            hint="put it in quotes: the shell takes < and > for itself",
+        )
+    name, relation, typed = found.groups()
+    value: str | float = typed.strip()
+    with contextlib.suppress(ValueError):
+        value = float(value)
+    if isinstance(value, str) and relation not in ("=", "!="):
+        raise InvalidInput(f"--where {name}", found=repr(typed), expected="a number")
+    return Bound(name.strip(), cast(Relation, relation), value)
 
 
 def view_of(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 import sys
 import time
@@ -10,11 +9,11 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, NamedTuple, cast
+from typing import NamedTuple
 
 from fixel.database.browsing import ExperimentPage
 from fixel.database.project import Project
-from fixel.database.query import Bound, ExperimentQuery, Relation
+from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.datasets import ImportPlan, importer_for
 from fixel.datasets.own_scene import template_text
@@ -23,8 +22,6 @@ from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.typing import Progress
 from fixel.workflows.project.suggestions import refuse_mistyped
-
-_RELATION: Final = re.compile(r"([^=!<>]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
 
 
 class ImportSummary(NamedTuple):
@@ -191,32 +188,6 @@ def overview(project: Project) -> tuple[dict[str, int], dict[str, int]]:
         return store.datasets(), store.flags()
 
 
-def query_of(
-    *,
-    dataset: str | None = None,
-    name: str | None = None,
-    real: bool | None = None,
-    where: Iterable[str] = (),
-    flag: str | None = None,
-    flagged: bool = False,
-    deleted: bool = False,
-    limit: int | None = None,
-) -> ExperimentQuery:
-    """Build a query from options; `where` are `CONDITION=VALUE`, or with another relation."""
-    bounds = [_bound(text) for text in where]
-    equal = {one.name: one for one in bounds if one.relation == "="}  # the last of a name counts
-    marks = {"real": real is True, "simulated": real is False, "deleted": deleted}
-    return ExperimentQuery(
-        dataset=dataset,
-        name=name,
-        conditions=(*equal.values(), *(one for one in bounds if one.relation != "=")),
-        flags=() if flag is None else (flag,),
-        marks=tuple(mark for mark, chosen in marks.items() if chosen),
-        include_faulty=flagged,
-        limit=limit,
-    )
-
-
 def typed() -> str:
     """Return the running command line, as it could be typed again."""
     return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
@@ -250,26 +221,3 @@ def _pair(text: str) -> tuple[str, str]:
     if not equals or not name:
         raise InvalidInput("option", found=repr(text), expected="NAME=VALUE")
     return name, value
-
-
-def _bound(text: str) -> Bound:
-    found = _RELATION.fullmatch(text)
-    if found is None:
-        raise InvalidInput(
-            "--where",
-            found=repr(text),
-            expected="CONDITION=VALUE, or !=, <, <=, >, >= in place of =",
-            hint="put it in quotes: the shell takes < and > for itself",
-        )
-    name, relation, typed = found.groups()
-    value = _number_or_text(typed.strip())
-    if isinstance(value, str) and relation not in ("=", "!="):
-        raise InvalidInput(f"--where {name}", found=repr(typed), expected="a number")
-    return Bound(name.strip(), cast(Relation, relation), value)
-
-
-def _number_or_text(value: str) -> str | float:
-    try:
-        return float(value)
-    except ValueError:
-        return value
