@@ -12,6 +12,7 @@ from fixel.table import Column, Table
 TABLE = Table(
     ("name", Column("error", "mm", ".2f"), "verdict"),
     [("a<b>", 0.523, "not told apart"), ("c", None, ""), ("d", math.inf, "bounded")],
+    title="A & B",
 )
 
 
@@ -30,11 +31,11 @@ def test_plain_text_is_aligned_and_may_be_cut() -> None:
 
 
 def test_html_is_escaped_and_marks_columns_of_words() -> None:
-    html = TABLE.html("Table <b>1</b>")
-    assert "<caption>Table <b>1</b></caption>" in html
+    html = TABLE.html("Table 1.")
+    assert "<caption><b>Table 1.</b> A &amp; B</caption>" in html
     assert '<tr><th scope="row">a&lt;b&gt;</th><td>0.52</td>' in html
     assert '<th scope="col" class="words">verdict</th>' in html
-    assert "caption" not in TABLE.html()
+    assert "caption" not in Table(("a",), []).html()
 
 
 def test_values_remain_in_csv_and_json() -> None:

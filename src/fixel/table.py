@@ -122,15 +122,10 @@ class Table:
             for row in shown
         ]
 
-    def html(self, caption: str = "") -> str:
-        """Return an HTML element with an escaped head and escaped cells.
+    def html(self, number: str = "") -> str:
+        """Return an HTML element with all texts escaped, with its number and title as caption.
 
         Columns of words have the class `words`; the first cell of a row is its heading.
-
-        Parameters
-        ----------
-        caption : str
-            HTML above the table.
         """
         cells = self.cells
         kinds = [
@@ -138,7 +133,8 @@ class Table:
             for k in range(len(self.columns))
         ]
         head = [f'<th scope="col"{kinds[k]}>{escape(c)}</th>' for k, c in enumerate(self.head)]
-        lines = ["<table>", *([f"<caption>{caption}</caption>"] if caption else [])]
+        caption = f"<caption><b>{escape(number)}</b> {escape(self.title)}</caption>"
+        lines = ["<table>", *([caption] if self.title else [])]
         lines += [f"<thead><tr>{''.join(head)}</tr></thead>", "<tbody>"]
         for first, *others in cells:
             row = [f"<td{kinds[k]}>{escape(c)}</td>" for k, c in enumerate(others, start=1)]

@@ -149,8 +149,8 @@ def test_everything_can_be_drawn(chart, tmp_path):
 def test_rows_are_as_wide_as_the_head(chart):
     table = chart.table()
 
-    assert len(set(table.columns)) == len(table.columns)
-    assert {len(row) for row in table.rows} <= {len(table.columns)}
+    assert len(set(table.head)) == len(table.head)
+    assert {len(row) for row in table.rows} <= {len(table.head)}
 
 
 @pytest.mark.parametrize("ending", ["pdf", "svg"])
@@ -188,7 +188,7 @@ def test_a_banner_stands_clear_of_the_picture():
 def test_searches_tell_iterations_and_the_best_so_far():
     table = search([3.0, np.inf, 2.0, 5.0], [0, 1]).table()
 
-    assert table.columns == ("search", "evaluation", "iteration", "error_mm2", "best_mm2")
+    assert table.head == ("search", "evaluation", "iteration", "error_mm2", "best_mm2")
     assert table.rows == [
         ("one", 1, 0, 3.0, 3.0),
         ("one", 2, 1, None, 3.0),
@@ -203,7 +203,7 @@ def test_starts_are_sorted_and_those_nearly_as_good_are_marked():
 
     assert [row[1] for row in table.rows] == [2, 4, 1, 3]
     assert [row[3] for row in table.rows] == ["true", "true", "false", "false"]
-    assert table.columns[-2:] == ("mu_pusher [-]", "tripod_radius [m]")
+    assert table.head[-2:] == ("mu_pusher [-]", "tripod_radius [m]")
 
 
 def test_the_worst_experiment_comes_first():
@@ -211,7 +211,7 @@ def test_the_worst_experiment_comes_first():
     last = [row[-1] for row in chart.table().rows]
 
     assert last == sorted(last, reverse=True)
-    assert chart.table().columns[0:2] == ("experiment", "before_mm2")
+    assert chart.table().head[0:2] == ("experiment", "before_mm2")
 
 
 def test_many_experiments_stay_on_one_page():

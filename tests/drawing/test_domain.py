@@ -79,7 +79,7 @@ def test_sizes_against_thresholds(tmp_path):
     )
     draw_chart(chart, tmp_path / "size.png")
     table = chart.table()
-    assert table.columns == ("threshold_mm", "cells_square", "cells_pentagon")
+    assert table.head == ("threshold_mm", "cells_square", "cells_pentagon")
     assert len(table.rows) == 12
     assert table.rows[3][1:] == (3.0, 8.0)
 

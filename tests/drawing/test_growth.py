@@ -38,7 +38,7 @@ def test_every_cell_of_the_matrix_has_its_number():
     assert texts.count("none") == 2
     assert texts[0] == "0.5"
     assert len(texts) == 12
-    assert chart.table().columns[1] == "step_0_mm2"
+    assert chart.table().head[1] == "step_0_mm2"
     assert chart.table().rows[1][-1] is None
 
 

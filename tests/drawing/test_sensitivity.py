@@ -50,7 +50,7 @@ def test_a_picture_is_drawn_and_has_its_numbers(make, tmp_path):
     assert file.read_bytes().startswith(b"\x89PNG")
     table = chart.table()
     assert table.rows
-    assert all(len(row) == len(table.columns) for row in table.rows)
+    assert all(len(row) == len(table.head) for row in table.rows)
 
 
 def test_a_fan_names_its_outcomes_and_keeps_every_start():

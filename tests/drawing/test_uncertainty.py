@@ -73,7 +73,7 @@ def test_a_picture_and_its_table(chart, columns, rows, tmp_path):
     draw_chart(chart, tmp_path / "a.png", tmp_path / "a.pdf", banner="SIMULATED")
     assert (tmp_path / "a.png").stat().st_size > 5_000
     table = chart.table()
-    assert table.columns == columns
+    assert table.head == columns
     assert len(table.rows) == rows
 
 
@@ -81,9 +81,9 @@ def test_bands_have_their_ends_in_the_table(tmp_path):
     chart = _bands()
     draw_chart(chart, tmp_path / "b.png")
     table = chart.table()
-    assert table.columns[:4] == ("time_s", "measured_x_m", "measured_y_m", "measured_theta_rad")
-    assert "high_90_theta_rad" in table.columns
-    k = table.columns.index("low_50_x_m")
+    assert table.head[:4] == ("time_s", "measured_x_m", "measured_y_m", "measured_theta_rad")
+    assert "high_90_theta_rad" in table.head
+    k = table.head.index("low_50_x_m")
     assert table.rows[0][k] == pytest.approx(chart.best[0, 0] - 5e-4)
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from fixel.database.project import Project
 from fixel.drawing.calibration import SecondsChart
-from fixel.workflows.analysis import CONTENT, Analysis, TextTable, keep, kept, rounded
+from fixel.table import Table
+from fixel.workflows.analysis import CONTENT, Analysis, keep, kept, rounded
 from fixel.workflows.figures import Picture
 
 
@@ -20,7 +21,7 @@ def _analysis(kind="domain", **question):
         title="Where",
         question=question,
         headline=("Within 2 mm for 8 of 10 configurations.",),
-        tables=(TextTable(title="Cells", head=("cell", "error [mm]"), rows=(("a", "1"),)),),
+        tables=(Table(("cell", "error [mm]"), (("a", "1"),), title="Cells"),),
         numbers={"trusted": 8, "bound_mm": None},
     )
 

@@ -65,19 +65,17 @@ def _whole_way(tour: "CameraTour") -> list[str]:
     import math
     import shlex
 
-    from fixel.cli.screen import table
     from fixel.workflows.demo.camera_demo import estimate_table
     from fixel.workflows.report.write import next_command
 
     errors, lab = tour.errors, shlex.quote(str(tour.project))
-    shown = estimate_table(tour.estimates)
     return [
         "",
         f"{tour.frames} frames recorded, {tour.lost} lost. Tracked poses are"
         f" {1e3 * errors.position:.3f} mm and {math.degrees(errors.angle):.3f} deg from the true"
         " ones (RMS).",
         "",
-        *table(shown.head, shown.rows, left=4),
+        *estimate_table(tour.estimates).lines(),
         "",
         *(f"  overlay    {path}" for path in tour.overlays if path.suffix == ".png"),
         "",
@@ -92,7 +90,6 @@ def _whole_way(tour: "CameraTour") -> list[str]:
 def _reported(tour: "Tour") -> list[str]:
     import shlex
 
-    from fixel.cli.screen import table
     from fixel.workflows.report.write import next_command
 
     content = tour.report.content
@@ -102,7 +99,7 @@ def _reported(tour: "Tour") -> list[str]:
         *content.findings,
         "",
         "This laboratory is simulated, so the truth is known; the intervals were found without it:",
-        *table(tour.truth.head, tour.truth.rows),
+        *tour.truth.lines(),
         "",
         f"{len(content.warnings)} warnings stand first in the report, with figures, methods and"
         " references:",

@@ -207,13 +207,10 @@ def _answer(done: "DomainResult") -> dict[str, object]:
 
 
 def _lines(done: "DomainResult", folder: Path, asked: "DomainRequest") -> list[str]:
-    from fixel.cli.screen import table
-
     analysis = done.kept.analysis
     lines = [*analysis.headline, ""]
     for one in analysis.tables:
-        left = len(one.head) if one.title.startswith("What") else 1
-        lines += [f"{one.title}:", *table(one.head, one.rows[:MAX_ROWS], left=left)]
+        lines += [f"{one.title}:", *one.lines(MAX_ROWS)]
         more = len(one.rows) - MAX_ROWS
         lines += [f"... and {more} more; --json has them all"] if more > 0 else []
         lines.append("")

@@ -12,7 +12,7 @@ from fixel.cli.options import AsJson, DatasetName, ProjectFolder
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.workflows.analysis import StoredAnalysis, TextTable
+    from fixel.workflows.analysis import StoredAnalysis
     from fixel.workflows.growth.explore import Exploration
 
 
@@ -135,7 +135,7 @@ def _lines(
     analysis = kept.analysis
     lines = []
     for one in analysis.tables:
-        lines += [*_table(one), ""]
+        lines += [one.title, *one.lines(), ""]
     lines += [*analysis.headline, ""]
     lines += [f"Warning: {sentence}" for sentence in analysis.warnings]
     lines += [f"wrote {path}" for path in copied if path.suffix == ".png"]
@@ -147,10 +147,3 @@ def _lines(
     )
     lines.append(f"Next: fixel report{where}")
     return lines
-
-
-def _table(one: "TextTable") -> list[str]:
-    from fixel.cli.screen import table
-
-    left = 1 if one.head[0] == "group" else 2
-    return [one.title, *table(one.head, one.rows, left=left)]

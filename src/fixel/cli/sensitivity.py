@@ -173,12 +173,12 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
 def _lines(
     answer: "SensitivityAnswer", files: list[Path], plot: Path | None, project: Path
 ) -> list[str]:
-    from fixel.cli.screen import seconds, table
+    from fixel.cli.screen import seconds
 
     analysis = answer.analysis
     lines = [*analysis.headline, ""]
-    for text in analysis.tables:
-        lines += [text.title, *table(text.head, text.rows, left=2), ""]
+    for table in analysis.tables:
+        lines += [table.title, *table.lines(), ""]
     lines += [f"Note: {warning}" for warning in analysis.warnings]
     lines.append(f"Took {seconds(analysis.seconds)}.")
     if answer.kept is not None:

@@ -137,13 +137,13 @@ def _bar() -> "Callable[[SamplerProgress], None] | None":
 def _lines(
     found: "Uncertainty", kept: "StoredAnalysis", pictures: list[Path], folder: Path
 ) -> list[str]:
-    from fixel.cli.screen import seconds, table
+    from fixel.cli.screen import seconds
 
     analysis, posterior = kept.analysis, found.posterior
     lines = [f"Mind: {sentence}" for sentence in analysis.warnings]  # first: they limit the rest
     lines += analysis.headline
-    for one in analysis.tables:
-        lines += ["", one.title, *table(one.head, one.rows)]
+    for table in analysis.tables:
+        lines += ["", table.title, *table.lines()]
     lines += [
         "",
         f"{posterior.effective:.0f} effective samples from {posterior.evaluations} simulated"

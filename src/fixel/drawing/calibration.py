@@ -13,7 +13,6 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
-    ChartTable,
     Style,
     clean,
     column,
@@ -26,6 +25,7 @@ from fixel.drawing.chart import (
     without_common,
     written,
 )
+from fixel.table import Table
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -76,13 +76,11 @@ class ErrorsChart(AbstractChart):
         legend_below(figure, (axes,))
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         unit = column(self.unit)
         columns = ("experiment", *(f"{_column_name(name)}_{unit}" for name in self.series))
         values = [plain(errors) for errors in self.series.values()]
-        return ChartTable(
-            columns, [(self.keys[k], *(own[k] for own in values)) for k in self.order]
-        )
+        return Table(columns, [(self.keys[k], *(own[k] for own in values)) for k in self.order])
 
 
 def _column_name(name: str) -> str:
@@ -191,7 +189,7 @@ class SecondsChart(AbstractChart):
     def _text(seconds: float) -> str:
         return f"{seconds / 3600.0:.3g} h" if seconds >= 7200.0 else f"{seconds:.3g} s"
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         columns = ("experiment", "seconds", "evaluations")
         rows = zip(self.keys, self.seconds.tolist(), self.evaluations, strict=True)
-        return ChartTable(columns, list(rows))
+        return Table(columns, list(rows))

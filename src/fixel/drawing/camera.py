@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, sheet
+from fixel.drawing.chart import WIDE, AbstractChart, sheet
+from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.vision.plane_errors import PlaneErrors
 
@@ -44,7 +45,7 @@ class CameraErrorChart(AbstractChart):
         self._seen(figure, right)
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         e = self.errors
         rows: list[tuple[Any, ...]] = [
             (*pixel, *place, e.height, camera, whole)
@@ -56,7 +57,7 @@ class CameraErrorChart(AbstractChart):
                 strict=True,
             )
         ]
-        return ChartTable(
+        return Table(
             ("u_px", "v_px", "x_m", "y_m", "height_m", "camera_95_m", "with_noise_95_m"), rows
         )
 

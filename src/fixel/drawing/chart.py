@@ -13,24 +13,17 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.banner import BANNER, add_band
 from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
+from fixel.table import Table
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Value = str | float | int | None
 Style = dict[str, Any]
 
 WIDE: Final = 7.16  # [inch], two columns of text
 HEAD: Final = 0.22  # [inch]
-
-
-class ChartTable(NamedTuple):
-    """Data of a chart in SI units; units are in the column names or in a separate column."""
-
-    columns: tuple[str, ...]
-    rows: list[tuple[Value, ...]]  # None for missing values
 
 
 class AbstractChart(abc.ABC):
@@ -41,8 +34,8 @@ class AbstractChart(abc.ABC):
         """Draw the chart as a Matplotlib figure, without a banner."""
 
     @abc.abstractmethod
-    def table(self) -> ChartTable:
-        """Return all data that the figure shows."""
+    def table(self) -> Table:
+        """Return all data that the figure shows, in SI units."""
 
 
 def draw_chart(chart: AbstractChart, *paths: str | Path, banner: str = "") -> None:

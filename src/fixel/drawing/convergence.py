@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, Style, Value, log_scale, sheet
+from fixel.drawing.chart import WIDE, AbstractChart, Style, log_scale, sheet
 from fixel.drawing.picture import tint
+from fixel.table import Table, Value
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ class ConvergenceChart(AbstractChart):
         axes.set_xlabel("x [µm]")
         axes.set_ylabel("y [µm]")
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         columns = ("search", "evaluations", "error_m", "simplex_size",
                    *(f"support_{k}_{axis}_m" for k in (1, 2, 3) for axis in "xy"))  # fmt: skip
         rows: list[tuple[Value, ...]] = [
@@ -110,7 +111,7 @@ class ConvergenceChart(AbstractChart):
                 one.evaluations, one.error, one.size, one.points, strict=True
             )
         ]
-        return ChartTable(columns, rows)
+        return Table(columns, rows)
 
 
 _COLOURS: Final = (palette.BODY, palette.FORCE, palette.TOUCHED, palette.PUSHER)

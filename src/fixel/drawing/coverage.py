@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from fixel.drawing import palette
-from fixel.drawing.chart import AbstractChart, ChartTable, clean, sheet
+from fixel.drawing.chart import AbstractChart, clean, sheet
+from fixel.table import Table
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -38,12 +39,12 @@ class CoverageChart(AbstractChart):
         _fill(figure, self._panels)
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         rows: list[tuple[str | float | int | None, ...]] = []
         for panel in self._panels:
             told = zip(panel.levels, panel.held, panel.low, panel.high, strict=True)
             rows += [(panel.title, *map(float, row), panel.outcomes) for row in told]
-        return ChartTable(
+        return Table(
             ("bounds", "promised", "held", "true_levels_from", "true_levels_to", "outcomes"), rows
         )
 

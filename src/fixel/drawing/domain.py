@@ -13,7 +13,6 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
-    ChartTable,
     Style,
     clean,
     log_scale,
@@ -21,6 +20,7 @@ from fixel.drawing.chart import (
     sheet,
     shortened,
 )
+from fixel.table import Table
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -138,8 +138,8 @@ class MapChart(AbstractChart):
         more = len(self.panels) - len(shown)
         return self.heading + (f" (and {more} more)" if more else "")
 
-    def table(self) -> ChartTable:
-        return ChartTable(self.head, list(self.rows))
+    def table(self) -> Table:
+        return Table(self.head, list(self.rows))
 
 
 def _draw_panel(axes: Axes, panel: MapPanel, chart: MapChart, *, first: bool, last: bool) -> None:
@@ -264,10 +264,10 @@ class SizeChart(AbstractChart):
         clean(axes)
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         head = (self.column, *(f"cells_{name or 'all'}".replace(" ", "_") for name in self.sizes))
         columns = [plain(np.asarray(own, np.float64)) for own in self.sizes.values()]
         rows = [
             (tau, *(own[k] for own in columns)) for k, tau in enumerate(self.thresholds.tolist())
         ]
-        return ChartTable(head, rows)
+        return Table(head, rows)

@@ -16,9 +16,7 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
-    ChartTable,
     Style,
-    Value,
     clean,
     column,
     legend_below,
@@ -30,6 +28,7 @@ from fixel.drawing.chart import (
     whole_numbers,
     written,
 )
+from fixel.table import Table, Value
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -101,11 +100,11 @@ class GrowthMatrix(AbstractChart):
         axes.tick_params(length=0.0)
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         unit = column(self.unit)
         head = ("group", *(f"step_{k}_{unit}" for k in range(self.errors.shape[1])))
         rows = zip(self.groups, self.errors, strict=True)
-        return ChartTable(head, [(name, *plain(errors)) for name, errors in rows])
+        return Table(head, [(name, *plain(errors)) for name, errors in rows])
 
 
 @final
@@ -157,14 +156,14 @@ class GrowthSteps(AbstractChart):
         """Mean error over groups, NaN where a group has none."""
         return np.asarray(self.errors[list(own)].mean(axis=0))
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         head = ("shape", "layout", "step", f"largest_error_{column(self.unit)}")
         rows: list[tuple[Value, ...]] = [
             (shape, layout, step, value)
             for shape, layout, errors in zip(self.shapes, self.layouts, self.errors, strict=True)
             for step, value in enumerate(plain(errors))
         ]
-        return ChartTable(head, rows)
+        return Table(head, rows)
 
 
 @final
@@ -238,7 +237,7 @@ class AxisChart(AbstractChart):
         axes.plot(study.steps, average, **AVERAGE)
         axes.plot(study.steps, own, label="average of own best", **OPTIMAL)
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         unit = column(self.unit)
         head = ("shape", "axis", "size", "interval_first", "interval_last", "layout", "step",
                 f"error_{unit}", f"own_error_{unit}", f"relative_error_{unit}")  # fmt: skip
@@ -251,7 +250,7 @@ class AxisChart(AbstractChart):
                                  ("average", averages)]:  # fmt: skip
                 columns = zip(study.steps.tolist(), *map(plain, values), strict=True)
                 rows += [(*begin, name, *entry) for entry in columns]
-        return ChartTable(head, rows)
+        return Table(head, rows)
 
 
 def _plot(axes: Axes, steps: IntArray, errors: FloatArray, style: Style) -> None:

@@ -12,8 +12,6 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
-    ChartTable,
-    Value,
     clean,
     log_scale,
     plain,
@@ -21,6 +19,7 @@ from fixel.drawing.chart import (
     readable,
     sheet,
 )
+from fixel.table import Table, Value
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -136,7 +135,7 @@ class OffsetsChart(AbstractChart):
         if len(labels) > 1:
             figure.legend(handles, labels, frameon=False, ncols=2, loc="outside lower center")
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         columns = ("experiment", "group", "axis", "offset", "offset_unit",
                    *(f"{q.label} [{q.unit}]" for q in self.quantities))  # fmt: skip
         values = [plain(quantity.values) for quantity in self.quantities]
@@ -145,7 +144,7 @@ class OffsetsChart(AbstractChart):
             for axis in self.columns
             for m, offset in zip(axis.members.tolist(), axis.offsets.tolist(), strict=True)
         ]
-        return ChartTable(columns, rows)
+        return Table(columns, rows)
 
 
 def _broken(label: str) -> str:

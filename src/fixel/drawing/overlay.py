@@ -9,20 +9,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import (
-    WIDE,
-    AbstractChart,
-    ChartTable,
-    Style,
-    Value,
-    clean,
-    shortened,
-    written,
-)
+from fixel.drawing.chart import WIDE, AbstractChart, Style, clean, shortened, written
 from fixel.drawing.picture import frame_axes, tint
 from fixel.drawing.view import UNITS, Rectangle
 from fixel.model import placed
 from fixel.model.trajectory import wrapped
+from fixel.table import Table, Value
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -132,14 +124,14 @@ class OverlayChart(AbstractChart):
         )
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         columns = ("curve", "time_s", "x_m", "y_m", "theta_rad")
         rows: list[tuple[Value, ...]] = [
             (name, time, *pose)
             for name, track, _ in self.tracks
             for time, pose in zip(track.time.tolist(), track.pose.tolist(), strict=True)
         ]
-        return ChartTable(columns, rows)
+        return Table(columns, rows)
 
 
 # Wide and pale, so that it is visible below a simulation that matches it.

@@ -9,19 +9,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import (
-    WIDE,
-    AbstractChart,
-    ChartTable,
-    Style,
-    Value,
-    clean,
-    plain,
-    readable,
-    sheet,
-    shortened,
-)
+from fixel.drawing.chart import WIDE, AbstractChart, Style, clean, plain, readable, sheet, shortened
 from fixel.model.records import Estimate
+from fixel.table import Table, Value
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -111,7 +101,7 @@ class ParametersChart(AbstractChart):
             loc="outside lower left",
         )
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         columns = ("parameter", "unit", "bound_low", "bound_high", "before", "value",
                    "interval_low", "interval_high", "best_fit", "verdict",
                    *self.others)  # fmt: skip
@@ -120,7 +110,7 @@ class ParametersChart(AbstractChart):
              row.best_fit, row.verdict, *(own[k] for own in self.others.values()))
             for k, row in enumerate(self.rows)
         ]  # fmt: skip
-        return ChartTable(columns, rows)
+        return Table(columns, rows)
 
 
 def _broken(label: str) -> str:
@@ -265,7 +255,7 @@ class ProfilesChart(AbstractChart):
         )
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         columns = ("parameter", "unit", "curve", "value", "rise", "threshold",
                    "interval_low", "interval_high")  # fmt: skip
         rows: list[tuple[Value, ...]] = []
@@ -278,7 +268,7 @@ class ProfilesChart(AbstractChart):
                     (p.label, p.unit, name, value, rise, p.threshold, p.low, p.high)
                     for value, rise in zip(values.tolist(), plain(rises), strict=True)
                 ]
-        return ChartTable(columns, rows)
+        return Table(columns, rows)
 
 
 def _draw_profile(axes: Axes, panel: ProfilePanel, interval: str) -> None:

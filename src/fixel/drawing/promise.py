@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, clean, log_scale, positive, sheet
+from fixel.drawing.chart import WIDE, AbstractChart, clean, log_scale, positive, sheet
+from fixel.table import Table
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -65,9 +66,9 @@ class NewSidesChart(AbstractChart):
             axes.set_axis_off()
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         names = ("left_out", "error", "group", "counted", "blind_coverage", "bound_coverage")
-        return ChartTable(names, [tuple(row.get(name) for name in names) for row in self.groups])
+        return Table(names, [tuple(row.get(name) for name in names) for row in self.groups])
 
 
 @final
@@ -104,7 +105,7 @@ class PromiseChart(AbstractChart):
         self._reliability(panels[1, 1])
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         rows: list[tuple[Any, ...]] = [
             (row["group"], None, row["coverage"], row["coverage_constant"], None, None)
             for row in self.groups
@@ -116,7 +117,7 @@ class PromiseChart(AbstractChart):
             ("push", self.level, None, None, e, b)
             for e, b in zip(self.error.tolist(), self.bound.tolist(), strict=True)
         ]
-        return ChartTable(
+        return Table(
             ("what", "level", "coverage", "coverage_constant", "error_mm", "bound_mm"), rows
         )
 
@@ -229,12 +230,12 @@ class RatesChart(AbstractChart):
                       loc="outside lower center")  # fmt: skip
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         columns = (
             "dataset", "simulator", "rms_over_motion", "median_over_motion", "angle_deg_rms",
             "angle_deg_median",
         )  # fmt: skip
-        return ChartTable(columns, [tuple(row[name] for name in columns) for row in self.rows])
+        return Table(columns, [tuple(row[name] for name in columns) for row in self.rows])
 
 
 def _two_lines(row: Mapping[str, Any]) -> str:

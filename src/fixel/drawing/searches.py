@@ -13,9 +13,7 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
-    ChartTable,
     Style,
-    Value,
     clean,
     column,
     legend_below,
@@ -29,6 +27,7 @@ from fixel.drawing.chart import (
     whole_numbers,
     written,
 )
+from fixel.table import Table, Value
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -85,7 +84,7 @@ class SearchChart(AbstractChart):
         legend_below(figure, row)
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         unit = column(self.unit)
         columns = ("search", "evaluation", "iteration", f"error_{unit}", f"best_{unit}")
         rows: list[tuple[Value, ...]] = [
@@ -95,7 +94,7 @@ class SearchChart(AbstractChart):
                 zip(panel.iteration.tolist(), plain(panel.errors), plain(panel.best), strict=True)
             )
         ]
-        return ChartTable(columns, rows)
+        return Table(columns, rows)
 
 
 def _draw_search(axes: Axes, panel: SearchPanel, letters: int) -> None:
@@ -225,7 +224,7 @@ class StartsChart(AbstractChart):
         legend_below(figure, (left,))
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         first = ("rank", "start", f"error_{column(self.unit)}", "nearly_as_good", "evaluations")
         names = tuple(
             f"{label} [{unit}]" for label, unit in zip(self.labels, self.units, strict=True)
@@ -236,7 +235,7 @@ class StartsChart(AbstractChart):
              *self.points[k].tolist())
             for rank, k in enumerate(self.order, 1)
         ]  # fmt: skip
-        return ChartTable((*first, *names), rows)
+        return Table((*first, *names), rows)
 
 
 def _draw_waterfall(axes: Axes, chart: StartsChart) -> None:

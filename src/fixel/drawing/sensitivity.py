@@ -10,20 +10,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import (
-    WIDE,
-    AbstractChart,
-    ChartTable,
-    Value,
-    clean,
-    legend_below,
-    readable,
-    sheet,
-    shortened,
-)
+from fixel.drawing.chart import WIDE, AbstractChart, clean, legend_below, readable, sheet, shortened
 from fixel.drawing.picture import tint
 from fixel.drawing.view import unit_for
 from fixel.model import Scene, placed
+from fixel.table import Table, Value
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -94,7 +85,7 @@ class FanChart(AbstractChart):
         legend_below(figure, [panels["scene"]])
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         columns = (
             "start_error_x_m", "start_error_y_m", "start_error_theta_rad",
             "end_x_m", "end_y_m", "end_theta_rad", "outcome",
@@ -103,7 +94,7 @@ class FanChart(AbstractChart):
             (*map(float, drawn), *map(float, end), int(k) + 1)
             for drawn, end, k in zip(self.drawn, self.end, self.outcome, strict=True)
         ]
-        return ChartTable(columns, rows)
+        return Table(columns, rows)
 
 
 def _colour(k: int) -> str:
@@ -225,7 +216,7 @@ class IndicesChart(AbstractChart):
         legend_below(figure, row[:1])
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         columns = ("outcome", "input", "first", "first_error", "total", "total_error")
         rows: list[tuple[Value, ...]] = [
             (
@@ -236,4 +227,4 @@ class IndicesChart(AbstractChart):
             for b in self.bars
             for k, name in enumerate(self.names)
         ]
-        return ChartTable(columns, rows)
+        return Table(columns, rows)

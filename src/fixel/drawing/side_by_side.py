@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, Value, clean, sheet
+from fixel.drawing.chart import WIDE, AbstractChart, clean, sheet
 from fixel.model import placed, pose_error
+from fixel.table import Table, Value
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ class SideBySide(AbstractChart):
         grid[-1, 2].set_xlabel("time [s]")
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         columns = ("run", "time_s", *(f"{who}_{k}" for who in ("true", "tracked") for k in _POSE))
         rows: list[tuple[Value, ...]] = [
             (run.name, time, *true, *tracked)
@@ -89,7 +90,7 @@ class SideBySide(AbstractChart):
                 run.time.tolist(), run.true.tolist(), run.tracked.tolist(), strict=True
             )
         ]
-        return ChartTable(columns, rows)
+        return Table(columns, rows)
 
 
 _POSE: Final = ("x_m", "y_m", "angle_rad")

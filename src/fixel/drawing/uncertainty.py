@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, ChartTable, Value, clean, readable, sheet
+from fixel.drawing.chart import WIDE, AbstractChart, clean, readable, sheet
 from fixel.drawing.picture import tint
 from fixel.model import placed
+from fixel.table import Table, Value
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -175,14 +176,14 @@ class CornerChart(AbstractChart):
         figure.legend(handles=entries, frameon=False, loc="upper right",
                       bbox_to_anchor=(0.98, 0.93))  # fmt: skip
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         units = [f"{axis.label}_{axis.unit}" if axis.unit != "-" else axis.label
                  for axis in self.axes]  # fmt: skip
         rows: list[tuple[Value, ...]] = [
             (*map(float, sample), int(mode) + 1)
             for sample, mode in zip(self.samples, self.mode, strict=True)
         ]
-        return ChartTable((*units, "mode"), rows)
+        return Table((*units, "mode"), rows)
 
 
 class PathBand(NamedTuple):
@@ -249,7 +250,7 @@ class BandsChart(AbstractChart):
                   linewidth=0.6, linestyle=(0, (2, 1.2)), label="measured")  # fmt: skip
         clean(axes)
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         names = ("x_m", "y_m", "theta_rad")
         columns = ["time_s", *(f"measured_{n}" for n in names), *(f"likeliest_{n}" for n in names)]
         parts = [self.time[:, None], self.measured, self.best]
@@ -258,7 +259,7 @@ class BandsChart(AbstractChart):
                 columns += [f"{side}_{100.0 * band.level:.0f}_{n}" for n in names]
                 parts.append(ends)
         rows = [tuple(map(float, row)) for row in np.concatenate(parts, axis=1)]
-        return ChartTable(tuple(columns), list(rows))
+        return Table(tuple(columns), list(rows))
 
 
 class FinalRegion(NamedTuple):
@@ -352,7 +353,7 @@ class FinalPoseChart(AbstractChart):
         axes.locator_params(axis="x", nbins=5)
         clean(axes)
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         rows: list[tuple[Value, ...]] = [("measured", *map(float, self.measured))]
         rows += [("draw", *map(float, pose)) for pose in self.draws]
-        return ChartTable(("what", "x_m", "y_m", "theta_rad"), rows)
+        return Table(("what", "x_m", "y_m", "theta_rad"), rows)

@@ -13,16 +13,17 @@ import shutil
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, BeforeValidator, ConfigDict, InstanceOf, PlainSerializer
 
 from fixel.database.project import Project
 from fixel.errors import FixelError
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import each_readable, readable
+from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.workflows.figures import ENDINGS, Picture, make_folder, write_picture
 
@@ -38,12 +39,24 @@ class _StoredFigure(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class TextTable(_StoredFigure):
-    """Table for people to read: units in the head."""
-
+class _TextTable(_StoredFigure):
     title: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+
+
+def _table_from_text(value: Any) -> Any:
+    """Convert the stored texts of a table into a `Table`; return anything else unchanged."""
+    if not isinstance(value, dict):
+        return value
+    text = _TextTable.model_validate(value)
+    return Table(text.head, text.rows, title=text.title)
+
+
+# Stored as texts for people: title, head with units, rows.
+StoredTable = Annotated[
+    Table, BeforeValidator(_table_from_text), InstanceOf(), PlainSerializer(Table.text)
+]
 
 
 def rounded(value: float, digits: int = 3) -> str:
@@ -72,7 +85,7 @@ class Analysis(_StoredFigure):
         Main results in sentences with units, the most important first.
     warnings : tuple of str
         Warnings that a reader must know before relying on the results, in plain words.
-    tables : tuple of TextTable
+    tables : tuple of Table
     pictures : tuple of AnalysisFigure
     methods : tuple of str
         Sentences for the methods section of a paper.
@@ -96,7 +109,7 @@ class Analysis(_StoredFigure):
     question: dict[str, Any]
     headline: tuple[str, ...]
     warnings: tuple[str, ...] = ()
-    tables: tuple[TextTable, ...] = ()
+    tables: tuple[StoredTable, ...] = ()
     pictures: tuple[AnalysisFigure, ...] = ()
     methods: tuple[str, ...] = ()
     references: tuple[str, ...] = ()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from fixel.drawing.chart import AbstractChart, ChartTable, draw_chart
+from fixel.drawing.chart import AbstractChart, draw_chart
 from fixel.errors import InvalidInput, os_reason
 from fixel.io.atomic import written_whole
 
@@ -48,12 +47,5 @@ def write_picture(folder: Path, picture: Picture) -> list[Path]:
     with written_whole(paths[0]) as png, written_whole(paths[1]) as pdf:
         draw_chart(picture.chart, png, pdf, banner=picture.banner)
     with written_whole(paths[2]) as temporary:
-        _write_table(temporary, picture.chart.table())
+        temporary.write_text(picture.chart.table().csv(), encoding="utf-8", newline="")
     return paths
-
-
-def _write_table(path: Path, table: ChartTable) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(table.columns)
-        writer.writerows(table.rows)

@@ -19,8 +19,9 @@ from fixel.drawing.calibration import SecondsChart
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate
 from fixel.sampling.thesis import thesis_plan
+from fixel.table import Table
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.analysis import Analysis, TextTable, keep
+from fixel.workflows.analysis import Analysis, keep
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.parameter_options import fitted
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
@@ -72,7 +73,7 @@ def _kept(project, **changes):
         question={"tau_mm": 2.0},
         headline=("Trusted at 2 mm in 3 of 4 cells.",),
         warnings=("One cell has no data.",),
-        tables=(TextTable(title="Cells", head=("cell", "error [mm]"), rows=((EVIL, "1.0"),)),),
+        tables=(Table(("cell", "error [mm]"), ((EVIL, "1.0"),), title="Cells"),),
         methods=("Cells were judged by cross-validation.",),
         references=("vovk2005",),
         calibrations=(number,),

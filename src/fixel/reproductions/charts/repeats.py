@@ -10,15 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import (
-    WIDE,
-    AbstractChart,
-    ChartTable,
-    clean,
-    legend_below,
-    log_scale,
-    sheet,
-)
+from fixel.drawing.chart import WIDE, AbstractChart, clean, legend_below, log_scale, sheet
+from fixel.table import Table
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -58,10 +51,10 @@ class RepeatPicture(AbstractChart):
         legend_below(figure, [left])
         return figure
 
-    def table(self) -> ChartTable:
+    def table(self) -> Table:
         names = ("measured", "median", "least", "limit")
         columns = tuple(f"{n}_{unit}" for n in names for unit in ("m", "rad"))
-        return ChartTable(
+        return Table(
             ("group", "kind", *columns),
             [
                 (g.name, g.kind, *(float(x) for n in names for x in getattr(g, n)))

@@ -102,10 +102,7 @@ def _analysis(one: StoredAnalysis) -> AnalysisOut:
         warnings=list(analysis.warnings),
         headline=list(analysis.headline),
         pictures=[PictureOut(name=p.name, caption=p.caption) for p in analysis.pictures],
-        tables=[
-            TextTableOut(title=t.title, head=list(t.head), rows=[list(row) for row in t.rows])
-            for t in analysis.tables
-        ],
+        tables=[TextTableOut(**table.text()) for table in analysis.tables],
         methods=list(analysis.methods),
         command=analysis.command,
         calibrations=list(analysis.calibrations),

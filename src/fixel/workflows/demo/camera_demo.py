@@ -21,13 +21,14 @@ from fixel.formats.scene_file import load_scene
 from fixel.model import Experiment, PathDrive, Trajectory, placed
 from fixel.model.records import Estimate
 from fixel.sampling.thesis import thesis_plan
+from fixel.table import Table
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing import emulated_mega
 from fixel.typing import Notify, Progress
 from fixel.workflows.acquisition.film import Shooting, film
 from fixel.workflows.acquisition.film_truth import ARRAYS
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
-from fixel.workflows.analysis import Analysis, TextTable, keep
+from fixel.workflows.analysis import Analysis, keep
 from fixel.workflows.calibration import run as calibration
 from fixel.workflows.calibration.parameter_options import default_unknowns
 from fixel.workflows.calibration.request import (
@@ -400,7 +401,7 @@ def _keep(
     keep(project, analysis, (picture,))
 
 
-def _run_table(runs: tuple[TrackedRun, ...]) -> TextTable:
+def _run_table(runs: tuple[TrackedRun, ...]) -> Table:
     rows = []
     for run in runs:
         one = errors_of((run,))
@@ -415,10 +416,10 @@ def _run_table(runs: tuple[TrackedRun, ...]) -> TextTable:
             )
         )
     head = ("run", "frames", "RMS [mm]", "largest [mm]", "RMS [deg]", "largest [deg]")
-    return TextTable(title="Tracked less true", head=head, rows=tuple(rows))
+    return Table(head, rows, title="Tracked less true")
 
 
-def estimate_table(estimates: tuple[tuple[Estimate, Estimate], ...]) -> TextTable:
+def estimate_table(estimates: tuple[tuple[Estimate, Estimate], ...]) -> Table:
     """Table of the values from the film and from true poses."""
     rows = tuple(
         (
@@ -430,7 +431,7 @@ def estimate_table(estimates: tuple[tuple[Estimate, Estimate], ...]) -> TextTabl
         for tracked, true in estimates
     )
     head = ("parameter", "from the film", "from true poses", "within")
-    return TextTable(title="Parameters, with their intervals and verdicts", head=head, rows=rows)
+    return Table(head, rows, title="Parameters, with their intervals and verdicts", left=4)
 
 
 def written_estimate(estimate: Estimate) -> str:

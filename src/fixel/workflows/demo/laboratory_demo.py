@@ -17,10 +17,10 @@ from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.sampling.thesis import thesis_plan
+from fixel.table import Table
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import Notify
 from fixel.uncertainty.starts import StartError
-from fixel.workflows.analysis import TextTable
 from fixel.workflows.calibration import run as calibration
 from fixel.workflows.calibration.parameter_options import default_unknowns
 from fixel.workflows.calibration.request import (
@@ -55,13 +55,13 @@ class Tour:
     ----------
     project : Path
     report : Report
-    truth : TextTable
+    truth : Table
         Estimates with the true values of the laboratory.
     """
 
     project: Path
     report: Report
-    truth: TextTable
+    truth: Table
 
 
 def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
@@ -121,7 +121,7 @@ def _calibrate(project: Project, command: str) -> int:
     return calibration.collect(project, job, command, chosen.left_out).ids[-1]
 
 
-def _beside_truth(project: Project, number: int) -> TextTable:
+def _beside_truth(project: Project, number: int) -> Table:
     """Table of the estimates with the true mean friction of the simulated laboratory."""
     with project.store() as store:
         record = store.calibration(number)
@@ -137,7 +137,7 @@ def _beside_truth(project: Project, number: int) -> TextTable:
             "none in this world" if true is None else f"{true:.3g}", estimate.verdict,
         ))  # fmt: skip
     head = ("parameter", "value", "interval", "truth", "verdict")
-    return TextTable(title="Found, and true", head=head, rows=tuple(rows))
+    return Table(head, rows, title="Found, and true")
 
 
 def _true_mean(label: str, experiments: Sequence[Experiment]) -> float | None:

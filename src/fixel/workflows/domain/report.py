@@ -9,7 +9,7 @@ import numpy as np
 from fixel.domain.cells import Cells
 from fixel.domain.domain import COLOURS, DOUBTFUL, NO_DATA, CellVerdict, Claim, DomainMap
 from fixel.domain.next_experiment import Proposal
-from fixel.workflows.analysis import TextTable
+from fixel.table import Table
 from fixel.workflows.domain.evidence import DomainEvidence
 
 
@@ -108,7 +108,7 @@ def warnings_of(
 
 def tables(
     domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]], found: list[Proposal]
-) -> tuple[TextTable, ...]:
+) -> tuple[Table, ...]:
     """Tables of the extents of D(tau) by map, of bounds, and of the most useful experiments."""
     axes = domain.cells.axes
     rows = []
@@ -127,11 +127,12 @@ def tables(
         "not trusted",
         "no data",
     )
-    first = TextTable(title=f"D(tau) at {claim.text()}", head=head, rows=tuple(rows))
-    second = TextTable(
+    first = Table(head, rows, title=f"D(tau) at {claim.text()}")
+    second = Table(
+        ("map", "experiment", "expected to settle [bit]", "why"),
+        ((p.group or "all", p.where, f"{p.bits:.2f}", p.reason) for p in found),
         title="What to try next",
-        head=("map", "experiment", "expected to settle [bit]", "why"),
-        rows=tuple((p.group or "all", p.where, f"{p.bits:.2f}", p.reason) for p in found),
+        left=4,
     )
     return (first, *promise_table(domain, claim), *([second] if found else []))
 
@@ -183,7 +184,7 @@ def _promise_at(domain: DomainMap, g: int, c: int) -> float | None:
     return None if domain.predicted_mm is None else _finite(domain.predicted_mm[g, c])
 
 
-def promise_table(domain: DomainMap, claim: Claim) -> list[TextTable]:
+def promise_table(domain: DomainMap, claim: Claim) -> list[Table]:
     """Table of the error bounds of new experiments, by map; empty if there are no bounds."""
     if domain.predicted_mm is None:
         return []
@@ -198,7 +199,7 @@ def promise_table(domain: DomainMap, claim: Claim) -> list[TextTable]:
     head = ("map", "median error [mm]", "least bound [mm]", "median bound [mm]", "most [mm]")
     likely = f"{100.0 * claim.level:g} %"
     title = f"Promised for new experiments in these cells, with a probability of {likely}"
-    return [TextTable(title=title, head=head, rows=tuple(rows))]
+    return [Table(head, rows, title=title)]
 
 
 def _place(cells: Cells, c: int) -> dict[str, str | float]:

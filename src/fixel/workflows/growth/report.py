@@ -12,8 +12,8 @@ from fixel.domain.along_axis import AxisEdges, AxisStudy
 from fixel.domain.growth import AVERAGED, STORED
 from fixel.drawing.chart import plain, readable, written
 from fixel.drawing.growth import AxisChart, GrowthMatrix, GrowthSteps
+from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.workflows.analysis import TextTable
 from fixel.workflows.figures import Picture
 from fixel.workflows.growth.explore import Exploration
 
@@ -135,7 +135,7 @@ def methods(found: Exploration) -> list[str]:
 # --- tables -------------------------------------------------------------------------------------
 
 
-def matrix_table(found: Exploration) -> TextTable:
+def matrix_table(found: Exploration) -> Table:
     """Table of the largest errors, one row per group."""
     unit = written(found.unit)
     n = found.growth.steps[0][-1].step
@@ -143,14 +143,14 @@ def matrix_table(found: Exploration) -> TextTable:
         (row[0].group.name, *("none" if s.largest is None else f"{s.largest:.3g}" for s in row))
         for row in found.growth.steps
     ]
-    return TextTable(
+    return Table(
+        ("group", "nominal", *(f"step {k}" for k in range(1, n + 1))),
+        rows,
         title=f"Largest error in the domain [{unit}]",
-        head=("group", "nominal", *(f"step {k}" for k in range(1, n + 1))),
-        rows=tuple(rows),
     )
 
 
-def edges_table(found: Exploration) -> TextTable:
+def edges_table(found: Exploration) -> Table:
     """Table of the domain's ends along each axis, absolute and relative."""
     unit = written(found.unit)
     rows = []
@@ -168,12 +168,12 @@ def edges_table(found: Exploration) -> TextTable:
                 f"{ratio:.3g}" if math.isfinite(ratio) else "none",
             )
         )
-    return TextTable(
-        title=f"Domain along each axis at {found.threshold:.3g} {unit}",
-        head=("shape", "axis", "samples", "absolute error", "relative error",
-              f"average at nominal [{unit}]", "over own best"),
-        rows=tuple(rows),
-    )  # fmt: skip
+    head = (
+        *("shape", "axis", "samples", "absolute error", "relative error"),
+        *(f"average at nominal [{unit}]", "over own best"),
+    )
+    title = f"Domain along each axis at {found.threshold:.3g} {unit}"
+    return Table(head, rows, title=title, left=2)
 
 
 # --- pictures -----------------------------------------------------------------------------------

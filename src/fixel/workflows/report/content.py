@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import final
 
-from fixel.workflows.analysis import TextTable
+from fixel.table import Table
 
 
 @final
@@ -40,7 +40,7 @@ class Section:
         Anchor for links within the page.
     lead : tuple of str
         Sentences before tables and figures.
-    tables : tuple of TextTable
+    tables : tuple of Table
     figures : tuple of Figure
     notes : tuple of str
         Sentences after tables and figures, in small print.
@@ -51,7 +51,7 @@ class Section:
     title: str
     anchor: str
     lead: tuple[str, ...] = ()
-    tables: tuple[TextTable, ...] = ()
+    tables: tuple[Table, ...] = ()
     figures: tuple[Figure, ...] = ()
     notes: tuple[str, ...] = ()
     commands: tuple[str, ...] = ()

@@ -11,8 +11,8 @@ import numpy as np
 
 from fixel.calibration.misfit import shown_ratio
 from fixel.model.records import Estimate
+from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.workflows.analysis import TextTable
 from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.calibration.report_data import CalibrationReportData
@@ -76,7 +76,7 @@ def errors_section(
     rows = [] if nominal is None else [("nominal", *_spread(rms(one, nominal)))]
     rows.append(("calibrated", *_spread(rms(one, after))))
     head = ("parameters", "mean [mm]", "median [mm]", "largest [mm]")
-    tables = [TextTable(title="Root mean square error of the path", head=head, rows=tuple(rows))]
+    tables = [Table(head, rows, title="Root mean square error of the path")]
     worst = _worst(one, after, keys)
     if worst:
         tables.append(worst)
@@ -111,7 +111,7 @@ def parameters_section(one: CalibratedValues, figures: list[Figure]) -> Section:
         lead=(MISFIT if misfit_of(one.record) else _LIKELIEST,)
         if estimates
         else ("Nobody asked what the data determine: calibrate without --no-verdicts.",),
-        tables=(TextTable(title="Parameters", head=head, rows=tuple(rows)),),
+        tables=(Table(head, rows, title="Parameters"),),
         figures=tuple(figure for figure in figures if _of_parameters(figure)),
         notes=tuple(reasons),
     )
@@ -245,14 +245,14 @@ def _far(one: CalibratedValues, errors: FloatArray, keys: Mapping[int, str]) -> 
     ]
 
 
-def _worst(one: CalibratedValues, errors: FloatArray, keys: Mapping[int, str]) -> TextTable | None:
+def _worst(one: CalibratedValues, errors: FloatArray, keys: Mapping[int, str]) -> Table | None:
     if len(errors) < 2 * MAX_NAMED:
         return None
     values = rms(one, errors)
     order = np.argsort(-np.where(np.isfinite(values), values, -1.0), kind="stable")[:MAX_NAMED]
     members = one.record.members
     rows = tuple((keys.get(members[k].experiment_id, "?"), f"{values[k]:.3g}") for k in order)
-    return TextTable(title="The worst of them", head=("experiment", "error [mm]"), rows=rows)
+    return Table(("experiment", "error [mm]"), rows, title="The worst of them")
 
 
 def _named(names: list[str]) -> str:

@@ -14,7 +14,7 @@ from fixel.database.browsing import ExperimentRow
 from fixel.database.query import ALL_EXPERIMENTS, ExperimentQuery
 from fixel.database.store import Store
 from fixel.model.trajectory import turned
-from fixel.workflows.analysis import TextTable
+from fixel.table import Table
 from fixel.workflows.report.content import Section
 
 MAX_VALUES: Final = 8  # values of one condition that are written out
@@ -90,18 +90,14 @@ def data_section(data: ReportData) -> Section:
         ("object turned [deg]", *_spread(angle)),
     )
     tables = [
-        TextTable(title="Experiments", head=("", "least", "median", "most"), rows=rows),
+        Table(("", "least", "median", "most"), rows, title="Experiments"),
     ]
     if data.conditions:
         tables.append(_conditions(data))
     if data.flags:
         flagged = tuple((name, str(n)) for name, n in sorted(data.flags.items()))
         tables.append(
-            TextTable(
-                title="Flags on the data of this project",
-                head=("flag", "experiments"),
-                rows=flagged,
-            )
+            Table(("flag", "experiments"), flagged, title="Flags on the data of this project")
         )
     return Section(
         title="What was measured",
@@ -150,16 +146,14 @@ def _spread(values: np.ndarray) -> tuple[str, str, str]:
     return f"{values.min():.4g}", f"{np.median(values):.4g}", f"{values.max():.4g}"
 
 
-def _conditions(data: ReportData) -> TextTable:
+def _conditions(data: ReportData) -> Table:
     rows = []
     for name, values in data.conditions.items():
         shown = [_plain(value) for value in values]
         if len(shown) > MAX_VALUES:
             shown = [*shown[: MAX_VALUES // 2], "...", *shown[-MAX_VALUES // 2 :]]
         rows.append((name, str(len(values)), ", ".join(shown)))
-    return TextTable(
-        title="Conditions that differ", head=("condition", "values", "which"), rows=tuple(rows)
-    )
+    return Table(("condition", "values", "which"), rows, title="Conditions that differ")
 
 
 def _in_order(value: str | float) -> tuple[bool, float, str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import re
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,13 +14,10 @@ from typing import Any, Final, final
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
-from fixel.workflows.analysis import TextTable
 from fixel.workflows.figures import make_folder
 from fixel.workflows.report.bibliography import bibtex, line, works
 from fixel.workflows.report.content import Content
 from fixel.workflows.report.gather import gather
-
-_WORD: Final = re.compile(r"[^\W\d_]{2,}")
 
 PAGE: Final = "report.html"
 FIGURES: Final = "figures"
@@ -99,7 +95,6 @@ def write_report(
         content=content,
         style=_own("report.css"),
         picture=_embedded,
-        words=_of_words,
         cited=[line(work) for work in cited.values()],
         bibtex=bibtex(cited),
         commands=[*content.commands, *([command] if command else [])],
@@ -140,12 +135,6 @@ def _template() -> Any:
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     return environment.from_string(_own("report.html.j2"))
-
-
-def _of_words(table: TextTable) -> list[bool]:
-    """True for each column that contains words, not numbers, and is aligned to the left."""
-    columns = zip(*table.rows, strict=True)
-    return [any(len(_WORD.findall(cell)) > 1 for cell in column) for column in columns]
 
 
 def _own(name: str) -> str:

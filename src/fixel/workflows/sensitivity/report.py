@@ -10,10 +10,11 @@ import numpy as np
 
 from fixel.drawing.sensitivity import Bars, FanChart, IndicesChart
 from fixel.model import Parameters
+from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.indices import Indices
 from fixel.uncertainty.outcomes import FLAGS
-from fixel.workflows.analysis import Analysis, TextTable, rounded
+from fixel.workflows.analysis import Analysis, rounded
 from fixel.workflows.figures import Picture
 from fixel.workflows.sensitivity.request import Finding, SensitivityRequest, Subject
 
@@ -127,12 +128,12 @@ def _warnings(found: Sequence[Finding], skipped: Mapping[str, str]) -> list[str]
     return said
 
 
-def _tables(found: Sequence[Finding]) -> list[TextTable]:
+def _tables(found: Sequence[Finding]) -> list[Table]:
     head = (
         "push", "flag", "amplification", "gain", "spread [mm]", "spread [deg]", "outcomes",
         "contact modes",
     )  # fmt: skip
-    tables = [TextTable(title="Pushes, to avoid first", head=head, rows=tuple(map(_row, found)))]
+    tables = [Table(head, map(_row, found), title="Pushes, to avoid first", left=2)]
     for finding in found:
         if finding.indices is not None:
             tables.append(_index_table(finding.subject.key, finding.indices))
@@ -153,7 +154,7 @@ def _row(finding: Finding) -> tuple[str, ...]:
     )
 
 
-def _index_table(key: str, own: Indices) -> TextTable:
+def _index_table(key: str, own: Indices) -> Table:
     rows = [
         (
             outcome,
@@ -164,10 +165,8 @@ def _index_table(key: str, own: Indices) -> TextTable:
         for k, outcome in enumerate(own.outcomes)
         for j, factor in enumerate(own.factors)
     ]
-    return TextTable(
-        title=f"Sobol indices of {key}",
-        head=("outcome", "input", "first order", "total"),
-        rows=tuple(rows),
+    return Table(
+        ("outcome", "input", "first order", "total"), rows, title=f"Sobol indices of {key}"
     )
 
 

@@ -11,10 +11,11 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.drawing.chart import readable
+from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.bands import PARTS
 from fixel.uncertainty.discrepancy import LABEL
-from fixel.workflows.analysis import Analysis, StoredAnalysis, TextTable, keep, rounded
+from fixel.workflows.analysis import Analysis, StoredAnalysis, keep, rounded
 from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.uncertainty.charts import curves_of, pictures_of, what_of
 from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty
@@ -277,7 +278,7 @@ def _methods(found: Uncertainty) -> Iterator[str]:
 # --- tables ---------------------------------------------------------------------------------------
 
 
-def _tables(found: Uncertainty) -> Iterator[TextTable]:
+def _tables(found: Uncertainty) -> Iterator[Table]:
     posterior = found.posterior
     low, middle, high = posterior.quantiles()
     rows = []
@@ -287,7 +288,7 @@ def _tables(found: Uncertainty) -> Iterator[TextTable]:
         numbers = (unit.text(x) for x in (middle[k], low[k], high[k], posterior.best[k]))
         rows.append((label, *numbers, ends, unit.name or "-"))
     head = ("parameter", "median", "2.5 %", "97.5 %", "likeliest", "prior", "unit")
-    yield TextTable(title="Parameters", head=head, rows=tuple(rows))
+    yield Table(head, rows, title="Parameters")
     if len(posterior.modes) > 1:
         yield _mode_table(found)
     yield _parts_table(found)
@@ -296,7 +297,7 @@ def _tables(found: Uncertainty) -> Iterator[TextTable]:
         yield _near_table(found)
 
 
-def _mode_table(found: Uncertainty) -> TextTable:
+def _mode_table(found: Uncertainty) -> Table:
     posterior = found.posterior
     units = [readable(unit) for unit in posterior.units]
     rows = [
@@ -309,20 +310,16 @@ def _mode_table(found: Uncertainty) -> TextTable:
         for k, mode in enumerate(posterior.modes, 1)
     ]  # fmt: skip
     names = [unit.on(label) for unit, label in zip(units, posterior.labels, strict=True)]
-    return TextTable(
-        title="Separate modes, 95 % of each",
-        head=("mode", "probability [%]", *names),
-        rows=tuple(rows),
-    )
+    return Table(("mode", "probability [%]", *names), rows, title="Separate modes, 95 % of each")
 
 
-def _parts_table(found: Uncertainty) -> TextTable:
+def _parts_table(found: Uncertainty) -> Table:
     first = found.predicted[0]
     rows = tuple((name, *_spread(first.prediction.shares[name])) for name in (*PARTS, "all"))
-    return TextTable(
+    return Table(
+        ("from", "x [mm]", "y [mm]", "theta [deg]"),
+        rows,
         title=f"Standard deviation of the final pose of {first.experiment.key}, by origin",
-        head=("from", "x [mm]", "y [mm]", "theta [deg]"),
-        rows=rows,
     )
 
 
@@ -330,7 +327,7 @@ def _spread(value: FloatArray) -> tuple[str, str, str]:
     return rounded(1e3 * value[0]), rounded(1e3 * value[1]), rounded(degrees(value[2]))
 
 
-def _bounds_table(found: Uncertainty) -> TextTable:
+def _bounds_table(found: Uncertainty) -> Table:
     rows = []
     for one in found.predicted:
         bounds = one.prediction.bounds(0.9)
@@ -347,23 +344,23 @@ def _bounds_table(found: Uncertainty) -> TextTable:
                 f"{100.0 * one.levels[1]:.0f}",
             )
         )
-    return TextTable(
-        title="Bounds of 90 % on the final pose; levels that just hold the measured one",
-        head=("experiment", "", "centre [mm]", "half axes [mm]", "theta [deg]",
-              "position at [%]", "theta at [%]"),
-        rows=tuple(rows),
-    )  # fmt: skip
+    head = (
+        *("experiment", "", "centre [mm]", "half axes [mm]", "theta [deg]"),
+        *("position at [%]", "theta at [%]"),
+    )
+    title = "Bounds of 90 % on the final pose; levels that just hold the measured one"
+    return Table(head, rows, title=title)
 
 
-def _near_table(found: Uncertainty) -> TextTable:
+def _near_table(found: Uncertainty) -> Table:
     near = found.near
     assert near is not None
     rows = tuple(
         (str(k), str(c.size), f"{c.error:.4g}", *(f"{x:.4g}" for x in c.point))
         for k, c in enumerate(near.clusters[:10], 1)
     )
-    return TextTable(
+    return Table(
+        ("cluster", "points", "error [mm²]", *found.near_names),
+        rows,
         title=f"Evaluations of the calibration within {near.rise:.3g} mm² of its best, in clusters",
-        head=("cluster", "points", "error [mm²]", *found.near_names),
-        rows=rows,
     )
