@@ -32,7 +32,6 @@ Kind = Literal["tracking", "growth", "domain", "sensitivity", "uncertainty"]
 ANALYSES: Final = "analyses"
 CONTENT: Final = "analysis.json"
 ARRAYS: Final = "arrays.npz"
-NOTHING: Final = 1e-7  # [mm or deg] smaller values are shown as zero
 
 
 class _StoredFigure(BaseModel):
@@ -57,12 +56,6 @@ def _table_from_text(value: Any) -> Any:
 StoredTable = Annotated[
     Table, BeforeValidator(_table_from_text), InstanceOf(), PlainSerializer(Table.text)
 ]
-
-
-def rounded(value: float, digits: int = 3) -> str:
-    """Format a length [mm], an angle [deg] or a share for people to read; values below any
-    measurement, such as rounding errors of simulations, are zero."""
-    return f"{value if abs(value) >= NOTHING else 0.0:.{digits}g}"
 
 
 class AnalysisFigure(_StoredFigure):

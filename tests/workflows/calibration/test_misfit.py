@@ -30,7 +30,7 @@ from fixel.workflows.calibration.request import (
 )
 from fixel.workflows.calibration.stored import calibrated, parameters_of, searched_space
 from fixel.workflows.demo.laboratory_demo import _beside_truth
-from fixel.workflows.report.of_calibration import calibration_warnings, parameters_section
+from fixel.workflows.report.calibration import calibration_warnings, parameters_section
 
 COMMAND = "fixel calibrate --optimiser least-squares"
 LARGER = ("pressure_spread", "friction_centre_x", "friction_centre_y")

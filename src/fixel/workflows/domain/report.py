@@ -11,6 +11,7 @@ from fixel.domain.domain import COLOURS, DOUBTFUL, NO_DATA, CellVerdict, Claim, 
 from fixel.domain.next_experiment import Proposal
 from fixel.table import Table
 from fixel.workflows.domain.evidence import DomainEvidence
+from fixel.workflows.sentences import sentences
 
 
 def headline(
@@ -18,42 +19,26 @@ def headline(
 ) -> tuple[str, ...]:
     """Return the main results as sentences."""
     count = colour_counts(verdicts)
-    total = sum(count.values()) - count[NO_DATA] - count["predicted"]
     sizes = [len(own) for own in domain.domains(claim)]
-    first = (
-        f"Within {claim.text()} for {100.0 * claim.level:g} % of new experiments:"
-        f" {count['trusted']} of {total} cells with data are trusted, {count['doubtful']} doubtful,"
-        f" {count['not trusted']} not trusted; {count[NO_DATA]} have no data."
+    return sentences(
+        "domain",
+        "headline",
+        claim=claim,
+        count=count,
+        total=sum(count.values()) - count[NO_DATA] - count["predicted"],
+        sizes=sizes,
+        empty=sizes.count(0),
+        cells=len(domain.cells),
+        begins=None if any(sizes) else _begins(domain, claim),
+        best=found[0] if found else None,
     )
-    none = f"; it is empty in {sizes.count(0)}" if 0 in sizes else ""
-    second = (
-        f"D(tau) around the nominal has {_spread(sizes)} of {len(domain.cells)} cells in"
-        f" {len(sizes)} maps{none}."
-    )
-    if len(sizes) == 1:
-        second = f"D(tau) around the nominal has {sizes[0]} of {len(domain.cells)} cells."
-    if not any(sizes):
-        second += _begins(domain, claim)
-    third = ""
-    if found:
-        best = found[0]
-        where = f"{best.group}: " if best.group else ""
-        third = f"Most would teach an experiment at {where}{best.where} ({best.reason})."
-    return tuple(sentence for sentence in (first, second, third) if sentence)
 
 
-def _begins(domain: DomainMap, claim: Claim) -> str:
-    """Sentence on the threshold at which an empty domain would begin."""
+def _begins(domain: DomainMap, claim: Claim) -> float | None:
+    """Threshold at which an empty domain would begin; None if it is empty for every threshold."""
     thresholds = domain.usual_thresholds
     filled = np.flatnonzero(domain.curve(claim, thresholds.tolist()).sum(axis=0))
-    if not len(filled):
-        return ""
-    return f" It begins at about {claim.text(float(thresholds[filled[0]]))}."
-
-
-def _spread(sizes: list[int]) -> str:
-    low, high = min(sizes), max(sizes)
-    return str(low) if low == high else f"{low} to {high}"
+    return float(thresholds[filled[0]]) if len(filled) else None
 
 
 def colour_counts(verdicts: list[list[CellVerdict]]) -> dict[str, int]:
@@ -65,45 +50,24 @@ def colour_counts(verdicts: list[list[CellVerdict]]) -> dict[str, int]:
 def warnings_of(
     gathered: DomainEvidence, domain: DomainMap, claim: Claim, aside: int, verdicts: Any
 ) -> tuple[str, ...]:
-    found = []
-    if aside:
-        found.append(
-            f"{aside} experiments were offset along something that is no axis of the map, and are"
-            " left out"
-        )
-    if gathered.left_out:
-        reason = next(iter(gathered.left_out.values()))
-        found.append(f"{len(gathered.left_out)} experiments cannot be compared: {reason}")
-    failed = int(np.isinf(domain.evidence.error_mm2).sum())
-    if failed:
-        found.append(f"{failed} simulations failed and count as above every threshold")
-    unknown = [note for note in domain.evidence.notes if note]
-    if unknown and claim.measure == "relative":
-        found.append(f"{len(unknown)} experiments are no evidence: {unknown[0]}")
-    if gathered.calibration is None:
-        found.append(f"no stored calibration was used: {gathered.started}")
-    if gathered.floor_mm is None:
-        found.append("the noise of the measurement is not known: no repetitions, too few frames")
-    empty = [
-        group or "the map"
-        for g, group in enumerate(domain.groups)
-        if domain.counts[g, domain.cells.nominal] == 0
-    ]
-    if empty:
-        found.append(f"no experiment at the nominal in {len(empty)} maps, first {empty[0]}")
+    """Return warnings about the evidence of a map, without full stops."""
+    nominal = domain.counts[:, domain.cells.nominal]
     few = any(
         verdict.colour == DOUBTFUL and domain.counts[g, c] < claim.needed
         for g, own in enumerate(verdicts)
         for c, verdict in enumerate(own)
     )
-    if few and not colour_counts(verdicts)["trusted"]:
-        found.append(
-            f"no cell is trusted; {claim.needed} experiments below {claim.text()} in one cell make"
-            " the claim by themselves, fewer where neighbours agree"
-        )
-    if gathered.scale_mm != 35.0:
-        found.append(f"a radian counts as {gathered.scale_mm:g} mm, not as the thesis's 35 mm")
-    return tuple(found)
+    return sentences(
+        "domain",
+        "warnings",
+        gathered=gathered,
+        claim=claim,
+        aside=aside,
+        failed=int(np.isinf(domain.evidence.error_mm2).sum()),
+        unknown=[note for note in domain.evidence.notes if note],
+        empty=[group or "the map" for g, group in enumerate(domain.groups) if nominal[g] == 0],
+        few=few and not colour_counts(verdicts)["trusted"],
+    )
 
 
 def tables(
@@ -214,15 +178,6 @@ def _finite(value: float) -> float | None:
 
 
 def methods_of(gathered: DomainEvidence, domain: DomainMap, claim: Claim) -> tuple[str, ...]:
+    """Return sentences for the methods section of a paper."""
     n = len(domain.evidence)
-    return (
-        f"Errors of {n} experiments were held out in {gathered.folds} folds ({gathered.fits} fits"
-        f" of {', '.join(gathered.labels)} by least squares, {gathered.motion} motion,"
-        f" {gathered.stepper} steps, started from {gathered.started}); repetitions of one"
-        " configuration were held out together.",
-        f"A cell is trusted where at least {100.0 * claim.level:g} % of new experiments stay"
-        f" within {claim.text()} with a probability of {100.0 * claim.confidence:g} %: by"
-        f" counting where it has {claim.needed} members, else by a Gaussian process on the"
-        " logarithm of the error; a cell without experiments is never trusted. Bounds for new"
-        " experiments are conformal (CV+), on the same held-out errors.",
-    )
+    return sentences("domain", "methods", gathered=gathered, claim=claim, n=n)

@@ -16,6 +16,7 @@ from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.workflows.figures import Picture
 from fixel.workflows.growth.explore import Exploration
+from fixel.workflows.sentences import sentences
 
 
 def matrix_of(found: Exploration) -> FloatArray:
@@ -24,61 +25,64 @@ def matrix_of(found: Exploration) -> FloatArray:
     return np.array([[math.nan if x is None else x for x in row] for row in rows])
 
 
-# --- sentences ----------------------------------------------------------------------------------
-
-
-def headline(found: Exploration) -> list[str]:
+def headline(found: Exploration) -> tuple[str, ...]:
     """Return the main results as sentences, the most important first."""
-    return [*_growth_sentences(found), *(_edge_sentence(found, study) for study in found.studies)]
+    matrix, groups = matrix_of(found), found.growth.groups
+    shapes = [
+        _shape_growth(shape, matrix[[group.shape == shape for group in groups]], found.threshold)
+        for shape in dict.fromkeys(group.shape for group in groups)
+    ]
+    axes = [_axis_edges(found, study) for study in found.studies]
+    unit = written(found.unit)
+    return sentences(
+        "growth", "headline", shapes=shapes, axes=axes, unit=unit, threshold=found.threshold
+    )
 
 
-def _growth_sentences(found: Exploration) -> list[str]:
-    matrix, unit = matrix_of(found), written(found.unit)
-    sentences = []
-    for shape in dict.fromkeys(group.shape for group in found.growth.groups):
-        own = [k for k, group in enumerate(found.growth.groups) if group.shape == shape]
-        whole = np.asarray(np.isfinite(matrix[own]).all(axis=0))
-        last = int(np.flatnonzero(whole)[-1]) if whole[0] else 0
-        rows = matrix[own]
-        if not whole[0] or last == 0:
-            sentences.append(f"{shape}: too few experiments to say how its domain grows.")
-            continue
-        within = [int((rows[:, k] <= found.threshold).sum()) for k in (0, 1)]
-        sentences.append(
-            f"{shape}: the largest error in the domain, on average over {len(own)} layouts, grows"
-            f" from {rows[:, 0].mean():.3g} {unit} at the nominal pose to"
-            f" {rows[:, 1].mean():.3g} {unit} at step 1 and {rows[:, last].mean():.3g} {unit} at"
-            f" step {last}; within {found.threshold:.3g} {unit} are {within[0]} and {within[1]} of"
-            f" {len(own)} at steps 0 and 1."
-        )
-    return sentences
+def _shape_growth(shape: str, rows: FloatArray, threshold: float) -> dict[str, Any]:
+    """Mean errors of a shape's layouts at the first steps and at the last known to all."""
+    whole = np.asarray(np.isfinite(rows).all(axis=0))
+    last = int(np.flatnonzero(whole)[-1]) if whole[0] else 0
+    if last == 0:
+        return {"shape": shape, "last": 0}
+    return {
+        "shape": shape,
+        "layouts": len(rows),
+        "nominal": rows[:, 0].mean(),
+        "first": rows[:, 1].mean(),
+        "last": last,
+        "end": rows[:, last].mean(),
+        "within": [int((rows[:, k] <= threshold).sum()) for k in (0, 1)],
+    }
 
 
-def _edge_sentence(found: Exploration, study: AxisStudy) -> str:
-    about = f"{study.shape}, {study.axis}, set of {study.size} samples"
-    at = f"at E = {found.threshold:.3g} {written(found.unit)}"
-    text = edges_text(study.edges(found.threshold), study)
-    if text is None:
-        k = int(np.flatnonzero(study.steps == 0)[0])
-        value = study.average[k]
-        beyond = f"{value:.3g} {written(found.unit)}" if math.isfinite(value) else "not to be had"
-        return (
-            f"{about}: no domain {at}; at the nominal pose the average error is"
-            f" {beyond}{_without_worst(study, k)}."
-        )
+def _axis_edges(found: Exploration, study: AxisStudy) -> dict[str, Any]:
+    """Ends of the domain along an axis, in steps and in units, or the error that prevents one."""
+    k = int(np.flatnonzero(study.steps == 0)[0])
+    ends = edges_text(study.edges(found.threshold), study)
     length = found.samples.lengths.get(study.axis)
-    return f"{about}: {text} {at}{_in_units(study, length, found.threshold)}."
+    unit = readable("rad" if study.axis == "theta" else "m")
+    in_units = None
+    if ends and length is not None:
+        edges = study.edges(found.threshold)
+        in_units = f"{_ends(edges, study, unit.factor * length, '.3g')} {unit.name}"
+    return {
+        "about": f"{study.shape}, {study.axis}, set of {study.size} samples",
+        "ends": ends,
+        "lengths": in_units,
+        "average": study.average[k] if math.isfinite(study.average[k]) else None,
+        "worst": _without_worst(study, k),
+    }
 
 
-def _without_worst(study: AxisStudy, k: int) -> str:
-    """Average error without the largest one, as in the thesis (6.2.2, 6.4.1)."""
+def _without_worst(study: AxisStudy, k: int) -> tuple[str, float] | None:
+    """Worst layout, and the average error without it, as in the thesis (6.2.2, 6.4.1)."""
     errors = study.error[:, k]
     known = np.flatnonzero(np.isfinite(errors))
     if len(known) < 3:
-        return ""
+        return None
     worst = int(known[errors[known].argmax()])
-    rest = errors[known[known != worst]].mean()
-    return f", without {study.layouts[worst]}, the worst, {rest:.3g}"
+    return study.layouts[worst], float(errors[known[known != worst]].mean())
 
 
 def edges_text(edges: AxisEdges, study: AxisStudy) -> str | None:
@@ -98,38 +102,21 @@ def _ends(edges: AxisEdges, study: AxisStudy, factor: float, form: str) -> str:
     return " to ".join(ends)
 
 
-def _in_units(study: AxisStudy, length: float | None, threshold: float) -> str:
-    if length is None:
-        return ""
-    unit = readable("rad" if study.axis == "theta" else "m")
-    ends = _ends(study.edges(threshold), study, unit.factor * length, ".3g")
-    return f", which is {ends} {unit.name}"
-
-
-def methods(found: Exploration) -> list[str]:
+def methods(found: Exploration) -> tuple[str, ...]:
     """Return sentences for the methods section of a paper."""
-    method, growth = found.stored.method, found.growth
-    sets = [step.used for row in growth.steps for step in row[1:] if step.used.point is not None]
-    averaged = sum(one.source == AVERAGED for one in sets)
-    stored = sum(one.source == STORED for one in sets)
-    printed = (
-        " Rows were taken as the thesis's code is printed, where theta comes one row too early:"
-        " the fifth angle never joins, and y-5 joins at the first step."
-        if growth.index == "printed"
-        else ""
+    sets = [step.used for row in found.growth.steps for step in row[1:]]
+    sources = [one.source for one in sets if one.point is not None]
+    return sentences(
+        "growth",
+        "methods",
+        growth=found.growth,
+        method=found.stored.method,
+        rollouts=found.rollouts,
+        averaged=sources.count(AVERAGED),
+        stored=sources.count(STORED),
+        unit=written(found.stored.method.unit),
+        threshold=found.threshold,
     )
-    return [
-        f"Domains of applicability were grown from the nominal experiment of {len(growth.groups)}"
-        f" groups of equal shape and layout: step i adds x+i, y+i, y-i and theta+i.{printed}",
-        f"Each domain was simulated ({method.motion} motion, {found.rollouts} simulations in all)"
-        f" under one set of parameters ({', '.join(method.names)}): {averaged} means of single"
-        f" calibrations weighted with inverse errors, {stored} joint calibrations. Its error is the"
-        f" largest {method.error} error [{written(method.unit)}] of its members.",
-        "Along single axes, one set from the samples of an interval about the nominal pose was"
-        " simulated on all samples of the axis; the edge of the domain is where the average over"
-        f" layouts, linear between samples, first exceeds {found.threshold:.3g}"
-        f" {written(method.unit)}.",
-    ]
 
 
 # --- tables -------------------------------------------------------------------------------------

@@ -1,23 +1,39 @@
-"""Write a report as one self-contained HTML file, with its figures and a bibliography."""
+"""Collect everything that a project knows about a calibration, and write it as one HTML file."""
 
 from __future__ import annotations
 
 import base64
 import io
+import platform
 import shlex
-from collections.abc import Callable
+import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, final
 
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
-from fixel.workflows.figures import make_folder
+from fixel.typing import FloatArray, Notify
+from fixel.workflows.analysis import Kind, StoredAnalysis, kept
+from fixel.workflows.calibration.detail import misfit_of
+from fixel.workflows.calibration.run import Calibration, reopened
+from fixel.workflows.calibration.stored import CalibratedValues, calibrated
+from fixel.workflows.figures import ENDINGS, make_folder
 from fixel.workflows.report.bibliography import bibtex, line, works
-from fixel.workflows.report.content import Content
-from fixel.workflows.report.gather import gather
+from fixel.workflows.report.calibration import (
+    calibration_warnings,
+    errors_section,
+    figures_of,
+    headline,
+    methods,
+    parameters_section,
+)
+from fixel.workflows.report.content import Content, Figure, Section
+from fixel.workflows.report.data import ReportData, data_of, data_section, data_warnings
+from fixel.workflows.sentences import environment, sentences
 
 PAGE: Final = "report.html"
 FIGURES: Final = "figures"
@@ -25,6 +41,15 @@ BIBLIOGRAPHY: Final = "cite.bib"
 MAX_PAGE_BYTES: Final = 10_000_000  # largest size of the page [byte]
 PER_INCH: Final = 116  # of a picture, on the page [pixel]: a figure of two columns fills it
 WIDEST: Final = 1500  # largest width of a picture on the page [pixel]; its PDF has full detail
+
+# Kinds of analyses in the order of a report, with the titles of their sections.
+WANTED: Final[dict[Kind, str]] = {
+    "tracking": "What the camera saw beside what really happened",
+    "domain": "Where the calibrated simulator can be trusted",
+    "growth": "The domain of applicability, as the thesis grew it",
+    "sensitivity": "How far the start decides the outcome",
+    "uncertainty": "What is not known, and what follows from it",
+}
 
 
 @final
@@ -68,7 +93,7 @@ def write_report(
     number: int | None = None,
     title: str = "",
     command: str = "",
-    notify: Callable[[str], None] | None = None,
+    notify: Notify | None = None,
 ) -> Report:
     """Write the report of a calibration and of the analyses that used it.
 
@@ -87,13 +112,12 @@ def write_report(
     InvalidInput
         Nothing to report on, or a folder that cannot be written to.
     """
-    template = _template()
+    template = environment().get_template("report.html")
     make_folder(folder / FIGURES)
     content = gather(project, number, folder / FIGURES, title, notify)
     cited = works(content.references)
     html = template.render(
         content=content,
-        style=_own("report.css"),
         picture=_embedded,
         cited=[line(work) for work in cited.values()],
         bibtex=bibtex(cited),
@@ -122,23 +146,169 @@ def write_report(
     )
 
 
+def gather(
+    project: Project, number: int | None, folder: Path, title: str, notify: Notify | None = None
+) -> Content:
+    """Collect the content of a report, and draw its figures into a folder.
+
+    Parameters
+    ----------
+    project : Project
+    number : int, optional
+        Id of the calibration; by default the newest for several experiments.
+    folder : Path
+        Existing folder for figures.
+    title : str
+        Title of the report; an empty one is replaced by one with the project's name.
+    notify : callable, optional
+        Called with a sentence before each part of the work.
+    """
+    tell = notify or (lambda _: None)
+    with project.store() as store:
+        one = calibrated(store, number)
+        ids = sorted(one.members)
+        data = data_of(store, ids)
+        checksum = store.checksum(ids)
+    keys = {summary.id: summary.key for summary in data.summaries}
+    opened = reopened(project, one.record)
+    tell("drawing the calibration")
+    figures = figures_of(opened, folder) if opened is not None else []
+    analyses = _analyses(project, one)
+    tell("collecting the analyses")
+    sections = [
+        data_section(data),
+        errors_section(one, _nominal(opened, one), keys, figures),
+        parameters_section(one, figures),
+        *(_section(answer, folder) for answer in analyses),
+    ]
+    return Content(
+        title=title or f"How far to believe the simulator of {project.settings.name}",
+        banner=data.banner,
+        facts=_facts(project, one, data, checksum),
+        warnings=tuple(_warnings(one, data, keys, analyses)),
+        findings=(
+            headline(one, _nominal(opened, one)),
+            *(answer.analysis.headline[0] for answer in analyses if answer.analysis.headline),
+        ),
+        sections=tuple(sections),
+        methods=tuple(_methods(one, data, analyses)),
+        references=("stewart1996", *_references(one, analyses)),
+        commands=tuple(_commands(one, analyses)),
+    )
+
+
+def _analyses(project: Project, one: CalibratedValues) -> list[StoredAnalysis]:
+    """Select the newest analysis of each kind that used this calibration or its experiments."""
+    found = []
+    for kind in WANTED:
+        fitting = [own for own in kept(project, kind) if _fits(own, one)]
+        found += fitting[:1]
+    return found
+
+
+def _fits(own: StoredAnalysis, one: CalibratedValues) -> bool:
+    if own.analysis.calibrations:
+        return one.id in own.analysis.calibrations or bool(
+            one.members & set(own.analysis.experiments)
+        )
+    return bool(one.members & set(own.analysis.experiments))
+
+
+def _nominal(opened: Calibration | None, one: CalibratedValues) -> FloatArray | None:
+    """(n_member,) errors before the calibration, in the order of its members."""
+    if opened is None or one.id not in opened.ids:
+        return None
+    found = opened.outcome.found[opened.ids.index(one.id)]
+    return opened.outcome.nominal[list(found.members)]
+
+
+def _section(answer: StoredAnalysis, folder: Path) -> Section:
+    analysis = answer.analysis
+    figures = []
+    for picture in analysis.pictures:
+        name = f"{analysis.kind}_{picture.name}"
+        for ending in ENDINGS:
+            source = answer.picture(picture.name, ending)
+            if source.is_file():
+                shutil.copyfile(source, folder / f"{name}.{ending}")
+        figures.append(Figure(name=name, caption=picture.caption, png=folder / f"{name}.png"))
+    return Section(
+        title=WANTED[analysis.kind],
+        anchor=analysis.kind,
+        lead=analysis.headline,
+        tables=analysis.tables,
+        figures=tuple(figures),
+        commands=(analysis.command,) if analysis.command else (),
+    )
+
+
+def _warnings(
+    one: CalibratedValues,
+    data: ReportData,
+    keys: dict[int, str],
+    analyses: Sequence[StoredAnalysis],
+) -> list[str]:
+    there = {answer.analysis.kind for answer in analyses}
+    found = [
+        *data_warnings(data),
+        *sentences("data", "missing", kinds=there),
+        *misfit_of(one.record),  # first: it decides how far to trust the rest
+        *(
+            words
+            for answer in analyses
+            for words in answer.analysis.warnings
+            if not words.endswith(tuple(misfit_of(one.record)[:1]))
+        ),
+        *calibration_warnings(one, keys),
+    ]
+    return list(dict.fromkeys(found))
+
+
+def _facts(
+    project: Project, one: CalibratedValues, data: ReportData, checksum: str
+) -> tuple[tuple[str, str], ...]:
+    made = one.record.provenance
+    seed = "" if made.seed is None else str(made.seed)
+    facts = (
+        ("project", project.settings.name),
+        ("calibration", f"{one.id}: {one.record.name}"),
+        ("made on", made.created[:19].replace("T", " ")),
+        ("made by", made.command),
+        ("seed", seed),
+        ("experiments", str(len(data.summaries))),
+        ("checksum of their data", checksum[:16]),
+        ("fixel", version("fixel")),
+        ("calibrated with fixel", made.version),
+        ("Python", platform.python_version()),
+        ("machine", f"{platform.system()}, {platform.machine()}"),
+    )
+    return tuple((name, value) for name, value in facts if value)
+
+
+def _methods(
+    one: CalibratedValues, data: ReportData, analyses: Sequence[StoredAnalysis]
+) -> list[str]:
+    n = len(data.summaries)
+    first = sentences("data", "methods", n=n, simulated=data.simulated, version=version("fixel"))
+    own = [sentence for answer in analyses for sentence in answer.analysis.methods]
+    return [*first, *methods(one), *own]
+
+
+def _references(one: CalibratedValues, analyses: Sequence[StoredAnalysis]) -> list[str]:
+    search = {"pattern-search": "torczon1997", "nelder-mead": "nelder1965"}
+    found = [search.get(str(one.record.method.get("optimiser")), "")]
+    found += ["raue2009"] if one.record.estimates else []
+    return [*found, *(key for answer in analyses for key in answer.analysis.references)]
+
+
+def _commands(one: CalibratedValues, analyses: Sequence[StoredAnalysis]) -> list[str]:
+    own = [one.record.provenance.command, *(answer.analysis.command for answer in analyses)]
+    return [command for command in dict.fromkeys(own) if command]
+
+
 def next_command(report: Report) -> str:
     """Return the command that opens the report."""
     return f"xdg-open {shlex.quote(str(report.page))}"
-
-
-def _template() -> Any:
-    import jinja2
-
-    # Names of experiments may contain anything: everything is escaped.
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.from_string(_own("report.html.j2"))
-
-
-def _own(name: str) -> str:
-    return (files("fixel.workflows.report") / name).read_text(encoding="utf-8")
 
 
 def _embedded(path: Path) -> dict[str, Any]:

@@ -14,10 +14,12 @@ from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.indices import Indices
 from fixel.uncertainty.outcomes import FLAGS
-from fixel.workflows.analysis import Analysis, rounded
+from fixel.workflows.analysis import Analysis
 from fixel.workflows.figures import Picture
 from fixel.workflows.sensitivity.request import Finding, SensitivityRequest, Subject
+from fixel.workflows.sentences import rounded, sentences
 
+MAX_SENTENCES: Final = 3  # pushes with sentences in the headline
 MAX_PICTURES: Final = 12  # of the pushes to avoid first; the table has all
 
 MEANING: Final[Mapping[str, str]] = {
@@ -37,16 +39,15 @@ def analysis_of(
 ) -> Analysis:
     """Return the analysis to store, with the push to avoid first in front."""
     keys = [finding.subject.key for finding in found]
-    one = found[0]
     title = keys[0] if len(keys) == 1 else f"{len(keys)} pushes"
     return Analysis(
         kind="sensitivity",
         title=f"Sensitivity to the start: {title}",
         question=request.question(sorted(keys)),
-        headline=tuple(_headline(found, request)),
-        warnings=tuple(_warnings(found, skipped)),
+        headline=_headline(found, request),
+        warnings=sentences("sensitivity", "warnings", found=found, skipped=skipped),
         tables=tuple(_tables(found)),
-        methods=tuple(_methods(one, request)),
+        methods=sentences("sensitivity", "methods", one=found[0], request=request),
         references=("asme2006", *(("saltelli2010", "herman2017") if request.indices else ())),
         numbers={
             "start_error": {
@@ -67,65 +68,34 @@ def analysis_of(
     )
 
 
-def _headline(found: Sequence[Finding], request: SensitivityRequest) -> list[str]:
-    said = []
-    if len(found) > 1:
-        counts = {flag: sum(f.sensitivity.flag == flag for f in found) for flag in FLAGS}
-        told = ", ".join(f"{n} {flag}" for flag, n in counts.items() if n)
-        said.append(f"Of {len(found)} pushes: {told}.")
-    for finding in found[:3]:
-        own = finding.sensitivity
-        said.append(
-            f"{finding.subject.key}: {own.flag}: {MEANING[own.flag]}. Starts"
-            f" {request.error.written()} end {rounded(1e3 * own.after.position)} mm and"
-            f" {rounded(math.degrees(own.after.angle))} deg (rms) from their mean: the spread grows"
-            f" {own.amplification:.2g} times, a small error up to {own.gain:.2g} times."
-        )
-        if len(own.share) > 1:
-            shares = ", ".join(f"{share:.0%}" for share in own.share)
-            said.append(
-                f"{finding.subject.key} has {len(own.share)} outcomes ({shares}), up to"
-                f" {1e3 * own.apart:.3g} mm apart, turns counted at {1e3 * own.arm:.3g} mm/rad."
-            )
-        said += _largest_share(finding)
-    return said
+def _headline(found: Sequence[Finding], request: SensitivityRequest) -> tuple[str, ...]:
+    flags = [finding.sensitivity.flag for finding in found]
+    return sentences(
+        "sensitivity",
+        "headline",
+        keys=[finding.subject.key for finding in found],
+        found=found[:MAX_SENTENCES],
+        counts=", ".join(f"{flags.count(flag)} {flag}" for flag in FLAGS if flag in flags),
+        meaning=MEANING,
+        error=request.error,
+        largest=[_largest_share(finding) for finding in found[:MAX_SENTENCES]],
+    )
 
 
-def _largest_share(finding: Finding) -> list[str]:
-    """Sentence on the input that causes most of the spread of the most variable outcome."""
+def _largest_share(finding: Finding) -> dict[str, Any]:
+    """Input that causes most of the spread of the most variable outcome; empty if none does."""
     own = finding.indices
     if own is None or not (own.deviation > 0.0).any():
-        return []
+        return {}
     weight = np.array([1.0, 1.0, finding.sensitivity.arm])
     k = int(np.argmax(own.deviation * weight))
     j = int(np.argmax(own.total[k]))
-    return [
-        f"{finding.subject.key}: most of the spread {own.outcomes[k]} comes from"
-        f" {own.factors[j].name} (total index {own.total[k, j]:.2f} +-"
-        f" {own.total_error[k, j]:.2f})."
-    ]
-
-
-def _warnings(found: Sequence[Finding], skipped: Mapping[str, str]) -> list[str]:
-    said = []
-    for finding in found:
-        failed = sum(finding.sensitivity.failed.values())
-        if failed:
-            why = "; ".join(f"{n} x {r}" for r, n in finding.sensitivity.failed.items())
-            n = len(finding.ensemble.reasons)
-            said.append(f"{finding.subject.key}: {failed} of {n} starts have no outcome: {why}.")
-        if finding.ensemble.moved_apart > 0.0:
-            said.append(
-                f"{finding.subject.key}: {finding.ensemble.moved_apart:.0%} of the starts would"
-                " overlap a neighbour and were moved beside it."
-            )
-        if finding.indices is not None and float(finding.indices.total_error.max()) > 0.2:
-            said.append(
-                f"{finding.subject.key}: some indices are uncertain by more than 0.2; ask for more"
-                " samples."
-            )
-    said += [f"{key} was left out: {reason}" for key, reason in skipped.items()]
-    return said
+    return {
+        "outcome": own.outcomes[k],
+        "name": own.factors[j].name,
+        "total": own.total[k, j],
+        "error": own.total_error[k, j],
+    }
 
 
 def _tables(found: Sequence[Finding]) -> list[Table]:
@@ -168,23 +138,6 @@ def _index_table(key: str, own: Indices) -> Table:
     return Table(
         ("outcome", "input", "first order", "total"), rows, title=f"Sobol indices of {key}"
     )
-
-
-def _methods(one: Finding, request: SensitivityRequest) -> list[str]:
-    said = [
-        f"The outcome of each push was simulated ({one.ensemble.motion}) for {request.samples}"
-        f" starts {request.error.written()}, drawn as a scrambled Sobol sequence; starts that would"
-        " overlap a neighbour were moved out the shortest way.",
-        "Amplification is the root mean square spread of end poses over that of starts, turns"
-        " counted at the body's radius of gyration; outcomes are groups of end poses with a gap"
-        " between them that a cloud without one shows with a chance of 0.1 %.",
-    ]
-    if one.indices is not None:
-        said.append(
-            "Sobol indices were estimated by the method of Saltelli et al. (2010) with SALib from"
-            f" {one.indices.evaluations} simulations a push, intervals by bootstrap."
-        )
-    return said
 
 
 def _numbers(finding: Finding) -> dict[str, Any]:

@@ -11,17 +11,17 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.drawing.chart import readable
+from fixel.model.records import CalibrationRecord
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.bands import PARTS
 from fixel.uncertainty.discrepancy import LABEL
-from fixel.workflows.analysis import Analysis, StoredAnalysis, keep, rounded
+from fixel.workflows.analysis import Analysis, StoredAnalysis, keep
 from fixel.workflows.calibration.detail import misfit_of
+from fixel.workflows.sentences import rounded, sentences
 from fixel.workflows.uncertainty.charts import curves_of, pictures_of, what_of
 from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty
 
-_FEW: Final = "Few experiments cannot show how results vary: quote the calibration."
-_SAME: Final = "The two allow for model error differently: quote the wider interval."
 REFERENCES: Final = ("skilling2006", "feroz2009", "speagle2020", "kennedy2001")
 
 
@@ -32,10 +32,10 @@ def keep_uncertainty(project: Project, found: Uncertainty, command: str = "") ->
         kind="uncertainty",
         title=f"Uncertainty of {what_of(found)}",
         question=_question(found),
-        headline=tuple(_headline(found)),
-        warnings=tuple(_warnings(found)),
+        headline=_headline(found),
+        warnings=_warnings(found),
         tables=tuple(_tables(found)),
-        methods=tuple(_methods(found)),
+        methods=_methods(found),
         references=REFERENCES,
         numbers=numbers_of(found),
         calibrations=() if found.calibration is None else (found.calibration.id,),
@@ -158,79 +158,50 @@ def _question(found: Uncertainty) -> dict[str, Any]:
     }
 
 
-def _headline(found: Uncertainty) -> Iterator[str]:
-    posterior = found.posterior
-    first = found.predicted[0]
-    bounds = first.prediction.bounds(0.9)
-    wide = degrees(bounds.angle[1] - bounds.angle[0])
-    a, b = (2e3 * bounds.position.radii).tolist()
-    yield (
-        f"Done again, {first.experiment.key} ends with 90 % probability in an ellipse of {a:.3g} by"
-        f" {b:.3g} mm and within {wide:.3g} degrees."
-    )
+def _headline(found: Uncertainty) -> tuple[str, ...]:
+    posterior, first = found.posterior, found.predicted[0]
     shares = first.prediction.shares
-    size = {name: float(np.hypot(*shares[name][:2])) for name in PARTS}
-    most = max(size, key=lambda name: size[name])
-    yield f"Most of the spread of the final position comes from {_MEANT[most]}."
-    if len(posterior.modes) > 1:
-        parts = ", ".join(f"{100.0 * mode.weight:.0f} %" for mode in posterior.modes)
-        yield f"{len(posterior.modes)} separate sets of values explain the data ({parts})."
-    if LABEL in posterior.labels:
-        k = posterior.labels.index(LABEL)
-        low, middle, high = (1e3 * posterior.quantiles()[:, k]).tolist()
-        yield (
-            f"The model's own error at the end of the way is {middle:.3g} mm (95 %: {low:.3g} to"
-            f" {high:.3g} mm)."
-        )
-    both = curves_of(found)
-    if both is not None:
+    held = None
+    if (both := curves_of(found)) is not None:
         at = int(np.argmin(np.abs(both[0].levels - 0.9)))
-        yield (
-            f"Of {both[0].outcomes} held-out experiments the 90 % bounds hold"
-            f" {100.0 * both[0].held[at]:.0f} % of the final positions and"
-            f" {100.0 * both[1].held[at]:.0f} % of the angles."
-        )
+        position, angle = (100.0 * curve.held[at] for curve in both)
+        held = {"outcomes": both[0].outcomes, "position": position, "angle": angle}
+    k = posterior.labels.index(LABEL) if LABEL in posterior.labels else None
+    return sentences(
+        "uncertainty",
+        "headline",
+        posterior=posterior,
+        first=first,
+        bounds=first.prediction.bounds(0.9),
+        largest_part=max(PARTS, key=lambda name: float(np.hypot(*shares[name][:2]))),
+        model_error=None if k is None else posterior.quantiles()[:, k].tolist(),
+        held=held,
+    )
 
 
-_MEANT: Final = {
-    "parameters": "uncertain parameters: more experiments would narrow it",
-    "start": "the start: a better measured first pose would narrow it",
-    "model error": "the model's own error: more experiments would not narrow it",
-    "noise": "the camera's noise",
-}
+def _warnings(found: Uncertainty) -> tuple[str, ...]:
+    posterior, request = found.posterior, found.request
+    k = posterior.labels.index(LABEL) if LABEL in posterior.labels else None
+    at_bound = k is not None and posterior.quantiles((0.5,))[0, k] > 0.5 * posterior.high[k]
+    compared = found.compared
+    return sentences(
+        "uncertainty",
+        "warnings",
+        posterior=posterior,
+        request=request,
+        number=None if compared is None else compared.id,
+        misfit=[] if compared is None else misfit_of(compared.record)[:1],
+        contradictions=[] if compared is None else list(_contradictions(found, compared.record)),
+        own=sum(not one.held_out for one in found.predicted),
+        calibrated=0 if compared is None else len(compared.record.members),
+        failed=posterior.failed / max(1, posterior.evaluations),
+        lost=sum(one.prediction.failed for one in found.predicted),
+        at_bound=at_bound,
+    )
 
 
-def _warnings(found: Uncertainty) -> Iterator[str]:
-    posterior = found.posterior
-    yield from _beside_calibration(found)
-    if posterior.effective < found.request.samples:
-        yield (
-            f"{posterior.effective:.0f} effective samples in place of {found.request.samples}:"
-            " tails are rough."
-        )
-    share = posterior.failed / max(1, posterior.evaluations)
-    if share > 0.1:
-        yield f"{100.0 * share:.0f} % of the simulations failed and count as impossible."
-    lost = sum(one.prediction.failed for one in found.predicted)
-    if lost:
-        yield f"{lost} draws could not be simulated and are left out of the bounds."
-    if not found.request.model_error:
-        yield "Without model error as a term parameters look more certain than they are."
-    if LABEL in posterior.labels:
-        k = posterior.labels.index(LABEL)
-        if posterior.quantiles((0.5,))[0, k] > 0.5 * posterior.high[k]:
-            yield "Model error is as large as its prior allows: this model does not fit."
-
-
-def _beside_calibration(found: Uncertainty) -> Iterator[str]:
-    """Sentences on the misfit of the calibration, and where the posterior contradicts it."""
-    if found.compared is None:
-        return
-    record, number = found.compared.record, found.compared.id
-    yield from (f"Calibration {number}: {sentence}" for sentence in misfit_of(record)[:1])
-    own = sum(not one.held_out for one in found.predicted)
-    few = own < len(record.members)
-    of = f"{own} experiment{'s' * (own != 1)}"
+def _contradictions(found: Uncertainty, record: CalibrationRecord) -> Iterator[dict[str, Any]]:
+    """Parameters whose median is outside the interval of a calibration, for the template."""
     low, middle, high = found.posterior.quantiles()
     estimates = {estimate.label: estimate for estimate in record.estimates}
     for k, label in enumerate(found.posterior.labels):
@@ -242,37 +213,24 @@ def _beside_calibration(found: Uncertainty) -> Iterator[str]:
         if bottom <= middle[k] <= top:
             continue
         unit = readable(found.posterior.units[k])
-        apart = high[k] < bottom or low[k] > top
-        ends = f"{unit.text(low[k])} to {unit.text(high[k])} {unit.name}"
-        yield (
-            f"{label} {'contradicts' if apart else 'disagrees with'} calibration {number}: this"
-            f" posterior of {of} has {ends.rstrip()}, the calibration of {len(record.members)} has"
-            f" {unit.text(estimate.value)} ({_end(unit, estimate.low)} to"
-            f" {_end(unit, estimate.high)}). " + (_FEW if few else _SAME)
-        )
+        yield {
+            "label": label,
+            "apart": high[k] < bottom or low[k] > top,
+            "ends": f"{unit.text(low[k])} to {unit.text(high[k])} {unit.name}".rstrip(),
+            "value": unit.text(estimate.value),
+            "low": "open" if estimate.low is None else unit.text(estimate.low),
+            "high": "open" if estimate.high is None else unit.text(estimate.high),
+        }
 
 
-def _end(unit: Any, value: float | None) -> str:
-    return "open" if value is None else str(unit.text(value))
-
-
-def _methods(found: Uncertainty) -> Iterator[str]:
-    posterior = found.posterior
-    yield (
-        f"The posterior of {len(posterior.labels)} unknowns was sampled by dynesty"
-        f" ({posterior.method}; {posterior.evaluations} simulated points, seed {posterior.seed}),"
-        f" with priors uniform within bounds; {posterior.effective:.0f} effective samples."
+def _methods(found: Uncertainty) -> tuple[str, ...]:
+    return sentences(
+        "uncertainty",
+        "methods",
+        posterior=found.posterior,
+        noise=found.noise,
+        request=found.request,
     )
-    noise = found.noise
-    yield (
-        f"Measured poses were taken to scatter by {1e3 * noise.position_m:.3g} mm and"
-        f" {degrees(noise.angle_rad):.3g} degrees."
-    )
-    if found.request.model_error:
-        yield (
-            "Model error was a random walk in the distance travelled, of a standard deviation that"
-            " was sampled with the parameters."
-        )
 
 
 # --- tables ---------------------------------------------------------------------------------------

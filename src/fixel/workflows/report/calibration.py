@@ -20,30 +20,12 @@ from fixel.workflows.calibration.run import Calibration
 from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.figures import write_picture
 from fixel.workflows.report.content import Figure, Section
+from fixel.workflows.sentences import sentences
 
 # Factor of the median error beyond which an experiment is named in a warning.
 FAR_RATIO: Final = 3.0
 MAX_NAMED: Final = 5
 READABLE: Final = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi), "-": ("", 1.0)}
-SUSPECT: Final = {
-    "not identified": "is not identified: any value in its interval does as well. Do not quote it",
-    "not excited": "is not excited: nothing in these experiments depends on it",
-    "at bound": "is at a bound of the search: widen the bounds, or doubt the model",
-    "effective": "is effective: a number that makes this model fit, not a property of the object",
-    "precise, but the model misfits": "is precise as far as noise goes, but not when the model's"
-    " own errors are allowed for. Do not quote the narrow interval",
-    "at least": "is bounded from below alone: quote the lower end of its interval only",
-    "at most": "is bounded from above alone: quote the upper end of its interval only",
-}
-_LIKELIEST: Final = (
-    "The likeliest values, with intervals from profile likelihoods. The best fit is what the search"
-    " found: it weighs positions and angles otherwise."
-)
-MISFIT: Final = (
-    "The model is wrong by more than the noise explains. Values are from a mixed-effects fit, in"
-    " which every experiment has shifts of its own; intervals allow for variation over experiments"
-    " and for the disagreement with least squares. The best fit is for prediction."
-)
 OF_PARAMETERS: Final = ("parameters", "profiles", "starts", "search")
 
 
@@ -83,12 +65,7 @@ def errors_section(
     return Section(
         title="Nominal and calibrated",
         anchor="errors",
-        lead=(
-            "How far the simulated object is from the measured one, in the mean over the frames of"
-            f" an experiment; a radian counts as {1e3 * scale_of(one):.3g} mm.",
-            "These are the experiments that the parameters were fitted to. What new ones would"
-            " say is under the map.",
-        ),
+        lead=sentences("calibration", "errors", scale_mm=1e3 * scale_of(one)),
         tables=tuple(tables),
         figures=_in_order([figure for figure in figures if not _of_parameters(figure)]),
     )
@@ -100,7 +77,7 @@ def parameters_section(one: CalibratedValues, figures: list[Figure]) -> Section:
     head = ("parameter", "value", "interval", "unit", "verdict", "best fit")
     rows = [_row(one, estimate) for estimate in estimates]
     rows += [
-        (name, f"{value:.4g}", "", "SI", "nobody asked", f"{value:.4g}")
+        (name, f"{value:.4g}", "", "SI", "not assessed", f"{value:.4g}")
         for name, value in one.record.parameters.items()
         if not estimates
     ]
@@ -108,85 +85,60 @@ def parameters_section(one: CalibratedValues, figures: list[Figure]) -> Section:
     return Section(
         title="Parameters, and what the data say about them",
         anchor="parameters",
-        lead=(MISFIT if misfit_of(one.record) else _LIKELIEST,)
-        if estimates
-        else ("Nobody asked what the data determine: calibrate without --no-verdicts.",),
+        lead=sentences(
+            "calibration", "parameters", estimates=estimates, misfit=misfit_of(one.record)
+        ),
         tables=(Table(head, rows, title="Parameters"),),
         figures=tuple(figure for figure in figures if _of_parameters(figure)),
         notes=tuple(reasons),
     )
 
 
-def calibration_warnings(one: CalibratedValues, keys: Mapping[int, str]) -> list[str]:
+def calibration_warnings(one: CalibratedValues, keys: Mapping[int, str]) -> tuple[str, ...]:
     """Return warnings to read before the values are used."""
-    found = misfit_of(one.record)
-    for estimate in one.record.estimates:
-        for verdict, words in SUSPECT.items():
-            if estimate.verdict == verdict:
-                found.append(f"{estimate.label} {words}.")
-        if estimate.verdict.startswith("trades off"):
-            found.append(
-                f"{estimate.label} {estimate.verdict}: the two are known together only, not each"
-                " by itself."
-            )
-    errors = errors_of(one)
-    failed = [keys.get(m.experiment_id, "?") for m in one.record.members if not _has(m.error_mm2)]
-    if failed:
-        found.append(f"No simulation with these parameters: {_named(failed)}.")
-    far = _far(one, errors, keys)
-    if far:
-        found.append(
-            f"More than {FAR_RATIO:g} times as far off as the median: {_named(far)}. Look at them"
-            " before believing the mean."
-        )
-    return found
+    members = one.record.members
+    failed = [keys.get(m.experiment_id, "?") for m in members if not _has(m.error_mm2)]
+    return sentences(
+        "calibration",
+        "warnings",
+        misfit=misfit_of(one.record),
+        estimates=one.record.estimates,
+        failed=_named(failed),
+        far=_named(_far(one, errors_of(one), keys)),
+        far_ratio=FAR_RATIO,
+    )
 
 
 def headline(one: CalibratedValues, nominal: FloatArray | None) -> str:
     """Summarise the calibration in one sentence."""
-    after = rms(one, errors_of(one))
-    n = len(after)
-    of = f"{n} experiments" if n > 1 else "the experiment"
-    sentence = f"Calibrated on {of}, the simulator is {_middle(after)} off"
-    if nominal is not None:
-        sentence += f", where nominal parameters were {_middle(rms(one, nominal))} off"
-    good = [e.label for e in one.record.estimates if e.verdict == "identified"]
-    if one.record.estimates:
-        sentence += f"; the data determine {', '.join(good) if good else 'no parameter by itself'}"
-        if misfit_of(one.record):
-            ratio = float(one.record.method.get("misfit_ratio", math.nan))
-            sentence += (
-                f", with intervals that allow for residuals {shown_ratio(ratio)} times the noise"
-            )
-    return sentence + "."
+    estimates = one.record.estimates
+    (sentence,) = sentences(
+        "calibration",
+        "headline",
+        n=len(one.record.members),
+        before=None if nominal is None else _middle(rms(one, nominal)),
+        after=_middle(rms(one, errors_of(one))),
+        estimates=estimates,
+        good=[e.label for e in estimates if e.verdict == "identified"],
+        misfit=misfit_of(one.record),
+        ratio=shown_ratio(float(one.record.method.get("misfit_ratio", math.nan))),
+    )
+    return sentence
 
 
-def methods(one: CalibratedValues) -> list[str]:
+def methods(one: CalibratedValues) -> tuple[str, ...]:
     """Return sentences on the calibration for a methods section."""
-    method = one.record.method
-    n = len(one.record.members)
-    values = [name for name in one.record.parameters]
-    sentences = [
-        f"Parameters ({', '.join(values)}) were calibrated on {n} experiment{'s' * (n != 1)} by"
-        f" {method.get('optimiser', 'search')} ({method.get('how', 'direct minimisation')}),"
-        f" minimising the {method.get('error', 'mean-square')} error of the path with angles at"
-        f" {1e3 * scale_of(one):.3g} mm/rad, under {method.get('motion', 'dynamic')} motion with"
-        " contact and Coulomb friction as a mixed complementarity problem."
-    ]
-    if one.record.estimates:
-        sentences.append(
-            "Intervals are from profile likelihoods; a parameter whose profile stays flat is"
-            " reported as not identified."
-        )
-        if misfit_of(one.record):
-            ratio = shown_ratio(float(method["misfit_ratio"]))
-            sentences.append(
-                f"Residuals were {ratio} times the noise; values and intervals are therefore those"
-                " of a mixed-effects fit, with the larger of its model-based and CR3 variance over"
-                " experiments plus the mean squared difference to two fits by least squares, and"
-                " Student's t with the effective number of experiments."
-            )
-    return sentences
+    return sentences(
+        "calibration",
+        "methods",
+        names=list(one.record.parameters),
+        n=len(one.record.members),
+        method=one.record.method,
+        scale_mm=1e3 * scale_of(one),
+        estimates=one.record.estimates,
+        misfit=misfit_of(one.record),
+        ratio=shown_ratio(float(one.record.method.get("misfit_ratio", math.nan))),
+    )
 
 
 # --- errors -------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from fixel.database.store import Store
 from fixel.model.trajectory import turned
 from fixel.table import Table
 from fixel.workflows.report.content import Section
+from fixel.workflows.sentences import sentences
 
 MAX_VALUES: Final = 8  # values of one condition that are written out
 FEW_EXPERIMENTS: Final = 10  # number of experiments below which little can be concluded
@@ -75,6 +76,7 @@ def data_of(store: Store, ids: Sequence[int]) -> ReportData:
 def data_section(data: ReportData) -> Section:
     """Build the section on the experiments and their conditions."""
     summaries = data.summaries
+    sets = Counter(summary.dataset for summary in summaries)
     frames = np.array([s.n_frame for s in summaries])
     lasted = np.array([s.duration_s for s in summaries])
     start = np.array([(s.start_x_m, s.start_y_m, s.start_theta_rad) for s in summaries])
@@ -89,57 +91,33 @@ def data_section(data: ReportData) -> Section:
         ("object moved [mm]", *_spread(moved)),
         ("object turned [deg]", *_spread(angle)),
     )
-    tables = [
-        Table(("", "least", "median", "most"), rows, title="Experiments"),
-    ]
+    tables = [Table(("", "least", "median", "most"), rows, title="Experiments")]
     if data.conditions:
         tables.append(_conditions(data))
     if data.flags:
-        flagged = tuple((name, str(n)) for name, n in sorted(data.flags.items()))
-        tables.append(
-            Table(("flag", "experiments"), flagged, title="Flags on the data of this project")
-        )
+        title = "Flags on the data of this project"
+        tables.append(Table(("flag", "experiments"), sorted(data.flags.items()), title=title))
     return Section(
         title="What was measured",
         anchor="data",
-        lead=(_counted(data),),
+        lead=sentences(
+            "data", "counted", n=len(summaries), simulated=data.simulated, sets=sorted(sets.items())
+        ),
         tables=tuple(tables),
         commands=("fixel list",),
     )
 
 
-def data_warnings(data: ReportData) -> list[str]:
+def data_warnings(data: ReportData) -> tuple[str, ...]:
     """Return warnings about the experiments."""
-    found = []
-    n = len(data.summaries)
-    if data.simulated:
-        found.append(
-            f"{'All' if data.simulated == n else data.simulated} of the experiments are simulated."
-            " They say that the method works, nothing about a real table."
-        )
-    if n < FEW_EXPERIMENTS:
-        found.append(
-            f"Only {n} experiment{'s' * (n != 1)}: expect other configurations to differ by more"
-            " than is seen here."
-        )
-    if data.left_out:
-        found.append(
-            f"{data.left_out} experiments of the project are left out for faults in their data;"
-            " fixel list --all shows them."
-        )
-    return found
-
-
-def _counted(data: ReportData) -> str:
-    sets = Counter(summary.dataset for summary in data.summaries)
-    listed = ", ".join(f"{n} of {name}" for name, n in sorted(sets.items()))
-    kind = "real" if not data.simulated else "simulated" if not _real(data) else "real or simulated"
-    n = len(data.summaries)
-    return f"{n} {kind} experiment{'s' * (n != 1)}: {listed}."
-
-
-def _real(data: ReportData) -> int:
-    return len(data.summaries) - data.simulated
+    return sentences(
+        "data",
+        "warnings",
+        simulated=data.simulated,
+        n=len(data.summaries),
+        few=FEW_EXPERIMENTS,
+        left_out=data.left_out,
+    )
 
 
 def _spread(values: np.ndarray) -> tuple[str, str, str]:
