@@ -173,11 +173,11 @@ def test_other_endings_are_refused(tmp_path):
 
 
 def test_a_banner_stands_clear_of_the_picture():
-    from fixel.drawing.chart import _add_banner
+    from fixel.drawing.chart import add_banner
 
     for chart in (profile(), overlay(TIME)):
         figure = chart.figure()
-        _add_banner(figure, "SIMULATED")
+        add_banner(figure, "SIMULATED")
         figure.draw_without_rendering()
         band = figure.artists[0].get_window_extent().y0
         titles = [text for text in figure.texts if text.get_text() != "SIMULATED"]

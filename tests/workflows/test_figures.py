@@ -5,7 +5,7 @@ import io
 import pytest
 from matplotlib.figure import Figure
 
-from fixel.drawing.banner import add_band
+from fixel.drawing.chart import add_banner
 from fixel.workflows.figures import banner_of
 
 FILM = "SIMULATED by fixel testbed film of %03d-square-collinear-tight-nominal, seed 1"
@@ -14,8 +14,8 @@ FILM = "SIMULATED by fixel testbed film of %03d-square-collinear-tight-nominal, 
 @pytest.mark.parametrize("n", [1, 2, 3, 40])
 def test_the_banner_of_films_fits_across_a_picture(n: int) -> None:
     banner = banner_of([FILM % k for k in range(n)])
-    figure = Figure(figsize=(7.16, 3.0))
-    add_band(figure, banner, 0.07)
+    figure = Figure(figsize=(7.16, 3.0), layout="constrained")
+    add_banner(figure, banner)
     figure.savefig(io.BytesIO(), format="png")
     box = figure.texts[0].get_window_extent()
     assert box.x0 >= 0.0

@@ -79,7 +79,7 @@ def overlay(
     as_json: AsJson = False,
 ) -> None:
     """Show where parts belong on the live picture, and how far off they are."""
-    from fixel.drawing.picture import refuse_ending
+    from fixel.drawing.chart import refuse_ending
     from fixel.formats.rig_file import rig_of
     from fixel.io.atomic import refuse_unwritable
     from fixel.testbed.open_source import source_of

@@ -118,7 +118,7 @@ def compare(
 def _refuse_picture(plot: Path | None) -> None:
     """Reject an invalid file for the chart before any work."""
     if plot is not None:
-        from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
+        from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
         from fixel.io.atomic import refuse_unwritable
 
         refuse_ending(plot, PICTURE_ENDINGS, "picture")

@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.picture import force_text, frame_axes, refuse_ending, tint
+from fixel.drawing.chart import refuse_ending, tint
+from fixel.drawing.picture import force_text
+from fixel.drawing.top_view import frame_axes
 from fixel.drawing.view import (
     LengthUnit,
     Rectangle,

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.banner import BANNER, add_band
-from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
+from fixel.errors import InvalidInput
 from fixel.table import Table
 from fixel.typing import FloatArray
 
@@ -24,6 +23,8 @@ Style = dict[str, Any]
 
 WIDE: Final = 7.16  # [inch], two columns of text
 HEAD: Final = 0.22  # [inch]
+BANNER: Final = 0.20  # height of a banner [inch]
+PICTURE_ENDINGS: Final = (".pdf", ".png", ".svg")
 
 
 class AbstractChart(abc.ABC):
@@ -54,6 +55,18 @@ def draw_chart(chart: AbstractChart, *paths: str | Path, banner: str = "") -> No
     InvalidInput
         A file name has another ending.
     """
+
+    def make() -> Figure:
+        figure = chart.figure()
+        if banner:
+            add_banner(figure, banner)
+        return figure
+
+    save_figure(make, *paths)
+
+
+def save_figure(make: Callable[[], Figure], *paths: str | Path) -> None:
+    """Create a figure in the house style and save it; reject other endings than of pictures."""
     import matplotlib as mpl
 
     for path in paths:
@@ -61,11 +74,32 @@ def draw_chart(chart: AbstractChart, *paths: str | Path, banner: str = "") -> No
     # Without the creation time, equal data give equal files.
     known: Style = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
-        figure = chart.figure()
-        if banner:
-            _add_banner(figure, banner)
+        figure = make()
         for path in paths:
             figure.savefig(path, metadata=known.get(Path(path).suffix.lower()))
+
+
+def save_filled(fill: Callable[[Figure], None], path: str | Path) -> None:
+    """Save a figure in the house style with constrained layout, whose content `fill` draws."""
+
+    def make() -> Figure:
+        from matplotlib.figure import Figure
+
+        figure = Figure(layout="constrained")
+        fill(figure)
+        return figure
+
+    save_figure(make, path)
+
+
+def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
+    """Raise `InvalidInput` for a file name whose ending is not one of `endings`."""
+    if Path(path).suffix.lower() not in endings:
+        raise InvalidInput(
+            str(path),
+            found=f"the ending {Path(path).suffix!r}" if Path(path).suffix else "no ending",
+            expected=f"a {what} file: " + ", ".join(endings),
+        )
 
 
 def sheet(width: float, height: float, title: str = "") -> Figure:
@@ -83,20 +117,21 @@ def sheet(width: float, height: float, title: str = "") -> Figure:
     return figure
 
 
-def _add_banner(figure: Figure, text: str) -> None:
+def add_banner(figure: Figure, text: str) -> None:
+    """Draw a band with text over a figure with constrained layout, which grows by its height."""
+    from matplotlib.patches import Rectangle
+
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + BANNER)
     share = BANNER / (height + BANNER)
     for title in figure.texts:
         title.set_y(title.get_position()[1] * (1.0 - share))
     engine: Any = figure.get_layout_engine()
-    if engine is not None:
-        engine.set(rect=(0.0, 0.0, 1.0, engine.get()["rect"][3] * (1.0 - share)))
-    else:
-        for axes in figure.axes:
-            x, y, wide, tall = axes.get_position(original=True).bounds
-            axes.set_position((x, y * (1.0 - share), wide, tall * (1.0 - share)))
-    add_band(figure, text, share)
+    engine.set(rect=(0.0, 0.0, 1.0, engine.get()["rect"][3] * (1.0 - share)))
+    band: Style = {"facecolor": palette.FORCE, "linewidth": 0.0}
+    figure.add_artist(Rectangle((0.0, 1.0 - share), 1.0, share, **band))
+    figure.text(0.5, 1.0 - 0.52 * share, text, color="white", weight="bold", ha="center",
+                va="center")  # fmt: skip
 
 
 # --- shared by charts ---------------------------------------------------------------------------
@@ -163,6 +198,15 @@ def legend_below(figure: Figure, row: Iterable[Axes], most: int = 9) -> None:
     )
 
 
+def legend_of(figure: Figure, handles: Sequence[Any], columns: int = 0, **style: Any) -> int:
+    """Draw a legend below everything, by default in two or three columns; return its rows."""
+    columns = columns or (3 if max(len(str(h.get_label())) for h in handles) < 18 else 2)
+    look: Style = {"frameon": False, "handlelength": 1.7, "columnspacing": 1.2, "borderpad": 0.0}
+    look |= {"labelspacing": 0.3, "handletextpad": 0.5, **style}
+    figure.legend(handles=list(handles), loc="outside lower center", ncols=columns, **look)
+    return -(-len(handles) // columns)
+
+
 def positive(values: FloatArray) -> FloatArray:
     """Prepare values for a logarithmic axis: zeros become half the smallest, infinite ones NaN."""
     good = values[np.isfinite(values) & (values > 0.0)]
@@ -199,6 +243,19 @@ def written(unit: str) -> str:
 def column(unit: str) -> str:
     """Format a unit as the end of a column's name."""
     return unit.replace("^", "")
+
+
+def cut_short(text: str, most: int = 44) -> str:
+    """Cut a text to at most `most` characters, with an ellipsis."""
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
+def tint(colour: str, strength: float) -> tuple[float, float, float]:
+    """Mix a colour with white; `strength` is the share of the colour."""
+    from matplotlib.colors import to_rgb
+
+    red, green, blue = (1.0 - strength * (1.0 - c) for c in to_rgb(colour))
+    return red, green, blue
 
 
 def shortened(text: str, most: int) -> str:

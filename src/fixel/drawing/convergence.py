@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Style, log_scale, sheet
-from fixel.drawing.picture import tint
+from fixel.drawing.chart import WIDE, AbstractChart, Style, log_scale, sheet, tint
 from fixel.table import Table, Value
 from fixel.typing import FloatArray, IntArray
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Style, clean, shortened, written
-from fixel.drawing.picture import frame_axes, tint
-from fixel.drawing.view import UNITS, Rectangle
+from fixel.drawing.chart import WIDE, AbstractChart, Style, clean, sheet, shortened, tint, written
+from fixel.drawing.top_view import FEW_POSES, MAX_OUTLINES, MM, closed, frame_axes
+from fixel.drawing.view import Rectangle
 from fixel.model import placed
 from fixel.model.trajectory import wrapped
 from fixel.table import Table, Value
@@ -21,18 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MM: Final = UNITS[1]
 DASHED: Final = (0, (4, 1.6))
-FEW_POSES: Final = 3  # up to this number of poses, draw dots: the motion between them is unknown
-MAX_OUTLINES: Final = 40  # maximum number of outlines from which the extent is computed
-
-# Margins and sizes of the page [inch].
-LEFT, BETWEEN, RIGHT, BOTTOM, TOP = 0.48, 0.62, 0.10, 0.36, 0.30
-PANEL, GAP = 0.90, 0.10
-TALL: Final = 3 * PANEL + 2 * GAP
-VIEW: Final = 2.75  # width of the top view
-LEGEND: Final = 0.62  # height of the legend below the view, with four rows
-LOWEST: Final = 1.0
+VIEW: Final = 2.75  # [inch], width of the top view
 MIN_RANGE: Final = 0.02  # minimum range of a panel [mm or deg]
 
 
@@ -88,36 +78,24 @@ class OverlayChart(AbstractChart):
         )
 
     def figure(self) -> Figure:
-        from matplotlib.figure import Figure
-
-        total = BOTTOM + TALL + TOP
-        figure = Figure(figsize=(WIDE, total))
-        box = _extent(self)
-        aspect = (box.y[1] - box.y[0]) / (box.x[1] - box.x[0])
-        # The legend fills the space below the view.
-        height = min(max(LOWEST, VIEW * aspect), TALL - LEGEND)
-        place = _share(LEFT, BOTTOM + TALL - height, VIEW, height, total)
-        view = figure.add_axes(place, label="view")
-        frame_axes(view, box.with_aspect(height / VIEW), MM)
-        _draw_view(view, self)
-        width = (WIDE - LEFT - VIEW - 2 * BETWEEN - RIGHT) / 2.0
-        for column, draw in enumerate((_draw_poses, _draw_differences)):
-            left = LEFT + VIEW + BETWEEN + column * (width + BETWEEN)
-            panels = []
-            for k in range(3):
-                bottom = BOTTOM + (2 - k) * (PANEL + GAP)
-                panels.append(figure.add_axes(_share(left, bottom, width, PANEL, total)))
-            draw(panels, self)
-            _time_axes(panels, self.measured)
-        view.set_title(shortened(self.title, 100), loc="left", pad=5.0)
-        view.legend(
-            *view.get_legend_handles_labels(),
-            loc="upper center",
-            bbox_to_anchor=(0.42, -0.33 / height),
+        figure = sheet(WIDE, 3.3, shortened(self.title, 100))
+        panels = figure.subplot_mosaic(
+            [["view", "x", "dx"], ["view", "y", "dy"], ["legend", "theta", "dtheta"]],
+            width_ratios=(VIEW, 1.6, 1.6),
+        )
+        _draw_view(panels["view"], self)
+        for names, draw in ((("x", "y", "theta"), _draw_poses), (("dx", "dy", "dtheta"),
+                                                                 _draw_differences)):  # fmt: skip
+            column = [panels[name] for name in names]
+            draw(column, self)
+            _time_axes(column, self.measured)
+            figure.align_ylabels(column)
+        panels["legend"].axis("off")
+        panels["legend"].legend(
+            *panels["view"].get_legend_handles_labels(),
+            loc="center",
             ncols=2,
             frameon=False,
-            borderpad=0.0,
-            borderaxespad=0.0,
             labelspacing=0.35,
             columnspacing=1.2,
             handlelength=2.2,
@@ -140,39 +118,28 @@ _BEFORE: Final[Style] = {"color": palette.CONE, "linewidth": 1.1, "linestyle": D
 _AFTER: Final[Style] = {"color": palette.BODY, "linewidth": 1.1}
 
 
-def _share(
-    left: float, bottom: float, width: float, height: float, total: float
-) -> tuple[float, float, float, float]:
-    """Convert a rectangle in inches to shares of the page."""
-    return left / WIDE, bottom / total, width / WIDE, height / total
-
-
 def _draw_view(axes: Axes, chart: OverlayChart) -> None:
+    frame_axes(axes, _extent(chart))
     start: Style = {"facecolor": tint(palette.FIXEL, 0.2), "edgecolor": palette.FIXEL}
     first = placed(chart.outline, chart.measured.pose[0])
-    axes.fill(*_closed(first), label="object, start", linewidth=0.6, linestyle=DASHED, **start)
+    axes.fill(*closed(first), label="object, start", linewidth=0.6, linestyle=DASHED, **start)
     for name, track, style in chart.tracks:
         last = placed(chart.outline, track.pose[-1])
         label = f"{name}, end{_error(track, chart.unit)}"
-        axes.plot(*_closed(last), label=label, zorder=4, **style)
+        axes.plot(*closed(last), label=label, zorder=4, **style)
         if len(track.time) > FEW_POSES:
             thin = style | {"linewidth": 0.6 * style["linewidth"]}
             axes.plot(*(track.pose[:, :2].T * MM.per_metre), zorder=3, **thin)
     for k, outline in enumerate(chart.fixels):
-        axes.fill(*_closed(outline), color=palette.INK, zorder=5, linewidth=0.0,
+        axes.fill(*closed(outline), color=palette.INK, zorder=5, linewidth=0.0,
                   label="" if k else "fixel")  # fmt: skip
     for outline, line, label in zip(chart.pusher, (DASHED, "-"), ("start", "end"), strict=False):
-        axes.plot(*_closed(outline), color=palette.PUSHER, linewidth=1.0, linestyle=line,
+        axes.plot(*closed(outline), color=palette.PUSHER, linewidth=1.0, linestyle=line,
                   label=f"pusher, {label}", zorder=2)  # fmt: skip
 
 
 def _error(track: Track, unit: str) -> str:
     return "" if track.error is None else f" ({track.error:.3g} {written(unit)})"
-
-
-def _closed(outline: FloatArray) -> tuple[FloatArray, FloatArray]:
-    x, y = np.vstack((outline, outline[:1])).T * MM.per_metre
-    return x, y
 
 
 def _extent(chart: OverlayChart) -> Rectangle:
@@ -240,5 +207,4 @@ def _time_axes(panels: Sequence[Axes], measured: Track) -> None:
             axes.set_ylim(0.5 * (low + high - MIN_RANGE), 0.5 * (low + high + MIN_RANGE))
         axes.locator_params(axis="y", nbins=4, steps=[1, 2, 5, 10])
         axes.tick_params(labelbottom=axes is panels[-1])
-        axes.yaxis.set_label_coords(-0.25, 0.5)
     panels[-1].set_xlabel("time [s]", labelpad=1.5)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from fixel.drawing.picture import refuse_ending
+from fixel.drawing.chart import refuse_ending
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
 from fixel.vision.boards import Board

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from fixel.drawing import palette
-from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending, save_filled, tint
+from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending, save_filled, tint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

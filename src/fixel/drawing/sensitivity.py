@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, clean, legend_below, readable, sheet, shortened
-from fixel.drawing.picture import tint
+from fixel.drawing.chart import (
+    WIDE,
+    AbstractChart,
+    clean,
+    legend_below,
+    readable,
+    sheet,
+    shortened,
+    tint,
+)
 from fixel.drawing.view import unit_for
 from fixel.model import Scene, placed
 from fixel.table import Table, Value

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.picture import save_made
+from fixel.drawing.chart import save_figure
 from fixel.vision.tracking.tracked import FilmTracks, PartTrack
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def draw_track(
     effective : (float, float), optional
         First and last time of useful data, counted from the first frame [s].
     """
-    save_made(lambda: track_figure(tracked, effective), path)
+    save_figure(lambda: track_figure(tracked, effective), path)
 
 
 def track_figure(tracked: FilmTracks, effective: tuple[float, float] | None = None) -> Figure:

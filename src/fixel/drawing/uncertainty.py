@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, clean, readable, sheet
-from fixel.drawing.picture import tint
+from fixel.drawing.chart import WIDE, AbstractChart, clean, readable, sheet, tint
 from fixel.model import placed
 from fixel.table import Table, Value
 from fixel.typing import FloatArray

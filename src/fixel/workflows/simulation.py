@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TypeVar, final
 
 from fixel.drawing.animation import FILM_ENDINGS, animate_simulation
-from fixel.drawing.picture import PICTURE_ENDINGS, draw_simulation, refuse_ending
+from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
+from fixel.drawing.picture import draw_simulation
 from fixel.errors import InvalidInput
 from fixel.formats import SceneFile, load_scene
 from fixel.formats.trajectory_file import refuse_trajectory_ending, save_trajectory

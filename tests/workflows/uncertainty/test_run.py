@@ -132,12 +132,18 @@ def _beside(low, high, quantiles, of=1):
     )
     found = SimpleNamespace(
         compared=CalibratedValues(7, record),
-        predicted=[SimpleNamespace(held_out=False)] * of,
+        predicted=[SimpleNamespace(held_out=False, prediction=SimpleNamespace(failed=0))] * of,
+        request=SimpleNamespace(samples=1, model_error=True),
         posterior=SimpleNamespace(
-            labels=("mu_pusher",), units=("-",), quantiles=lambda: np.array(quantiles)[:, None]
+            labels=("mu_pusher",),
+            units=("-",),
+            quantiles=lambda: np.array(quantiles)[:, None],
+            effective=1.0,
+            failed=0,
+            evaluations=1,
         ),
     )
-    return list(report._beside_calibration(found))
+    return list(report._warnings(found))
 
 
 def test_a_posterior_repeats_the_misfit_of_the_calibration():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.picture import save_filled
+from fixel.drawing.chart import save_filled
 from fixel.reproductions.charts.replay import SHOWN, WIDE, refuse_file
 from fixel.typing import FloatArray
 

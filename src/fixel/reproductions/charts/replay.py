@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.picture import save_filled
+from fixel.drawing.chart import save_filled
 from fixel.errors import InvalidInput
 from fixel.model import placed
 from fixel.typing import FloatArray

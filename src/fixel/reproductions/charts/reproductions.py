@@ -9,8 +9,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import AbstractChart, draw_chart
-from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending, save_filled, tint
+from fixel.drawing.chart import (
+    PICTURE_ENDINGS,
+    AbstractChart,
+    draw_chart,
+    refuse_ending,
+    save_filled,
+    tint,
+)
 from fixel.model import placed
 from fixel.typing import FloatArray
 

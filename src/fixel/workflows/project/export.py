@@ -19,7 +19,7 @@ from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.datasets import IMPORTERS
 from fixel.datasets.table import CsvTable
-from fixel.drawing.picture import refuse_ending
+from fixel.drawing.chart import refuse_ending
 from fixel.errors import InvalidInput, NotStored
 from fixel.formats.frames_file import folder_whole, refuse_folder, write_frames
 from fixel.formats.lerobot import write_lerobot

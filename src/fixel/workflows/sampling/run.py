@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
+from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
 from fixel.errors import InvalidInput
 from fixel.formats.plan_file import load_plan, plan_text
 from fixel.io.atomic import refuse_unwritable, written_whole

@@ -9,8 +9,7 @@ from typing import Any, final
 
 import numpy as np
 
-from fixel.drawing.chart import draw_chart
-from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
+from fixel.drawing.chart import PICTURE_ENDINGS, draw_chart, refuse_ending
 from fixel.errors import InvalidInput
 from fixel.formats.camera_file import load_camera, save_camera
 from fixel.formats.camera_import import import_camera

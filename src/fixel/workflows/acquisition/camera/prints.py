@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-from fixel.drawing.picture import refuse_ending
+from fixel.drawing.chart import refuse_ending
 from fixel.drawing.prints import (
     PRINT_ENDINGS,
     PrintSheet,
