@@ -4,6 +4,7 @@ import doctest
 import json
 import math
 
+import numpy as np
 import pytest
 
 import fixel.table
@@ -44,6 +45,14 @@ def test_values_remain_in_csv_and_json() -> None:
     assert records[0] == {"name": "a<b>", "error": 0.523, "verdict": "not told apart"}
     assert json.loads(json.dumps(records, allow_nan=False))[2]["error"] is None
     assert TABLE.text()["rows"][1] == ["c", "-", ""]
+
+
+def test_columns_of_arrays_are_a_table() -> None:
+    table = Table.from_columns({"n": ["a", "b"], "x_m": np.array([0.5, np.inf]), "k": [1, 2]})
+    assert table.head == ("n", "x_m", "k")
+    assert table.rows == [("a", 0.5, 1), ("b", None, 2)]
+    with pytest.raises(ValueError, match="zip"):
+        Table.from_columns({"a": [1], "b": [1, 2]})
 
 
 def test_a_table_without_rows_has_a_head() -> None:

@@ -6,10 +6,12 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any, Final
+
+import numpy as np
 
 Value = str | float | int | None
 
@@ -97,6 +99,16 @@ class Table:
         if any(len(row) != len(self.columns) for row in self.rows):
             raise ValueError("every row of a table needs one value for each column")
 
+    @classmethod
+    def from_columns(cls, columns: Mapping[str, Iterable[Any]]) -> Table:
+        """Make a table of columns of equal length: arrays or sequences, by name.
+
+        Numbers that are not finite are missing.
+        """
+        lists = [c.tolist() if isinstance(c, np.ndarray) else list(c) for c in columns.values()]
+        rows = zip(*lists, strict=True)
+        return cls(tuple(columns), ([_finite(value) for value in row] for row in rows))
+
     @property
     def head(self) -> tuple[str, ...]:
         """Names of the columns with their units."""
@@ -152,11 +164,12 @@ class Table:
     def records(self) -> list[dict[str, Value]]:
         """Return one object of values by column name for each row, as JSON can hold them."""
         names = [column.name for column in self.columns]
-        return [
-            {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in pairs}
-            for pairs in (zip(names, row, strict=True) for row in self.rows)
-        ]
+        return [dict(zip(names, map(_finite, row), strict=True)) for row in self.rows]
 
     def text(self) -> dict[str, Any]:
         """Return title, head and rows as texts for people, as JSON can hold them."""
         return {"title": self.title, "head": list(self.head), "rows": [list(c) for c in self.cells]}
+
+
+def _finite(value: Value) -> Value:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

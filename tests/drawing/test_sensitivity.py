@@ -8,15 +8,16 @@ from tests.uncertainty.forks import fork, grid
 
 from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
-from fixel.drawing.sensitivity import Bars, FanChart, IndicesChart
+from fixel.drawing.sensitivity import EnsembleChart, IndicesChart
 from fixel.reproductions.charts.repeats import RepeatPicture, RepeatPoint
+from fixel.uncertainty.indices import Factor, Indices
 
 
-def fan_chart():
+def ensemble_chart():
     drawn = grid(50, 1e-4)
     end = drawn + np.array([0.06, 0.0, 0.1])
     end[40:, 1] += 0.02
-    return FanChart(
+    return EnsembleChart(
         title="a fork",
         scene=fork(),
         drawn=drawn,
@@ -28,9 +29,20 @@ def fan_chart():
 
 
 def indices_chart():
-    table = np.array([0.6, 0.3])
-    bars = Bars("along", "m", 1e-3, table, 0.1 * table, 1.2 * table, 0.1 * table)
-    return IndicesChart(title="a push", names=["mu_pusher", "start_x"], bars=[bars, bars])
+    table = np.array([[0.6, 0.3]] * 2)
+    indices = Indices(
+        factors=(Factor("mu_pusher", 0.1, 0.3), Factor("start_x", -1e-4, 1e-4)),
+        outcomes=("along", "across"),
+        units=("m", "m"),
+        first=table,
+        total=1.2 * table,
+        first_error=0.1 * table,
+        total_error=0.1 * table,
+        deviation=np.array([1e-3, 1e-3]),
+        evaluations=1,
+        failed=0,
+    )
+    return IndicesChart(title="a push", indices=indices)
 
 
 def repeat_picture():
@@ -43,7 +55,7 @@ def repeat_picture():
     )
 
 
-@pytest.mark.parametrize("make", [fan_chart, indices_chart, repeat_picture])
+@pytest.mark.parametrize("make", [ensemble_chart, indices_chart, repeat_picture])
 def test_a_picture_is_drawn_and_has_its_numbers(make, tmp_path):
     chart, file = make(), tmp_path / "one.png"
     draw_chart(chart, file, banner="SIMULATED by a test")
@@ -54,7 +66,7 @@ def test_a_picture_is_drawn_and_has_its_numbers(make, tmp_path):
 
 
 def test_a_fan_names_its_outcomes_and_keeps_every_start():
-    chart = fan_chart()
+    chart = ensemble_chart()
     labels = chart.figure().axes[0].get_legend_handles_labels()[1]
     assert {"outcome 1: 80%", "outcome 2: 20%", "nominal"} <= set(labels)
     assert [row[-1] for row in chart.table().rows] == [1] * 40 + [2] * 10
@@ -70,7 +82,7 @@ def test_only_what_is_wider_than_predicted_is_marked():
 def test_numbers_of_a_fan_do_not_collide(size, turn):
     drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (60, 3)) * (size, size, turn)
     end = drawn * (1.0, 0.01, 1.0) + np.array([0.06, 0.0, -1e-9])
-    chart = FanChart(title="a push", scene=fork(), drawn=drawn, end=end, nominal=end[0],
+    chart = EnsembleChart(title="a push", scene=fork(), drawn=drawn, end=end, nominal=end[0],
                      outcome=np.zeros(60, int), share=(1.0,))  # fmt: skip
     with mpl.rc_context(palette.STYLE):
         figure = chart.figure()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -9,42 +11,44 @@ from tests.drawing.collisions import collisions
 
 from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
-from fixel.drawing.coverage import CoverageChart, CoveragePanel
-from fixel.drawing.uncertainty import (
-    BandsChart,
-    CornerAxis,
-    CornerChart,
-    FinalPoseChart,
-    FinalRegion,
-    PathBand,
-)
+from fixel.drawing.uncertainty import BandsChart, CornerChart, CoverageChart, FinalPoseChart
+from fixel.uncertainty.bands import Band, CoverageCurve, Ellipse, EndBounds
+from fixel.uncertainty.discrepancy import LABEL
 from fixel.workflows.uncertainty import charts
 
 DICE = np.random.default_rng(0)
 POSES = DICE.standard_normal((80, 3)) * np.array([1e-3, 2e-3, 0.02]) + np.array([0.1, 0.0, 0.5])
 
 
+def _posterior(units, low, high, samples, weights=(1.0,)):
+    """Stand-in for a posterior, with the parts that pictures of it use."""
+    members = np.array_split(np.arange(len(samples)), len(weights))
+    modes = [SimpleNamespace(weight=w, members=m) for w, m in zip(weights, members, strict=True)]
+    return SimpleNamespace(
+        labels=tuple(units), units=tuple(units.values()), low=np.array(low), high=np.array(high),
+        samples=samples, modes=modes,
+    )  # fmt: skip
+
+
 def _corner():
-    axes = [
-        CornerAxis("mu_pusher", "-", 0.0, 1.0, truth=0.3),
-        CornerAxis("tripod_radius", "m", 0.01, 0.06),
-        CornerAxis("model error", "m", 5e-5, 2e-2, logarithmic=True),
-    ]
     samples = DICE.random((60, 3)) * np.array([1.0, 0.05, 1e-2]) + np.array([0.0, 0.01, 1e-4])
-    mode = (samples[:, 0] > 0.5).astype(int)
-    return CornerChart(axes=axes, samples=samples, mode=mode, weights=(0.6, 0.4), title="Corner")
+    units = {"mu_pusher": "-", "tripod_radius": "m", LABEL: "m"}
+    low, high = (0.0, 0.01, 5e-5), (1.0, 0.06, 2e-2)
+    posterior = _posterior(units, low, high, samples, (0.6, 0.4))
+    return CornerChart(posterior=posterior, title="Corner")
 
 
 def _bands():
     time = np.linspace(0.1, 2.0, 20)
     path = np.column_stack((0.01 * time, 0.0 * time, 0.1 * time))
-    bands = [PathBand(level, path - level * 1e-3, path + level * 1e-3) for level in (0.5, 0.9)]
+    bands = [Band(level, path - level * 1e-3, path + level * 1e-3) for level in (0.5, 0.9)]
     return BandsChart(time=time, measured=path, best=path, bands=bands, title="Bands")
 
 
 def _final():
     outline = 0.05 * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
-    region = FinalRegion(0.9, POSES[:, :2].mean(axis=0), np.array([2e-3, 1e-3]), 1.5, (0.4, 0.6))
+    ellipse = Ellipse(0.9, POSES[:, :2].mean(axis=0), np.array([2e-3, 1e-3]), 1.5)
+    region = EndBounds(0.9, ellipse, (0.4, 0.6))
     return FinalPoseChart(
         outline=outline, start=np.zeros(3), measured=POSES[0], draws=POSES, regions=[region]
     )
@@ -52,9 +56,10 @@ def _final():
 
 def _curve():
     levels = np.array([0.1, 0.5, 0.9])
-    panel = CoveragePanel("final position", levels, levels, levels - 0.05, levels + 0.05,
-                          np.array([levels]), 200)  # fmt: skip
-    return CoverageChart([panel, panel], "Coverage")
+    curve = CoverageCurve(levels, levels, levels - 0.05, levels + 0.05, 200)
+    groups = {"final position": [levels]}
+    curves = {"final position": curve, "final angle": curve}
+    return CoverageChart(curves, "Coverage", groups)
 
 
 @pytest.mark.parametrize(
@@ -94,16 +99,12 @@ WIDE = np.array([0.25, 0.012, 3e-3, 0.6])
 
 def _corner_of(scale):
     """A posterior of four unknowns, at least as wide a prior about it."""
-    axes = [
-        CornerAxis("mu_pusher", "-", 0.0, 1.0),
-        CornerAxis("tripod_radius", "m", 0.01, 0.06),
-        CornerAxis("model error", "m", 5e-5, 2e-2, logarithmic=True),
-        CornerAxis("registration_theta", "rad", -0.5 * np.pi, 0.5 * np.pi),
-    ]
-    low, high = np.array([(axis.low, axis.high) for axis in axes]).T
+    units = {"mu_pusher": "-", "tripod_radius": "m", LABEL: "m", "registration_theta": "rad"}
+    low = np.array([0.0, 0.01, 5e-5, -0.5 * np.pi])
+    high = np.array([1.0, 0.06, 2e-2, 0.5 * np.pi])
     centre = np.array([0.265, 0.031, 1e-3, 0.4])
     samples = np.clip(centre + scale * DICE.standard_normal((500, 4)), 1.0001 * low, high)
-    return CornerChart(axes=axes, samples=samples, mode=np.zeros(500, int), weights=(1.0,))
+    return CornerChart(posterior=_posterior(units, low, high, samples))
 
 
 @pytest.mark.parametrize("scale", [NARROW, TINY, WIDE])
@@ -112,11 +113,11 @@ def test_axes_of_a_corner_are_as_wide_as_the_samples(scale):
     panels = chart.figure().axes
     factors = (1.0, 1e3, 1e3, 180.0 / np.pi)
     for k, factor in enumerate(factors):
-        own = factor * chart.samples[:, k]
+        own = factor * chart.posterior.samples[:, k]
         low, high = panels[5 * k].get_xlim()  # on the diagonal
         assert low <= np.quantile(own, 0.0005)
         assert high >= np.quantile(own, 0.9995)
-        if chart.axes[k].logarithmic:
+        if chart.posterior.labels[k] == LABEL:
             assert high / low < 1.5 * own.max() / own.min()
         else:
             assert high - low < 1.2 * np.ptp(own)
@@ -130,7 +131,7 @@ def test_numbers_and_names_of_a_corner_do_not_collide(scale):
 
 
 def test_the_caption_of_a_corner_names_the_prior():
-    said = charts._priors(_corner_of(NARROW).axes)
+    said = charts._priors(_corner_of(NARROW).posterior)
     assert said.startswith("mu_pusher 0 to 1, tripod_radius 10 to 60 mm, model error 0.05 to 20 mm")
 
 

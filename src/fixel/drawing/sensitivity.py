@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
@@ -20,10 +20,12 @@ from fixel.drawing.chart import (
     shortened,
     tint,
 )
+from fixel.drawing.top_view import closed
 from fixel.drawing.view import unit_for
 from fixel.model import Scene, placed
-from fixel.table import Table, Value
+from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
+from fixel.uncertainty.indices import Indices
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +43,7 @@ BINS: Final = 40
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FanChart(AbstractChart):
+class EnsembleChart(AbstractChart):
     """End poses of a body over the scene, with start errors, end positions and end angles.
 
     Parameters
@@ -94,54 +96,50 @@ class FanChart(AbstractChart):
         return figure
 
     def table(self) -> Table:
-        columns = (
-            "start_error_x_m", "start_error_y_m", "start_error_theta_rad",
-            "end_x_m", "end_y_m", "end_theta_rad", "outcome",
-        )  # fmt: skip
-        rows: list[tuple[Value, ...]] = [
-            (*map(float, drawn), *map(float, end), int(k) + 1)
-            for drawn, end, k in zip(self.drawn, self.end, self.outcome, strict=True)
-        ]
-        return Table(columns, rows)
+        names = ("x_m", "y_m", "theta_rad")
+        return Table.from_columns(
+            {f"start_error_{name}": self.drawn[:, k] for k, name in enumerate(names)}
+            | {f"end_{name}": self.end[:, k] for k, name in enumerate(names)}
+            | {"outcome": self.outcome + 1}
+        )
 
 
 def _colour(k: int) -> str:
     return COLOURS[k % len(COLOURS)]
 
 
-def _scene(axes: Axes, chart: FanChart) -> None:
+def _scene(axes: Axes, chart: EnsembleChart) -> None:
     scene = chart.scene
     body = scene.bodies[0]
     corners = body.shape.outline
     unit = unit_for(float(np.ptp(placed(corners, body.pose), axis=0).max()))
 
-    def closed(pose: FloatArray, outline: FloatArray) -> FloatArray:
-        found = placed(outline, pose) * unit.per_metre
-        return np.vstack((found, found[:1])).T
+    def outline_at(pose: FloatArray, outline: FloatArray = corners) -> FloatArray:
+        return closed(placed(outline, pose), unit)
 
     for fixel in scene.fixels:
-        axes.fill(*closed(fixel.pose, fixel.shape.outline), color=palette.FIXEL)
+        axes.fill(*outline_at(fixel.pose, fixel.shape.outline), color=palette.FIXEL)
     for pusher in scene.pushers:
-        outline = closed(pusher.pose, pusher.shape.outline)
+        outline = outline_at(pusher.pose, pusher.shape.outline)
         axes.fill(*outline, color=tint(palette.PUSHER, 0.5), label="pusher, at the start")
-    axes.plot(*closed(body.pose, corners), "--", color=palette.INK, linewidth=0.8, label="start")
+    axes.plot(*outline_at(body.pose), "--", color=palette.INK, linewidth=0.8, label="start")
     chosen = np.unique(np.linspace(0, len(chart.end) - 1, OUTLINES).round().astype(int))
     for k in range(len(chart.share)):
         name = "ends" if len(chart.share) == 1 else f"outcome {k + 1}: {chart.share[k]:.0%}"
         # Draw at least one pose of a rare outcome.
         own = [j for j in chosen if chart.outcome[j] == k] or [int(np.argmax(chart.outcome == k))]
         for j in own:
-            outline = closed(chart.end[j], corners)
+            outline = outline_at(chart.end[j])
             axes.plot(*outline, color=_colour(k), linewidth=0.5, alpha=0.35)
         axes.plot([], [], color=_colour(k), linewidth=1.2, label=name)
-    axes.plot(*closed(chart.nominal, corners), color=palette.INK, linewidth=1.4, label="nominal")
+    axes.plot(*outline_at(chart.nominal), color=palette.INK, linewidth=1.4, label="nominal")
     axes.set_aspect("equal", adjustable="datalim")  # a flat panel would have no room for labels
     axes.margins(0.05)
     axes.set(xlabel=f"x [{unit.name}]", ylabel=f"y [{unit.name}]")
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _angles(axes: Axes, chart: FanChart) -> None:
+def _angles(axes: Axes, chart: EnsembleChart) -> None:
     angle = np.degrees(chart.end[:, 2] - chart.nominal[2])
     low, high = float(angle.min()), float(angle.max())
     if high - low < 1e-3:
@@ -171,68 +169,50 @@ def _no_narrower(axes: Axes, size: float) -> None:
             set_limits(middle - 0.005 * size, middle + 0.005 * size)
 
 
-class Bars(NamedTuple):
-    """Sobol indices of one outcome."""
-
-    outcome: str
-    unit: str
-    deviation: float  # standard deviation of the outcome [unit]
-    first: FloatArray  # (k,)
-    first_error: FloatArray
-    total: FloatArray
-    total_error: FloatArray
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IndicesChart(AbstractChart):
-    """First-order and total Sobol indices, one panel per outcome.
-
-    Parameters
-    ----------
-    title : str
-    names : sequence of str
-        Names of the k uncertain inputs.
-    bars : sequence of Bars
-    """
+    """First-order and total Sobol indices, one panel per outcome."""
 
     title: str
-    names: Sequence[str]
-    bars: Sequence[Bars]
+    indices: Indices
 
     def figure(self) -> Figure:
-        figure = sheet(WIDE, 0.95 + 0.24 * len(self.names), self.title)
-        row = figure.subplots(1, len(self.bars), sharey=True, squeeze=False)[0]
-        place = np.arange(len(self.names))
-        for axes, bars in zip(row, self.bars, strict=True):
+        own = self.indices
+        names = [factor.name for factor in own.factors]
+        figure = sheet(WIDE, 0.95 + 0.24 * len(names), self.title)
+        row = figure.subplots(1, len(own.outcomes), sharey=True, squeeze=False)[0]
+        place = np.arange(len(names))
+        for k, axes in enumerate(row):
             for shift, values, errors, colour, label in (
-                (-0.2, bars.first, bars.first_error, palette.BODY, "first order: alone"),
-                (0.2, bars.total, bars.total_error, palette.PUSHER, "total: with all others"),
+                (-0.2, own.first[k], own.first_error[k], palette.BODY, "first order: alone"),
+                (0.2, own.total[k], own.total_error[k], palette.PUSHER, "total: with all others"),
             ):
                 axes.barh(
                     place + shift, values, 0.36, xerr=errors, color=colour, label=label,
                     error_kw={"linewidth": 0.8, "ecolor": palette.INK},
                 )  # fmt: skip
-            unit = readable(bars.unit)
-            axes.set_title(f"{bars.outcome}: {unit.text(bars.deviation)} {unit.name}", loc="left")
+            unit = readable(own.units[k])
+            text = unit.text(float(own.deviation[k]))
+            axes.set_title(f"{own.outcomes[k]}: {text} {unit.name}", loc="left")
             axes.set_xlabel("share of the variance")
-            top = max(1.0, float(np.max(bars.total + bars.total_error)))
-            axes.set_xlim(min(0.0, float(np.min(bars.first - bars.first_error))), 1.02 * top)
+            top = max(1.0, float(np.max(own.total[k] + own.total_error[k])))
+            low = min(0.0, float(np.min(own.first[k] - own.first_error[k])))
+            axes.set_xlim(low, 1.02 * top)
             clean(axes)
-        row[0].set_yticks(place, [shortened(name, 24) for name in self.names])
+        row[0].set_yticks(place, [shortened(name, 24) for name in names])
         row[0].invert_yaxis()
         legend_below(figure, row[:1])
         return figure
 
     def table(self) -> Table:
-        columns = ("outcome", "input", "first", "first_error", "total", "total_error")
-        rows: list[tuple[Value, ...]] = [
-            (
-                b.outcome,
-                name,
-                *(float(v[k]) for v in (b.first, b.first_error, b.total, b.total_error)),
-            )
-            for b in self.bars
-            for k, name in enumerate(self.names)
-        ]
-        return Table(columns, rows)
+        own, n = self.indices, len(self.indices.outcomes)
+        parts = {"first": own.first, "first_error": own.first_error, "total": own.total,
+                 "total_error": own.total_error}  # fmt: skip
+        return Table.from_columns(
+            {
+                "outcome": [name for name in own.outcomes for _ in own.factors],
+                "input": [factor.name for factor in own.factors] * n,
+                **{name: values.ravel() for name, values in parts.items()},
+            }
+        )

@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, final
+from typing import TYPE_CHECKING, Final, Literal, final
 
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, clean, readable, sheet, tint
+from fixel.drawing.chart import (
+    WIDE,
+    AbstractChart,
+    Style,
+    clean,
+    legend_below,
+    readable,
+    sheet,
+    tint,
+)
+from fixel.drawing.top_view import closed
 from fixel.model import placed
 from fixel.table import Table, Value
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
+from fixel.uncertainty.bands import Band, CoverageCurve, EndBounds
+from fixel.uncertainty.discrepancy import LABEL
+from fixel.uncertainty.posterior import Posterior
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,105 +38,76 @@ MODES: Final = (palette.BODY, palette.FORCE, palette.TOUCHED, palette.CONE, pale
 BINS: Final = 30
 
 
-class CornerAxis(NamedTuple):
-    """Parameter of a corner plot, in its own unit."""
-
-    label: str
-    unit: str
-    low: float  # bounds of the prior
-    high: float
-    truth: float | None = None  # true value, if known
-    logarithmic: bool = False
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CornerChart(AbstractChart):
-    """Corner plot: samples of parameters against one another, with modes in colours.
+    """Corner plot: samples of parameters against one another, with modes in colours."""
 
-    Parameters
-    ----------
-    axes : sequence of CornerAxis
-    samples : (k, n) float64
-    mode : (k,) int
-        Mode of each sample; 0 has the largest weight.
-    weights : sequence of float
-        Weights of the modes.
-    title : str
-    """
-
-    axes: Sequence[CornerAxis]
-    samples: FloatArray
-    mode: np.ndarray
-    weights: Sequence[float]
+    posterior: Posterior
     title: str = ""
 
+    @property
+    def modes(self) -> IntArray:
+        """Mode of each sample, (k,); mode 0 has the largest weight."""
+        mode = np.zeros(len(self.posterior.samples), np.int64)
+        for k, part in enumerate(self.posterior.modes):
+            mode[part.members] = k
+        return mode
+
     def figure(self) -> Figure:
-        n = len(self.axes)
+        n = len(self.posterior.labels)
         side = max(2.6, CELL * n + 0.5)
         figure = sheet(side, side + 0.2, self.title)
         panels = figure.subplots(n, n, squeeze=False)
-        for row in range(n):
-            for column in range(n):
-                axes = panels[row, column]
-                if column > row:
-                    axes.set_visible(False)
-                elif column == row:
-                    self._alone(axes, row)
-                else:
-                    self._pair(axes, column, row)
-                self._edges(axes, row, column, n)
+        for (row, column), axes in np.ndenumerate(panels):
+            if column > row:
+                axes.set_visible(False)
+            elif column == row:
+                self._alone(axes, row)
+            else:
+                self._pair(axes, column, row)
+            self._edges(axes, row, column, n)
         figure.align_labels()
         self._legend(figure)
         return figure
 
     def _values(self, k: int) -> FloatArray:
-        return np.asarray(readable(self.axes[k].unit).factor * self.samples[:, k])
+        factor = readable(self.posterior.units[k]).factor
+        return np.asarray(factor * self.posterior.samples[:, k])
 
     def _ends(self, k: int) -> tuple[float, float]:
-        """Range of the samples and the truth, with a margin, within the prior."""
-        axis = self.axes[k]
-        known = [*self.samples[:, k], *([] if axis.truth is None else [axis.truth])]
-        low, high = float(np.min(known)), float(np.max(known))
-        if axis.logarithmic:
+        """Range of the samples, with a margin, within the prior."""
+        own = self.posterior
+        low, high = float(own.samples[:, k].min()), float(own.samples[:, k].max())
+        if own.labels[k] == LABEL:
             wide = (low / 1.1, 1.1 * high)
         else:
-            margin = max(0.05 * (high - low), 1e-6 * (axis.high - axis.low))
+            margin = max(0.05 * (high - low), 1e-6 * (own.high[k] - own.low[k]))
             wide = (low - margin, high + margin)
-        factor = readable(axis.unit).factor
-        ends = min(max(wide[0], axis.low), low), max(min(wide[1], axis.high), high)
+        factor = readable(own.units[k]).factor
+        ends = min(max(wide[0], own.low[k]), low), max(min(wide[1], own.high[k]), high)
         return factor * ends[0], factor * ends[1]
 
     def _logarithmic(self, k: int) -> bool:
         low, high = self._ends(k)
-        return self.axes[k].logarithmic and high > DECADES * low
+        return self.posterior.labels[k] == LABEL and high > DECADES * low
 
     def _alone(self, axes: Axes, k: int) -> None:
         low, high = self._ends(k)
         log = self._logarithmic(k)
         edges = np.geomspace(low, high, BINS + 1) if log else np.linspace(low, high, BINS + 1)
-        values = self._values(k)
-        parts = [values[self.mode == m] for m in range(len(self.weights))]
-        colours = [MODES[m % len(MODES)] for m in range(len(parts))]
-        axes.hist(parts, bins=list(edges), stacked=True, color=colours)
+        values, modes = self._values(k), self.modes
+        parts = [values[modes == m] for m in range(len(self.posterior.modes))]
+        axes.hist(parts, bins=list(edges), stacked=True, color=_colours(len(parts)))
         axes.set_yticks([])
-        self._truth(axes.axvline, k)
 
     def _pair(self, axes: Axes, x: int, y: int) -> None:
-        across, up = self._values(x), self._values(y)
-        for m in range(len(self.weights)):
-            own = self.mode == m
+        across, up, modes = self._values(x), self._values(y), self.modes
+        for m, colour in enumerate(_colours(len(self.posterior.modes))):
+            own = modes == m
             axes.plot(across[own], up[own], ".", markersize=1.6, alpha=0.35, rasterized=True,
-                      markeredgewidth=0.0, color=MODES[m % len(MODES)])  # fmt: skip
+                      markeredgewidth=0.0, color=colour)  # fmt: skip
         axes.set_ylim(*self._ends(y))
-        self._truth(axes.axvline, x)
-        self._truth(axes.axhline, y)
-
-    def _truth(self, draw: Any, k: int) -> None:
-        truth = self.axes[k].truth
-        if truth is not None:
-            value = readable(self.axes[k].unit).factor * truth
-            draw(value, color=palette.INK, linewidth=0.7, linestyle=(0, (3, 2)))
 
     def _edges(self, axes: Axes, row: int, column: int, n: int) -> None:
         axes.set_xlim(*self._ends(column))
@@ -157,40 +141,38 @@ class CornerChart(AbstractChart):
             axes.tick_params(axis="x", labelrotation=90.0)
 
     def _label(self, k: int) -> str:
-        own = self.axes[k]
-        return readable(own.unit).on(own.label).replace(" [", "\n[")
+        own = self.posterior
+        return readable(own.units[k]).on(shown_label(own.labels[k])).replace(" [", "\n[")
 
     def _legend(self, figure: Figure) -> None:
         from matplotlib.lines import Line2D
 
-        entries: list[Any] = []
-        for m, weight in enumerate(self.weights):
-            name = f"mode {m + 1}: {100.0 * weight:.0f} %" if len(self.weights) > 1 else "samples"
-            entries.append(Line2D([], [], marker="o", linestyle="none", markersize=4.0,
-                                  color=MODES[m % len(MODES)], label=name))  # fmt: skip
-        if any(axis.truth is not None for axis in self.axes):
-            entries.append(Line2D([], [], color=palette.INK, linewidth=0.7,
-                                  linestyle=(0, (3, 2)), label="truth"))  # fmt: skip
+        modes = self.posterior.modes
+        texts = [f"mode {m}: {100.0 * mode.weight:.0f} %" for m, mode in enumerate(modes, 1)]
+        dot: Style = {"marker": "o", "linestyle": "none", "markersize": 4.0}
+        entries = [
+            Line2D([], [], color=colour, label=text if len(modes) > 1 else "samples", **dot)
+            for text, colour in zip(texts, _colours(len(modes)), strict=True)
+        ]
         # There is room above the diagonal.
         figure.legend(handles=entries, frameon=False, loc="upper right",
                       bbox_to_anchor=(0.98, 0.93))  # fmt: skip
 
     def table(self) -> Table:
-        units = [f"{axis.label}_{axis.unit}" if axis.unit != "-" else axis.label
-                 for axis in self.axes]  # fmt: skip
-        rows: list[tuple[Value, ...]] = [
-            (*map(float, sample), int(mode) + 1)
-            for sample, mode in zip(self.samples, self.mode, strict=True)
-        ]
-        return Table((*units, "mode"), rows)
+        own = self.posterior
+        labels = [shown_label(label) for label in own.labels]
+        names = [x if u == "-" else f"{x}_{u}" for x, u in zip(labels, own.units, strict=True)]
+        columns = dict(zip(names, own.samples.T, strict=True))
+        return Table.from_columns({**columns, "mode": self.modes + 1})
 
 
-class PathBand(NamedTuple):
-    """Band about a path at one level."""
+def shown_label(label: str) -> str:
+    """Label of a parameter for people."""
+    return "model error" if label == LABEL else label
 
-    level: float
-    low: FloatArray  # (n, 3)
-    high: FloatArray  # (n, 3)
+
+def _colours(n: int) -> list[str]:
+    return [MODES[m % len(MODES)] for m in range(n)]
 
 
 _ROWS: Final = (("x [mm]", 1e3), ("y [mm]", 1e3), ("theta [deg]", 180.0 / np.pi))
@@ -207,7 +189,7 @@ class BandsChart(AbstractChart):
     time : (n,) float64
         Times [s].
     measured, best : (n, 3) float64
-    bands : sequence of PathBand
+    bands : sequence of Band
         Bands, the narrowest first.
     title : str
     """
@@ -215,7 +197,7 @@ class BandsChart(AbstractChart):
     time: FloatArray
     measured: FloatArray
     best: FloatArray
-    bands: Sequence[PathBand]
+    bands: Sequence[Band]
     title: str = ""
 
     def figure(self) -> Figure:
@@ -250,25 +232,16 @@ class BandsChart(AbstractChart):
         clean(axes)
 
     def table(self) -> Table:
-        names = ("x_m", "y_m", "theta_rad")
-        columns = ["time_s", *(f"measured_{n}" for n in names), *(f"likeliest_{n}" for n in names)]
-        parts = [self.time[:, None], self.measured, self.best]
+        parts = {"measured": self.measured, "likeliest": self.best}
         for band in self.bands:
-            for side, ends in (("low", band.low), ("high", band.high)):
-                columns += [f"{side}_{100.0 * band.level:.0f}_{n}" for n in names]
-                parts.append(ends)
-        rows = [tuple(map(float, row)) for row in np.concatenate(parts, axis=1)]
-        return Table(tuple(columns), list(rows))
-
-
-class FinalRegion(NamedTuple):
-    """Elliptic region of final positions and interval of final angles, at one level."""
-
-    level: float
-    centre: FloatArray  # (2,)
-    radii: FloatArray  # (2,)
-    turn: float  # angle of the first axis [rad]
-    angles: tuple[float, float]  # [rad]
+            level = f"{100.0 * band.level:.0f}"
+            parts |= {f"low_{level}": band.low, f"high_{level}": band.high}
+        columns = {
+            f"{name}_{axis}": poses[:, k]
+            for name, poses in parts.items()
+            for k, axis in enumerate(("x_m", "y_m", "theta_rad"))
+        }
+        return Table.from_columns({"time_s": self.time, **columns})
 
 
 @final
@@ -283,8 +256,8 @@ class FinalPoseChart(AbstractChart):
     start, measured : (3,) float64
         First and last measured pose.
     draws : (k, 3) float64
-    regions : sequence of FinalRegion
-        Regions, the smallest first.
+    regions : sequence of EndBounds
+        Bounds, the smallest first.
     title : str
     """
 
@@ -292,7 +265,7 @@ class FinalPoseChart(AbstractChart):
     start: FloatArray
     measured: FloatArray
     draws: FloatArray
-    regions: Sequence[FinalRegion]
+    regions: Sequence[EndBounds]
     title: str = ""
 
     def figure(self) -> Figure:
@@ -309,15 +282,14 @@ class FinalPoseChart(AbstractChart):
         return figure
 
     def _whole(self, axes: Axes) -> None:
-        def closed(pose: FloatArray) -> FloatArray:
-            table = placed(self.outline, pose)
-            return np.asarray(1e3 * np.vstack((table, table[:1])).T)
+        def outline(pose: FloatArray) -> FloatArray:
+            return closed(placed(self.outline, pose))
 
-        axes.plot(*closed(self.start), color=palette.FIXEL, linewidth=0.8,
+        axes.plot(*outline(self.start), color=palette.FIXEL, linewidth=0.8,
                   linestyle=(0, (3, 2)), label="start")  # fmt: skip
         for pose in self.draws[:60]:
-            axes.plot(*closed(pose), color=palette.TRAIL, linewidth=0.4, alpha=0.35)
-        axes.plot(*closed(self.measured), color=palette.INK, linewidth=0.8)
+            axes.plot(*outline(pose), color=palette.TRAIL, linewidth=0.4, alpha=0.35)
+        axes.plot(*outline(self.measured), color=palette.INK, linewidth=0.8)
         axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
         axes.margins(0.06)
         clean(axes)
@@ -327,9 +299,10 @@ class FinalPoseChart(AbstractChart):
         axes.plot(*(1e3 * self.draws[:, :2].T), ".", color=palette.TRAIL, markersize=2.0,
                   markeredgewidth=0.0, alpha=0.5, label="draws")  # fmt: skip
         for region, style in zip(self.regions, ("-", (0, (4, 2)), ":"), strict=False):
-            c, s = np.cos(region.turn), np.sin(region.turn)
-            a, b = region.radii[:, None] * np.array([np.cos(turn), np.sin(turn)])
-            ring = region.centre[:, None] + np.array([c * a - s * b, s * a + c * b])
+            own = region.position
+            c, s = np.cos(own.angle), np.sin(own.angle)
+            a, b = own.radii[:, None] * np.array([np.cos(turn), np.sin(turn)])
+            ring = own.centre[:, None] + np.array([c * a - s * b, s * a + c * b])
             axes.plot(*(1e3 * ring), color=palette.BODY, linewidth=0.9, linestyle=style,
                       label=f"{100.0 * region.level:.0f} %")  # fmt: skip
         axes.plot(*(1e3 * self.measured[:2]), "x", color=palette.INK, markersize=5.0,
@@ -342,7 +315,7 @@ class FinalPoseChart(AbstractChart):
     def _turned(self, axes: Axes) -> None:
         axes.hist(np.degrees(self.draws[:, 2]), bins=30, color=tint(palette.TRAIL, 0.7))
         for region, style in zip(self.regions, ("-", (0, (4, 2)), ":"), strict=False):
-            for end in region.angles:
+            for end in region.angle:
                 axes.axvline(float(np.degrees(end)), color=palette.BODY, linewidth=0.9,
                              linestyle=style)  # fmt: skip
         middle = float(np.median(self.draws[:, 2]))
@@ -353,6 +326,64 @@ class FinalPoseChart(AbstractChart):
         clean(axes)
 
     def table(self) -> Table:
-        rows: list[tuple[Value, ...]] = [("measured", *map(float, self.measured))]
-        rows += [("draw", *map(float, pose)) for pose in self.draws]
-        return Table(("what", "x_m", "y_m", "theta_rad"), rows)
+        poses = np.vstack((self.measured, self.draws))
+        columns = dict(zip(("x_m", "y_m", "theta_rad"), poses.T, strict=True))
+        return Table.from_columns({"what": ["measured"] + ["draw"] * len(self.draws), **columns})
+
+
+class CoverageChart(AbstractChart):
+    """Observed coverage of bounds against their stated probability, one panel per kind of bound.
+
+    Parameters
+    ----------
+    curves : mapping of str to CoverageCurve
+        Curves by the title of their panel.
+    title : str
+    groups : mapping of str to sequence of (n,) float64
+        Shares observed in single groups, by panel.
+    """
+
+    def __init__(
+        self,
+        curves: Mapping[str, CoverageCurve],
+        title: str = "",
+        groups: Mapping[str, Sequence[FloatArray]] | None = None,
+    ) -> None:
+        self._curves, self._title, self._groups = dict(curves), title, dict(groups or {})
+
+    def figure(self) -> Figure:
+        n = len(self._curves)
+        figure = sheet(0.1 + 2.6 * n, 2.9, self._title)
+        row = figure.subplots(1, n, squeeze=False, sharey=True)[0]
+        for axes, (name, curve) in zip(row, self._curves.items(), strict=True):
+            _draw_coverage(axes, curve, self._groups.get(name, ()))
+            title = f"{name}, {curve.outcomes} outcomes"
+            axes.set_title(title, fontsize=palette.FONT_SIZE)
+        row[0].set_ylabel("outcomes held [%]")
+        legend_below(figure, row[:1], 2)
+        return figure
+
+    def table(self) -> Table:
+        names = ("bounds", "promised", "held", "true_levels_from", "true_levels_to", "outcomes")
+        rows: list[tuple[Value, ...]] = [
+            (name, *map(float, row), curve.outcomes)
+            for name, curve in self._curves.items()
+            for row in zip(curve.levels, curve.held, curve.low, curve.high, strict=True)
+        ]
+        return Table(names, rows)
+
+
+def _draw_coverage(axes: Axes, curve: CoverageCurve, groups: Sequence[FloatArray]) -> None:
+    levels = 100.0 * curve.levels
+    axes.plot((0, 100), (0, 100), color=palette.INK, linewidth=0.7, linestyle=(0, (4, 2)),
+              label="as promised")  # fmt: skip
+    axes.fill_between(levels, 100.0 * curve.low, 100.0 * curve.high, color=palette.TRAIL,
+                      alpha=0.35, linewidth=0.0, label="chance alone, 95 %")  # fmt: skip
+    for k, own in enumerate(groups):
+        axes.plot(levels, 100.0 * own, color=palette.FIXEL, linewidth=0.5, alpha=0.6,
+                  label="single groups" if k == 0 else None)  # fmt: skip
+    axes.plot(levels, 100.0 * curve.held, color=palette.FORCE, linewidth=1.2, marker="o",
+              markersize=2.5, label="held")  # fmt: skip
+    axes.set(xlim=(0, 100), ylim=(0, 100), xlabel="level promised [%]")
+    axes.set_aspect("equal")
+    clean(axes)

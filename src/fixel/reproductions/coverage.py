@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fixel.datasets.raw.mit_push import read
-from fixel.drawing.coverage import CoverageChart, CoveragePanel
+from fixel.drawing.uncertainty import CoverageChart
 from fixel.io.result_cache import ResultCache
 from fixel.model import wrapped
 from fixel.reproductions.fitting import ARM, Belief, FittedPushes
@@ -234,16 +234,12 @@ def _conclusions(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes])
 
 def _picture(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes]) -> CoverageChart:
     keys = list(dict.fromkeys(one.key for one in held))
-    panels = []
-    for k, name in enumerate(("position", "angle")):
-        own = [_curve([one for one in held if one.key == key], k) for key in keys]
-        panels.append(
-            CoveragePanel(
-                f"final {name}", curves[k].levels, curves[k].held, curves[k].low, curves[k].high,
-                np.array([curve.held for curve in own]), curves[k].outcomes,
-            )
-        )  # fmt: skip
-    return CoverageChart(panels)
+    names = ("final position", "final angle")
+    groups = {
+        name: [_curve([one for one in held if one.key == key], k).held for key in keys]
+        for k, name in enumerate(names)
+    }
+    return CoverageChart(dict(zip(names, curves, strict=True)), groups=groups)
 
 
 def _silent(done: int, total: int, note: str = "") -> None:

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.drawing.sensitivity import Bars, FanChart, IndicesChart
+from fixel.drawing.sensitivity import EnsembleChart, IndicesChart
 from fixel.model import Parameters
 from fixel.table import Table
 from fixel.typing import FloatArray
@@ -16,7 +16,7 @@ from fixel.uncertainty.indices import Indices
 from fixel.uncertainty.outcomes import FLAGS
 from fixel.workflows.analysis import Analysis
 from fixel.workflows.figures import Picture
-from fixel.workflows.sensitivity.request import Finding, SensitivityRequest, Subject
+from fixel.workflows.sensitivity.request import Finding, SensitivityRequest
 from fixel.workflows.sentences import rounded, sentences
 
 MAX_SENTENCES: Final = 3  # pushes with sentences in the headline
@@ -160,7 +160,7 @@ def pictures_of(found: Sequence[Finding]) -> list[Picture]:
     for k, finding in enumerate(found[:MAX_PICTURES], 1):
         own, ensemble, subject = finding.sensitivity, finding.ensemble, finding.subject
         stem = f"{k:02d}-" + "".join(c if c.isalnum() else "-" for c in subject.key)
-        chart = FanChart(
+        chart = EnsembleChart(
             title=f"{subject.key}: {own.flag}",
             scene=subject.scene,
             drawn=ensemble.drawn[ensemble.ended],
@@ -169,42 +169,15 @@ def pictures_of(found: Sequence[Finding]) -> list[Picture]:
             outcome=own.outcome,
             share=own.share,
         )
-        pictures.append(
-            Picture(
-                f"{stem}-ensemble",
-                chart,
-                subject.banner,
-                f"End poses of {subject.key} over starts {ensemble.error.written()}: {own.flag},"
-                f" amplification {own.amplification:.2g}. Colours are outcomes; the black outline"
-                " is the end without an error.",
-            )
-        )
+        known = {"key": subject.key, "own": own, "ensemble": ensemble}
+        (caption,) = sentences("sensitivity", "ensemble_caption", **known)
+        pictures.append(Picture(f"{stem}-ensemble", chart, subject.banner, caption))
         if finding.indices is not None:
-            pictures.append(_index_picture(stem, subject, finding.indices))
+            title = f"{subject.key}: where the spread comes from"
+            bars = IndicesChart(title=title, indices=finding.indices)
+            (caption,) = sentences("sensitivity", "indices_caption", key=subject.key)
+            pictures.append(Picture(f"{stem}-indices", bars, subject.banner, caption))
     return pictures
-
-
-def _index_picture(stem: str, subject: Subject, own: Indices) -> Picture:
-    bars = [
-        Bars(
-            outcome,
-            own.units[k],
-            float(own.deviation[k]),
-            own.first[k],
-            own.first_error[k],
-            own.total[k],
-            own.total_error[k],
-        )
-        for k, outcome in enumerate(own.outcomes)
-    ]
-    names = [factor.name for factor in own.factors]
-    return Picture(
-        f"{stem}-indices",
-        IndicesChart(title=f"{subject.key}: where the spread comes from", names=names, bars=bars),
-        subject.banner,
-        f"Sobol indices of the end of {subject.key} with 95 % intervals; above each panel the"
-        " standard deviation that is shared out.",
-    )
 
 
 def arrays_of(found: Sequence[Finding]) -> dict[str, FloatArray]:

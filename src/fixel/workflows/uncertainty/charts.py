@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 
 from fixel.drawing.chart import readable
-from fixel.drawing.coverage import CoverageChart, CoveragePanel
 from fixel.drawing.uncertainty import (
     BandsChart,
-    CornerAxis,
     CornerChart,
+    CoverageChart,
     FinalPoseChart,
-    FinalRegion,
-    PathBand,
+    shown_label,
 )
 from fixel.model import Disk
 from fixel.typing import FloatArray
 from fixel.uncertainty.bands import LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.discrepancy import LABEL
+from fixel.uncertainty.posterior import Posterior
 from fixel.workflows.figures import Picture, banner_of
 from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty
 
@@ -30,20 +29,11 @@ MIN_FOR_CURVE: Final = 5
 
 
 def pictures_of(found: Uncertainty) -> Iterator[Picture]:
-    posterior = found.posterior
-    mode = np.zeros(len(posterior.samples), np.int64)
-    for k, part in enumerate(posterior.modes):
-        mode[part.members] = k
-    axes = [
-        CornerAxis(shown(label), posterior.units[k], posterior.low[k], posterior.high[k],
-             logarithmic=label == LABEL)
-        for k, label in enumerate(posterior.labels)
-    ]  # fmt: skip
-    weights = [part.weight for part in posterior.modes]
-    corner = CornerChart(axes=axes, samples=posterior.samples, mode=mode, weights=weights,
-                         title=f"What {what_of(found)} leaves open")  # fmt: skip
+    """Yield charts of the posterior, of the first predictions, and of their coverage."""
+    corner = CornerChart(posterior=found.posterior, title=f"What {what_of(found)} leaves open")
     yield Picture("corner", corner, _banner(found.predicted),
-                  f"Samples of the posterior. The prior was uniform: {_priors(axes)}.")  # fmt: skip
+                  f"Samples of the posterior. The prior was uniform: {_priors(found.posterior)}."
+                  )  # fmt: skip
     chosen = [*found.predicted[:1], *found.held_out][:MAX_PICTURED]
     for number, predicted in enumerate(dict.fromkeys(one.id for one in chosen), 1):
         one = next(p for p in chosen if p.id == predicted)
@@ -53,18 +43,15 @@ def pictures_of(found: Uncertainty) -> Iterator[Picture]:
         yield _curve_picture(found, both)
 
 
-def _priors(axes: Sequence[CornerAxis]) -> str:
+def _priors(posterior: Posterior) -> str:
     """Ranges of the priors, which are mostly much wider than the axes."""
     parts = []
-    for axis in axes:
-        unit = readable(axis.unit)
-        ends = f"{unit.text(axis.low)} to {unit.text(axis.high)} {unit.name}".rstrip()
-        parts.append(f"{axis.label} {ends}{' (of its logarithm)' * axis.logarithmic}")
+    for k, label in enumerate(posterior.labels):
+        unit = readable(posterior.units[k])
+        ends = f"{unit.text(posterior.low[k])} to {unit.text(posterior.high[k])} {unit.name}"
+        log = " (of its logarithm)" * (label == LABEL)
+        parts.append(f"{shown_label(label)} {ends.rstrip()}{log}")
     return ", ".join(parts)
-
-
-def shown(label: str) -> str:
-    return "model error" if label == LABEL else label
 
 
 def _of_experiment(one: ExperimentPrediction, number: int) -> Iterator[Picture]:
@@ -74,24 +61,16 @@ def _of_experiment(one: ExperimentPrediction, number: int) -> Iterator[Picture]:
     # Angles on the same turn as the simulated ones.
     off = prediction.best[:, 2] - measured[:, 2]
     measured[:, 2] += 2.0 * np.pi * np.round(off / (2.0 * np.pi))
-    bands = [PathBand(*band) for band in prediction.bands(LEVELS)]
-    path = BandsChart(time=prediction.time, measured=measured, best=prediction.best, bands=bands,
-                      title=what)  # fmt: skip
+    path = BandsChart(time=prediction.time, measured=measured, best=prediction.best,
+                      bands=prediction.bands(LEVELS), title=what)  # fmt: skip
     yield Picture(f"bands-{number}", path, banner,
                   f"Path of {what} with bands of 50 and 90 %, frame by frame.")  # fmt: skip
-    regions = []
-    for level in LEVELS:
-        bounds = prediction.bounds(level)
-        ellipse = bounds.position
-        regions.append(
-            FinalRegion(level, ellipse.centre, ellipse.radii, ellipse.angle, bounds.angle)
-        )
     final = FinalPoseChart(
         outline=_outline(one),
         start=one.target.case.scene.bodies[0].pose,
         measured=measured[-1],
         draws=prediction.draws[:, -1],
-        regions=regions,
+        regions=[prediction.bounds(level) for level in LEVELS],
         title=what,
     )
     yield Picture(f"final-{number}", final, banner,
@@ -107,12 +86,8 @@ def _outline(one: ExperimentPrediction) -> FloatArray:
 
 
 def _curve_picture(found: Uncertainty, both: tuple[CoverageCurve, CoverageCurve]) -> Picture:
-    panels = [
-        CoveragePanel(f"final {name}", c.levels, c.held, c.low, c.high,
-                      np.zeros((0, len(c.levels))), c.outcomes)
-        for name, c in zip(("position", "angle"), both, strict=True)
-    ]  # fmt: skip
-    chart = CoverageChart(panels, "What bounds hold of held-out experiments")
+    curves = dict(zip(("final position", "final angle"), both, strict=True))
+    chart = CoverageChart(curves, "What bounds hold of held-out experiments")
     return Picture("coverage", chart, _banner(found.held_out),
                    "Share of held-out final poses within bounds of each level.")  # fmt: skip
 
