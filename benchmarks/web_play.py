@@ -18,8 +18,9 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.sampling import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.web.project import ProjectContext, project_server
-from fixel.web.views.live_comparison import CompareDesk
+from fixel.web.context import ProjectContext
+from fixel.web.project import project_server
+from fixel.web.views.live_comparison import LiveComparison
 
 MOVES = 60
 SERVER = "a comparison, processor time of the server"
@@ -63,29 +64,29 @@ def measured() -> dict[str, list[float]]:
         with project.store() as store:
             for experiment in SimulatedTestbed(seed=1).run(thesis_plan().experiments[:2]):
                 store.add_experiment(experiment)
-        desk = ProjectContext(project)
+        context = ProjectContext(project)
         browser = playwright.chromium.launch(
             executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
         )
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.set_default_timeout(120_000)
         try:
-            with project_server(desk) as server:
-                found = {SERVER: _without_browser(desk)}
+            with project_server(context) as server:
+                found = {SERVER: _without_browser(context)}
                 page.goto(server.link)
                 found |= _compare(page, server.home)
                 found |= _simulate(page, server.home)
         finally:
             browser.close()
-            desk.close()
+            context.close()
     return found
 
 
-def _without_browser(desk: ProjectContext) -> list[float]:
-    at_hand, spent = CompareDesk(desk.store), []
+def _without_browser(context: ProjectContext) -> list[float]:
+    at_hand, spent = LiveComparison(context.store), []
     for k in range(MOVES):
         begun = time.process_time()
-        at_hand.compared(1, {"mu_pusher": 0.1 + 0.01 * k})
+        at_hand.compared(1, {"mu_pusher": 0.1 + 0.01 * k}, "dynamic", context.folder)
         spent.append(1e3 * (time.process_time() - begun))
     return spent[1:]
 

@@ -6,7 +6,9 @@ from tests.web.client import Client
 
 from fixel.database.project import Project
 from fixel.web.app import create_app
-from fixel.web.project import ProjectContext, project_api, project_pages
+from fixel.web.context import ProjectContext
+from fixel.web.pages.site import project_pages
+from fixel.web.project import project_api
 from fixel.web.security import WORD_HEADER, Gate
 
 HERE = "http://127.0.0.1:8000"
@@ -20,10 +22,10 @@ class Bench:
     def __init__(self, folder):
         self.folder = folder
         self.gate = Gate()
-        self.desk = ProjectContext(Project.open(folder))
-        self.api = project_api(self.desk)
-        self.pages = project_pages(self.desk)
-        self.app = create_app(self.pages, self.gate, api=self.api, name=self.desk.name)
+        self.context = ProjectContext(Project.open(folder))
+        self.api = project_api(self.context)
+        self.pages = project_pages(self.context)
+        self.app = create_app(self.pages, self.gate, api=self.api, name=self.context.name)
         self.client = self.opened()
 
     def opened(self, **options):
@@ -53,7 +55,7 @@ class Bench:
         return found
 
     def close(self):
-        self.desk.close()
+        self.context.close()
 
 
 def filled(path):

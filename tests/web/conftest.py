@@ -53,20 +53,27 @@ def _simulate(store, numbers):
 @pytest.fixture(scope="session")
 def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
     """The same with a calibration of six experiments and a map of all; not to be changed."""
-    from fixel.web.views import calibration_form
+    from fixel.web.views.calibration_form import CalibrationForm
     from fixel.workflows.calibration import run
-    from fixel.workflows.calibration.parameter_options import fitted
     from fixel.workflows.domain.request import DomainRequest
     from fixel.workflows.domain.run import map_domain
 
     folder = tmp_path_factory.mktemp("trusted") / "my_lab"
     shutil.copytree(laboratory, folder)
+    form = CalibrationForm(
+        name="first",
+        experiments=range(6, 12),
+        unknowns=[
+            {"name": "mu_pusher", "low": 0.0, "high": 1.0, "start": 0.2},
+            {"name": "tripod_radius", "low": 0.001, "high": 0.0755, "start": 0.0409},
+        ],
+        optimiser="nelder-mead",
+        most_evaluations=60,
+        starts=2,
+    )
     project = Project.open(folder)
     with project.store() as store:
-        chosen = calibration_form.chosen_from(store, "", range(6, 12))
-    scenes = [target.case.scene for target in chosen.targets]
-    unknowns = fitted(["mu_pusher", "tripod_radius"], scenes)
-    request = calibration_form.request_from("first", "joint", unknowns, "nelder-mead", 60, starts=2)
+        chosen, request = form.selection(store), form.request()
     job = run.prepare(project, chosen, request)
     run.run(job)
     run.collect(project, job, "fixel calibrate --name first", {})
@@ -86,14 +93,15 @@ def project(laboratory, tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def server(project):
     """The pages of the copy, on a port of this machine: `server.link`, `server.home`."""
-    from fixel.web.project import ProjectContext, project_server
+    from fixel.web.context import ProjectContext
+    from fixel.web.project import project_server
 
-    desk = ProjectContext(Project.open(project))
-    running = project_server(desk).start()
-    running.desk = desk
+    context = ProjectContext(Project.open(project))
+    running = project_server(context).start()
+    running.context = context
     yield running
     running.stop()
-    desk.close()
+    context.close()
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,8 @@ from pathlib import Path
 def main():
     folder = Path(sys.argv[1])
     from fixel.database.project import Project
-    from fixel.web.project import ProjectContext, project_server
+    from fixel.web.context import ProjectContext
+    from fixel.web.project import project_server
     from fixel.web.views import live_comparison
 
     live_comparison.warm_up()

@@ -171,7 +171,7 @@ STRANGE = st.one_of(
 def spoiled_scenes(draw):
     """A scene that comes with fixel, with one or two places changed."""
     scene = scene_editor.example(
-        draw(st.sampled_from([name for name, _ in scene_editor.examples()]))
+        draw(st.sampled_from([one.name for one in scene_editor.examples()]))
     )
     for _ in range(draw(st.integers(1, 2))):
         path = draw(st.sampled_from(list(places(scene))))

@@ -12,7 +12,9 @@ from fixel.formats.video_file import VideoWriter, open_video
 from fixel.model import Experiment, Provenance, Trajectory
 from fixel.vision.frame import Frame
 from fixel.web.app import create_app
-from fixel.web.project import ProjectContext, project_api, project_pages
+from fixel.web.context import ProjectContext
+from fixel.web.pages.site import project_pages
+from fixel.web.project import project_api
 from fixel.web.security import WORD_HEADER, Gate
 from fixel.web.views import browser_video
 
@@ -23,10 +25,10 @@ ADDRESS = "/api/v1/experiments"
 class Bench:
     def __init__(self, folder):
         self.gate = Gate()
-        self.desk = ProjectContext(Project.open(folder))
-        self.store = self.desk.store
+        self.context = ProjectContext(Project.open(folder))
+        self.store = self.context.store
         self.app = create_app(
-            project_pages(self.desk), self.gate, api=project_api(self.desk), name="my_lab"
+            project_pages(self.context), self.gate, api=project_api(self.context), name="my_lab"
         )
         self.client = Client(
             self.app, HERE + self.gate.root, cookies={self.gate.cookie: self.gate.session}
@@ -57,7 +59,7 @@ def numbers(array):
 def bench(project):
     made = Bench(project)
     yield made
-    made.desk.close()
+    made.context.close()
 
 
 # --- the table --------------------------------------------------------------------------------

@@ -149,12 +149,12 @@ def test_what_is_deleted_is_not_calibrated(table):
 
 def test_errors_before_are_made_for_those_that_have_none(table, server):
     table.fill("#filter", "shape=square")
-    wanted = server.desk.store.unsimulated_ids(view_of("shape=square"))
+    wanted = server.context.store.unsimulated_ids(view_of("shape=square"))
     table.click(f"#simulate:has-text('Simulate {len(wanted)} experiments')")
     table.wait_for_selector(f"text=Simulated {len(wanted)} experiments", timeout=60_000)
     table.wait_for_selector("#simulate", state="hidden")
     table.wait_for_function("() => !document.querySelector('td.before.unknown')")
-    assert server.desk.store.unsimulated_ids(view_of("shape=square")) == []
+    assert server.context.store.unsimulated_ids(view_of("shape=square")) == []
 
 
 def test_flagging_many_with_undo_by_the_toast(table):
@@ -233,7 +233,7 @@ def test_a_long_search_is_drawn_in_little(table, server):
 
 
 def test_only_what_is_seen_is_drawn(table, server):
-    store = server.desk.store
+    store = server.context.store
     track = Trajectory(time=np.arange(3.0), pose=np.zeros((3, 3)))
     made = [
         store.add_experiment(
@@ -321,7 +321,7 @@ def test_neighbours_by_keys(one):
 
 
 def test_names_are_never_markup(browser_page, server):
-    store = server.desk.store
+    store = server.context.store
     made = store.add_experiment(
         Experiment(
             dataset=SCRIPTS[0],

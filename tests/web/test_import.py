@@ -38,8 +38,8 @@ def test_a_table_without_a_scene_is_answered_with_a_template(bench):
     first, second = (bench.post("/api/v1/import", asked).json() for _ in range(2))
     assert (first["has_scene"], first["stored"], first["known"]) == (True, True, False)
     assert (second["stored"], second["known"]) == (False, True)
-    number = bench.desk.store.find("csv/mine")
-    assert bench.desk.store.experiment(number).scene is not None
+    number = bench.context.store.find("csv/mine")
+    assert bench.context.store.experiment(number).scene is not None
 
 
 def test_what_cannot_be_is_refused_in_a_sentence(bench):
@@ -58,7 +58,9 @@ def test_what_cannot_be_is_refused_in_a_sentence(bench):
 def test_files_dropped_on_the_page_are_imported(browser_page, server):
     page = browser_page
     page.wait_for_selector("tr[data-id]")
-    template = workflow.import_texts(server.desk.store, "a.csv", TABLE, None, dry_run=True).template
+    template = workflow.import_texts(
+        server.context.store, "a.csv", TABLE, None, dry_run=True
+    ).template
     page.evaluate(
         """({ table, scene }) => {
             const dataTransfer = new DataTransfer();
@@ -72,4 +74,4 @@ def test_files_dropped_on_the_page_are_imported(browser_page, server):
     assert "follows its measured path" in page.inner_text("#import-read")
     page.click("#import-do")
     page.wait_for_selector(".toast")
-    assert server.desk.store.find("csv/dropped")
+    assert server.context.store.find("csv/dropped")

@@ -10,7 +10,7 @@ from tests.web.bench import Bench
 from fixel.jobs import folder as files
 from fixel.jobs.folder import JobState
 from fixel.testing.toy_work import MAKER
-from fixel.web.pages.system import bytes_text
+from fixel.web.pages.site import bytes_text
 from fixel.web.security import WORD_HEADER
 from fixel.web.views import job_list, system_status
 from fixel.workflows import jobs
@@ -142,11 +142,11 @@ def test_the_pages_open(bench):
 
 
 def test_what_is_gone_while_it_is_counted_is_not_counted(bench, monkeypatch):
-    media, real = bench.desk.project.media, Path.glob
-    before = system_status.room(bench.desk.project)
+    media, real = bench.context.project.media, Path.glob
+    before = system_status.disk_status(bench.context.project)
     gone = media / "ab" / ".ab12.temporary"
     monkeypatch.setattr(Path, "glob", lambda path, what: [gone, *real(path, what)])
-    assert system_status.room(bench.desk.project).media_files == before.media_files
+    assert system_status.disk_status(bench.context.project).media_files == before.media_files
 
 
 def test_versions_database_and_room(bench):

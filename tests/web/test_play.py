@@ -13,7 +13,9 @@ from tests.web.conftest import unpacked
 from fixel.database.project import Project
 from fixel.model import Experiment, Provenance, Trajectory
 from fixel.web.app import create_app
-from fixel.web.project import ProjectContext, project_api, project_pages
+from fixel.web.context import ProjectContext
+from fixel.web.pages.site import project_pages
+from fixel.web.project import project_api
 from fixel.web.security import WORD_HEADER, Gate
 from fixel.web.views import scene_editor
 from fixel.workflows.project.compare import comparison
@@ -24,8 +26,10 @@ class Bench:
 
     def __init__(self, folder):
         gate = Gate()
-        self.desk = ProjectContext(Project.open(folder))
-        app = create_app(project_pages(self.desk), gate, api=project_api(self.desk), name="my_lab")
+        self.context = ProjectContext(Project.open(folder))
+        app = create_app(
+            project_pages(self.context), gate, api=project_api(self.context), name="my_lab"
+        )
         cookies = {gate.cookie: gate.session}
         self._client = Client(app, f"http://127.0.0.1:8000{gate.root}", cookies=cookies)
         self._word = {WORD_HEADER: gate.word}
@@ -48,12 +52,12 @@ class Bench:
 def bench(project):
     made = Bench(project)
     yield made
-    made.desk.close()
+    made.context.close()
 
 
 def test_a_motion_document_has_everything_a_drawing_needs(bench):
     story = bench.get("/experiments/1/motion?simulation=1").json()
-    experiment = bench.desk.store.experiment(1)
+    experiment = bench.context.store.experiment(1)
     measured, simulated = story["motions"]
     assert [measured["kind"], simulated["kind"]] == ["measured", "simulated"]
     pose = unpacked(measured["pose"]["object"])
@@ -75,7 +79,7 @@ def test_a_comparison_is_that_of_the_workflow(bench):
     assert offered["sets"][0]["kind"] == "nominal"
     assert offered["sliders"][0]["unit"] == "-"
     answer = bench.post("/experiments/1/comparison", {"parameters": {"mu_support": 0.4}}).json()
-    own = comparison(bench.desk.store.experiment(1), {"mu_support": 0.4})
+    own = comparison(bench.context.store.experiment(1), {"mu_support": 0.4})
     assert answer["error_mm2"] == pytest.approx(own.error_mm2)
     contacts = answer["motion"]["contacts"]
     assert unpacked(contacts["force_n"]).shape == unpacked(contacts["point_m"]).shape
@@ -85,14 +89,14 @@ def test_a_comparison_is_that_of_the_workflow(bench):
 def test_keeping_one_stores_it(bench):
     wanted = {"parameters": {"mu_pusher": 0.31}, "motion": "quasistatic"}
     kept = bench.post("/experiments/4/simulations", wanted).json()["id"]
-    record = bench.desk.store.simulation(kept)
+    record = bench.context.store.simulation(kept)
     assert dict(record.parameters) == {"mu_pusher": 0.31}
     assert record.method["motion"] == "quasistatic"
     assert record.provenance.command.startswith("fixel compare testbed/")
 
 
 def test_nominal_simulations_are_kept_once(bench):
-    store = bench.desk.store
+    store = bench.context.store
     track = Trajectory(time=[0.0, 1.0], pose=np.zeros((2, 3)))
     bare = Experiment(
         dataset="bare", name="one", real=True, provenance=Provenance(version="0"), trajectory=track
@@ -231,7 +235,7 @@ def test_a_body_of_very_many_keys_is_one_complaint(bench):
     """Unknown keys are not told one by one: 120,000 took 1.5 s before the first was answered."""
     taking = [
         path
-        for path, kinds in project_api(bench.desk).openapi()["paths"].items()
+        for path, kinds in project_api(bench.context).openapi()["paths"].items()
         if "requestBody" in kinds.get("post", {})
     ]
     assert "/simulate" in taking

@@ -156,10 +156,10 @@ def sets_are_pinned_removed_brought_back_and_kept(compare, server):
     assert row.count() == 2
     compare.click(".toast .undo")
     assert row.count() == 3
-    number = len(server.desk.store.simulations(1))
+    number = len(server.context.store.simulations(1))
     compare.click("#keep")
     compare.wait_for_selector("text=Kept as simulation")
-    kept = server.desk.store.simulations(1)
+    kept = server.context.store.simulations(1)
     assert len(kept) == number + 1
     compare.wait_for_selector(f"#add-set option[value=simulation-{kept[-1]}]", state="attached")
     compare.select_option("#add-set", f"simulation-{kept[-1]}")

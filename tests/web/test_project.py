@@ -17,9 +17,11 @@ from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.web.app import create_app
+from fixel.web.context import ProjectContext
+from fixel.web.pages.site import project_pages
 from fixel.web.palette import DARK, LIGHT, READABLE, ROLES, contrast_of, palette_css, readable
 from fixel.web.problems import OUR_MISTAKE
-from fixel.web.project import ProjectContext, project_api, project_pages, project_server
+from fixel.web.project import project_api, project_server
 from fixel.web.security import MAX_BODY, WORD_HEADER, Gate
 
 HERE = "http://127.0.0.1:8000"
@@ -28,9 +30,9 @@ HERE = "http://127.0.0.1:8000"
 class Bench:
     def __init__(self, folder):
         self.gate = Gate()
-        self.desk = ProjectContext(Project.open(folder))
+        self.context = ProjectContext(Project.open(folder))
         self.app = create_app(
-            project_pages(self.desk), self.gate, api=project_api(self.desk), name="my_lab"
+            project_pages(self.context), self.gate, api=project_api(self.context), name="my_lab"
         )
 
     def client(self, *, let_in=True, **options):
@@ -47,7 +49,7 @@ class Bench:
 def bench(project):
     made = Bench(project)
     yield made
-    made.desk.close()
+    made.context.close()
 
 
 def test_a_program_gets_in_with_the_token(bench):
@@ -138,7 +140,7 @@ def test_long_bodies_are_refused(bench):
 
 def test_pages_are_strict(bench):
     client = bench.client()
-    for page in project_pages(bench.desk):
+    for page in project_pages(bench.context):
         text = client.get(page.path.replace("{number}", "1")).text
         assert 'style="' not in text
         assert "<script>" not in text
@@ -232,7 +234,7 @@ def test_no_other_user_reads_the_token_in_the_arguments_of_the_browser(project, 
 
 
 def test_for_others_it_answers_to_its_own_names_and_no_other(bench):
-    server = project_server(bench.desk, host="0.0.0.0")
+    server = project_server(bench.context, host="0.0.0.0")
     with server:
         assert socket.gethostname() in server.link
         for name, status in ((socket.gethostname(), 200), ("evil.example", 400)):

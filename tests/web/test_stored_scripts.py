@@ -133,7 +133,7 @@ class _Marked(HTMLParser):
 
 
 def addresses_of_pages(bench):
-    store = bench.desk.store
+    store = bench.context.store
     last = max(store.experiment_ids(view_of("")))
     keys = [store.experiment(number).key for number in range(last - 2, last + 1)]
     listed = (page.path for page in bench.pages if "{" not in page.path)
@@ -241,7 +241,7 @@ def test_nothing_runs_on_any_page(watched, bench, server):
 
 
 def test_markup_is_seen_as_it_was_written(watched, bench, server):
-    last = max(bench.desk.store.experiment_ids(view_of("")))
+    last = max(bench.context.store.experiment_ids(view_of("")))
     watched.goto(f"{server.home}experiments/{last}")
     watched.wait_for_function(
         "() => document.querySelector('#notes').textContent.includes('<script>')"

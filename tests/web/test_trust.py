@@ -19,11 +19,13 @@ from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import JobRefused
 from fixel.web.app import create_app
-from fixel.web.project import ProjectContext, project_api, project_pages
+from fixel.web.context import ProjectContext
+from fixel.web.pages.site import project_pages
+from fixel.web.project import project_api
 from fixel.web.security import WORD_HEADER, Gate
 from fixel.web.views import domain_views
 from fixel.web.views.background_fits import Fits
-from fixel.web.views.calibration_progress import Watch
+from fixel.web.views.calibration_progress import ProgressReader
 from fixel.workflows import jobs
 from fixel.workflows.calibration.unattended import collected
 
@@ -41,9 +43,9 @@ def project(trusted_laboratory, tmp_path_factory):
 
 class Bench:
     def __init__(self, folder):
-        self.desk = ProjectContext(Project.open(folder))
+        self.context = ProjectContext(Project.open(folder))
         gate = Gate()
-        pages, api = project_pages(self.desk), project_api(self.desk)
+        pages, api = project_pages(self.context), project_api(self.context)
         app = create_app(pages, gate, api=api, name="my_lab")
         self.client = Client(app, HERE + gate.root, cookies={gate.cookie: gate.session})
         self.word = {WORD_HEADER: gate.word}
@@ -63,7 +65,7 @@ class Bench:
 def bench(project):
     made = Bench(project)
     yield made
-    made.desk.close()
+    made.context.close()
 
 
 # --- calibrations -------------------------------------------------------------------------------
@@ -111,21 +113,22 @@ def test_one_whose_job_is_gone_still_says_what_is_stored(trusted_laboratory, tmp
     assert (one["starts"], one["curves"]) == ([], [])
     assert len(one["residuals"]) == 6
     assert one["objective"] is not None
-    alone.desk.close()
+    alone.context.close()
 
 
 def test_the_objective_read_from_the_journal_is_the_one_that_is_stored(bench, project):
-    watch = Watch(Project.open(project))
+    watch = ProgressReader(Project.open(project))
     (folder,) = (p.parent for p in (project / "jobs").glob("first-*/job.json"))
     seen = watch.look(folder)
     assert seen.stored == [1]
-    stored = unpacked(bench.get("/calibrations/1")["objective"])
+    one = bench.get("/calibrations/1")
+    stored = unpacked(one["objective"])
     # A point that is asked for again is answered from the journal, and stands there once.
     assert set(np.round(seen.objective, 9)) == set(np.round(stored, 9))
     assert seen.best == pytest.approx(stored.min())
     later = watch.look(folder, since=seen.evaluations - 5)
     assert later.objective == seen.objective[-5:]
-    assert seen.start == pytest.approx(np.mean(seen.nominal))
+    assert seen.start == pytest.approx(np.mean([push["before"] for push in one["residuals"]]))
 
 
 def test_an_offer_names_what_can_be_found(bench):
@@ -222,7 +225,7 @@ def test_what_a_terminal_went_on_with_is_stored_by_who_looks(trusted_laboratory,
     (one,) = alone.get("/calibrations")["calibrations"]
     assert one["sets"] == 2  # and the one that was stored before
     assert collected(Project.open(folder), job) == [2]
-    alone.desk.close()
+    alone.context.close()
 
 
 def test_a_broken_job_hides_no_other(bench, project):
@@ -249,7 +252,7 @@ def test_a_damaged_result_is_made_again_out_of_the_journal(trusted_laboratory, t
     assert jobs.run_here(job).state == "done"
     assert alone.get("/calibrations/1")["complete"]
     assert len(alone.get("/calibrations")["calibrations"]) == 1
-    alone.desk.close()
+    alone.context.close()
 
 
 DAMAGE = {"cut short": lambda data: data[: len(data) // 2], "else": lambda data: b'{"a": 1}'}
@@ -289,7 +292,7 @@ def test_a_damaged_file_is_named_and_hides_nothing_else(trusted_laboratory, tmp_
             "/api/v1/calibrations", f"/api/v1/domain/{name}", "/jobs", "/api/v1/jobs")]  # fmt: skip
     if file.name in ("analysis.json", "evidence.json", "result", "stored.json", "request.json"):
         assert any(file.name in text or "make it again" in text for text in told)
-    alone.desk.close()
+    alone.context.close()
 
 
 @pytest.mark.parametrize(
@@ -400,7 +403,7 @@ def fitted(bench, path):
 
 
 def test_a_fit_is_joined_seen_and_stopped(bench, name, monkeypatch):
-    at_hand = domain_views.DomainDesk(bench.desk.project, bench.desk.store)
+    at_hand = domain_views.DomainViews(bench.context.project, bench.context.store)
     monkeypatch.setattr(domain_views, "PATIENCE", 0.01)
     monkeypatch.setattr(at_hand, "_fits", Fits(_sleeps))
     assert at_hand.fit(name, ("layout",)) < 5.0
@@ -410,7 +413,7 @@ def test_a_fit_is_joined_seen_and_stopped(bench, name, monkeypatch):
         at_hand.view(name, ("layout",))
     assert at_hand._fits.joined(key) is first
     # Meanwhile what is at hand is shown, and no lock is held.
-    assert at_hand.view(name).is_strips is False
+    assert not domain_views.is_strips(at_hand.view(name).domain.cells)
     at_hand.stop(name, ("layout",))
     assert first.ended.wait(60.0)
 
@@ -454,7 +457,7 @@ def test_a_map_whose_evidence_is_gone_says_so(trusted_laboratory, tmp_path):
     (one,) = alone.get("/domain")["maps"]
     assert "fixel domain" in alone.get(f"/domain/{one['name']}", 409)["hint"]
     assert alone.client.get("/domain").status_code == 200
-    alone.desk.close()
+    alone.context.close()
 
 
 def test_a_map_is_made_as_a_job(bench, project):

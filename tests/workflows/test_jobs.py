@@ -34,7 +34,7 @@ def test_the_states_of_a_life(tmp_path):
     assert (lost.state, lost.ended) == ("lost", True)
     assert lost.kept == len(names_in(folder)) > 0
     done = jobs.run_here(folder)
-    assert (done.state, done.kept, done.status.done) == ("done", 12, 12)
+    assert (done.state, done.kept, done.done) == ("done", 12, 12)
     assert_as_undisturbed(folder, **SLOW)
 
 

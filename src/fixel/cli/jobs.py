@@ -13,7 +13,6 @@ import typer
 from fixel.cli.options import AsJson, ProjectFolder, project_at
 
 if TYPE_CHECKING:
-    from fixel.jobs.folder import JobState
     from fixel.jobs.work import JobProgress
     from fixel.workflows.jobs import JobStatus
 
@@ -255,20 +254,20 @@ def _listed(found: "list[JobStatus]") -> list[str]:
         (
             job.folder,
             job.state,
-            str(job.status.done),
-            _total(job.status),
-            str(job.status.failed),
-            "" if job.ended else str(job.status.workers),
-            "" if job.ended else f"{job.status.rate:.3g}",
-            "" if job.ended or job.status.left_s is None else seconds(job.status.left_s),
-            job.status.reason or job.status.note,
+            str(job.done),
+            _total(job),
+            str(job.failed),
+            "" if job.ended else str(job.workers),
+            "" if job.ended else f"{job.rate:.3g}",
+            "" if job.ended or job.left_s is None else seconds(job.left_s),
+            job.reason or job.note,
         )
         for job in found
     ]
     return [*table(head, rows, left=2), "", *_advice(found[0])]
 
 
-def _total(status: "JobState") -> str:
+def _total(status: "JobStatus") -> str:
     """Number of chunks, where that is known."""
     return "?" if status.share is None else str(status.total)
 
@@ -296,12 +295,9 @@ def _say_status(job: "JobStatus", as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps(job.summary()))
         return
-    status = job.status
-    reason = f": {status.reason}" if status.reason else ""
-    failed = f", {status.failed} of them failed" if status.failed else ""
-    typer.echo(
-        f"{job.folder} is {job.state}{reason}; {status.done} of {_total(status)} chunks{failed}"
-    )
+    reason = f": {job.reason}" if job.reason else ""
+    failed = f", {job.failed} of them failed" if job.failed else ""
+    typer.echo(f"{job.folder} is {job.state}{reason}; {job.done} of {_total(job)} chunks{failed}")
     if job.state == "done":
         typer.echo(f"the result is in {Path(job.folder) / 'result'}")
     else:

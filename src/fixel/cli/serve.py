@@ -47,15 +47,16 @@ def serve(
     from fixel.web import require_server
 
     require_server()
-    from fixel.web.project import ProjectContext, project_server
+    from fixel.web.context import ProjectContext
+    from fixel.web.project import project_server
 
-    desk = ProjectContext(Project.open(project_at(place, folder)))
-    server = project_server(desk, port=port, host=host).start()
+    context = ProjectContext(Project.open(project_at(place, folder)))
+    server = project_server(context, port=port, host=host).start()
     door = None
     try:
-        _announce(desk.name, server.link, host, as_json)
+        _announce(context.name, server.link, host, as_json)
         if open_ and sys.stdout.isatty() and not as_json:
-            door = _open(server.link, desk.project.folder)
+            door = _open(server.link, context.project.folder)
         server.wait()
     except KeyboardInterrupt:
         _say("fixel: stopped.")
@@ -63,7 +64,7 @@ def serve(
         if door is not None:
             door.unlink(missing_ok=True)
         server.stop()
-        desk.close()
+        context.close()
         # A computation whose result is no longer needed must not keep the program alive; records
         # are complete or absent.
         sys.stdout.flush()

@@ -26,7 +26,7 @@ from fixel.jobs.stamp import stamp
 from fixel.jobs.work import AbstractEngine, JobProgress, Show, StopRequest, run_work
 from fixel.typing import Notify
 
-BETWEEN_WORDS_S: Final = 1.0  # [s] shortest time between two writes of state.json
+MIN_PAUSE_S: Final = 1.0  # [s] shortest time between two writes of state.json
 
 
 def coordinate(
@@ -38,7 +38,7 @@ def coordinate(
     ----------
     folder : Path
         Folder of the job.
-    progress, say : callable, optional
+    progress, notify : callable, optional
         Called with the progress; called with a sentence when something happens.
 
     Returns
@@ -55,30 +55,30 @@ def coordinate(
     """
     job, run = files.read_job(folder), files.read_run(folder)
     with Journal(folder / files.JOURNAL) as journal:
-        desk = _Clerk(folder, progress, notify)
+        state = _StateWriter(folder, progress, notify)
         try:
-            desk.enter("preparing")
+            state.enter("preparing")
             _refuse_changed(folder, job, run)
-            _say_damage(journal, desk.notify)
-            result = _run(folder, job, run, journal, desk)
-            desk.enter("collecting")
+            _report_damage(journal, state.notify)
+            result = _run(folder, job, run, journal, state)
+            state.enter("collecting")
             _write_result(folder, result)
-            desk.enter("done")
+            state.enter("done")
         except StopRequest:
-            desk.enter("cancelled")
+            state.enter("cancelled")
         except KeyboardInterrupt:
             if not (folder / files.CANCEL).exists():
-                desk.enter("stopped")
+                state.enter("stopped")
                 raise
-            desk.enter("cancelled")
+            state.enter("cancelled")
         except FixelError as problem:
-            desk.enter("failed", str(problem))
+            state.enter("failed", str(problem))
             raise
         except Exception as problem:
             files.log(folder, traceback.format_exc())
-            desk.enter("failed", f"{type(problem).__name__}: {problem}")
+            state.enter("failed", f"{type(problem).__name__}: {problem}")
             raise
-        return desk.status
+        return state.status
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -108,14 +108,14 @@ def interrupt_on_termination() -> None:
     signal.signal(signal.SIGTERM, interrupt)
 
 
-def _run(folder: Path, job: Job, run: RunSettings, journal: Journal, desk: _Clerk) -> bytes:
+def _run(folder: Path, job: Job, run: RunSettings, journal: Journal, state: _StateWriter) -> bytes:
     inputs = folder / "inputs"
     work = named_function(job.maker)(inputs, job.options)
-    with _engine(folder, job, run, desk.notify) as engine:
-        desk.engine = engine
-        desk.enter("running")
+    with _engine(folder, job, run, state.notify) as engine:
+        state.engine = engine
+        state.enter("running")
         return run_work(
-            work, engine, inputs, journal, progress=desk.show, stop=(folder / files.CANCEL).exists
+            work, engine, inputs, journal, progress=state.show, stop=(folder / files.CANCEL).exists
         )
 
 
@@ -151,7 +151,7 @@ def _refuse_changed(folder: Path, job: Job, run: RunSettings) -> None:
         )
 
 
-def _say_damage(journal: Journal, notify: Notify) -> None:
+def _report_damage(journal: Journal, notify: Notify) -> None:
     if n := journal.damaged:
         notify(f"the journal is damaged in {n} places; what was there is computed again")
 
@@ -164,7 +164,7 @@ def _write_result(folder: Path, result: bytes) -> None:
 
 
 @final
-class _Clerk:
+class _StateWriter:
     """Writer of the state and the log of a job."""
 
     def __init__(self, folder: Path, progress: Show | None, notify: Notify | None) -> None:
@@ -198,12 +198,12 @@ class _Clerk:
             self._say(sentence)
 
     def show(self, progress: JobProgress) -> None:
-        """Pass on the progress; store it at most once per `BETWEEN_WORDS_S`."""
+        """Pass on the progress; store it at most once per `MIN_PAUSE_S`."""
         if self._progress is not None:
             self._progress(progress)
-        if time.monotonic() - self._written > BETWEEN_WORDS_S or progress.share == 1.0:
+        if time.monotonic() - self._written > MIN_PAUSE_S or progress.share == 1.0:
             waiting = getattr(self.engine, "note", "")
-            self._write(reason=waiting, **progress._asdict())
+            self._write(reason=waiting, **progress.model_dump(exclude_unset=True))
 
     def _write(self, **changes: Any) -> None:
         if self.engine is not None:

@@ -36,6 +36,7 @@ from fixel.io.lock import Owner
 from fixel.jobs.functions import current_name, named_function
 from fixel.jobs.site import Site
 from fixel.jobs.stamp import stamp
+from fixel.jobs.work import JobProgress
 
 State = Literal[
     "queued", "preparing", "running", "collecting", "done", "failed", "stopped", "cancelled"
@@ -107,46 +108,10 @@ class RunSettings(_JobRecord):
     stamp: str | None = None
 
 
-class JobState(_JobRecord):
-    """Content of `state.json`, which only the coordinator writes.
-
-    Attributes
-    ----------
-    state : str
-    reason : str
-        Reason of a failure, or what the job is waiting for.
-    done, total, failed : int
-        Number of chunks.
-    rate, left_s : float
-        Chunks per second; time left [s], None if unknown.
-    share : float, optional
-        Part of the work that is done; None if the amount of work is unknown.
-    note : str
-        Note of the current round.
-    workers : int
-    deaths, again : int
-        Workers that died while they computed; chunks that were submitted again.
-    host, pid : str, int
-        Host name and process id of the coordinator.
-    started_utc, updated_utc : str
-    """
+class JobState(JobProgress):
+    """Content of `state.json`, which only the coordinator writes."""
 
     state: State = "queued"
-    reason: str = ""
-    done: int = 0
-    total: int = 0
-    failed: int = 0
-    rate: float = 0.0
-    left_s: float | None = None
-    share: float | None = None
-    note: str = ""
-    workers: int = 0
-    deaths: int = 0
-    again: int = 0
-    host: str = ""
-    pid: int = 0
-    started_utc: str = ""
-    updated_utc: str = ""
 
 
 def prepare(

@@ -16,6 +16,8 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, Self, final
 
+from pydantic import BaseModel, ConfigDict, Field
+
 from fixel.errors import InvalidInput
 from fixel.io.journal import Journal
 
@@ -75,34 +77,52 @@ Answers = dict[str, Answer]
 Work = Generator[Round, Answers, bytes]
 
 
-class JobProgress(NamedTuple):
-    """Progress of the work.
+class JobProgress(BaseModel):
+    """Progress of a job.
 
     Attributes
     ----------
+    reason : str
+        Reason of a failure, or what the job is waiting for.
     done, total, failed : int
         Number of chunks, in this and in earlier sessions; `total` counts those known so far.
-    rate : float
-        Chunks per second in the last minute.
-    left_s : float or None
-        Time left at that rate [s].
+    rate, left_s : float
+        Chunks per second in the last minute; time left at that rate [s], None if unknown.
+    share : float, optional
+        Part of the whole work that is done, 1 only at its end; None while the amount of work is
+        unknown.
     note : str
         Note of the current round.
     workers : int
         Number of processes that compute now.
-    share : float or None
-        Part of the whole work that is done, 1 only at its end; None while the amount of work is
-        unknown.
+    deaths, again : int
+        Workers that died while they computed; chunks that were submitted again.
+    host, pid : str, int
+        Host name and process id of the coordinator.
+    started_utc, updated_utc : str
     """
 
-    done: int
-    total: int
-    failed: int
-    rate: float
-    left_s: float | None
-    note: str
-    workers: int
-    share: float | None = None
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, json_schema_serialization_defaults_required=True
+    )
+
+    reason: str = Field(default="", description="of a failure; what is being waited for")
+    done: int = Field(default=0, description="chunks with an answer")
+    total: int = Field(default=0, description="chunks, as far as is known")
+    failed: int = Field(default=0, description="chunks whose answer is a failure")
+    rate: float = Field(default=0.0, serialization_alias="rate_per_s")
+    left_s: float | None = None
+    share: float | None = Field(
+        default=None, description="of the work that is done; none where nobody knows"
+    )
+    note: str = Field(default="", description="what the work says of itself")
+    workers: int = Field(default=0, description="that compute now")
+    deaths: int = Field(default=0, description="workers that died while they computed")
+    again: int = Field(default=0, description="chunks that were given out once more")
+    host: str = Field(default="", description="where it is or was run from")
+    pid: int = 0
+    started_utc: str = ""
+    updated_utc: str = ""
 
 
 Batch = list[tuple[str, Answer]]
@@ -272,14 +292,14 @@ class _Tally:
         left = (self._total - self._done) / rate if known else None
         self._show(
             JobProgress(
-                self._done,
-                self._total,
-                self._failed,
-                rate,
-                left,
-                self._note,
-                self._engine.workers,
-                self._share(),
+                done=self._done,
+                total=self._total,
+                failed=self._failed,
+                rate=rate,
+                left_s=left,
+                note=self._note,
+                workers=self._engine.workers,
+                share=self._share(),
             )
         )
 

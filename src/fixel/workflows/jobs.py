@@ -16,11 +16,12 @@ import sys
 import threading
 import time
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, final
+
+from pydantic import Field, computed_field
 
 from fixel.errors import InvalidInput, JobRefused
 from fixel.io.atomic import written_whole
@@ -30,14 +31,13 @@ from fixel.jobs.coordinator import coordinate
 from fixel.jobs.folder import Job, JobState, RunSettings
 from fixel.jobs.site import Site
 from fixel.jobs.stamp import stamp
-from fixel.jobs.work import JobProgress
+from fixel.jobs.work import JobProgress, Show
 from fixel.typing import Notify
-
-Show = Callable[[JobProgress], None]
 
 START_S: Final = 30.0  # [s] within which a detached coordinator begins
 END_S: Final = 60.0  # [s] within which a coordinator ends when requested to
 LOST: Final = "lost"  # the state of a job whose coordinator died: `resume` continues it
+UNREADABLE: Final = "unreadable"  # the state of a folder that another program wrote into
 JOBS: Final = "jobs"  # folder of the jobs in a project
 COORDINATOR: Final = "fixel.jobs.coordinator"
 # Contents of a packed job: nothing that is secret or specific to one machine.
@@ -46,36 +46,61 @@ _MAX_BYTES: Final = 50_000_000_000
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class JobStatus:
-    """Status of a job: its state, and the number of finished chunks.
+class JobStatus(JobProgress):
+    """State and progress of a job, as found in its folder.
 
     Attributes
     ----------
     folder : str
+    name : str
+        Name of the folder as text; characters that no text can contain are replaced.
     state : str
-        One of `fixel.jobs.folder.STATES`, or `lost`: its coordinator died, or its result is gone.
+        One of `fixel.jobs.folder.STATES`, or `lost`: its coordinator died, or its result is gone;
+        or `unreadable`: another program wrote into the folder.
+    maker, made_utc : str
+        Function that made the work, and when.
     kept : int
         Number of answers in the journal, from this session and earlier ones.
-    status : JobState
-        Status that the coordinator wrote.
     """
 
-    folder: str
-    state: str
-    kept: int
-    status: JobState
+    folder: str = Field(exclude=True)
+    name: str
+    state: str = Field(
+        description="queued, preparing, running, collecting, done, failed, stopped, cancelled; "
+        "lost where the process that ran it has died; unreadable"
+    )
+    maker: str = Field(default="", description="the function that made the work")
+    made_utc: str = ""
+    kept: int = Field(default=0, description="answers in the journal, which no accident takes away")
 
     @property
     def ended(self) -> bool:
         """Whether the job has ended, so that nothing runs."""
-        return self.state in (*files.ENDED, LOST)
+        return self.state in (*files.ENDED, LOST, UNREADABLE)
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def can_cancel(self) -> bool:
+        """Whether there is something to stop."""
+        return self.state == LOST or not self.ended
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def can_resume(self) -> bool:
+        """Whether the job can be resumed."""
+        return self.state in ("queued", "stopped", "cancelled", "failed", LOST)
+
+    @computed_field(description="what to type to go on with it, or to watch it")  # type: ignore[prop-decorator]
+    @property
+    def command(self) -> str:
+        """Command that resumes or watches the job."""
+        verb = "resume" if self.can_resume else "logs -f" if self.can_cancel else "status"
+        return f"fixel jobs {verb} {shlex.quote(self.folder)}"
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, for `--json`."""
-        content = asdict(self)
-        content.pop("status")
-        return self.status.model_dump() | content
+        known = {*JobProgress.model_fields, "state", "kept"}
+        return self.model_dump(include=known) | {"folder": self.folder}
 
 
 def prepare_job(
@@ -194,7 +219,7 @@ def run_on_slurm(folder: Path) -> str:
 
 def status_of(folder: Path) -> JobStatus:
     """Return the status of a job; `lost` if it should run but has no coordinator."""
-    files.read_job(folder)
+    job = files.read_job(folder)
     owner = files.coordinator_of(folder)
     status = files.read_status(folder)
     state: str = status.state
@@ -206,7 +231,23 @@ def status_of(folder: Path) -> JobStatus:
         state = LOST  # only the result is lost: the journal has all of it
     journal = folder / files.JOURNAL
     kept = sum(1 for _ in read_journal(journal)) if journal.exists() else 0
-    return JobStatus(str(folder), state, kept, status)
+    progress = status.model_dump(exclude={"state"})
+    if state == LOST:
+        progress["workers"] = 0  # they ended with the coordinator
+    return JobStatus(
+        folder=str(folder),
+        name=shown_name(folder),
+        state=state,
+        maker=job.maker,
+        made_utc=job.made_utc,
+        kept=kept,
+        **progress,
+    )
+
+
+def shown_name(folder: Path) -> str:
+    """Return the name of a folder as text; characters that no text can contain are replaced."""
+    return folder.name.encode("utf-8", "replace").decode()
 
 
 def jobs_in(project: Path) -> list[JobStatus]:
@@ -233,7 +274,8 @@ def cancel(folder: Path) -> JobStatus:
     if run.site is not None:
         _cancel_on_slurm(job.label)
     if owner is None:
-        files.write_status(folder, before.status.model_copy(update={"state": "cancelled"}))
+        cancelled = files.read_status(folder).model_copy(update={"state": "cancelled"})
+        files.write_status(folder, cancelled)
         files.log(folder, "cancelled")
     return status_of(folder)
 

@@ -9,7 +9,12 @@ from fixel.model.shape import placed
 from fixel.simulation import simulate
 from fixel.simulation.geometry import gap
 from fixel.testing.scenes import grasp
-from fixel.web.views.motion_views import contacts_of, simulated_motion, story_of_scene, things_of
+from fixel.web.views.motion_views import (
+    animation_of_scene,
+    contacts_of,
+    simulated_motion,
+    things_of,
+)
 
 SAMPLES = 440  # as a page shows a run of this length
 CARRIED = 3e-4  # [m]: half a sample at the speed of the pusher, and what slides within a step
@@ -24,7 +29,7 @@ def simulation():
 
 @pytest.fixture(scope="module")
 def story(simulation):
-    return story_of_scene(simulation.scene, [simulated_motion(simulation)], "a grasp")
+    return animation_of_scene(simulation.scene, [simulated_motion(simulation)], "a grasp")
 
 
 def test_contact_points_lie_between_the_two_at_every_sample(simulation, story):
@@ -33,7 +38,9 @@ def test_contact_points_lie_between_the_two_at_every_sample(simulation, story):
     assert len(contacts.sample) > SAMPLES
     assert (np.diff(contacts.sample) >= 0).all()
     point, apart = Disk(1e-6), []
-    for sample, pair, place in list(zip(*contacts[:3], strict=True))[::5]:
+    for sample, pair, place in list(
+        zip(contacts.sample, contacts.pair, contacts.point, strict=True)
+    )[::5]:
         for k in pair:
             thing = story.things[k]
             pose = motion.pose[thing.name][sample] if thing.name in motion.pose else thing.pose
@@ -86,12 +93,12 @@ def test_an_experiment_nobody_can_draw_is_refused():
 
     from fixel.sampling import thesis_plan
     from fixel.testbed.simulated import SimulatedTestbed
-    from fixel.web.views.motion_views import measured_motion, story_of_experiment
+    from fixel.web.views.motion_views import animation_of_experiment, measured_motion
 
     experiment = next(iter(SimulatedTestbed(seed=1).run(thesis_plan().experiments[:1])))
     motion = measured_motion(experiment)
     assert motion.kind == "measured"
-    assert motion.touch.columns == ("fixel_1_bool", "fixel_2_bool", "fixel_3_bool")
+    assert motion.touch.names == ["fixel 1", "fixel 2", "fixel 3"]
     assert set(motion.pose) == {"object", experiment.scene.pushers[0].name}
     with pytest.raises(InvalidInput, match="no scene"):
-        story_of_experiment(replace(experiment, scene=None, contact_mode=""), [])
+        animation_of_experiment(replace(experiment, scene=None, contact_mode=""), [])

@@ -10,11 +10,11 @@ from fixel.web.views import scene_editor
 
 
 def test_every_example_is_read_and_told_in_a_sentence():
-    names = [name for name, _ in scene_editor.examples()]
+    names = [one.name for one in scene_editor.examples()]
     assert "grasp" in names
-    assert (
-        dict(scene_editor.examples())["grasp"] == "A flat head pushes a square against three fixels"
-    )
+    assert {one.name: one.sentence for one in scene_editor.examples()}[
+        "grasp"
+    ] == "A flat head pushes a square against three fixels"
     for name in names:
         assert scene_editor.example(name)["bodies"]
 

@@ -16,7 +16,7 @@ from fixel.database.query import ExperimentQuery
 from fixel.model import Parameters
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.web.views.live_comparison import CompareDesk
+from fixel.web.views.live_comparison import LiveComparison
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.commands import enlarged_command
@@ -150,7 +150,8 @@ def test_what_reads_a_calibration_simulates_with_its_pressure(found, enlarged):
             values, motion = parameters_of(store, one.id, experiment, Parameters())
             assert "pressure_spread" in values
             assert "tripod_radius" not in values
-            held = CompareDesk(store).compared(member.experiment_id, values, motion.name)
+            live = LiveComparison(store)
+            held = live.compared(member.experiment_id, values, motion.name, project.folder)
             assert held.error_mm2 == pytest.approx(member.error_mm2, rel=1e-2)
         scenes = [scene_of(store.experiment(m.experiment_id)) for m in one.record.members]
         space = searched_space(project, one, scenes)

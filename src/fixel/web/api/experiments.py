@@ -2,52 +2,28 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable
-from threading import Lock
-from typing import TYPE_CHECKING, Annotated, Final, final
+from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, Response
+from pydantic import ConfigDict, Field
 
 from fixel.database.browsing import ExperimentDetails, ExperimentRow
-from fixel.drawing.thumbnail import thumbnail
 from fixel.errors import NotStored
 from fixel.formats.trajectory_file import plain_numbers
-from fixel.model import Experiment, Trajectory
-from fixel.web.api._experiments import (
-    CoverageAxisOut,
-    CoverageOut,
-    ExperimentOut,
-    ExperimentPageOut,
-    ExperimentRowOut,
-    FlagOut,
-    IdsOut,
-    NoteOut,
-    OutlinesOut,
-    SeenOut,
-    SignalOut,
-    SimulationOut,
-    SimulationsOut,
-    TactileOut,
-    TrackOut,
-    TrajectoryOut,
-    ValuesOut,
-    VocabularyOut,
-)
-from fixel.web.api._values import MAX_ID, Array, Number
+from fixel.model import Flag
+from fixel.web.context import Context, ProjectContext
+from fixel.web.values import MAX_ID, Answer, Array, Number
 from fixel.web.views.browser_video import watchable
-from fixel.web.views.video_outlines import seen_in_video
+from fixel.web.views.video_outlines import VideoOutlines, seen_in_video
 from fixel.workflows.project.compare import summary
-from fixel.workflows.project.filters import coverage, view_of, vocabulary
+from fixel.workflows.project.filters import Coverage, Vocabulary, coverage, view_of, vocabulary
 from fixel.workflows.project.suggestions import meant_filter
 
-if TYPE_CHECKING:
-    from fixel.web.project import ProjectContext
-
 MAX_ROWS: Final = 500  # on one page
-MAX_THUMBNAILS: Final = 5000  # in memory; about 2 kB each
 FOR_EVER: Final = "private, max-age=31536000, immutable"  # the address changes with the content
+
+router = APIRouter(tags=["experiments"])
 
 Filter = Annotated[
     str,
@@ -56,175 +32,274 @@ Filter = Annotated[
         description="words, `shape=square`, `error>5` [mm], `flag:NAME`, `is:faulty`, ...",
     ),
 ]
+Sort = Annotated[str, Query(max_length=100, description="a column or a condition")]
 
 
-def router(desk: ProjectContext) -> APIRouter:
-    """Routes of `/experiments`, `/coverage` and `/vocabulary`."""
-    found = APIRouter(tags=["experiments"])
-    _add_table(found, desk)
-    _add_one(found, desk)
-    return found
+class TableRow(Answer):
+    """A line of the table."""
 
-
-def _add_table(router: APIRouter, desk: ProjectContext) -> None:
-    @router.get("/experiments", summary="One page of the table, sorted and filtered")
-    def table(
-        filter: Filter = "",
-        sort: Annotated[str, Query(max_length=100, description="a column or a condition")] = "id",
-        descending: bool = False,
-        limit: Annotated[int, Query(ge=1, le=MAX_ROWS)] = 100,
-        offset: Annotated[int, Query(ge=0, le=MAX_ID)] = 0,
-    ) -> ExperimentPageOut:
-        view = view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
-        page = desk.store.experiments(view, details=True)
-        rows = [row_out(*both) for both in zip(page.rows, page.details, strict=True)]
-        meant = None if page.total else meant_filter(desk.store, filter)
-        return ExperimentPageOut(
-            experiments=rows, total=page.total, faulty=page.faulty, meant=meant
-        )
-
-    @router.get("/experiments/ids", summary="Ids of all that match, in order")
-    def ids(
-        filter: Filter = "",
-        sort: Annotated[str, Query(max_length=100)] = "id",
-        descending: bool = False,
-    ) -> IdsOut:
-        view = view_of(filter, sort=sort, descending=descending)
-        return IdsOut(ids=desk.store.experiment_ids(view))
-
-    @router.get(
-        "/experiments/unsimulated",
-        summary="Ids of those that match and could have a simulation with nominal values",
+    id: int
+    dataset: str
+    name: str
+    real: bool
+    shape: str | None
+    layout: str | None
+    frames: int
+    duration_s: float
+    start: list[float] = Field(description="x [m], y [m], angle [rad]")
+    end: list[float] = Field(description="x [m], y [m], angle [rad]")
+    moved_m: float
+    turned_rad: float
+    contacts: str = Field(description="measured at the end, a digit a fixel")
+    conditions: dict[str, str | float]
+    created_utc: str
+    content: str = Field(description="beginning of the checksum of its content")
+    before_mm: float | None = Field(
+        description="root of the thesis's E, of the newest stored simulation with nominal values"
     )
-    def unsimulated(filter: Filter = "") -> IdsOut:
-        return IdsOut(ids=desk.store.unsimulated_ids(view_of(filter)))
+    after_mm: float | None = Field(description="the same, of the newest calibration it is part of")
+    flags: list[Flag]
+    notes: int
+    deleted: bool
 
-    @router.get("/vocabulary", summary="What experiments can be told apart by")
-    def words() -> VocabularyOut:
-        known = vocabulary(desk.store)
-        return VocabularyOut(
-            datasets=known.datasets,
-            flags=known.flags,
-            conditions={k: ValuesOut(**v._asdict()) for k, v in known.conditions.items()},
-        )
 
-    @router.get("/coverage", summary="Which configurations have been run")
-    def covered(
-        filter: Filter = "",
-        x: Annotated[str | None, Query(max_length=100)] = None,
-        y: Annotated[str | None, Query(max_length=100)] = None,
-    ) -> CoverageOut:
-        found = coverage(desk.store, view_of(filter), x, y)
-        axes = {
-            name: CoverageAxisOut(
-                name=axis.name, edges=axis.edges.tolist(), centres=axis.centres.tolist()
-            )
-            for name, axis in (("x", found.x), ("y", found.y))
+class TablePage(Answer):
+    """One page of the table."""
+
+    experiments: list[TableRow]
+    total: int = Field(description="that match, on this page or not")
+    faulty: int = Field(description="of these, with a fault in their data")
+    meant: str | None = Field(description="a filter that was perhaps meant, where nothing matches")
+
+
+class ExperimentIds(Answer):
+    """Ids of experiments."""
+
+    ids: list[int]
+
+
+class PoseTrack(Answer):
+    """Poses against time."""
+
+    time: Array = Field(description="(n,) [s]")
+    pose: Array = Field(description="(n, 3) x [m], y [m], angle [rad]")
+
+
+class MeasuredTrack(PoseTrack):
+    """Measured poses against time."""
+
+    object: str
+    pusher: PoseTrack | None
+    effective_s: list[float] | None = Field(description="first and last instant of useful data")
+
+
+class StoredSimulation(Answer):
+    """A stored simulation of an experiment."""
+
+    id: int
+    parameters: dict[str, float]
+    status: str
+    contacts: str
+    error_mm: float | None = Field(description="root of the thesis's E")
+    created_utc: str
+    command: str
+    method: dict[str, Any]
+    track: PoseTrack
+    pusher: PoseTrack | None
+
+
+class StoredSimulations(Answer):
+    """The newest simulations of an experiment, the newest first."""
+
+    total: int
+    simulations: list[StoredSimulation]
+
+
+class Signal(Answer):
+    """A channel."""
+
+    name: str
+    columns: list[str]
+    time: Array = Field(description="(n,) [s]")
+    values: Array = Field(description="(n, n_column); NaN where there was no reading")
+
+
+class TactileSignals(Answer):
+    """Which fixel was touched when."""
+
+    measured: Signal | None
+    fixels: list[str]
+
+
+class ExperimentOutlines(Answer):
+    """Outlines over a video."""
+
+    outlines: VideoOutlines | None = Field(description="none where the rig is not known")
+
+
+class NoteText(Answer):
+    """Note on an experiment."""
+
+    id: int
+    text: str
+    created_utc: str = Field(validation_alias="created")
+
+
+class ExperimentDetail(Answer):
+    """All that is known of an experiment but for what is long."""
+
+    model_config = ConfigDict(extra="allow")
+
+    id: int
+    key: str
+    notes: list[NoteText]
+    deleted: bool
+    content: str
+    has_video: bool
+
+
+@router.get("/experiments", summary="One page of the table, sorted and filtered")
+def table(
+    context: Context,
+    filter: Filter = "",
+    sort: Sort = "id",
+    descending: bool = False,
+    limit: Annotated[int, Query(ge=1, le=MAX_ROWS)] = 100,
+    offset: Annotated[int, Query(ge=0, le=MAX_ID)] = 0,
+) -> TablePage:
+    view = view_of(filter, sort=sort, descending=descending, limit=limit, offset=offset)
+    page = context.store.experiments(view, details=True)
+    return TablePage(
+        experiments=[_table_row(*both) for both in zip(page.rows, page.details, strict=True)],
+        total=page.total,
+        faulty=page.faulty,
+        meant=None if page.total else meant_filter(context.store, filter),
+    )
+
+
+@router.get("/experiments/ids", summary="Ids of all that match, in order")
+def ids(
+    context: Context, filter: Filter = "", sort: Sort = "id", descending: bool = False
+) -> ExperimentIds:
+    view = view_of(filter, sort=sort, descending=descending)
+    return ExperimentIds(ids=context.store.experiment_ids(view))
+
+
+@router.get(
+    "/experiments/unsimulated",
+    summary="Ids of those that match and could have a simulation with nominal values",
+)
+def unsimulated(context: Context, filter: Filter = "") -> ExperimentIds:
+    return ExperimentIds(ids=context.store.unsimulated_ids(view_of(filter)))
+
+
+@router.get("/vocabulary", summary="What experiments can be told apart by")
+def words(context: Context) -> Vocabulary:
+    return vocabulary(context.store)
+
+
+@router.get("/coverage", summary="Which configurations have been run")
+def covered(
+    context: Context,
+    filter: Filter = "",
+    x: Annotated[str | None, Query(max_length=100)] = None,
+    y: Annotated[str | None, Query(max_length=100)] = None,
+) -> Coverage:
+    return coverage(context.store, view_of(filter), x, y)
+
+
+@router.get("/experiments/{number}", summary="All that is known of an experiment")
+def experiment(context: Context, number: Number) -> ExperimentDetail:
+    store, one = context.store, context.store.experiment(number)
+    return ExperimentDetail.model_validate(
+        {
+            "id": number,
+            "key": one.key,
+            "notes": store.notes(number),
+            "deleted": store.deleted(number),
+            "content": store.content(number)[:16],
+            "has_video": bool(one.video),
+            **plain_numbers(summary(one)),
         }
-        return CoverageOut(
-            **axes,
-            number=found.number.astype(int).tolist(),
-            shapes=list(found.shapes),
-            layouts=list(found.layouts),
-            table=found.table.astype(int).tolist(),
-            axes=list(found.axes),
-            without=found.without,
-        )
-
-
-def _add_one(router: APIRouter, desk: ProjectContext) -> None:
-    store = desk.store
-    drawn = Thumbnails(lambda number: thumbnail(store.experiment(number)))
-
-    @router.get("/experiments/{number}", summary="All that is known of an experiment")
-    def one(number: Number) -> ExperimentOut:
-        return experiment_out(desk, number)
-
-    @router.get("/experiments/{number}/trajectory", summary="Poses that were measured")
-    def trajectory(number: Number) -> TrajectoryOut:
-        experiment = store.experiment(number)
-        return TrajectoryOut(
-            object=experiment.object_name,
-            **_track(experiment.trajectory),
-            pusher=None if experiment.pusher is None else TrackOut(**_track(experiment.pusher)),
-            effective_s=None if experiment.effective is None else list(experiment.effective),
-        )
-
-    @router.get("/experiments/{number}/simulations", summary="Its newest stored simulations")
-    def simulations(
-        number: Number, limit: Annotated[int, Query(ge=1, le=100)] = 10
-    ) -> SimulationsOut:
-        store.content(number)  # raises if there is none
-        stored = store.simulations(number)[::-1]
-        return SimulationsOut(
-            total=len(stored), simulations=[_simulation(desk, one) for one in stored[:limit]]
-        )
-
-    @router.get("/experiments/{number}/tactile", summary="Which fixel was touched when")
-    def tactile(number: Number) -> TactileOut:
-        experiment = store.experiment(number)
-        scene, channel = experiment.scene, experiment.channel("tactile")
-        return TactileOut(
-            measured=None
-            if channel is None
-            else SignalOut(
-                name=channel.name,
-                columns=list(channel.columns),
-                time=Array.of(channel.time),
-                values=Array.of(channel.values),
-            ),
-            fixels=[] if scene is None else [fixel.name for fixel in scene.fixels],
-        )
-
-    @router.get(
-        "/experiments/{number}/thumbnail.svg",
-        summary="A small picture of the run",
-        response_class=Response,
-        responses={200: {"content": {"image/svg+xml": {}}}},
     )
-    def small(
-        number: Number,
-        content: Annotated[
-            str, Query(max_length=64, description="its checksum: then the answer may be kept")
-        ] = "",
-    ) -> Response:
-        picture = drawn.of(number, content or store.content(number))
-        headers = {"cache-control": FOR_EVER} if content else None
-        return Response(picture, media_type="image/svg+xml", headers=headers)
 
-    @router.get(
-        "/experiments/{number}/video",
-        summary="Its video as a browser plays it, whole or by ranges",
-        response_class=FileResponse,
-        responses={200: {"content": {"video/mp4": {}}}, 206: {"description": "a range of it"}},
+
+@router.get("/experiments/{number}/trajectory", summary="Poses that were measured")
+def trajectory(context: Context, number: Number) -> MeasuredTrack:
+    one = context.store.experiment(number)
+    return MeasuredTrack(
+        object=one.object_name,
+        time=one.trajectory.time,
+        pose=one.trajectory.pose,
+        pusher=None if one.pusher is None else PoseTrack.model_validate(one.pusher),
+        effective_s=None if one.effective is None else list(one.effective),
     )
-    def video(number: Number) -> Response:
-        path = store.video(number)
-        if path is None or not path.is_file():
-            raise NotStored(f"video of experiment {number}", hint="it was recorded without one")
-        found = watchable(desk.project, path)
-        # The address stays when a correction brings another video, so it is validated each time.
-        headers = {"cache-control": "private, no-cache"}
-        return FileResponse(found.path, media_type=found.media_type, headers=headers)
-
-    @router.get("/experiments/{number}/outlines", summary="Where the object appears in its video")
-    def outlines(number: Number) -> OutlinesOut:
-        seen = seen_in_video(desk.project, store.experiment(number))
-        if seen is None:
-            return OutlinesOut(outlines=None)
-        return OutlinesOut(
-            outlines=SeenOut(
-                size_px=list(seen.size),
-                time_s=Array.of(seen.time),
-                outline_px=Array.of(seen.outline, "<f4"),
-            )
-        )
 
 
-def row_out(row: ExperimentRow, details: ExperimentDetails) -> ExperimentRowOut:
-    """Convert a row of the table for JSON."""
+@router.get("/experiments/{number}/simulations", summary="Its newest stored simulations")
+def simulations(
+    context: Context, number: Number, limit: Annotated[int, Query(ge=1, le=100)] = 10
+) -> StoredSimulations:
+    context.store.content(number)  # raises if there is none
+    stored = context.store.simulations(number)[::-1]
+    return StoredSimulations(
+        total=len(stored), simulations=[_simulation(context, one) for one in stored[:limit]]
+    )
+
+
+@router.get("/experiments/{number}/tactile", summary="Which fixel was touched when")
+def tactile(context: Context, number: Number) -> TactileSignals:
+    one = context.store.experiment(number)
+    channel = one.channel("tactile")
+    return TactileSignals(
+        measured=None if channel is None else Signal.model_validate(channel),
+        fixels=[] if one.scene is None else [fixel.name for fixel in one.scene.fixels],
+    )
+
+
+@router.get(
+    "/experiments/{number}/thumbnail.svg",
+    summary="A small picture of the run",
+    response_class=Response,
+    responses={200: {"content": {"image/svg+xml": {}}}},
+)
+def small_picture(
+    context: Context,
+    number: Number,
+    content: Annotated[
+        str, Query(max_length=64, description="its checksum: then the answer may be kept")
+    ] = "",
+) -> Response:
+    picture = context.thumbnail(number, (content or context.store.content(number))[:16])
+    headers = {"cache-control": FOR_EVER} if content else None
+    return Response(picture, media_type="image/svg+xml", headers=headers)
+
+
+@router.get(
+    "/experiments/{number}/video",
+    summary="Its video as a browser plays it, whole or by ranges",
+    response_class=FileResponse,
+    responses={200: {"content": {"video/mp4": {}}}, 206: {"description": "a range of it"}},
+)
+def video(context: Context, number: Number) -> Response:
+    path = context.store.video(number)
+    if path is None or not path.is_file():
+        raise NotStored(f"video of experiment {number}", hint="it was recorded without one")
+    found = watchable(context.project, path)
+    # The address stays when a correction brings another video, so it is validated each time.
+    headers = {"cache-control": "private, no-cache"}
+    return FileResponse(found.path, media_type=found.media_type, headers=headers)
+
+
+@router.get("/experiments/{number}/outlines", summary="Where the object appears in its video")
+def outlines(context: Context, number: Number) -> ExperimentOutlines:
+    one = context.store.experiment(number)
+    return ExperimentOutlines(outlines=seen_in_video(context.project, one))
+
+
+def _table_row(row: ExperimentRow, details: ExperimentDetails) -> TableRow:
     conditions = row.conditions
-    return ExperimentRowOut(
+    return TableRow(
         id=row.id,
         dataset=row.dataset,
         name=row.name,
@@ -243,33 +318,15 @@ def row_out(row: ExperimentRow, details: ExperimentDetails) -> ExperimentRowOut:
         content=details.content_sha256[:16],
         before_mm=_root(details.before_mm2),
         after_mm=_root(details.after_mm2),
-        flags=[FlagOut(name=f.name, detail=f.detail, fault=f.fault) for f in details.flags],
+        flags=details.flags,
         notes=details.notes,
         deleted=details.deleted_at_utc is not None,
     )
 
 
-def experiment_out(desk: ProjectContext, number: int) -> ExperimentOut:
-    """Return everything about an experiment except its long data, for JSON."""
-    experiment: Experiment = desk.store.experiment(number)
-    known = plain_numbers(summary(experiment))
-    return ExperimentOut(
-        id=number,
-        key=experiment.key,
-        notes=[
-            NoteOut(id=note.id, text=note.text, created_utc=note.created)
-            for note in desk.store.notes(number)
-        ],
-        deleted=desk.store.deleted(number),
-        content=desk.store.content(number)[:16],
-        has_video=bool(experiment.video),
-        **known,
-    )
-
-
-def _simulation(desk: ProjectContext, number: int) -> SimulationOut:
-    record = desk.store.simulation(number)
-    return SimulationOut(
+def _simulation(context: ProjectContext, number: int) -> StoredSimulation:
+    record = context.store.simulation(number)
+    return StoredSimulation(
         id=number,
         parameters=dict(record.parameters),
         status=record.status,
@@ -278,13 +335,9 @@ def _simulation(desk: ProjectContext, number: int) -> SimulationOut:
         created_utc=record.provenance.created,
         command=record.provenance.command,
         method=dict(record.method),
-        track=TrackOut(**_track(record.trajectory)),
-        pusher=None if record.pusher is None else TrackOut(**_track(record.pusher)),
+        track=PoseTrack.model_validate(record.trajectory),
+        pusher=None if record.pusher is None else PoseTrack.model_validate(record.pusher),
     )
-
-
-def _track(trajectory: Trajectory) -> dict[str, Array]:
-    return {"time": Array.of(trajectory.time), "pose": Array.of(trajectory.pose)}
 
 
 def _root(square: float | None) -> float | None:
@@ -293,36 +346,3 @@ def _root(square: float | None) -> float | None:
 
 def _text(value: str | float | None) -> str | None:
     return None if value is None else f"{value:g}" if isinstance(value, float) else value
-
-
-@final
-class Thumbnails:
-    """Small pictures that have been drawn, with the newest in memory.
-
-    Parameters
-    ----------
-    draw : callable
-        Returns the SVG of an experiment with an id.
-    most : int
-        Maximum number of pictures.
-    """
-
-    def __init__(self, draw: Callable[[int], str], most: int = MAX_THUMBNAILS) -> None:
-        self._draw = draw
-        self._most = most
-        self._kept: OrderedDict[tuple[int, str], str] = OrderedDict()
-        self._lock = Lock()
-
-    def of(self, number: int, content: str) -> str:
-        """Return the picture of an experiment whose content has this checksum."""
-        key = (number, content[:16])
-        with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key]
-        picture = self._draw(number)
-        with self._lock:
-            self._kept[key] = picture
-            while len(self._kept) > self._most:
-                self._kept.popitem(last=False)
-        return picture

@@ -1,22 +1,19 @@
-"""Pages of calibrations: the list, a new one, a running one, a stored one."""
+"""Pages of calibrations: a new one, a running one, a stored one."""
 
 from __future__ import annotations
 
 import re
-import shlex
 from typing import TYPE_CHECKING, Any
 
 from fastapi import Request
 
 from fixel.errors import InvalidInput
-from fixel.web.app import Page
 from fixel.web.pages.experiment import Fact, number_in
-from fixel.web.views.calibration_progress import Watch
 from fixel.workflows.calibration.result import SEARCHED
 
 if TYPE_CHECKING:
     from fixel.model.records import CalibrationRecord
-    from fixel.web.project import ProjectContext
+    from fixel.web.context import ProjectContext
 
 IDS = re.compile(r"[1-9][0-9]{0,9}(,[1-9][0-9]{0,9})*", re.ASCII)
 HIDDEN = (  # shown elsewhere
@@ -24,65 +21,34 @@ HIDDEN = (  # shown elsewhere
 )  # fmt: skip
 
 
-def pages(desk: ProjectContext) -> list[Page]:
-    """Pages `/calibrations` and below."""
-    watch = Watch(desk.project)
+def stored_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill the page of a stored calibration."""
+    number = number_in(request, "calibration", "the list shows what there is")
+    record = context.store.calibration(number)
+    return {
+        "title": record.name,
+        "number": number,
+        "name": record.name,
+        "method": method(record),
+        "provenance": provenance(record),
+        "command": record.provenance.command,
+    }
 
-    def one(request: Request) -> dict[str, Any]:
-        number = number_in(request, "calibration", "the list shows what there is")
-        record = desk.store.calibration(number)
-        return {
-            "title": record.name,
-            "number": number,
-            "name": record.name,
-            "method": method(record),
-            "provenance": provenance(record),
-            "command": record.provenance.command,
-        }
 
-    def running(request: Request) -> dict[str, Any]:
-        name = str(request.path_params["name"])
-        watch.folder(name)
-        return {"title": name, "name": name}
+def running_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill the page of a running calibration."""
+    name = str(request.path_params["name"])
+    context.calibrations.folder(name)
+    return {"title": name, "name": name}
 
-    def new(request: Request) -> dict[str, Any]:
-        asked = request.query_params
-        ids = asked.get("experiments", "")
-        if ids and not IDS.fullmatch(ids):
-            raise InvalidInput("experiments", found=repr(ids), expected="ids with commas between")
-        return {"filter": asked.get("filter", ""), "experiments": ids}
 
-    context = {"folder": shlex.quote(str(desk.folder))}
-    return [
-        Page(
-            path="/calibrations",
-            title="Calibrations",
-            template="calibrations.html",
-            context=context,
-            place=30,
-        ),
-        Page(
-            path="/calibrations/new",
-            title="Calibrate",
-            template="calibrate.html",
-            fill=new,
-            listed=False,
-        ),
-        Page(
-            path="/calibrations/running/{name}",
-            title="Calibration",
-            template="calibrating.html",
-            fill=running,
-            listed=False,
-        ),
-        Page(
-            path="/calibrations/{number}",
-            title="Calibration",
-            template="calibration.html",
-            fill=one,
-            listed=False,
-        ),
-    ]
+def form_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill the page on which a calibration is begun."""
+    wanted = request.query_params
+    ids = wanted.get("experiments", "")
+    if ids and not IDS.fullmatch(ids):
+        raise InvalidInput("experiments", found=repr(ids), expected="ids with commas between")
+    return {"filter": wanted.get("filter", ""), "experiments": ids}
 
 
 def method(record: CalibrationRecord) -> list[Fact]:

@@ -11,13 +11,11 @@ from fastapi import Request
 from fixel.errors import NotStored
 from fixel.model import Experiment
 from fixel.testbed.simulated import TRUTH
-from fixel.web.app import Page
+from fixel.web.values import MAX_ID
 from fixel.workflows.project.compare import summary
 
 if TYPE_CHECKING:
-    from fixel.web.project import ProjectContext
-
-MAX_ID = 2**31 - 1
+    from fixel.web.context import ProjectContext
 
 
 class Fact(NamedTuple):
@@ -37,38 +35,26 @@ def number_in(request: Request, what: str, hint: str) -> int:
     return number
 
 
-def pages(desk: ProjectContext) -> list[Page]:
-    """Page `/experiments/{number}`."""
-
-    def fill(request: Request) -> dict[str, Any]:
-        number = number_in(request, "experiment", "the table shows what there is")
-        experiment = desk.store.experiment(number)
-        return {
-            "title": experiment.key,
-            "number": number,
-            "key": experiment.key,
-            "real": experiment.real,
-            "simulated_by": experiment.simulated_by,
-            "deleted": desk.store.deleted(number),
-            "has_scene": experiment.scene is not None,
-            "has_video": bool(experiment.video),
-            "facts": facts(experiment),
-            "conditions": conditions(experiment, truth=False),
-            "truth": conditions(experiment, truth=True),
-            "provenance": provenance(experiment),
-            "command": command(desk, experiment),
-            "python": python(desk, experiment),
-        }
-
-    return [
-        Page(
-            path="/experiments/{number}",
-            title="Experiment",
-            template="experiment.html",
-            fill=fill,
-            listed=False,
-        )
-    ]
+def experiment_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/experiments/{number}`."""
+    number = number_in(request, "experiment", "the table shows what there is")
+    experiment = context.store.experiment(number)
+    return {
+        "title": experiment.key,
+        "number": number,
+        "key": experiment.key,
+        "real": experiment.real,
+        "simulated_by": experiment.simulated_by,
+        "deleted": context.store.deleted(number),
+        "has_scene": experiment.scene is not None,
+        "has_video": bool(experiment.video),
+        "facts": facts(experiment),
+        "conditions": conditions(experiment, truth=False),
+        "truth": conditions(experiment, truth=True),
+        "provenance": provenance(experiment),
+        "command": command(context, experiment),
+        "python": python(context, experiment),
+    }
 
 
 def facts(experiment: Experiment) -> list[Fact]:
@@ -166,15 +152,15 @@ def _instant(iso: str) -> str:
     return f"{iso[:10]} {iso[11:16]} UTC" if len(iso) >= 16 else iso
 
 
-def command(desk: ProjectContext, experiment: Experiment) -> str:
+def command(context: ProjectContext, experiment: Experiment) -> str:
     """Return the command that shows the experiment."""
-    folder = str(desk.folder)
+    folder = str(context.folder)
     return shlex.join(["fixel", "show", experiment.key, "--project", folder, "--plot", "run.png"])
 
 
-def python(desk: ProjectContext, experiment: Experiment) -> str:
+def python(context: ProjectContext, experiment: Experiment) -> str:
     """Return a script that loads the experiment."""
-    folder = str(desk.folder)
+    folder = str(context.folder)
     return (
         "from pathlib import Path\n\n"
         "from fixel.database.project import Project\n\n"

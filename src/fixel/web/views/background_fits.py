@@ -73,7 +73,7 @@ class Fits(Generic[K, A]):
             fit._asked = time.monotonic()
             return fit
 
-    def begun(self, key: K, argument: Any, put: Callable[[A], None]) -> BackgroundFit:
+    def begun(self, key: K, argument: Any, put: Callable[[A], object]) -> BackgroundFit:
         """Begin a fit, unless one is running for the key; `put` is called with the answer.
 
         Raises
@@ -102,7 +102,7 @@ class Fits(Generic[K, A]):
             fit._stopped.set()
             fit.ended.wait(ENDS_WITHIN)
 
-    def _run(self, key: K, fit: BackgroundFit, argument: Any, put: Callable[[A], None]) -> None:
+    def _run(self, key: K, fit: BackgroundFit, argument: Any, put: Callable[[A], object]) -> None:
         try:
             with WorkerProcess(self._function, limit=LIMIT, hint="choose fewer cells") as beside:
                 put(beside.call(argument, fit._nobody_waits))

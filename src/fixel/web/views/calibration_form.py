@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, StringConstraints
 
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
@@ -12,10 +14,11 @@ from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.space import Unknown
+from fixel.web.values import Answer, FilterText, Id, RequestBody, Text
 from fixel.workflows import jobs
 from fixel.workflows.calibration.parameter_options import default_unknowns, usual
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.run import ExperimentSelection, prepare, stored_points
+from fixel.workflows.calibration.run import ExperimentSelection, prepare, sampled
 from fixel.workflows.calibration.unattended import MODULE
 from fixel.workflows.project.filters import view_of
 
@@ -28,82 +31,164 @@ OPTIMISERS: Final = {
     "cma-es": "many evaluations; gets out of local minima",
     "least-squares": "fastest for many experiments, one set for all",
 }
+# Options by which searches limit their evaluations.
+LIMITS: Final = {"pattern-search": "max_function_evaluations", "nelder-mead": "max_evaluations"}
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class ParameterOption(NamedTuple):
-    """A parameter one may search for."""
+class ParameterOption(Answer):
+    """A parameter one may search for, in SI units."""
 
-    unknown: Unknown
+    name: str
     unit: str
     meaning: str
-    usual: bool  # of those one searches for first
+    low: float
+    high: float
+    start: float
+    usual: bool
 
 
-class Offer(NamedTuple):
-    """Experiments and parameters that can be calibrated.
+class OptimiserOption(Answer):
+    """A search."""
 
-    Attributes
-    ----------
-    ids : list of int
-        Experiments that match, but for those with a fault in their data.
-    faulty : int
-        Those.
-    unknowns : list of ParameterOption
-        The usual ones first.
-    """
-
-    ids: list[int]
-    faulty: int
-    unknowns: list[ParameterOption]
+    name: str
+    meaning: str
 
 
-def offer(store: Store, filter: str, ids: Sequence[int] = ()) -> Offer:
+class CalibrationOffer(Answer):
+    """Experiments, parameters and searches for a calibration."""
+
+    experiments: int
+    faulty: int = Field(description="that match too, and are left out for faults in their data")
+    unknowns: list[ParameterOption] = Field(description="the usual ones first")
+    optimisers: list[OptimiserOption]
+
+
+class SearchedParameter(RequestBody):
+    """A parameter to search for, in SI units."""
+
+    name: Annotated[Text, Field(min_length=1, max_length=80)]
+    low: Finite
+    high: Finite
+    start: Finite
+
+
+class CalibrationForm(RequestBody):
+    """A calibration to begin."""
+
+    filter: FilterText = Field(default="", description="as on the page Experiments")
+    experiments: list[Id] = Field(
+        default_factory=list, max_length=20_000, description="in place of the filter"
+    )
+    name: Annotated[
+        str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)
+    ] = "calibration"
+    mode: Literal["each", "joint", "campaign"] = "joint"
+    unknowns: list[SearchedParameter] = Field(min_length=1, max_length=64)
+    optimiser: Literal["pattern-search", "nelder-mead", "cma-es", "least-squares"] = (
+        "pattern-search"
+    )
+    starts: Annotated[int, Field(ge=1, le=100)] = 1
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 0
+    most_evaluations: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
+    verdicts: bool = True
+    budget_s: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = Field(
+        default=None, description="computing time of search and verdicts; mode joint only"
+    )
+    sample: Annotated[int, Field(ge=1, le=2**31 - 1)] | None = Field(
+        default=None, description="size of a random sample, spread over the conditions"
+    )
+
+    def request(self) -> CalibrationRequest:
+        """Return the request of this form."""
+        entries = [
+            Unknown(name=one.name, low=one.low, high=one.high, nominal=one.start)
+            for one in self.unknowns
+        ]
+        options: dict[str, Any] = {}
+        if self.most_evaluations is not None:
+            if self.optimiser not in LIMITS:
+                raise InvalidInput(
+                    "most_evaluations",
+                    found=f"{self.most_evaluations} for {self.optimiser}",
+                    expected="nothing; it ends by itself",
+                )
+            options[LIMITS[self.optimiser]] = self.most_evaluations
+        return CalibrationRequest(
+            name=self.name,
+            mode=self.mode,
+            unknowns=entries,
+            optimiser=NamedOptions(name=self.optimiser, options=options),
+            starts=self.starts,
+            seed=self.seed,
+            verdicts=self.verdicts,
+            budget=self.budget_s,
+        )
+
+    def selection(self, store: Store) -> ExperimentSelection:
+        """Return the experiments that match and can be compared, or a sample of these.
+
+        Raises
+        ------
+        InvalidInput
+            There are none.
+        """
+        found, _ = _matching(store, self.filter, self.experiments)
+        targets, ids, left_out = _targets(store, found)
+        if not targets:
+            reason = next(iter(left_out.values()), "")
+            raise InvalidInput(
+                "experiments",
+                found=f"none to calibrate with{f' ({reason})' if reason else ''}",
+                expected="one at least with a scene and measured poses, and no fault",
+                hint="try the filter on the page Experiments",
+            )
+        every = ExperimentSelection(ids=ids, targets=targets, left_out=left_out)
+        return every if self.sample is None else sampled(every, self.sample, self.seed)
+
+
+def offer(store: Store, filter: str, ids: Sequence[int] = ()) -> CalibrationOffer:
     """Return what can be calibrated for experiments that match a filter or have given ids."""
     found, faulty = _matching(store, filter, ids)
     step = max(1, len(found) // LOOKED_AT)
     scenes = [target.case.scene for target in _targets(store, found[::step])[0]]
-    if not scenes:
-        return Offer(found, faulty, [])
-    first = [unknown.name for unknown in default_unknowns(scenes)]
+    first = [unknown.name for unknown in default_unknowns(scenes)] if scenes else []
     offered = []
-    for name in [*first, *(name for name in KNOWN_PARAMETERS if name not in first)]:
+    for name in dict.fromkeys((*first, *KNOWN_PARAMETERS)) if scenes else ():
         # An experiment that can inform it, if there is one: fixels may stand in some only.
         scene = next((s for s in scenes if name != "mu_fixel" or s.fixels), scenes[0])
         try:
             unknown = usual(name, scene)
         except InvalidInput:
             continue
-        info = info_of(name)
-        offered.append(ParameterOption(unknown, info.unit, info.meaning, name in first))
-    return Offer(found, faulty, offered)
-
-
-def chosen_from(store: Store, filter: str, ids: Sequence[int] = ()) -> ExperimentSelection:
-    """The experiments that match and can be compared; a refusal where there are none."""
-    found, _ = _matching(store, filter, ids)
-    targets, kept, left_out = _targets(store, found)
-    if not targets:
-        reason = next(iter(left_out.values()), "")
-        raise InvalidInput(
-            "experiments",
-            found=f"none to calibrate with{f' ({reason})' if reason else ''}",
-            expected="one at least with a scene and measured poses, and no fault",
-            hint="try the filter on the page Experiments",
+        offered.append(
+            ParameterOption(
+                name=name,
+                unit=unknown.unit,
+                meaning=info_of(name).meaning,
+                low=unknown.low,
+                high=unknown.high,
+                start=unknown.nominal,
+                usual=name in first,
+            )
         )
-    return ExperimentSelection(ids=kept, targets=targets, left_out=left_out)
+    return CalibrationOffer(
+        experiments=len(found),
+        faulty=faulty,
+        unknowns=offered,
+        optimisers=[
+            OptimiserOption(name=name, meaning=meaning) for name, meaning in OPTIMISERS.items()
+        ],
+    )
 
 
-def begin(
-    project: Project, store: Store, chosen: ExperimentSelection, request: CalibrationRequest
-) -> Path:
+def begin(project: Project, chosen: ExperimentSelection, request: CalibrationRequest) -> Path:
     """Run a calibration in a process of its own, which outlives this one; the folder of its job.
 
     One that was begun before, and stopped, goes on.
     """
     request = request.model_copy(update={"sample_of": chosen.sample_of})
-    if request.mode == "stored":
-        points = stored_points(store, request)
-        request = request.model_copy(update={"stored": points, "verdicts": False})
     folder = prepare(project, chosen, request)
     if jobs.status_of(folder).state != "done":
         go_on(folder)
@@ -120,36 +205,6 @@ def go_on(folder: Path) -> jobs.JobStatus:
     """
     jobs.arrange(folder)
     return jobs.run_detached(folder, MODULE)
-
-
-def request_from(
-    name: str,
-    mode: str,
-    unknowns: Sequence[Unknown],
-    optimiser: str,
-    most: int | None,
-    **more: Any,
-) -> CalibrationRequest:
-    """A request out of a form's fields; `most` evaluations of a search, where that is limited."""
-    options: dict[str, Any] = {}
-    if most is not None:
-        limits = {"pattern-search": "max_function_evaluations", "nelder-mead": "max_evaluations"}
-        if optimiser not in limits:
-            raise InvalidInput(
-                "most_evaluations",
-                found=f"{most} for {optimiser}",
-                expected="nothing; it ends by itself",
-            )
-        options[limits[optimiser]] = most
-    return CalibrationRequest.model_validate(
-        {
-            "name": name,
-            "mode": mode,
-            "unknowns": list(unknowns),
-            "optimiser": NamedOptions(name=optimiser, options=options),
-            **more,
-        }
-    )
 
 
 def _matching(store: Store, filter: str, ids: Sequence[int]) -> tuple[list[int], int]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
+from pydantic import Field
 
 from fixel.database.project import Project
 from fixel.errors import FixelError, JobRefused, NotStored
@@ -19,7 +20,10 @@ from fixel.io.damaged_files import each_readable
 from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
 from fixel.typing import FloatArray
+from fixel.web.values import Answer, Finite
+from fixel.web.views.calibration_form import LIMITS
 from fixel.workflows import jobs
+from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.job import ROLLOUTS_A_CHUNK
 from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import found_of
@@ -30,8 +34,6 @@ SEARCHES: Final = ("all together", "squares")  # stages whose errors are the obj
 ALONE: Final = "alone"
 NOMINAL: Final = "nominal"
 RATE_WINDOW_S: Final = 30.0
-# Options by which searches limit their evaluations.
-LIMITS: Final = ("max_function_evaluations", "max_evaluations")
 
 
 @final
@@ -49,59 +51,55 @@ class JournalProgress:
     rate: deque[tuple[float, int]] = field(default_factory=deque)
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationProgress:
-    """Progress of a calibration's job.
+class CalibrationProgress(Answer):
+    """A calibration that is not stored yet, and how far it is."""
 
-    Attributes
-    ----------
-    name : str
-        Name of its folder.
-    status : JobStatus
-    request : CalibrationRequest
-    experiments : list of int
-        Ids of the experiments.
-    stage : str
-        Stage that was computed last.
-    objective : list of float
-        Objective of the evaluations in order, from `since`; inf where a simulation failed.
-    evaluations : int
-        Number of all evaluations.
-    best : float or None
-        Least objective of all evaluations.
-    start : float or None
-        Objective at the nominal values.
-    nominal : list of float
-        Error of every experiment before calibration.
-    alone : dict from int to float
-        Index of an experiment and its error with parameters of its own.
-    rate : float
-        Recent evaluations per second.
-    most : int or None
-        Largest number of evaluations of the search.
-    stored : list of int
-        Ids of the calibrations that its result was stored as.
-    """
-
-    name: str
-    status: jobs.JobStatus
-    request: CalibrationRequest
-    experiments: list[int]
-    stage: str
-    objective: list[float]
+    name: str = Field(description="of its job")
+    label: str = Field(description="as it was named")
+    mode: str
+    optimiser: str
+    experiments: int
+    unknowns: list[str]
+    unit: str
+    state: str = Field(description="queued, preparing, running, done, stopped, lost, failed, ...")
+    ended: bool
+    reason: str
+    stage: str = Field(description="what was computed last")
     evaluations: int
-    best: float | None
-    start: float | None
-    nominal: list[float]
-    alone: dict[int, float]
-    rate: float
-    most: int | None
-    stored: list[int]
+    most: int | None = Field(description="evaluations after which the search ends at the latest")
+    rate: float = Field(description="evaluations a second, lately")
+    left_s: float | None = Field(description="at that rate; none where nobody knows")
+    at_most: bool = Field(description="whether it may end earlier: searches end when they stand")
+    share: float | None = Field(description="of the work that is done; none where nobody knows")
+    best: float | None = Field(description="mean error of an experiment")
+    start: float | None = Field(description="the same at the nominal values")
+    started_utc: str
+    stored: list[int] = Field(description="ids of the calibrations it became")
+    command: str
+
+
+class ExperimentProgress(Answer):
+    """An experiment with parameters of its own."""
+
+    id: int
+    before: Finite
+    after: Finite
+
+
+class LiveProgress(CalibrationProgress):
+    """The same with the objective."""
+
+    since: int
+    objective: list[Finite] = Field(
+        description="mean error at every evaluation from `since`; none where a simulation failed"
+    )
+    singles: list[ExperimentProgress] = Field(
+        description="experiments calibrated by themselves, so far"
+    )
 
 
 @final
-class Watch:
+class ProgressReader:
     """Reader of the progress of a project's calibrations, which reads only what is new.
 
     Parameters
@@ -121,7 +119,7 @@ class Watch:
             raise NotStored(f"calibration job {name!r}", hint="see the list of calibrations")
         return found
 
-    def unfinished(self) -> tuple[list[CalibrationProgress], list[FixelError]]:
+    def unfinished(self) -> tuple[list[LiveProgress], list[FixelError]]:
         """Return calibrations that are not stored yet, newest first, and errors of unreadable ones.
 
         Calibrations that are done become stored.
@@ -131,10 +129,10 @@ class Watch:
         found, unreadable = each_readable(self._look_if_open, newest)
         return [seen for seen in found if seen is not None and not seen.stored], unreadable
 
-    def _look_if_open(self, folder: Path) -> CalibrationProgress | None:
+    def _look_if_open(self, folder: Path) -> LiveProgress | None:
         return None if stored_ids(folder) else self.look(folder)
 
-    def look(self, folder: Path, since: int = 0) -> CalibrationProgress:
+    def look(self, folder: Path, since: int = 0) -> LiveProgress:
         """Return the progress of one; of the objective only what follows evaluation `since`."""
         status = jobs.status_of(folder)
         request, ids = request_of(folder), experiments_of(folder)
@@ -146,22 +144,41 @@ class Watch:
         stored = stored_ids(folder)
         if status.state == "done" and not stored:
             stored = self._collected(folder)
-        nominal = np.array(progress.nominal)
-        return CalibrationProgress(
+        nominal, most, left = progress.nominal, _most(request), status.left_s
+        at_most = left is None and most is not None and rate > 0.0
+        if at_most and most is not None:
+            left = (most - len(objective)) / rate
+        return LiveProgress(
             name=folder.name,
-            status=status,
-            request=request,
-            experiments=ids,
+            label=request.name,
+            mode=request.mode,
+            optimiser=request.optimiser.name,
+            experiments=len(ids),
+            unknowns=list(request.space.labels),
+            unit=request.made_error.unit,
+            state=status.state,
+            ended=status.ended,
+            reason=status.reason,
             stage=progress.stage,
-            objective=objective[since:],
             evaluations=len(objective),
-            best=min((e for e in objective if math.isfinite(e)), default=None),
-            start=_start(nominal, request),
-            nominal=progress.nominal,
-            alone=dict(progress.alone),
+            most=most,
             rate=rate,
-            most=_most(request),
+            left_s=None if status.ended or left is None else max(0.0, left),
+            at_most=at_most,
+            share=status.share,
+            best=min((e for e in objective if math.isfinite(e)), default=None),
+            start=_start(np.array(nominal), request),
+            started_utc=status.started_utc,
             stored=stored,
+            command=command_of(self._project.folder.resolve(), request, [str(id_) for id_ in ids]),
+            since=since,
+            objective=[*objective[since:]],
+            singles=[
+                ExperimentProgress(
+                    id=ids[k], before=nominal[k] if k < len(nominal) else None, after=error
+                )
+                for k, error in sorted(progress.alone.items())
+            ],
         )
 
     def _collected(self, folder: Path) -> list[int]:
@@ -253,5 +270,5 @@ def _most(request: CalibrationRequest) -> int | None:
         return None
     made = request.made_optimiser
     inner = getattr(made, "optimiser", made)
-    limit = next((getattr(inner, name) for name in LIMITS if hasattr(inner, name)), None)
+    limit = next((getattr(inner, name) for name in LIMITS.values() if hasattr(inner, name)), None)
     return None if limit is None else int(limit) * request.starts

@@ -10,35 +10,122 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from dataclasses import replace
+from pathlib import Path
 from typing import Final, NamedTuple, final
 
 import numpy as np
+from pydantic import Field
 
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.domain import COLOURS, TRUSTED, Claim, DomainMap, default_threshold
-from fixel.domain.evidence import HeldOutErrors, Measure, value_of
-from fixel.domain.next_experiment import Proposal, proposals
-from fixel.errors import FixelError, JobRefused, NotStored
-from fixel.typing import FloatArray, IntArray
+from fixel.domain.evidence import Measure, value_of
+from fixel.domain.next_experiment import proposals
+from fixel.errors import FixelError, InvalidInput, JobRefused, NotStored
+from fixel.web.values import Answer, Finite
 from fixel.web.views.background_fits import BackgroundFit, Fits
 from fixel.workflows.analysis import StoredAnalysis, kept_and_not
 from fixel.workflows.domain.evidence import DomainEvidence, gathered_before, mark_of
-from fixel.workflows.domain.request import DomainRequest, asked_again
+from fixel.workflows.domain.request import DomainRequest, asked_again, command_of
 from fixel.workflows.domain.run import is_fitted, refuse_axes, spread_out
 
 MAX_MAPS: Final = 12  # in memory
 PATIENCE: Final = 2.0  # [s] that a request for a map waits for it
 MAX_GROUPS: Final = 40
+MAX_CELLS: Final = 40_000  # of all groups
 MAX_ON_AXIS: Final = 60  # values of a text that can be an axis
 
 
-class MapAxis(NamedTuple):
-    """Coordinate that can be an axis of the map."""
+class MapAxis(Answer):
+    """A coordinate the map may go over."""
 
     name: str
     distinct: int
+
+
+class AxisTicks(Answer):
+    """An axis of the map."""
+
+    name: str
+    unit: str = Field(description="of the texts")
+    ticks: list[str]
+
+
+class DomainPanel(Answer):
+    """A strip along one axis, or a grid over two."""
+
+    across: AxisTicks
+    up: AxisTicks | None
+    cells: list[list[int]] = Field(description="numbers of the cells, rows from below")
+
+
+class MapPoint(Answer):
+    """An experiment that was held out."""
+
+    id: int
+    key: str
+    group: int
+    cell: int
+    error: Finite = Field(description="in the unit of the threshold; none where it failed")
+    fold: int
+
+
+class MapDocument(Answer):
+    """A map for every threshold: its cells and what lies in them."""
+
+    name: str
+    title: str
+    measure: Measure
+    unit: str = Field(description="of thresholds and errors: mm, or empty for shares")
+    low: float = Field(description="least threshold of use: below, noise")
+    high: float
+    threshold: float = Field(description="where one looks first")
+    level: float
+    confidence: float
+    floor_mm: float | None = Field(description="what the measurement alone makes")
+    floor_from: str
+    calibration: int | None
+    groups: list[str] = Field(description="a map each")
+    omitted: int = Field(description="maps beyond these")
+    panels: list[DomainPanel]
+    texts: list[str] = Field(description="of every cell")
+    nominal: int = Field(description="number of a cell")
+    counts: list[list[int]] = Field(description="experiments, by group and cell")
+    points: list[MapPoint]
+    axes: list[MapAxis]
+    chosen: list[str] = Field(description="axes of this map")
+    aside: int = Field(description="experiments left out: offset along something that is no axis")
+    simulated: bool
+
+
+class ThresholdMap(Answer):
+    """A map at one threshold."""
+
+    threshold: float
+    words: str
+    level: float
+    confidence: float
+    colours: list[str]
+    colour: list[list[int]] = Field(description="places in `colours`, by group and cell")
+    chance: list[list[Finite]] = Field(
+        description="probability that at least a share `level` of new experiments stays within"
+    )
+    inside: list[list[int]] = Field(description="1 in the domain D(tau)")
+    count: dict[str, int]
+    sizes: list[int] = Field(description="cells in D(tau), by group")
+    command: str
+
+
+class SuggestedExperiment(Answer):
+    """An experiment that would teach much."""
+
+    group: str
+    cell: int
+    where: str
+    place: dict[str, str | float] = Field(description="SI units")
+    bits: float = Field(description="expected to settle")
+    reason: str
 
 
 class MapView(NamedTuple):
@@ -52,8 +139,6 @@ class MapView(NamedTuple):
     domain : DomainMap
     aside : int
         Number of experiments left out, since they were offset along something else.
-    table : list of list of list of int
-        Cells of every strip or grid: panels, rows from below, columns.
     """
 
     kept: StoredAnalysis
@@ -61,27 +146,6 @@ class MapView(NamedTuple):
     gathered: DomainEvidence
     domain: DomainMap
     aside: int
-    table: list[list[list[int]]]
-
-    @property
-    def cells(self) -> Cells:
-        """Cells of the map."""
-        return self.domain.cells
-
-    @property
-    def evidence(self) -> HeldOutErrors:
-        """Held-out errors of the map."""
-        return self.domain.evidence
-
-    @property
-    def is_strips(self) -> bool:
-        """Whether each axis is shown by itself."""
-        return self.cells.arms or len(self.cells.axes) == 1
-
-    def axes_of(self, panel: int) -> tuple[CellAxis, CellAxis | None]:
-        """Axes of one panel: across and up."""
-        axes = self.cells.axes
-        return (axes[panel], None) if self.is_strips else (axes[0], axes[1])
 
     @property
     def thresholds(self) -> tuple[float, float]:
@@ -99,36 +163,14 @@ class MapView(NamedTuple):
         asked = self.asked.threshold
         if asked is not None and self.asked.measure == self.kept.analysis.question["measure"]:
             return asked
-        return default_threshold(self.evidence, self.domain.measure)
-
-
-class ThresholdMap(NamedTuple):
-    """A map at one threshold.
-
-    Attributes
-    ----------
-    claim : Claim
-    chance : (n_group, n_cell) float64
-        Probability that the claim holds; nan without data.
-    colour : (n_group, n_cell) int
-        Indices into `COLOURS`.
-    inside : (n_group, n_cell) bool
-        Whether a cell belongs to D(tau).
-    counts : dict from colour to int
-    """
-
-    claim: Claim
-    chance: FloatArray
-    colour: IntArray
-    inside: IntArray
-    counts: dict[str, int]
+        return default_threshold(self.domain.evidence, self.domain.measure)
 
 
 Key = tuple[str, ...]
 
 
 @final
-class DomainDesk:
+class DomainViews:
     """Stored maps of a project.
 
     Parameters
@@ -223,17 +265,13 @@ class DomainDesk:
             asked = replace(asked, measure=measure, threshold=None)
         gathered = self._gathered(one, asked)
         known = {} if changed else one.arrays
+
+        def put(answer: tuple[DomainMap, int]) -> MapView:
+            return self._put(key, MapView(one, asked, gathered, *answer))
+
         if is_fitted(known):
-            domain, aside = spread_out(gathered, asked, known)
-            return self._put(
-                key, MapView(one, asked, gathered, domain, aside, _table(domain.cells))
-            )
+            return put(spread_out(gathered, asked, known))
         refuse_axes(gathered, asked)
-
-        def put(answer: tuple[DomainMap, int]) -> None:
-            domain, aside = answer
-            self._put(key, MapView(one, asked, gathered, domain, aside, _table(domain.cells)))
-
         return self._fits.begun(key, (gathered, asked), put)
 
     def _gathered(self, one: StoredAnalysis, asked: DomainRequest) -> DomainEvidence:
@@ -259,65 +297,154 @@ def _spread_out(question: tuple[DomainEvidence, DomainRequest]) -> tuple[DomainM
     return spread_out(*question)
 
 
-def shown(view: MapView, threshold: float | None, level: float, confidence: float) -> ThresholdMap:
-    """Evaluate a map at a threshold; by default its usual one."""
-    domain = view.domain
-    claim = Claim(
-        threshold=view.usual_threshold if threshold is None else threshold,
+def document(view: MapView) -> MapDocument:
+    """Return what a page needs to draw a map at any threshold.
+
+    Raises
+    ------
+    InvalidInput
+        It has too many cells for a page.
+    """
+    domain, question = view.domain, view.kept.analysis.question
+    cells, groups = domain.cells, domain.groups[:MAX_GROUPS]
+    if len(cells) * len(groups) > MAX_CELLS:
+        raise InvalidInput("axis", found="more cells than a page can show", expected="fewer")
+    low, high = view.thresholds
+    return MapDocument(
+        name=view.kept.folder.name,
+        title=view.kept.analysis.title,
         measure=domain.measure,
+        unit="mm" if domain.measure == "absolute" else "",
+        low=low,
+        high=high,
+        threshold=min(max(view.usual_threshold, low), high),
+        level=float(question["level"]),
+        confidence=float(question["confidence"]),
+        floor_mm=view.gathered.floor_mm,
+        floor_from=view.gathered.floor_from,
+        calibration=view.gathered.calibration,
+        groups=list(groups),
+        omitted=len(domain.groups) - len(groups),
+        panels=_panels(cells),
+        texts=[cells.text(c) for c in range(len(cells))],
+        nominal=cells.nominal,
+        counts=domain.counts[:MAX_GROUPS].tolist(),
+        points=_points(view),
+        axes=_axes_offered(view),
+        chosen=[axis.name for axis in cells.axes],
+        aside=view.aside,
+        simulated=not view.gathered.is_real,
+    )
+
+
+def claim_of(view: MapView, threshold: float | None, level: float, confidence: float) -> Claim:
+    """Return the claim that a map is to be judged by; by default at its usual threshold."""
+    return Claim(
+        threshold=view.usual_threshold if threshold is None else threshold,
+        measure=view.domain.measure,
         level=level,
         confidence=confidence,
     )
+
+
+def at_threshold(view: MapView, claim: Claim, folder: Path) -> ThresholdMap:
+    """Evaluate a map of the project in a folder at the threshold of a claim."""
+    domain = view.domain
     verdicts = domain.verdicts(claim)
-    colours = [[COLOURS.index(verdict.colour) for verdict in own] for own in verdicts]
-    chance = [[verdict.confidence for verdict in own] for own in verdicts]
-    inside = np.zeros(domain.counts.shape, np.int64)
-    for g, own in enumerate(verdicts):
-        inside[g, domain.cells.component([v.colour == TRUSTED for v in own])] = 1
-    every = np.array(colours)
-    counts = {name: int((every == k).sum()) for k, name in enumerate(COLOURS)}
-    return ThresholdMap(claim, np.array(chance), every, inside, counts)
+    colour = [[COLOURS.index(verdict.colour) for verdict in own] for own in verdicts]
+    cells = range(len(domain.cells))
+    inside = []
+    for own in verdicts[:MAX_GROUPS]:
+        connected = set(domain.cells.component([v.colour == TRUSTED for v in own]))
+        inside.append([int(c in connected) for c in cells])
+    return ThresholdMap(
+        threshold=claim.threshold,
+        words=claim.text(),
+        level=claim.level,
+        confidence=claim.confidence,
+        colours=list(COLOURS),
+        colour=colour[:MAX_GROUPS],
+        chance=[[round(v.confidence, 4) for v in own] for own in verdicts[:MAX_GROUPS]],
+        inside=inside,
+        count={name: sum(own.count(k) for own in colour) for k, name in enumerate(COLOURS)},
+        sizes=[sum(own) for own in inside],
+        command=command_of(folder, view.asked, claim),
+    )
 
 
-def suggested(view: MapView, claim: Claim, most: int = 3) -> list[Proposal]:
+def suggested(view: MapView, claim: Claim, most: int = 3) -> list[SuggestedExperiment]:
     """Propose the most informative experiments."""
-    return proposals(view.domain, claim, most)
+    cells = view.domain.cells
+    return [
+        SuggestedExperiment(
+            group=one.group,
+            cell=one.cell,
+            where=one.where,
+            place={
+                axis.name: axis.labels[k] if axis.is_text else axis.centres[k]
+                for axis, k in zip(cells.axes, cells.index[one.cell], strict=True)
+            },
+            bits=one.bits,
+            reason=one.reason,
+        )
+        for one in proposals(view.domain, claim, most)
+    ]
 
 
-def axes_offered(view: MapView) -> list[MapAxis]:
+def _axes_offered(view: MapView) -> list[MapAxis]:
     """Return coordinates that differ among the experiments and can be an axis."""
     found = []
     for name, column in sorted(view.gathered.evidence.coordinates.items()):
         values = {value for value in column if value is not None}
         text = any(isinstance(value, str) for value in values)
         if len(values) > 1 and not (text and len(values) > MAX_ON_AXIS):
-            found.append(MapAxis(name, len(values)))
+            found.append(MapAxis(name=name, distinct=len(values)))
     return found
 
 
-def held_out_mm(view: MapView) -> FloatArray:
-    """(n,) held-out errors in the unit of the threshold: mm, or a share above the own best."""
-    scores = view.domain.scores
-    return np.array([value_of(s, view.domain.measure) if np.isfinite(s) else s for s in scores])
-
-
-def place_of(cells: Cells, c: int) -> dict[str, str | float]:
-    """Values of a cell by axis [SI]."""
-    return {
-        axis.name: axis.labels[k] if axis.is_text else axis.centres[k]
-        for axis, k in zip(cells.axes, cells.index[c], strict=True)
-    }
-
-
-def _table(cells: Cells) -> list[list[list[int]]]:
-    """One strip per axis through the nominal if experiments differ along one at a time; else one
-    grid, its rows from below."""
-    number = {index: c for c, index in enumerate(cells.index)}
-    if not (cells.arms or len(cells.axes) == 1):
-        across, up = cells.axes
-        return [[[number[i, j] for i in range(len(across))] for j in range(len(up))]]
-    centre = cells.index[cells.nominal]
+def _points(view: MapView) -> list[MapPoint]:
+    """Held-out errors in the unit of the threshold: mm, or a share above the own best."""
+    domain, evidence = view.domain, view.domain.evidence
+    number = {group: g for g, group in enumerate(domain.groups)}
     return [
-        [[number[(*centre[:a], k, *centre[a + 1 :])] for k in range(len(axis))]]
+        MapPoint(
+            id=evidence.ids[k],
+            key=evidence.keys[k],
+            group=number[evidence.group[k]],
+            cell=cell,
+            error=value_of(score, domain.measure) if np.isfinite(score) else score,
+            fold=int(evidence.fold[k]),
+        )
+        for k, (cell, score) in enumerate(
+            zip(domain.place.tolist(), domain.scores.tolist(), strict=True)
+        )
+        if cell >= 0 and not np.isnan(score)
+    ]
+
+
+def _panels(cells: Cells) -> list[DomainPanel]:
+    """One strip per axis through the nominal if experiments differ along one at a time; else one
+    grid."""
+    number = {index: c for c, index in enumerate(cells.index)}
+    if not is_strips(cells):
+        across, up = cells.axes
+        grid = [[number[i, j] for i in range(len(across))] for j in range(len(up))]
+        return [DomainPanel(across=_ticks(across), up=_ticks(up), cells=grid)]
+    centre = cells.index[cells.nominal]
+    strips = [
+        [number[(*centre[:a], k, *centre[a + 1 :])] for k in range(len(axis))]
         for a, axis in enumerate(cells.axes)
     ]
+    return [
+        DomainPanel(across=_ticks(axis), up=None, cells=[strip])
+        for axis, strip in zip(cells.axes, strips, strict=True)
+    ]
+
+
+def is_strips(cells: Cells) -> bool:
+    """Whether each axis is shown by itself."""
+    return cells.arms or len(cells.axes) == 1
+
+
+def _ticks(axis: CellAxis) -> AxisTicks:
+    return AxisTicks(name=axis.name, unit=axis.unit, ticks=[axis.text(k) for k in range(len(axis))])

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import os
-import shlex
 import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal, get_args
+
+from pydantic import Field
 
 from fixel.errors import FixelError, JobRefused, NotStored
 from fixel.io.lock import Owner
 from fixel.jobs import folder as files
 from fixel.jobs import link
+from fixel.web.values import Answer
 from fixel.workflows import jobs
-from fixel.workflows.jobs import LOST, JobStatus
+from fixel.workflows.jobs import JobStatus
 
-UNREADABLE: Final = "unreadable"  # the state of a folder that another program wrote into
 NO_WORKERS: Final = ("scheduler", "coordinator")  # names of other logs in the workers' folder
 MAX_LOG: Final = 256 * 1024  # [byte] that are read from the end of a log
 MAX_WORKERS: Final = 200  # that are listed, the newest
@@ -29,71 +30,51 @@ _starting = threading.Lock()
 WorkerState = Literal["working", "joined", "starting", "refused", "ended"]
 
 
-class Worker(NamedTuple):
+class Worker(Answer):
     """A process that computes for a job, or did."""
 
     name: str
     host: str
     pid: int
-    state: WorkerState  # `joined` if only another machine could know more
-    reason: str  # why it refused
-
-
-class JobSummary(NamedTuple):
-    """Job with its state, for a page."""
-
-    name: str
-    folder: Path
-    state: str
-    status: JobStatus | None  # None if it cannot be read
+    state: WorkerState = Field(description="joined where another machine would have to be asked")
     reason: str
-    maker: str
-    made_utc: str
-
-    @property
-    def can_cancel(self) -> bool:
-        """Whether there is something to stop."""
-        return self.status is not None and not (self.status.ended and self.state != LOST)
-
-    @property
-    def can_resume(self) -> bool:
-        """Whether the job can be resumed."""
-        return self.state in ("queued", "stopped", "cancelled", "failed", LOST)
-
-    @property
-    def command(self) -> str:
-        """Command that resumes or watches the job."""
-        verb = "resume" if self.can_resume else "logs -f" if self.can_cancel else "status"
-        return f"fixel jobs {verb} {shlex.quote(str(self.folder))}"
 
 
-def board(project: Path) -> list[JobSummary]:
+class JobLog(Answer):
+    """The end of a log."""
+
+    lines: list[str]
+    whole: bool = Field(description="whether these are all")
+
+
+def list_jobs(project: Path) -> list[JobStatus]:
     """Return the jobs of a project, newest first."""
-    found = [_posted(folder) for folder in _folders(project).values()]
+    found = [_status(folder) for folder in _folders(project).values()]
     return sorted(found, key=lambda job: (job.made_utc, job.name), reverse=True)
 
 
-def posted(project: Path, name: str) -> JobSummary:
+def job_named(project: Path, name: str) -> JobStatus:
     """Return the job of a name, which is compared with existing ones and never used as a path."""
     folders = _folders(project)
     if name not in folders:
         raise NotStored(f"job {name!r}", hint="see what there is with: fixel jobs status")
-    return _posted(folders[name])
+    return _status(folders[name])
 
 
-def workers(job: JobSummary) -> list[Worker]:
+def workers(job: JobStatus) -> list[Worker]:
     """Return the workers of a job, present and past; the present ones first."""
-    owner = files.coordinator_of(job.folder)
-    found = [_worker(job.folder, name, owner) for name in _worker_names(job.folder)]
-    order = ("working", "joined", "starting", "refused", "ended")
+    folder = Path(job.folder)
+    owner = files.coordinator_of(folder)
+    found = [_worker(folder, name, owner) for name in _worker_names(folder)]
+    order = get_args(WorkerState)
     return sorted(found, key=lambda worker: order.index(worker.state))[:MAX_WORKERS]
 
 
-def log_tail(job: JobSummary, lines: int) -> tuple[list[str], bool]:
-    """Return the last lines of a job's log, and whether these are all."""
-    path = job.folder / files.LOG
+def log_tail(job: JobStatus, lines: int) -> JobLog:
+    """Return the last lines of a job's log."""
+    path = Path(job.folder) / files.LOG
     if not path.is_file():
-        return [], True
+        return JobLog(lines=[], whole=True)
     with path.open("rb") as stream:
         size = stream.seek(0, os.SEEK_END)
         stream.seek(max(0, size - MAX_LOG))
@@ -101,20 +82,21 @@ def log_tail(job: JobSummary, lines: int) -> tuple[list[str], bool]:
     found = text.splitlines()
     if size > MAX_LOG:
         found = found[1:]  # it begins within a line
-    return found[-lines:], size <= MAX_LOG and len(found) <= lines
+    whole = size <= MAX_LOG and len(found) <= lines
+    return JobLog(lines=[_without_codes(line) for line in found[-lines:]], whole=whole)
 
 
-def cancel(job: JobSummary) -> None:
-    """Cancel a job and its workers; finished chunks are saved."""
-    jobs.cancel(job.folder)
+def _without_codes(line: str) -> str:
+    """Remove the codes by which terminals colour text."""
+    return "".join(c if c >= " " or c == "\t" else "\ufffd" for c in line)
 
 
-def resume(job: JobSummary) -> None:
+def resume(job: JobStatus) -> None:
     """Resume a job in a process of its own, as it was run before."""
     if not job.can_resume:
         raise JobRefused(f"{job.name} is {job.state}", hint="it runs, or needs nothing any more")
-    jobs.arrange(job.folder)
-    jobs.run_detached(job.folder)
+    jobs.arrange(Path(job.folder))
+    jobs.run_detached(Path(job.folder))
 
 
 @contextmanager
@@ -139,18 +121,19 @@ def room(project: Path) -> Iterator[None]:
 def _folders(project: Path) -> dict[str, Path]:
     """Folders of jobs by the names that are shown, which any text can contain."""
     found = [path.parent for path in (project / jobs.JOBS).glob("*/job.json")]
-    return {folder.name.encode("utf-8", "replace").decode(): folder for folder in sorted(found)}
+    return {jobs.shown_name(folder): folder for folder in sorted(found)}
 
 
-def _posted(folder: Path) -> JobSummary:
-    name = folder.name.encode("utf-8", "replace").decode()
+def _status(folder: Path) -> JobStatus:
     try:
-        job, status = files.read_job(folder), jobs.status_of(folder)
+        return jobs.status_of(folder)
     except (FixelError, OSError) as problem:
-        return JobSummary(name, folder, UNREADABLE, None, str(problem), "", "")
-    return JobSummary(
-        name, folder, status.state, status, status.status.reason, job.maker, job.made_utc
-    )
+        return JobStatus(
+            folder=str(folder),
+            name=jobs.shown_name(folder),
+            state=jobs.UNREADABLE,
+            reason=str(problem),
+        )
 
 
 def _worker_names(folder: Path) -> list[str]:
@@ -164,8 +147,11 @@ def _worker(folder: Path, name: str, owner: Owner | None) -> Worker:
     joined = link.joined(folder, name)
     host, pid = (joined.host, joined.pid) if joined else ("", 0)
     if refused.is_file():
-        return Worker(name, host, pid, "refused", refused.read_text(errors="replace"))
-    return Worker(name, host, pid, _state(name, host, pid, owner), "")
+        state: WorkerState = "refused"
+        reason = refused.read_text(errors="replace")
+    else:
+        state, reason = _state(name, host, pid, owner), ""
+    return Worker(name=name, host=host, pid=pid, state=state, reason=reason)
 
 
 def _state(name: str, host: str, pid: int, owner: Owner | None) -> WorkerState:

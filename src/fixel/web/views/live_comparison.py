@@ -7,9 +7,10 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, final
+from typing import Final, Literal, final
 
 import numpy as np
+from pydantic import Field
 
 from fixel.calibration.target import scene_of
 from fixel.database.query import ExperimentQuery
@@ -18,10 +19,10 @@ from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters
 from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.records import CalibrationRecord, SimulationRecord
-from fixel.model.space import Unknown
 from fixel.simulation import AbstractMotionModel, simulate
 from fixel.simulation.motion import MOTION_MODELS
 from fixel.simulation.stepper import Adaptive
+from fixel.web.values import Answer, Finite
 from fixel.web.views.motion_views import MotionView, compared_motion, stored_motion
 from fixel.workflows.calibration.parameter_options import default_unknowns, usual
 from fixel.workflows.calibration.result import GROWTH
@@ -30,47 +31,59 @@ from fixel.workflows.compilation import INSTANT, get_ready
 from fixel.workflows.project.compare import Comparison, comparison
 
 DYNAMIC: Final = "dynamic"
-MOST_STEPS: Final = 20_000  # of one simulation; those of the thesis take about a hundred
-KEPT: Final = 16  # experiments in memory
+MAX_STEPS: Final = 20_000  # of one simulation; those of the thesis take about a hundred
+MAX_KEPT: Final = 16  # experiments in memory
 MAX_SETS: Final = 40  # that are offered of one kind, the newest first
 
-SetKind = Literal["nominal", "calibration", "simulation"]
+
+class ParameterSlider(Answer):
+    """A parameter that may be changed."""
+
+    name: str
+    unit: str
+    meaning: str
+    low: float
+    high: float
+    nominal: float = Field(description="of the experiment's scene")
 
 
-class StoredSet(NamedTuple):
+class StoredSet(Answer):
     """Values that can be selected for comparison."""
 
-    id: str  # "nominal", "calibration-3", "simulation-12"
+    id: str = Field(description="nominal, calibration-3, simulation-12")
     label: str
-    kind: SetKind
-    parameters: Parameters
-    motion: str  # name of the motion model
-    error_mm2: float | None  # the thesis's E, if it is known already
+    kind: Literal["nominal", "calibration", "simulation"]
+    parameters: dict[str, float] = Field(description="in place of the scene's own values; SI")
+    motion: str = Field(description="motion model")
+    error_mm2: float | None = Field(description="the thesis's E, where it is known already")
 
 
-class ComparedSimulation(NamedTuple):
-    """Simulation compared with the measurement; no errors if it stopped early."""
+class ComparedSimulation(Answer):
+    """A simulation of the experiment, and how far it is from what was measured."""
 
     motion: MotionView
-    parameters: Parameters
-    method: str  # name of the motion model
-    position_rms: float | None  # [m]
-    final_position: float | None  # [m]
-    final_angle: float | None  # [rad]
-    error_mm2: float | None  # the thesis's E
-    contact_mode: str  # at the end, one digit per fixel
-    wall_time: float | None  # of the simulation alone [s]
+    position_rms: Finite = Field(
+        serialization_alias="position_rms_m", description="none where the simulation stopped early"
+    )
+    final_position: Finite = Field(serialization_alias="final_position_m")
+    final_angle: Finite = Field(serialization_alias="final_angle_rad")
+    error_mm2: Finite = Field(description="the thesis's E, angles counted at 35 mm/rad")
+    contact_mode: str = Field(description="at the end, a digit a fixel")
+    measured_contact_mode: str
+    command: str = Field(description="what to type for the same")
+    python: str
+    wall_time_s: float | None = Field(description="of the simulation alone; none of a stored one")
 
 
-class NewSimulations(NamedTuple):
-    """Experiments with a new simulation, and the reasons why others have none."""
+class NewSimulations(Answer):
+    """Result per experiment; those that have such a simulation, or no scene, are in neither."""
 
-    stored: list[int]
-    refused: dict[int, str]
+    stored: list[int] = Field(description="experiments")
+    refused: dict[int, str] = Field(description="experiments and reasons")
 
 
 @final
-class CompareDesk:
+class LiveComparison:
     """Experiments in memory, and simulations of them at once.
 
     Any thread may use it.
@@ -85,7 +98,7 @@ class CompareDesk:
         self._lock = threading.Lock()
         self._keeping = threading.Lock()
         self._known: OrderedDict[int, Experiment] = OrderedDict()
-        self._sliders: dict[int, tuple[Unknown, ...]] = {}
+        self._sliders: dict[int, list[ParameterSlider]] = {}
 
     def experiment(self, number: int) -> Experiment:
         """Return an experiment; it never changes, so the last few stay in memory."""
@@ -96,12 +109,12 @@ class CompareDesk:
         experiment = self._store.experiment(number)
         with self._lock:
             self._known[number] = experiment
-            while len(self._known) > KEPT:
+            while len(self._known) > MAX_KEPT:
                 gone, _ = self._known.popitem(last=False)
                 self._sliders.pop(gone, None)
         return experiment
 
-    def sliders(self, number: int) -> tuple[Unknown, ...]:
+    def sliders(self, number: int) -> list[ParameterSlider]:
         """Return every parameter that has a meaning in the experiment's scene, with its usual
         bounds, starting at the scene's own value; those usually calibrated come first."""
         if number not in self._sliders:
@@ -113,7 +126,16 @@ class CompareDesk:
         of stored simulations."""
         experiment = self.experiment(number)
         scene_of(experiment)
-        found = [StoredSet("nominal", "nominal", "nominal", Parameters(), DYNAMIC, None)]
+        found = [
+            StoredSet(
+                id="nominal",
+                label="nominal",
+                kind="nominal",
+                parameters={},
+                motion=DYNAMIC,
+                error_mm2=None,
+            )
+        ]
         for id_, record in reversed(self._store.calibration_summaries().items()):
             if record.method.get("how") != GROWTH and len(found) <= MAX_SETS:
                 found.append(_calibrated_set(id_, record, experiment, number))
@@ -122,20 +144,19 @@ class CompareDesk:
         return found
 
     def compared(
-        self, number: int, parameters: Mapping[str, float], motion: str = DYNAMIC
+        self, number: int, parameters: Mapping[str, float], motion: str, folder: Path
     ) -> ComparedSimulation:
-        """Simulate an experiment, and compare the result with the measurement."""
+        """Simulate an experiment of the project in a folder; compare it with the measurement."""
         answer = self._comparison(number, parameters, motion)
         return ComparedSimulation(
-            compared_motion(answer, "simulated", id="simulated"),
-            answer.parameters,
-            motion,
-            answer.position_rms,
-            answer.final_position,
-            answer.final_angle,
-            answer.error_mm2,
-            answer.contact_mode,
-            answer.simulation.wall_time_s,
+            motion=compared_motion(answer, "simulated", id="simulated"),
+            position_rms=answer.position_rms,
+            final_position=answer.final_position,
+            final_angle=answer.final_angle,
+            error_mm2=answer.error_mm2,
+            contact_mode=answer.contact_mode,
+            wall_time_s=answer.simulation.wall_time_s,
+            **_repeated(answer.experiment, folder, answer.parameters, motion),
         )
 
     def _comparison(self, number: int, parameters: Mapping[str, float], motion: str) -> Comparison:
@@ -143,26 +164,24 @@ class CompareDesk:
             self.experiment(number),
             Parameters(parameters),
             motion_model(motion),
-            Adaptive(max_steps=MOST_STEPS),
+            Adaptive(max_steps=MAX_STEPS),
         )
 
-    def stored(self, number: int, simulation: int) -> ComparedSimulation:
+    def stored(self, number: int, simulation: int, folder: Path) -> ComparedSimulation:
         """Return a stored simulation of an experiment, with the errors stored with it."""
         record = self._record(number, simulation)
         motion = self.simulated(number, simulation)
-        known = record.error_mm2 is not None and motion.errors is not None
-        position = motion.errors.position if known and motion.errors else None
-        angle = motion.errors.angle if known and motion.errors else None
+        errors = None if record.error_mm2 is None else motion.errors
+        model = str(record.method.get("motion", DYNAMIC))
         return ComparedSimulation(
-            motion,
-            record.parameters,
-            str(record.method.get("motion", DYNAMIC)),
-            None if position is None else float(np.sqrt(np.mean(position**2))),
-            None if position is None else float(position[-1]),
-            None if angle is None else float(angle[-1]),
-            record.error_mm2,
-            record.contact_mode,
-            None,
+            motion=motion,
+            position_rms=float(np.sqrt(np.mean(errors.position**2))) if errors else None,
+            final_position=float(errors.position[-1]) if errors else None,
+            final_angle=float(errors.angle[-1]) if errors else None,
+            error_mm2=record.error_mm2,
+            contact_mode=record.contact_mode,
+            wall_time_s=None,
+            **_repeated(self.experiment(number), folder, record.parameters, model),
         )
 
     def simulated(self, number: int, simulation: int) -> MotionView:
@@ -181,8 +200,9 @@ class CompareDesk:
             )
         return record
 
-    def keep(self, number: int, parameters: Mapping[str, float], motion: str, command: str) -> int:
+    def keep(self, number: int, parameters: Mapping[str, float], motion: str, folder: Path) -> int:
         """Store a simulation with these parameters; return its id."""
+        command = f"{command_of(self.experiment(number), folder, parameters, motion)} --save"
         answer = self._comparison(number, parameters, motion)
         return self._store.add_simulation(answer.record(number, command))
 
@@ -198,12 +218,12 @@ class CompareDesk:
                 try:
                     experiment = self._store.experiment(number)
                     command = f"{command_of(experiment, folder, {}, DYNAMIC)} --save"
-                    answer = comparison(experiment, stepper=Adaptive(max_steps=MOST_STEPS))
+                    answer = comparison(experiment, stepper=Adaptive(max_steps=MAX_STEPS))
                     self._store.add_simulation(answer.record(number, command))
                     stored.append(number)
                 except InvalidInput as problem:
                     refused[number] = str(problem)
-        return NewSimulations(stored, refused)
+        return NewSimulations(stored=stored, refused=refused)
 
 
 def warm_up() -> None:
@@ -257,6 +277,17 @@ def python_of(
     )
 
 
+def _repeated(
+    experiment: Experiment, folder: Path, parameters: Mapping[str, float], motion: str
+) -> dict[str, str]:
+    """Return how to repeat a comparison, and the measured contacts."""
+    return {
+        "measured_contact_mode": experiment.contact_mode,
+        "command": command_of(experiment, folder, parameters, motion),
+        "python": python_of(experiment, folder, parameters, motion),
+    }
+
+
 def _calibrated_set(
     number: int, record: CalibrationRecord, experiment: Experiment, experiment_id: int
 ) -> StoredSet:
@@ -265,28 +296,27 @@ def _calibrated_set(
     own = next((m for m in record.members if m.experiment_id == experiment_id), None)
     label = record.name or f"calibration {number}"
     return StoredSet(
-        f"calibration-{number}",
-        f"{label} ({'fitted to it' if own else 'not fitted to it'})",
-        "calibration",
-        Parameters({name: value for name, value in values.items() if name in KNOWN_PARAMETERS}),
-        one.motion.name,
-        own.error_mm2 if own else None,
+        id=f"calibration-{number}",
+        label=f"{label} ({'fitted to it' if own else 'not fitted to it'})",
+        kind="calibration",
+        parameters={name: value for name, value in values.items() if name in KNOWN_PARAMETERS},
+        motion=one.motion.name,
+        error_mm2=own.error_mm2 if own else None,
     )
 
 
 def _simulated_set(number: int, record: SimulationRecord) -> StoredSet:
-    motion = str(record.method.get("motion", DYNAMIC))
     return StoredSet(
-        f"simulation-{number}",
-        f"simulation {number}",
-        "simulation",
-        record.parameters,
-        motion,
-        record.error_mm2,
+        id=f"simulation-{number}",
+        label=f"simulation {number}",
+        kind="simulation",
+        parameters=dict(record.parameters),
+        motion=str(record.method.get("motion", DYNAMIC)),
+        error_mm2=record.error_mm2,
     )
 
 
-def _sliders(experiment: Experiment) -> tuple[Unknown, ...]:
+def _sliders(experiment: Experiment) -> list[ParameterSlider]:
     scene = scene_of(experiment)
     first = [unknown.name for unknown in default_unknowns([scene])]
     found = []
@@ -296,10 +326,14 @@ def _sliders(experiment: Experiment) -> tuple[Unknown, ...]:
             simulate(scene, Parameters({name: unknown.nominal}), duration=INSTANT)
         except InvalidInput:
             continue  # the name has no meaning in this scene
-        found.append(unknown)
-    return tuple(found)
-
-
-def meaning_of(name: str) -> str:
-    """Return the meaning of a parameter, in a few words."""
-    return info_of(name).meaning
+        found.append(
+            ParameterSlider(
+                name=name,
+                unit=unknown.unit,
+                meaning=info_of(name).meaning,
+                low=unknown.low,
+                high=unknown.high,
+                nominal=unknown.nominal,
+            )
+        )
+    return found

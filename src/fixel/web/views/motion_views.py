@@ -6,184 +6,203 @@ contact forces, tactile signals, errors. Nothing here depends on how they are dr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final, Literal, NamedTuple, final
+from collections.abc import Sequence
+from typing import Annotated, Final, Literal
 
 import numpy as np
+from pydantic import Field, PlainSerializer, PlainValidator
 
 from fixel.calibration.target import scene_of
 from fixel.drawing.view import forces
-from fixel.model import Channel, Experiment, Scene, Trajectory
+from fixel.model import Body, Channel, Disk, Experiment, Fixel, Pusher, Scene, Trajectory
 from fixel.model.records import SimulationRecord
 from fixel.model.shape import Shape, placed
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray, IntArray
+from fixel.web.values import Answer, Array, IndexArray, Numbers
 from fixel.workflows.project.compare import Comparison, errors_of
 
-Kind = Literal["measured", "simulated"]
 Role = Literal["object", "body", "pusher", "fixel"]
 
 MARGIN: Final = 0.05  # margin around the drawing, as a fraction of its size
 
 
-class Thing(NamedTuple):
-    """Body, pusher or fixel, with its pose at the start."""
+class ShapeOutline(Answer):
+    """An outline in its own frame: a polygon or a disk."""
+
+    polygon_m: list[list[float]] | None = Field(description="corners x, y")
+    disk_m: float | None = Field(description="radius")
+
+
+def _outline(shape: Shape) -> ShapeOutline:
+    if isinstance(shape, Disk):
+        return ShapeOutline(polygon_m=None, disk_m=shape.radius)
+    return ShapeOutline(polygon_m=shape.vertices.tolist(), disk_m=None)
+
+
+class DrawnShape(Answer):
+    """Body, pusher or fixel."""
 
     name: str
-    role: Role
-    shape: Shape
-    pose: FloatArray  # (3,) [m, m, rad]
+    role: Role = Field(description="the object is the body whose motion is compared")
+    shape: Annotated[Shape, PlainValidator(lambda shape: shape), PlainSerializer(_outline)]
+    pose: Numbers = Field(description="at the start: x [m], y [m], angle [rad]")
 
 
-class ContactViews(NamedTuple):
-    """Contacts of all samples; forces act on the first of the pair."""
+class ContactViews(Answer):
+    """All contacts of all samples."""
 
-    sample: IntArray  # (n,) not decreasing
-    pair: IntArray  # (n, 2) indices into the things
-    point: FloatArray  # (n, 2) in the world [m]
-    force: FloatArray  # (n, 2) in the world [N]
-
-
-class MotionErrors(NamedTuple):
-    """Errors of a simulation against the measurement."""
-
-    time: FloatArray  # (n,) measured instants [s]
-    position: FloatArray  # (n,) [m]
-    angle: FloatArray  # (n,) from measured to simulated [rad]
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MotionView:
-    """Motion of everything in a scene, measured or simulated.
-
-    Parameters
-    ----------
-    id : str
-        Identifier, unique among motions shown together: `"measured"`, `"simulation-12"`.
-    label : str
-    kind : str
-    time : (n,) float64
-        Times on the clock of the experiment [s].
-    pose : mapping from name to (n, 3) float64
-        Poses of everything that moves; angles are continuous [m, m, rad].
-    contacts : ContactViews, optional
-    touch : Channel, optional
-        One column per fixel, 1 where it is touched.
-    errors : MotionErrors, optional
-    status, advice : str
-        Status and advice of a `Simulation`; empty for a measured motion.
-    """
-
-    id: str
-    label: str
-    kind: Kind
-    time: FloatArray
-    pose: Mapping[str, FloatArray]
-    contacts: ContactViews | None = None
-    touch: Channel | None = None
-    errors: MotionErrors | None = None
-    status: str = ""
-    advice: str = ""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Story:
-    """Motions of the same things, to be drawn together.
-
-    Parameters
-    ----------
-    title : str
-    object_name : str
-        Name of the thing whose motion is compared.
-    reference : (2,) float64
-        Its centre of mass in its own frame [m], which draws the trail.
-    things : tuple of Thing
-        Things in the order of `Scene.names`.
-    motions : tuple of MotionView
-    """
-
-    title: str
-    object_name: str
-    reference: FloatArray
-    things: tuple[Thing, ...]
-    motions: tuple[MotionView, ...]
-
-    @property
-    def box(self) -> FloatArray:
-        """(4,) box of everything that is ever visible: x and y of the lower left, x and y of the
-        upper right [m]."""
-        points = [placed(thing.shape.outline, thing.pose) for thing in self.things]
-        for motion in self.motions:
-            for thing in self.things:
-                if thing.name in motion.pose:
-                    points.append(_swept(thing.shape, motion.pose[thing.name]))
-        everything = np.concatenate(points)
-        everything = everything[np.isfinite(everything).all(axis=1)]
-        low, high = everything.min(axis=0), everything.max(axis=0)
-        margin = MARGIN * float((high - low).max())
-        return np.concatenate((low - margin, high + margin))
-
-
-def story_of_scene(scene: Scene, motions: Sequence[MotionView], title: str) -> Story:
-    """Build the motions of a scene that is no experiment; its first body is the object."""
-    body = scene.bodies[0]
-    return Story(
-        title=title,
-        object_name=body.name,
-        reference=body.com,
-        things=things_of(scene, body.name),
-        motions=tuple(motions),
+    sample: IndexArray = Field(description="(n,) which sample of the motion; not decreasing")
+    pair: IndexArray = Field(description="(n, 2) indices into the things")
+    point: Array = Field(serialization_alias="point_m", description="(n, 2) in the world")
+    force: Array = Field(
+        serialization_alias="force_n", description="(n, 2) on the first of the pair, world axes"
     )
 
 
-def story_of_experiment(experiment: Experiment, motions: Sequence[MotionView]) -> Story:
-    """Build the motions of an experiment: as measured, and as simulated.
+class TouchView(Answer):
+    """Which fixels are touched."""
+
+    names: list[str]
+    time: Array = Field(serialization_alias="time_s")
+    values: Array = Field(description="(n, n_fixel) 1 where touched, NaN without a reading")
+
+
+class MotionErrors(Answer):
+    """Errors of a simulation against the measurement."""
+
+    time: Array = Field(serialization_alias="time_s")
+    position: Array = Field(serialization_alias="position_m")
+    angle: Array = Field(serialization_alias="angle_rad", description="from measured to simulated")
+
+
+class MotionView(Answer):
+    """Motion of everything in a scene, measured or simulated."""
+
+    id: str = Field(description="unique among motions shown together")
+    label: str
+    kind: Literal["measured", "simulated"]
+    time: Array = Field(serialization_alias="time_s", description="on the experiment's clock")
+    pose: dict[str, Array] = Field(
+        description="by name of what moves: (n, 3) x [m], y [m], angle [rad], angles continuous"
+    )
+    contacts: ContactViews | None = None
+    touch: TouchView | None = None
+    errors: MotionErrors | None = None
+    status: str = Field(default="", description="of the simulation: converged, or what went wrong")
+    advice: str = Field(default="", description="what to do about it")
+
+
+class Animation(Answer):
+    """Motions of the same things, to be drawn together."""
+
+    title: str
+    object: str = Field(description="name of the thing whose motion is compared")
+    reference: Numbers = Field(
+        serialization_alias="reference_m", description="its centre of mass, in its frame"
+    )
+    things: list[DrawnShape] = Field(description="in the order of the scene's names")
+    box: Numbers = Field(
+        serialization_alias="box_m",
+        description="x, y of the lower left and upper right of everything that is ever visible",
+    )
+    motions: list[MotionView]
+
+
+def animation_of_scene(
+    scene: Scene, motions: Sequence[MotionView], title: str, object_name: str | None = None
+) -> Animation:
+    """Put motions of a scene together; its first body is the object by default."""
+    body = next((b for b in scene.bodies if b.name == object_name), scene.bodies[0])
+    things = things_of(scene, body.name)
+    return Animation(
+        title=title,
+        object=body.name,
+        reference=body.com,
+        things=things,
+        box=_box(things, motions),
+        motions=list(motions),
+    )
+
+
+def animation_of_experiment(experiment: Experiment, motions: Sequence[MotionView]) -> Animation:
+    """Put the motions of an experiment together: as measured, and as simulated.
 
     Raises
     ------
     InvalidInput
         The experiment has no scene, so that its shapes are unknown.
     """
-    scene = scene_of(experiment)
-    body = next(b for b in scene.bodies if b.name == experiment.object_name)
-    return Story(
-        title=experiment.key,
-        object_name=body.name,
-        reference=body.com,
-        things=things_of(scene, body.name),
-        motions=(measured_motion(experiment), *motions),
+    return animation_of_scene(
+        scene_of(experiment),
+        [measured_motion(experiment), *motions],
+        experiment.key,
+        experiment.object_name,
     )
 
 
-def things_of(scene: Scene, object_name: str) -> tuple[Thing, ...]:
-    """Return everything in a scene, in the order of its names."""
-    bodies = [
-        Thing(b.name, "object" if b.name == object_name else "body", b.shape, b.pose)
-        for b in scene.bodies
+def _box(things: Sequence[DrawnShape], motions: Sequence[MotionView]) -> FloatArray:
+    """(4,) box of everything that is ever visible [m]."""
+    points = [placed(thing.shape.outline, thing.pose) for thing in things]
+    points += [
+        _swept(thing.shape, motion.pose[thing.name])
+        for motion in motions
+        for thing in things
+        if thing.name in motion.pose
     ]
-    pushers = [Thing(p.name, "pusher", p.shape, p.pose) for p in scene.pushers]
-    fixels = [Thing(f.name, "fixel", f.shape, f.pose) for f in scene.fixels]
-    return (*bodies, *pushers, *fixels)
+    everything = np.concatenate(points)
+    everything = everything[np.isfinite(everything).all(axis=1)]
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    margin = MARGIN * float((high - low).max())
+    return np.concatenate((low - margin, high + margin))
+
+
+def things_of(scene: Scene, object_name: str) -> list[DrawnShape]:
+    """Return everything in a scene, in the order of its names."""
+    kinds: tuple[tuple[Role, Sequence[Body | Pusher | Fixel]], ...] = (
+        ("body", scene.bodies),
+        ("pusher", scene.pushers),
+        ("fixel", scene.fixels),
+    )
+    return [
+        DrawnShape(
+            name=one.name,
+            role="object" if one.name == object_name else role,
+            shape=one.shape,
+            pose=one.pose,
+        )
+        for role, every in kinds
+        for one in every
+    ]
 
 
 def measured_motion(experiment: Experiment) -> MotionView:
     """Return the motion that the camera and the fixels measured."""
-    track = experiment.trajectory
-    poses = {experiment.object_name: _continuous(track.pose)}
-    pushers = scene_of(experiment).pushers
-    if experiment.pusher is not None and pushers:
-        poses[pushers[0].name] = _continuous(experiment.pusher.at(track.time))
     return MotionView(
         id="measured",
         label="measured" if experiment.real else "measured (simulated testbed)",
         kind="measured",
-        time=track.time,
-        pose=poses,
-        touch=experiment.channel("tactile"),
+        time=experiment.trajectory.time,
+        pose=_poses(experiment, experiment),
+        touch=_touch(experiment.channel("tactile")),
     )
+
+
+def _poses(experiment: Experiment, run: Experiment | SimulationRecord) -> dict[str, FloatArray]:
+    """Poses of the object and of the pusher in a run of an experiment, where they are known."""
+    track = run.trajectory
+    poses = {experiment.object_name: _continuous(track.pose)}
+    pushers = scene_of(experiment).pushers
+    if run.pusher is not None and pushers:
+        poses[pushers[0].name] = _continuous(run.pusher.at(track.time))
+    return poses
+
+
+def _touch(channel: Channel | None) -> TouchView | None:
+    if channel is None:
+        return None
+    names = [column.removesuffix("_bool").replace("_", " ") for column in channel.columns]
+    return TouchView(names=names, time=channel.time, values=channel.values)
 
 
 def simulated_motion(
@@ -209,29 +228,23 @@ def compared_motion(answer: Comparison, label: str, *, id: str) -> MotionView:
     """Return the motion of a simulation of an experiment, with its errors."""
     simulation = answer.simulation
     start = float(answer.simulated.time[0]) - float(simulation.time[0])
-    return replace(
-        simulated_motion(simulation, label, id=id, start=start),
-        touch=answer.contacts,
-        errors=MotionErrors(answer.time, answer.position, answer.angle),
-    )
+    motion = simulated_motion(simulation, label, id=id, start=start)
+    errors = MotionErrors(time=answer.time, position=answer.position, angle=answer.angle)
+    return motion.model_copy(update={"touch": _touch(answer.contacts), "errors": errors})
 
 
 def stored_motion(
     experiment: Experiment, record: SimulationRecord, label: str, *, id: str
 ) -> MotionView:
     """Return the motion of a stored simulation: poses, without contacts."""
-    track = record.trajectory
-    poses = {experiment.object_name: _continuous(track.pose)}
-    pushers = scene_of(experiment).pushers
-    if record.pusher is not None and pushers:
-        poses[pushers[0].name] = _continuous(record.pusher.at(track.time))
+    time, position, angle = errors_of(experiment, record.trajectory)
     return MotionView(
         id=id,
         label=label,
         kind="simulated",
-        time=track.time,
-        pose=poses,
-        errors=MotionErrors(*errors_of(experiment, track)),
+        time=record.trajectory.time,
+        pose=_poses(experiment, record),
+        errors=MotionErrors(time=time, position=position, angle=angle),
         status=record.status,
     )
 
@@ -247,8 +260,8 @@ def contacts_of(simulation: Simulation, n_sample: int) -> ContactViews:
     instants = simulation.time[:n_sample]
     rows = rows[rows["time"] <= instants[-1]] if n_sample else rows[:0]
     if len(rows) == 0:
-        none = np.zeros((0, 2))
-        return ContactViews(np.zeros(0, np.int64), np.zeros((0, 2), np.int64), none, none)
+        none, nowhere = np.zeros((0, 2), np.int64), np.zeros((0, 2))
+        return ContactViews(sample=none[:, 0], pair=none, point=nowhere, force=nowhere)
     sample = np.searchsorted(instants, rows["time"])
     pair = np.column_stack((rows["body"], rows["other"]))
     written = _when_written(rows["time"], pair, rows["point"])
@@ -260,7 +273,7 @@ def contacts_of(simulation: Simulation, n_sample: int) -> ContactViews:
             then, now = track.at(written[own]), track.at(rows["time"][own])
             point[own] = now[:, :2] + _turned(point[own] - then[:, :2], now[:, 2] - then[:, 2])
             force[own] = _turned(force[own], now[:, 2] - then[:, 2])
-    return ContactViews(sample, pair, point, force)
+    return ContactViews(sample=sample, pair=pair, point=point, force=force)
 
 
 def _when_written(time: FloatArray, pair: IntArray, point: FloatArray) -> FloatArray:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
+
+from pydantic import Field
 
 from fixel.errors import InvalidInput, JobRefused
 from fixel.formats import SceneFile
@@ -16,15 +18,16 @@ from fixel.jobs.worker_process import WorkerProcess
 from fixel.model import Disk, Experiment, PathDrive, Scene, SupportPoints, UniformPressure
 from fixel.simulation import simulate
 from fixel.simulation.stepper import Adaptive
+from fixel.web.values import Answer
 from fixel.web.views.live_comparison import motion_model, warm_up
-from fixel.web.views.motion_views import Story, simulated_motion, story_of_scene
+from fixel.web.views.motion_views import Animation, animation_of_scene, simulated_motion
 from fixel.workflows.demo.scene_demo import example_names, example_text
 from fixel.workflows.simulation import SimulationMethod, parts
 
 LIMIT: Final = 20.0  # [s] of computing
 MAX_TEXT: Final = 512 * 1024  # [byte] of a scene file
 MAX_DURATION: Final = 600.0  # [s] of simulated time
-MOST_STEPS: Final = 20_000
+MAX_STEPS: Final = 20_000
 MAX_THINGS: Final = 60
 MAX_CORNERS: Final = 4_000  # of all outlines
 MAX_POINTS: Final = 4_000  # of all supports
@@ -32,16 +35,26 @@ MAX_WAYPOINTS: Final = 20_000
 SAMPLES: Final = 440  # of a motion that is shown; 40 per second for the runs of the thesis
 
 
-class SceneMotion(NamedTuple):
-    """Simulated scene, ready to be drawn."""
+class SceneExample(Answer):
+    """A scene that comes with fixel."""
 
-    story: Story
-    summary: dict[str, Any]  # as of `fixel simulate --json`
+    name: str
+    sentence: str
 
 
-def examples() -> list[tuple[str, str]]:
-    """Return the names of the scenes that come with fixel, each with its first comment."""
-    return [(name, _first_sentence(example_text(name))) for name in example_names()]
+class SceneMotion(Answer):
+    """Result of simulating a scene."""
+
+    story: Animation
+    summary: dict[str, Any] = Field(description="as `fixel simulate --json` answers")
+
+
+def examples() -> list[SceneExample]:
+    """Return the scenes that come with fixel, each with its first comment."""
+    return [
+        SceneExample(name=name, sentence=_first_sentence(example_text(name)))
+        for name in example_names()
+    ]
 
 
 def example(name: str) -> dict[str, Any]:
@@ -97,13 +110,16 @@ def simulated(content: Any) -> SceneMotion:
     simulation = simulate(
         scene,
         motion=motion,
-        stepper=Adaptive(max_steps=MOST_STEPS) if isinstance(stepper, Adaptive) else stepper,
+        stepper=Adaptive(max_steps=MAX_STEPS) if isinstance(stepper, Adaptive) else stepper,
         solver=solver,
         output_interval=scene.duration / SAMPLES,
     )
     names = ", ".join(body.name for body in scene.bodies)
-    story = story_of_scene(scene, [simulated_motion(simulation)], f"simulation of {names}")
-    return SceneMotion(story, plain_numbers(simulation.summary()))
+    motions = [simulated_motion(simulation)]
+    return SceneMotion(
+        story=animation_of_scene(scene, motions, f"simulation of {names}"),
+        summary=plain_numbers(simulation.summary()),
+    )
 
 
 @functools.cache
@@ -128,7 +144,7 @@ def _refuse_large(file: SceneFile) -> None:
     steps = 0.0 if file.step is None else scene.duration / file.step
     for where, found, most, unit in (
         ("duration", scene.duration, MAX_DURATION, " s"),
-        ("step", steps, MOST_STEPS, " steps"),
+        ("step", steps, MAX_STEPS, " steps"),
         ("bodies", len(scene.names), MAX_THINGS, " bodies, pushers and fixels"),
         ("bodies[0].shape.polygon", _corners(scene), MAX_CORNERS, " corners in all"),
         ("bodies[0].support", _points(scene), MAX_POINTS, " support points in all"),

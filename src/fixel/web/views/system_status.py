@@ -10,9 +10,10 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import sqlalchemy as sa
+from pydantic import Field
 
 from fixel.database import schema
 from fixel.database.engine import open_engine, reading
@@ -21,66 +22,84 @@ from fixel.errors import JobRefused, NotStored
 from fixel.formats.trajectory_file import plain_numbers
 from fixel.jobs.worker_process import WorkerProcess
 from fixel.kernels.jit import cache_folder
+from fixel.web.values import Answer
 from fixel.workflows.compilation import cache_size, engine_is_cold
 from fixel.workflows.diagnostics import doctor
 from fixel.workflows.project import maintenance
-from fixel.workflows.project.maintenance import Backup, CheckResult
+from fixel.workflows.project.maintenance import Backup
 
 BACKUPS: Final = "backups"  # folder of a project
 MAX_FILES: Final = 100_000  # largest number of files of the media folder to count
 SELF_TEST_LIMIT: Final = 600.0  # [s]; with an engine to compile, it takes about two minutes
 _BACKUP_NAME: Final = re.compile(r"experiments-[0-9]{8}-[0-9]{6}(-[0-9]{1,4})?\.db")
+_making = threading.Lock()
 
 
-class Room(NamedTuple):
-    """Sizes of files, and the space on their disk."""
+class CompiledKernels(Answer):
+    """Compiled kernels."""
 
-    database: int | None  # [byte]; None if it is on a server
-    media: int  # [byte]
+    folder: str
+    size_bytes: int
+    warm: bool = Field(description="whether the engine is compiled already")
+
+
+class DatabaseStatus(Answer):
+    """Database of the project."""
+
+    engine: str = Field(description="sqlite or postgresql")
+    place: str = Field(description="without a password")
+    schema_version: str | None
+    newest: str = Field(description="schema that this program knows")
+    pending: list[str] = Field(description="migrations that an upgrade would do")
+    size_bytes: int | None = Field(description="none where it lies on a server")
+
+
+class DiskStatus(Answer):
+    """Room for more."""
+
+    folder: str
+    media_bytes: int
     media_files: int
-    counted: bool  # whether `media` contains all files
-    free: int  # [byte]
-    total: int  # [byte]
+    counted: bool = Field(description="whether that is all of the media")
+    free_bytes: int
+    total_bytes: int
 
 
-class Schema(NamedTuple):
-    """Schema of a database."""
-
-    engine: str  # sqlite or postgresql
-    place: str  # address without a password
-    version: str | None
-    newest: str  # newest version that this program knows
-    pending: tuple[str, ...]  # migrations between the two
-
-
-class Installation(NamedTuple):
-    """Versions and machine of this installation."""
-
-    versions: dict[str, str]
-    machine: dict[str, Any]
-    cache_folder: str  # folder of compiled kernels
-    cache_bytes: int
-    compiled: bool
-
-
-class BackupFile(NamedTuple):
-    """Backup in the project's folder."""
+class BackupFile(Answer):
+    """A copy of the database in the project's folder."""
 
     name: str
-    file: Path
-    size: int  # [byte]
+    path: str
+    size_bytes: int
     made_utc: str
 
 
-def installation() -> Installation:
-    """Return versions and machine; runs nothing."""
-    return Installation(
-        doctor.versions(), doctor.machine(), cache_folder(), cache_size(), not engine_is_cold()
+class SystemStatus(Answer):
+    """Versions, database, disk and backups."""
+
+    versions: dict[str, str]
+    machine: dict[str, Any]
+    cache: CompiledKernels
+    database: DatabaseStatus
+    disk: DiskStatus
+    backups: list[BackupFile]
+
+
+def system_status(project: Project) -> SystemStatus:
+    """Return everything about the installation that needs no computing."""
+    return SystemStatus(
+        versions=doctor.versions(),
+        machine=doctor.machine(),
+        cache=CompiledKernels(
+            folder=cache_folder(), size_bytes=cache_size(), warm=not engine_is_cold()
+        ),
+        database=_database(project),
+        disk=disk_status(project),
+        backups=backups(project),
     )
 
 
-def schema_of(project: Project) -> Schema:
-    """Return the version of the tables, and the migrations that an upgrade would apply."""
+def _database(project: Project) -> DatabaseStatus:
     engine = open_engine(project.url)
     try:
         with reading(engine) as connection:
@@ -88,19 +107,24 @@ def schema_of(project: Project) -> Schema:
     finally:
         engine.dispose()
     known = schema.versions()
-    done = known.index(version) + 1 if version in known else 0
-    place = sa.make_url(project.url).render_as_string(hide_password=True)
-    return Schema(engine.dialect.name, place, version, schema.newest(), known[done:])
-
-
-def room(project: Project) -> Room:
-    """Measure the sizes of a project's files, and the free space on their disk."""
     url = sa.make_url(project.url)
-    file = Path(url.database or "") if url.get_backend_name() == "sqlite" else None
     size = None
-    if file is not None:
+    if url.get_backend_name() == "sqlite":
+        file = Path(url.database or "")
         names = (file, file.with_name(f"{file.name}-wal"))
         size = sum(path.stat().st_size for path in names if path.is_file())
+    return DatabaseStatus(
+        engine=engine.dialect.name,
+        place=url.render_as_string(hide_password=True),
+        schema_version=version,
+        newest=schema.newest(),
+        pending=list(known[known.index(version) + 1 :] if version in known else known),
+        size_bytes=size,
+    )
+
+
+def disk_status(project: Project) -> DiskStatus:
+    """Measure the sizes of a project's media, and the free space on their disk."""
     total = files = 0
     for path in project.media.glob("??/*"):
         if files == MAX_FILES:
@@ -109,7 +133,14 @@ def room(project: Project) -> Room:
             total += path.stat(follow_symlinks=False).st_size
             files += 1
     disk = shutil.disk_usage(project.folder)
-    return Room(size, total, files, files < MAX_FILES, disk.free, disk.total)
+    return DiskStatus(
+        folder=str(project.folder.resolve()),
+        media_bytes=total,
+        media_files=files,
+        counted=files < MAX_FILES,
+        free_bytes=disk.free,
+        total_bytes=disk.total,
+    )
 
 
 def self_tested(nobody_waits: Callable[[], bool] = lambda: False) -> dict[str, Any]:
@@ -122,16 +153,6 @@ def self_tested(nobody_waits: Callable[[], bool] = lambda: False) -> dict[str, A
 def _examined(_: None) -> dict[str, Any]:
     found: dict[str, Any] = plain_numbers(doctor.examine().summary())
     return found
-
-
-def checked(project: Project) -> CheckResult:
-    """Return the result of `fixel db check`."""
-    return maintenance.check(project.folder)
-
-
-# --- backups ------------------------------------------------------------------------------------
-
-_making = threading.Lock()
 
 
 def back_up(project: Project) -> Backup:
@@ -159,23 +180,27 @@ def backups(project: Project) -> list[BackupFile]:
     if not folder.is_dir():
         return []
     found = [
-        _kept(path)
+        _backup_file(path)
         for path in folder.iterdir()
         if _BACKUP_NAME.fullmatch(path.name) and path.is_file() and not path.is_symlink()
     ]
-    return sorted(found, key=lambda kept: (kept.made_utc, len(kept.name), kept.name), reverse=True)
+    return sorted(found, key=lambda one: (one.made_utc, len(one.name), one.name), reverse=True)
 
 
 def backup_named(project: Project, name: str) -> BackupFile:
     """Return the backup of a name, which is compared with existing ones, never used as a path."""
-    for kept in backups(project):
-        if kept.name == name:
-            return kept
+    for backup in backups(project):
+        if backup.name == name:
+            return backup
     raise NotStored(f"backup {name!r}", hint="make one with: fixel db backup FILE")
 
 
-def _kept(path: Path) -> BackupFile:
+def _backup_file(path: Path) -> BackupFile:
     known = path.stat()
     made = datetime.datetime.fromtimestamp(known.st_mtime, datetime.UTC)
-    instant = made.isoformat(timespec="seconds").replace("+00:00", "Z")
-    return BackupFile(path.name, path, known.st_size, instant)
+    return BackupFile(
+        name=path.name,
+        path=str(path.resolve()),
+        size_bytes=known.st_size,
+        made_utc=made.isoformat(timespec="seconds").replace("+00:00", "Z"),
+    )

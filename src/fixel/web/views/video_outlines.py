@@ -2,39 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
+from pydantic import Field
 
 from fixel.database.project import Project
 from fixel.errors import FixelError
 from fixel.formats.rig_file import EXAMPLES, load_rig, rig_of
 from fixel.model import Experiment
-from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.outlines import outline_pixels
+from fixel.web.values import Answer, Array, ShortArray
 from fixel.workflows.acquisition.tracked_experiment import CAMERA
 
 RIGS: Final = "rigs"  # folder of a project for the rig files of its benches
 MAX_OUTLINES: Final = 600  # outlines; in between the part is drawn at the nearest
 
 
-class VideoOutlines(NamedTuple):
-    """Outlines in pixels of the video.
+class VideoOutlines(Answer):
+    """Outlines of the object in pictures of this size."""
 
-    Attributes
-    ----------
-    size : (int, int)
-        Width and height of a picture [px].
-    time : (n,) float64
-        [s], on the clock of the experiment, which is that of the video.
-    outline : (n, m, 2) float64
-        Closed lines [px], from the upper left.
-    """
-
-    size: tuple[int, int]
-    time: FloatArray
-    outline: FloatArray
+    size: tuple[int, int] = Field(serialization_alias="size_px", description="width, height")
+    time: Array = Field(serialization_alias="time_s", description="(n,) on the video's clock")
+    outline: ShortArray = Field(
+        serialization_alias="outline_px",
+        description="(n, m, 2) closed lines; the first pixel's middle is 0",
+    )
 
 
 def rig_named(project: Project, name: str) -> Rig | None:
@@ -62,4 +56,6 @@ def seen_in_video(project: Project, experiment: Experiment) -> VideoOutlines | N
     n = len(track.time)
     chosen = np.unique(np.linspace(0, n - 1, min(n, MAX_OUTLINES)).round().astype(np.int64))
     lines = [outline_pixels(rig.camera, shape, pose, height) for pose in track.pose[chosen]]
-    return VideoOutlines(rig.camera.lens.image_size, track.time[chosen], np.stack(lines))
+    return VideoOutlines(
+        size=rig.camera.lens.image_size, time=track.time[chosen], outline=np.stack(lines)
+    )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Final, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -23,7 +23,9 @@ from fixel.workflows.calibration.stored import parted
 WORST: Final = 3
 
 
-class Residual(NamedTuple):
+@final
+@dataclass(frozen=True, slots=True)
+class Residual:
     """One experiment."""
 
     id: int
@@ -32,10 +34,12 @@ class Residual(NamedTuple):
     after: float | None
 
 
-class Start(NamedTuple):
+@final
+@dataclass(frozen=True, slots=True)
+class Start:
     """End of one of several searches."""
 
-    error: float  # inf where it found nothing
+    error: float | None  # None where it found nothing
     point: list[float]
     evaluations: int
     good: bool  # as good as the best, or nearly
@@ -136,14 +140,14 @@ def starts_of(desk: CalibrationReportData, one: ParameterSet) -> list[Start]:
     shared = len(one.members) if desk.request.combine == "sum" else 1
     found = [
         Start(
-            end.error / shared,
+            _finite(end.error / shared),
             end.point.tolist(),
             evaluations,
             math.isfinite(end.error) and end.error <= best * (1.0 + NEARLY),
         )
         for end, evaluations in zip(traced.ends, traced.evaluations, strict=True)
     ]
-    return sorted(found, key=lambda start: start.error)
+    return sorted(found, key=lambda start: math.inf if start.error is None else start.error)
 
 
 def misfit_of(record: CalibrationRecord) -> list[str]:
@@ -214,14 +218,16 @@ def _finite(value: float) -> float | None:
 # --- the list -----------------------------------------------------------------------------------
 
 
-class CalibrationSummary(NamedTuple):
+@final
+@dataclass(frozen=True, slots=True)
+class CalibrationSummary:
     """Result of one job, or a calibration without a job.
 
     Attributes
     ----------
     id : int
         Of the calibration to open: the last set for several experiments, else the first.
-    name, how, mode, optimiser, unit, created : str
+    name, how, mode, optimiser, unit, created_utc : str
     sets : int
         Calibrations that came of it.
     experiments : int
@@ -238,7 +244,7 @@ class CalibrationSummary(NamedTuple):
     mode: str
     optimiser: str
     unit: str
-    created: str
+    created_utc: str
     sets: int
     experiments: int
     before: float | None
@@ -273,7 +279,7 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> CalibrationSummary:
         mode=str(record.method.get("mode", "")),
         optimiser=str(record.method.get("optimiser", "")),
         unit=record.error_unit,
-        created=record.provenance.created,
+        created_utc=record.provenance.created,
         sets=len(sets),
         experiments=len({m.experiment_id for _, one in sets for m in one.members}),
         before=_finite(float(np.mean(before))),

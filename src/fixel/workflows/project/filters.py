@@ -7,7 +7,8 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Any, Final, NamedTuple, cast
+from dataclasses import dataclass
+from typing import Any, Final, cast, final
 
 import numpy as np
 
@@ -187,7 +188,9 @@ def _number(text: str) -> float | None:
 # --- values to filter by ------------------------------------------------------------------------
 
 
-class Values(NamedTuple):
+@final
+@dataclass(frozen=True, slots=True)
+class Values:
     """Values of a condition among all experiments."""
 
     texts: dict[str, int]  # values with their number of experiments; empty if too many
@@ -196,7 +199,9 @@ class Values(NamedTuple):
     total: int  # number of experiments with the condition
 
 
-class Vocabulary(NamedTuple):
+@final
+@dataclass(frozen=True, slots=True)
+class Vocabulary:
     """Names and values that a filter can use."""
 
     datasets: dict[str, int]
@@ -216,25 +221,31 @@ def vocabulary(store: Store) -> Vocabulary:
 # --- coverage -----------------------------------------------------------------------------------
 
 
-class CoverageAxis(NamedTuple):
+@final
+@dataclass(frozen=True, slots=True)
+class CoverageAxis:
     """Axis of the coverage: places, each from one edge to the next."""
 
     name: str
-    edges: FloatArray  # (n + 1,)
-    centres: FloatArray  # (n,)
+    edges: list[float]  # n + 1
+    centres: list[float]  # n
 
 
-class Coverage(NamedTuple):
+@final
+@dataclass(frozen=True, slots=True)
+class Coverage:
     """Number of experiments at each place of a plane of configurations.
 
     Attributes
     ----------
     x, y : CoverageAxis
-    number : (n_x, n_y) array
-    shapes, layouts : tuple of str
+    number : list of list of int
+        One row per place along x.
+    shapes, layouts : list of str
         Shapes and layouts; empty if not stored.
-    table : (n_shape, n_layout) array
-    axes : tuple of str
+    table : list of list of int
+        One row per shape, one column per layout.
+    axes : list of str
         Names that an axis may have.
     without : int
         Number of experiments without these values.
@@ -242,11 +253,11 @@ class Coverage(NamedTuple):
 
     x: CoverageAxis
     y: CoverageAxis
-    number: FloatArray
-    shapes: tuple[str, ...]
-    layouts: tuple[str, ...]
-    table: FloatArray
-    axes: tuple[str, ...]
+    number: list[list[int]]
+    shapes: list[str]
+    layouts: list[str]
+    table: list[list[int]]
+    axes: list[str]
     without: int
 
 
@@ -286,40 +297,38 @@ def coverage(
     kinds = ("shape", "layout")
     shapes, layouts, table = _table(store.tally(view, kinds) if {*kinds} <= {*noted} else [])
     without = sum(row[2] for row in tally) - sum(row[2] for row in placed)
-    return Coverage(across, up, count, shapes, layouts, table, (*PLACES, *known), without)
+    number = count.astype(int).tolist()
+    return Coverage(across, up, number, shapes, layouts, table, [*PLACES, *known], without)
 
 
 def _axis(name: str, values: FloatArray) -> CoverageAxis:
     """Return an axis with one place per value if these are few, else places of equal width."""
     distinct = np.unique(np.round(values, 9))
     if len(distinct) == 0:
-        return CoverageAxis(name, np.array([0.0, 1.0]), np.array([0.5]))
+        return CoverageAxis(name, [0.0, 1.0], [0.5])
     if len(distinct) <= MAX_PLACES:
         between = (distinct[1:] + distinct[:-1]) / 2.0
         margin = float(np.diff(distinct).min()) / 2.0 if len(distinct) > 1 else 0.5e-3
         edges = np.concatenate(([distinct[0] - margin], between, [distinct[-1] + margin]))
-        return CoverageAxis(name, edges, distinct)
+        return CoverageAxis(name, edges.tolist(), distinct.tolist())
     edges = np.linspace(distinct[0], distinct[-1], MAX_PLACES + 1)
     edges[-1] = np.nextafter(edges[-1], np.inf)
-    return CoverageAxis(name, edges, (edges[1:] + edges[:-1]) / 2.0)
+    return CoverageAxis(name, edges.tolist(), ((edges[1:] + edges[:-1]) / 2.0).tolist())
 
 
 def _table(
     rows: Sequence[tuple[Any, Any, int]],
-) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray]:
+) -> tuple[list[str], list[str], list[list[int]]]:
     """Count the experiments of each shape in each layout."""
     counted: Counter[tuple[str, str]] = Counter()
     for shape, layout, n in rows:
         if shape is not None and layout is not None:
             counted[_word(shape), _word(layout)] += n
-    shapes = tuple(sorted({shape for shape, _ in counted}))
-    layouts = tuple(sorted({layout for _, layout in counted}))
+    shapes = sorted({shape for shape, _ in counted})
+    layouts = sorted({layout for _, layout in counted})
     if len(shapes) > MAX_VALUES or len(layouts) > MAX_VALUES:
-        return (), (), np.zeros((0, 0))
-    table = np.zeros((len(shapes), len(layouts)))
-    for (shape, layout), n in counted.items():
-        table[shapes.index(shape), layouts.index(layout)] = n
-    return shapes, layouts, table
+        return [], [], []
+    return shapes, layouts, [[counted[shape, layout] for layout in layouts] for shape in shapes]
 
 
 def _word(value: str | float) -> str:

@@ -1,0 +1,144 @@
+"""Changes of experiments: flags, notes and deletions of many at once, and imports of tables."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final
+
+from fastapi import APIRouter
+from pydantic import AfterValidator, Field
+
+from fixel.model import Flag
+from fixel.web.context import Context
+from fixel.web.values import Answer, Id, RequestBody, Text
+from fixel.workflows.project.importing import import_texts
+
+MAX_MARKED: Final = 20_000  # in one request
+MAX_TEXT: Final = 1_900_000  # characters of a table; requests are limited to 2 MB
+
+router = APIRouter()
+
+
+def _writable(text: str) -> str:
+    """Reject text that no file can store."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise ValueError("text that a file can hold") from None
+    return text
+
+
+FileText = Annotated[str, AfterValidator(_writable)]
+
+
+class MarkRequest(RequestBody):
+    """Which experiments."""
+
+    ids: list[Id] = Field(min_length=1, max_length=MAX_MARKED)
+
+
+class FlagRequest(MarkRequest):
+    """A flag for experiments."""
+
+    name: Text = Field(max_length=100, description="a-z, 0-9 and dashes")
+    detail: Text = Field(default="", max_length=2000)
+    fault: bool = Field(default=True, description="whether analyses leave them out")
+
+
+class UnflagRequest(MarkRequest):
+    """A flag to take off."""
+
+    name: Text = Field(max_length=100)
+
+
+class NoteRequest(MarkRequest):
+    """A note on experiments."""
+
+    text: Text = Field(min_length=1, max_length=10_000)
+
+
+class ChangedRecords(Answer):
+    """Experiments or notes that a request changed: to undo it, change these and no others."""
+
+    changed: list[int]
+
+
+class TableRequest(RequestBody):
+    """The text of a CSV table, and of the scene file it belongs to."""
+
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .()+-]{0,99}\.csv$", description="of the table's file"
+    )
+    table: FileText = Field(max_length=MAX_TEXT)
+    scene: FileText | None = Field(None, max_length=MAX_TEXT, description="scene file, as YAML")
+    angle_unit: str | None = Field(
+        None, pattern="^(rad|deg)$", description="of the angles, whatever the header has"
+    )
+    dry_run: bool = Field(False, description="read only, store nothing")
+
+
+class TableResult(Answer):
+    """Result of reading a table, and of storing it."""
+
+    understood: list[str]
+    has_scene: bool
+    template: str | None = Field(description="scene file to be filled in, where there is no scene")
+    stored: bool
+    known: bool = Field(description="stored before, and left as it is")
+
+
+@router.post("/experiments/flag", summary="Add a flag to experiments", tags=["marks"])
+def flag(context: Context, wanted: FlagRequest) -> ChangedRecords:
+    made = Flag(wanted.name, wanted.detail, wanted.fault)
+    return ChangedRecords(changed=context.store.flag_all(wanted.ids, made))
+
+
+@router.post("/experiments/unflag", summary="Take a flag off experiments", tags=["marks"])
+def unflag(context: Context, wanted: UnflagRequest) -> ChangedRecords:
+    return ChangedRecords(changed=context.store.unflag_all(wanted.ids, wanted.name))
+
+
+@router.post("/experiments/delete", summary="Leave experiments out of everything", tags=["marks"])
+def delete(context: Context, wanted: MarkRequest) -> ChangedRecords:
+    return ChangedRecords(changed=context.store.delete_all(wanted.ids))
+
+
+@router.post("/experiments/undelete", summary="Take deletions of experiments back", tags=["marks"])
+def undelete(context: Context, wanted: MarkRequest) -> ChangedRecords:
+    return ChangedRecords(changed=context.store.delete_all(wanted.ids, back=True))
+
+
+@router.post("/experiments/note", summary="Write a note beside experiments", tags=["marks"])
+def note(context: Context, wanted: NoteRequest) -> ChangedRecords:
+    """`changed` are the ids of the notes."""
+    return ChangedRecords(changed=context.store.annotate(wanted.ids, wanted.text))
+
+
+@router.post("/notes/delete", summary="Delete notes, by their ids", tags=["marks"])
+def delete_notes(context: Context, wanted: MarkRequest) -> ChangedRecords:
+    return ChangedRecords(changed=context.store.delete_notes(wanted.ids))
+
+
+@router.post(
+    "/notes/undelete", summary="Take deletions of notes back, by their ids", tags=["marks"]
+)
+def undelete_notes(context: Context, wanted: MarkRequest) -> ChangedRecords:
+    return ChangedRecords(changed=context.store.delete_notes(wanted.ids, back=True))
+
+
+@router.post("/import", summary="Import a CSV table with its scene", tags=["experiments"])
+def import_table(context: Context, wanted: TableRequest) -> TableResult:
+    done = import_texts(
+        context.store,
+        wanted.name,
+        wanted.table,
+        wanted.scene,
+        angle_unit=wanted.angle_unit,
+        dry_run=wanted.dry_run,
+    )
+    return TableResult(
+        understood=list(done.understood),
+        has_scene=done.template is None,
+        template=done.template,
+        stored=done.new,
+        known=done.known,
+    )

@@ -1,0 +1,79 @@
+"""Context of a project, shared by its pages and its API."""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Annotated, Final, final
+
+from fastapi import Depends, Request
+
+from fixel.database.project import Project
+from fixel.database.query import ExperimentQuery
+from fixel.drawing.thumbnail import thumbnail
+from fixel.web.views.calibration_progress import ProgressReader
+from fixel.web.views.domain_views import DomainViews
+from fixel.web.views.live_comparison import LiveComparison
+from fixel.workflows.calibration.detail import tell
+
+MAX_KEPT: Final = 64  # details of calibrations in memory
+MAX_THUMBNAILS: Final = 5000  # in memory; about 2 kB each
+
+
+@final
+class ProjectContext:
+    """Project, its store, and what is computed from them for more than one request.
+
+    Parameters
+    ----------
+    project : Project
+
+    Attributes
+    ----------
+    store : Store
+        Records of the project, opened once; any thread may use it.
+    comparison : LiveComparison
+    calibrations : ProgressReader
+    calibration : callable
+        Returns the detail of a stored calibration, and remembers some: what is stored stays.
+    domains : DomainViews
+    thumbnail : callable
+        Returns the small picture of an experiment whose content has a checksum, drawn once.
+    """
+
+    def __init__(self, project: Project) -> None:
+        self.project = project
+        self.store = project.store()
+        # So that the first page does not wait for its statements.
+        self.store.experiments(ExperimentQuery(include_faulty=True, limit=1), details=True)
+        self.comparison = LiveComparison(self.store)
+        self.calibrations = ProgressReader(project)
+        self.calibration = lru_cache(MAX_KEPT)(partial(tell, project, self.store))
+        self.thumbnail = lru_cache(MAX_THUMBNAILS)(self._thumbnail)
+        self.domains = DomainViews(project, self.store)
+
+    @property
+    def name(self) -> str:
+        """Name of the project."""
+        return self.project.settings.name
+
+    @property
+    def folder(self) -> Path:
+        """Absolute folder of the project, for commands that are typed elsewhere."""
+        return self.project.folder.resolve()
+
+    def _thumbnail(self, number: int, checksum: str) -> str:
+        return thumbnail(self.store.experiment(number))
+
+    def close(self) -> None:
+        """Close the store."""
+        self.store.close()
+
+
+def _context(request: Request) -> ProjectContext:
+    context: ProjectContext = request.app.state.context
+    return context
+
+
+# Parameter of a route that needs the project.
+Context = Annotated[ProjectContext, Depends(_context)]

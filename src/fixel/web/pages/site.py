@@ -1,0 +1,157 @@
+"""All pages of a project, and what the simple ones show.
+
+`Page.place` orders the navigation: Experiments 10, Compare 20, Calibrations 30, Domain 40,
+Simulate 50, Jobs 60, System 70, API 90.
+"""
+
+from __future__ import annotations
+
+import shlex
+from functools import partial
+from threading import Thread
+from typing import Any, Final
+
+from fastapi import Request
+
+from fixel.database.query import ExperimentQuery
+from fixel.errors import NotStored
+from fixel.web.app import API, Page
+from fixel.web.context import ProjectContext
+from fixel.web.pages import calibration, experiment
+from fixel.web.views import scene_editor
+from fixel.web.views.system_status import system_status
+from fixel.workflows.analysis import kept_and_not
+
+OFFERED: Final = 300  # names in the list of experiments
+FIRST: Final = "grasp"  # example that is shown first
+METHODS: Final = ("get", "post", "put", "patch", "delete")
+
+
+def project_pages(context: ProjectContext) -> list[Page]:
+    """Return all pages, in the order of the navigation."""
+    # Address, title, template, place in the navigation, function that fills the template.
+    listed = [
+        ("/experiments", "Experiments", "experiments.html", 10, None),
+        ("/compare", "Compare", "compare.html", 20, compare_page),
+        ("/calibrations", "Calibrations", "calibrations.html", 30, None),
+        ("/domain", "Domain", "domain.html", 40, domain_page),
+        ("/simulate", "Simulate", "simulate.html", 50, simulate_page),
+        ("/jobs", "Jobs", "jobs.html", 60, None),
+        ("/system", "System", "system.html", 70, system_page),
+        ("/api", "API", "api.html", 90, api_page),
+    ]
+    others = [
+        ("/calibrations/new", "Calibrate", "calibrate.html", calibration.form_page),
+        ("/calibrations/running/{name}", "Calibration", "calibrating.html",
+         calibration.running_page),
+        ("/calibrations/{number}", "Calibration", "calibration.html", calibration.stored_page),
+        ("/experiments/{number}", "Experiment", "experiment.html", experiment.experiment_page),
+    ]  # fmt: skip
+    folder = {"folder": shlex.quote(str(context.folder))}
+    return [
+        *(
+            Page(path=path, title=title, template=template, context=folder, place=place,
+                 fill=None if fill is None else partial(fill, context))
+            for path, title, template, place, fill in listed
+        ),
+        *(
+            Page(path=path, title=title, template=template, listed=False,
+                 fill=partial(fill, context))
+            for path, title, template, fill in others
+        ),
+    ]  # fmt: skip
+
+
+def compare_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/compare?experiment=KEY`."""
+    listed = context.store.experiments(ExperimentQuery(limit=OFFERED)).rows
+    key = request.query_params.get("experiment", "")
+    if not key and not listed:
+        raise NotStored("experiment to compare with", hint="import some with: fixel import")
+    number = context.store.find(key) if key else listed[0].id
+    one = context.store.experiment(number)
+    return {
+        "title": f"Compare {one.key}",
+        "number": number,
+        "key": one.key,
+        "keys": [row.key for row in listed],
+    }
+
+
+def domain_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/domain?map=NAME`; by default with the newest map."""
+    every, unreadable = kept_and_not(context.project)
+    maps = [one for one in every if one.analysis.kind == "domain"]
+    wanted = request.query_params.get("map", "")
+    chosen = next((one for one in maps if one.folder.name == wanted), None)
+    chosen = chosen or (maps[0] if maps else None)
+    return {
+        "name": "" if chosen is None else chosen.folder.name,
+        "chosen": None if chosen is None else chosen.analysis,
+        "maps": [(one.folder.name, one.analysis) for one in maps],
+        "others": [(one.folder.name, one.analysis) for one in every if one not in maps],
+        "unreadable": [str(problem) for problem in unreadable],
+    }
+
+
+def simulate_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/simulate`, `/simulate?experiment=KEY`, `/simulate?example=NAME`."""
+    # A simulation is likely to follow: its process should be ready by then.
+    Thread(target=scene_editor.get_ready, name="fixel-beside", daemon=True).start()
+    key = request.query_params.get("experiment", "")
+    listed = context.store.experiments(ExperimentQuery(limit=OFFERED)).rows
+    return {
+        "examples": scene_editor.examples(),
+        "example": request.query_params.get("example", FIRST),
+        "number": context.store.find(key) if key else "",
+        "key": key,
+        "keys": [row.key for row in listed],
+        "most_bytes": scene_editor.MAX_TEXT,
+    }
+
+
+def system_page(context: ProjectContext, _: Request) -> dict[str, Any]:
+    """Fill `/system`."""
+    known = system_status(context.project)
+    disk, cores = known.disk, known.machine["cores"]
+    return {
+        "known": known,
+        "cores": f"{cores} core{'s' if cores != 1 else ''}",
+        "threads": known.machine["threads"],
+        "cache": bytes_text(known.cache.size_bytes),
+        "database": bytes_text(known.database.size_bytes),
+        "media": bytes_text(disk.media_bytes),
+        "free": bytes_text(disk.free_bytes),
+        "total": bytes_text(disk.total_bytes),
+        "used_percent": 100.0 * (1.0 - disk.free_bytes / max(1, disk.total_bytes)),
+    }
+
+
+def bytes_text(size: int | None) -> str:
+    """Format a size in decimal units, as `bytes` of units.js does."""
+    if size is None:
+        return "on a server"
+    value = float(size)
+    for unit in ("byte", "kB", "MB", "GB"):
+        if value < 1000.0:
+            return f"{value:.3g} {unit}" if unit != "byte" else f"{size} byte"
+        value /= 1000.0
+    return f"{value:.3g} TB"
+
+
+def api_page(_: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/api`, the documentation of the API for programs."""
+    mounted: Any = next(route for route in request.app.routes if route.path == API)
+    operations = [
+        {
+            "method": method.upper(),
+            "path": API + path,
+            "summary": entry.get("summary", ""),
+            "tag": (entry.get("tags") or ["other"])[0],
+            "parameters": ", ".join(p["name"] for p in entry.get("parameters", [])),
+        }
+        for path, entries in mounted.app.openapi()["paths"].items()
+        for method, entry in entries.items()
+        if method in METHODS
+    ]
+    return {"operations": operations, "base": str(request.base_url).rstrip("/") + API}
