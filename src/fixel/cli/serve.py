@@ -56,7 +56,11 @@ def serve(
     try:
         _announce(context.name, server.link, host, as_json)
         if open_ and sys.stdout.isatty() and not as_json:
-            door = _open(server.link, context.project.folder)
+            door = _door(server.link, context.project.folder)
+            if door is not None:
+                import webbrowser
+
+                webbrowser.open(door.as_uri())
         server.wait()
     except KeyboardInterrupt:
         _say("fixel: stopped.")
@@ -83,14 +87,12 @@ def _announce(name: str, link: str, host: str, as_json: bool) -> None:
     _say("Ctrl-C ends it.")
 
 
-def _open(link: str, folder: Path) -> Path | None:
-    """Open a link in a browser; return the file that redirects to it, to be removed at the end.
+def _door(link: str, folder: Path) -> Path | None:
+    """Return a file that redirects a browser to a link, to be removed at the end.
 
-    The browser receives the file, which only this user can read: every user of the machine can read
-    the arguments of a program, and the link holds the token.
+    None where there is no screen. The browser receives the file, which only this user can read:
+    every user of the machine can read the arguments of a program, and the link holds the token.
     """
-    import webbrowser
-
     # A browser on a machine without a screen would run in this terminal.
     if sys.platform == "linux" and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
@@ -101,7 +103,6 @@ def _open(link: str, folder: Path) -> Path | None:
     door = Path(name).resolve()
     with open(handle, "w", encoding="utf-8") as file:
         file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={escape(link)}">\n')
-    webbrowser.open(door.as_uri())
     return door
 
 
