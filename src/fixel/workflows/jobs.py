@@ -273,11 +273,13 @@ def cancel(folder: Path) -> JobStatus:
         _await_end(folder)
     if run.site is not None:
         _cancel_on_slurm(job.label)
-    if owner is None:
+    after = status_of(folder)
+    if after.state == LOST or not after.ended:  # nobody ran it, or it ended before it said so
         cancelled = files.read_status(folder).model_copy(update={"state": "cancelled"})
         files.write_status(folder, cancelled)
         files.log(folder, "cancelled")
-    return status_of(folder)
+        after = status_of(folder)
+    return after
 
 
 def log_lines(folder: Path, follow: bool = False) -> Iterator[str]:
