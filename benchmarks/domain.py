@@ -12,8 +12,7 @@ import numpy as np
 
 from benchmarks.figures import Figure, Size, at_least
 from fixel.calibration.objective import Comparer, MeanSquare
-from fixel.calibration.repetitions import same_configuration
-from fixel.calibration.target import Target, targets_of
+from fixel.calibration.target import Target, same_configuration, targets_of
 from fixel.domain.cells import cells_of
 from fixel.domain.domain import NOT_TRUSTED, TRUSTED, Claim, DomainMap, domain_map
 from fixel.domain.evidence import HeldOutErrors

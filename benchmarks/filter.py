@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.figures import Figure, Size, at_least, at_most
 from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.running import FilterFrame, RunningFilter
+from fixel.filtering.running import FilterFrame, RunningFilter, start_filter
 from fixel.model import Experiment, PlannedExperiment
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import Layout, grasp
@@ -52,7 +52,7 @@ def _frames(
     track, pusher, tactile = experiment.trajectory, experiment.pusher, experiment.channel("tactile")
     assert pusher is not None
     assert tactile is not None
-    running: RunningFilter = options.start(experiment)
+    running: RunningFilter = start_filter(options, experiment)
     taken = []
     for k in range(1, len(track.time)):
         hidden = 5.0 < track.time[k] < 6.5

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fixel.calibration.clusters import jackknife, numbered
+from fixel.calibration.mixed import jackknife, numbered
 
 
 def _regression(seed=0, rows=40, clusters=8):

@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 from tests.calibration.toys import DECAY_BOX, TRUTH, box, decay_residuals, each, linear, rough
 
 from fixel.calibration.cost import Cost, NormalPrior
-from fixel.calibration.least_squares import LeastSquares, fit, roughness_of
+from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.errors import InvalidInput
 
 T = np.linspace(0.0, 4.0, 40)
@@ -201,15 +201,6 @@ def test_one_trial_and_each_kind_of_difference_work():
     ):
         found = fit(options.start(DECAY_BOX), residuals)
         np.testing.assert_allclose(found.point, best.point, atol=2e-3)
-
-
-def test_roughness_is_measured():
-    smooth = decay_residuals(3)
-    assert roughness_of(smooth, DECAY_BOX, DECAY_BOX.high) < 1e-4
-    for size in (1e-3, 1e-1):
-        told = roughness_of(rough(smooth, size, jump=0.0), DECAY_BOX, TRUTH)
-        assert 0.5 * size < told < 3.0 * size
-    assert roughness_of(lambda p: np.full((len(p), 2), np.inf), DECAY_BOX, TRUTH) == 0.0
 
 
 def test_an_edge_on_all_sides_does_not_shrink_steps_for_ever():

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 from fixel.calibration import MultiStart, NelderMead, SearchBox
 from fixel.calibration.nelder_mead import simplex_size, stepped_simplex
-from fixel.calibration.starts import feasible_points
+from fixel.calibration.optimiser import feasible_points
 from fixel.errors import InvalidInput
 from fixel.testing.optimiser_contract import bowl, box, crease, run
 

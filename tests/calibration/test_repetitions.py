@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from fixel.calibration.repetitions import repetitions, same_configuration
-from fixel.calibration.target import Target
+from fixel.calibration.target import Target, repetitions, same_configuration
 from fixel.simulation.ensemble import RolloutCase
 
 TIMES = np.arange(1, 31) / 30.0

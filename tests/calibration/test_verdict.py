@@ -9,13 +9,14 @@ from tests.calibration.toys import (
     calibrated,
     decay_residuals,
     rough,
+    run_profiles,
     space_of,
 )
 
 from fixel.calibration.cost import NormalPrior
 from fixel.calibration.honest import Honest
 from fixel.calibration.least_squares import LeastSquares, fit
-from fixel.calibration.profile import ProfileLikelihood, run_profiles
+from fixel.calibration.profile import ProfileLikelihood
 from fixel.calibration.solutions import find_solutions
 from fixel.calibration.verdict import WORDS, judge
 from fixel.errors import InvalidInput

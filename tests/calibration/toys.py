@@ -5,7 +5,7 @@ import numpy as np
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Dispersion
 from fixel.calibration.optimiser import SearchBox
-from fixel.calibration.profile import ProfileLikelihood, run_profiles
+from fixel.calibration.profile import ProfileLikelihood
 from fixel.model.space import ParameterSpace, Unknown
 
 TIMES = np.linspace(0.0, 4.0, 60)
@@ -57,6 +57,13 @@ def rough(residuals, size=1e-3, jump=0.05):
         return told + size * np.sin(phase) + jump * steps * np.cos(np.arange(told.shape[1]))
 
     return shaken
+
+
+def run_profiles(search, residuals):
+    """Run a search of profiles to its end."""
+    while not search.done:
+        search.tell(residuals(search.ask()))
+    return search.profiles
 
 
 def calibrated(residuals, where, threshold=THRESHOLD, prior=None, **options):

@@ -8,7 +8,7 @@ from tests.filtering.recordings import MU_PUSHER, TRIPOD_RADIUS, push
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.prior import UniformPrior, touches_bound
 from fixel.filtering.recorded import run_filter
-from fixel.filtering.running import FilterFrame
+from fixel.filtering.running import FilterFrame, start_filter
 from fixel.testing.scenes import grasp
 
 FEW = ParticleFilter(n_particles=60)
@@ -25,7 +25,7 @@ def test_a_head_that_stands_still_pushes_nothing():
     corners = scene.bodies[0].shape.vertices @ turn
     corner = start[:2] + corners[corners[:, 0].argmin()]
     still = np.array([corner[0] - 0.0145 - 1e-3, corner[1], 0.0])
-    running = FEW.start(scene, 0, pusher=still)
+    running = start_filter(FEW, scene, 0, pusher=still)
     for k in range(1, 61):
         shaken = still + random.standard_normal(3) * (7e-4, 7e-4, 0.0)
         estimate = running.step(FilterFrame(k / 30, shaken, start if k < 10 else None))
@@ -56,7 +56,7 @@ def test_an_object_at_rest_is_known_as_well_as_frames_tell(seed):
     scene, random = grasp("slip"), np.random.default_rng(seed)
     noise = np.array([FEW.position_deviation, FEW.position_deviation, FEW.angle_deviation])
     seen = scene.bodies[0].pose + noise * random.standard_normal((46, 3))
-    running = ParticleFilter().start(scene, seed, pose=seen[0])
+    running = start_filter(ParticleFilter(), scene, seed, pose=seen[0])
     away = scene.pushers[0].pose - [0.05, 0.0, 0.0]
     for k in range(1, 46):
         estimate = running.step(FilterFrame(k / 30, away, seen[k]))

@@ -8,7 +8,7 @@ import pytest
 from fixel.errors import InvalidInput
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.prior import DEFAULT_PRIORS
-from fixel.filtering.running import FilterFrame
+from fixel.filtering.running import FilterFrame, start_filter
 from fixel.model import Disk, Ellipsoid, Scene
 from fixel.simulation import Dynamic, FirstOrder
 from fixel.testing.scenes import grasp, heap, sliding_block
@@ -32,7 +32,7 @@ def forward(k):
 
 def test_same_seed_same_bits_on_any_number_of_threads():
     def run(seed, threads):
-        running = replace(FEW, threads=threads).start(SCENE, seed)
+        running = start_filter(replace(FEW, threads=threads), SCENE, seed)
         for k in range(1, 90):
             estimate = running.step(FilterFrame(k / 30, forward(k), START if k < 40 else None))
         return np.concatenate([x.ravel() for x in (*running.particles, estimate.pose)])
@@ -44,7 +44,7 @@ def test_same_seed_same_bits_on_any_number_of_threads():
 
 def test_the_mean_angle_goes_on_past_half_a_turn():
     body = replace(SCENE.bodies[0], shape=Disk(0.05), pose=np.array([0.09, 0.0, 3.1]))
-    running = FEW.start(replace(SCENE, bodies=(body,)))
+    running = start_filter(FEW, replace(SCENE, bodies=(body,)))
     angles = []
     for k in range(1, 60):
         seen = np.array([0.09, 0.0, (3.1 + 0.002 * k + np.pi) % (2 * np.pi) - np.pi])
@@ -58,7 +58,7 @@ def test_the_mean_angle_goes_on_past_half_a_turn():
 
 def test_what_the_camera_has_corrected_stays_while_it_sees_nothing():
     """An object creeps that nobody pushes; then it is hidden, and most likely where it was."""
-    running = FEW.start(SCENE)
+    running = start_filter(FEW, SCENE)
     for k in range(1, 46):
         seen = START + np.array([0.0, 0.0004 * k, 0.0])
         last = running.step(FilterFrame(k / 30, HEAD, seen)).pose
@@ -70,7 +70,7 @@ def test_what_the_camera_has_corrected_stays_while_it_sees_nothing():
 
 
 def test_an_object_that_is_elsewhere_is_found_again():
-    running = FEW.start(SCENE)
+    running = start_filter(FEW, SCENE)
     away = START + np.array([0.05, 0.03, 1.0])
     first = running.step(FilterFrame(1 / 30, HEAD, away))
     second = running.step(FilterFrame(2 / 30, HEAD, away))
@@ -90,7 +90,7 @@ def test_when_no_particle_can_be_simulated_it_starts_again_wider(monkeypatch):
         result = real(*args, **kwargs)
         return replace(result, status=np.full_like(result.status, 3), pose=result.pose * np.nan)
 
-    running = FEW.start(SCENE)
+    running = start_filter(FEW, SCENE)
     calm = running.estimate
     monkeypatch.setattr(module, "simulate_packed", failing)
     estimates = [running.step(FilterFrame(k / 30, HEAD)) for k in range(1, 8)]
@@ -116,7 +116,7 @@ def test_no_frame_simulates_all_proposals_at_once(monkeypatch):
 
     monkeypatch.setattr(module, "simulate_packed", counted)
     rollouts.append(0)
-    running = ParticleFilter(n_particles=300).start(SCENE)
+    running = start_filter(ParticleFilter(n_particles=300), SCENE)
     for k in range(1, 10):
         rollouts.append(0)
         running.step(FilterFrame(k / 30, forward(k), START))
@@ -124,7 +124,7 @@ def test_no_frame_simulates_all_proposals_at_once(monkeypatch):
 
 
 def test_an_island_that_alone_is_lost_is_replaced():
-    running = ParticleFilter(n_particles=250).start(SCENE)
+    running = start_filter(ParticleFilter(n_particles=250), SCENE)
     running._particles.pose[125:] += (0.05, 0.03, 1.0)
     estimate = running.step(FilterFrame(1 / 30, HEAD, START))
 
@@ -137,14 +137,14 @@ def test_an_island_that_alone_is_lost_is_replaced():
 
 def test_squeezed_particles_never_give_nan():
     """The head runs the object into the fixels, and on: what no real head could do."""
-    running = FEW.start(SCENE)
+    running = start_filter(FEW, SCENE)
     for k in range(1, 40):
         estimate = running.step(FilterFrame(k / 3, forward(12 * k), None, [0.0, 0.0, 0.0]))
         assert finite(estimate)
 
 
 def test_a_parameter_that_nothing_depends_on_stays_as_believed():
-    running = ParticleFilter(n_particles=300).start(SCENE)
+    running = start_filter(ParticleFilter(n_particles=300), SCENE)
     for k in range(1, 30):  # before the head arrives
         estimate = running.step(FilterFrame(k / 30, forward(k) - np.array([0.02, 0, 0]), START))
 
@@ -155,9 +155,9 @@ def test_a_parameter_that_nothing_depends_on_stays_as_believed():
 
 def test_beliefs_fit_the_scene_and_can_be_changed():
     bare = Scene(bodies=SCENE.bodies, pushers=SCENE.pushers, duration=1.0)
-    assert FEW.start(bare).estimate.names == ("mu_support", "mu_pusher", "tripod_radius")
+    assert start_filter(FEW, bare).estimate.names == ("mu_support", "mu_pusher", "tripod_radius")
     options = replace(FEW, priors={"mu_pusher": (0.3, 0.3), "mu_support": None})
-    estimate = options.start(SCENE).step(FilterFrame(1 / 30, HEAD, START))
+    estimate = start_filter(options, SCENE).step(FilterFrame(1 / 30, HEAD, START))
 
     assert estimate.names == ("mu_pusher", "mu_fixel", "tripod_radius")
     np.testing.assert_array_equal(estimate.quantiles[0], 0.3)
@@ -165,7 +165,7 @@ def test_beliefs_fit_the_scene_and_can_be_changed():
 
 def test_nothing_to_learn_is_fine():
     options = replace(FEW, priors=dict.fromkeys(DEFAULT_PRIORS))
-    estimate = options.start(SCENE).step(FilterFrame(1 / 30, HEAD, START))
+    estimate = start_filter(options, SCENE).step(FilterFrame(1 / 30, HEAD, START))
 
     assert estimate.names == ()
     assert finite(estimate)
@@ -173,7 +173,7 @@ def test_nothing_to_learn_is_fine():
 
 def test_first_order_motion_and_rigid_drives():
     rigid = grasp("slip", force_limit=None)
-    running = replace(FEW, motion=FirstOrder()).start(rigid)
+    running = start_filter(replace(FEW, motion=FirstOrder()), rigid)
 
     assert running.scene.pushers[0].drive.force_limit == pytest.approx(20 * 0.15 * 9.81, rel=1e-2)
     assert finite(running.step(FilterFrame(1 / 30, HEAD, START)))
@@ -224,7 +224,7 @@ def test_impossible_options_are_refused(options, sentence):
 )
 def test_scenes_that_do_not_fit_are_refused(scene, options, sentence):
     with pytest.raises(InvalidInput, match=sentence):
-        options.start(scene)
+        start_filter(options, scene)
 
 
 @pytest.mark.parametrize(
@@ -241,4 +241,4 @@ def test_scenes_that_do_not_fit_are_refused(scene, options, sentence):
 )
 def test_impossible_frames_are_refused(frame, sentence):
     with pytest.raises(InvalidInput, match=sentence):
-        FEW.start(SCENE).step(frame)
+        start_filter(FEW, SCENE).step(frame)

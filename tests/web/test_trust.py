@@ -27,7 +27,7 @@ from fixel.web.views import domain_views
 from fixel.web.views.background_fits import Fits
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.workflows import jobs
-from fixel.workflows.calibration.unattended import collected
+from fixel.workflows.calibration.run import collected
 
 HERE = "http://127.0.0.1:8000"
 ANSWERS_WITHIN = 0.2  # [s] of processor time: a map at another threshold

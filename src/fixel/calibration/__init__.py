@@ -2,9 +2,15 @@
 
 from fixel.calibration.evolution import CmaEs
 from fixel.calibration.mads import Mads
-from fixel.calibration.multi_start import MultiStart
 from fixel.calibration.nelder_mead import NelderMead
-from fixel.calibration.optimiser import AbstractOptimiser, Best, Feasible, Search, SearchBox
+from fixel.calibration.optimiser import (
+    AbstractOptimiser,
+    Best,
+    Feasible,
+    MultiStart,
+    Search,
+    SearchBox,
+)
 from fixel.calibration.pattern_search import FixedStepSearch, PatternSearch
 
 __all__ = [

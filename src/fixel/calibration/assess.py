@@ -10,9 +10,8 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 
 from fixel.calibration.cost import NormalPrior
-from fixel.calibration.descent import LeastSquaresFit
 from fixel.calibration.honest import Honest, MixedStudyFit, ShiftModel, mixed_study
-from fixel.calibration.least_squares import LeastSquares
+from fixel.calibration.least_squares import LeastSquares, LeastSquaresFit
 from fixel.calibration.misfit import Misfit, misfit_of, noise_from_differences
 from fixel.calibration.noise import (
     Dispersion,
@@ -23,8 +22,8 @@ from fixel.calibration.noise import (
 )
 from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.profile import ProfileLikelihood, Profiles
-from fixel.calibration.repetitions import repetitions
 from fixel.calibration.study import box_of
+from fixel.calibration.target import repetitions
 from fixel.calibration.verdict import judge
 from fixel.model import Fixel, Parameters, Pusher
 from fixel.model.records import Estimate

@@ -13,10 +13,18 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, SearchBox
-from fixel.calibration.options import positive, settle, whole
-from fixel.calibration.starts import feasible_points
-from fixel.calibration.walk import GeneratorSearch, Moves
+from fixel.calibration.optimiser import (
+    AbstractOptimiser,
+    Feasible,
+    GeneratorSearch,
+    Moves,
+    Search,
+    SearchBox,
+    feasible_points,
+    positive,
+    settle,
+    whole,
+)
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
 

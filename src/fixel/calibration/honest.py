@@ -23,12 +23,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.clusters import jackknife, numbered
-from fixel.calibration.mixed import Linear, NoiseBounds, fit_mixed
+from fixel.calibration.mixed import Linear, NoiseBounds, fit_mixed, jackknife, numbered
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ANGLE_SCALE, Comparer
-from fixel.calibration.repetitions import same_configuration
-from fixel.calibration.target import Target
+from fixel.calibration.target import Target, same_configuration
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.typing import FloatArray, IntArray
 

@@ -2,28 +2,43 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Final, Literal, final, get_args
+from typing import Final, Literal, NamedTuple, final, get_args
 
 import numpy as np
 
-from fixel.calibration.cost import LOSSES, Cost, Loss, NormalPrior, Residuals
-from fixel.calibration.descent import Descent, LeastSquaresFit, ask_all, tell_all
-from fixel.calibration.optimiser import Best, Feasible, SearchBox
-from fixel.calibration.options import whole
-from fixel.calibration.starts import feasible_points
+from fixel.calibration.cost import LOSSES, Cost, Loss, NormalPrior, Quadratic, Residuals
+from fixel.calibration.differences import Differences
+from fixel.calibration.optimiser import Best, Feasible, SearchBox, feasible_points, whole
 from fixel.errors import InvalidInput
 from fixel.model.fields import non_negative, positive, settle
-from fixel.typing import FloatArray
+from fixel.typing import BoolArray, FloatArray
 
 DifferenceKind = Literal["one-sided", "central", "auto"]
 
 DIFFERENCE_KINDS: Final[tuple[DifferenceKind, ...]] = get_args(DifferenceKind)
 
-# Distance of the points that measure roughness [scales]: jumps of a simulation with adaptive
-# steps are closer together, and curvature over this distance is negligible.
-NEAR: Final = 1e-4
-N_NEAR: Final = 9
+# Damping is relative to the largest diagonal entry of the Hessian.
+FIRST_DAMPING: Final = 1e-3
+# Share of the predicted gain above which the derivatives are corrected instead of computed again.
+HALF_AS_GOOD: Final = 0.5
+# With less, the damped matrix is singular to rounding.
+MIN_DAMPING: Final = 1e-10
+# Factor between the dampings of the trial steps of one batch.
+SPREAD: Final = 10.0
+# Failed batches of trial steps after which derivatives are computed again: with five steps per
+# batch, the last ones are 1e10 times shorter than the first.
+PATIENCE: Final = 2
+# Distance from a bound [scales] that counts as on it.
+ON_BOUND: Final = 1e-12
+
+FAILED: Final = "no start could be evaluated"
+SETTLED: Final = "the deviance no longer falls"
+STUCK: Final = "no step lowers the deviance"
+NO_ANSWER: Final = "the residuals do not answer to any parameter"
+NOTHING_FREE: Final = "no parameter is free"
+EXHAUSTED: Final = "as many iterations as allowed"
 
 
 @final
@@ -54,7 +69,7 @@ class LeastSquares:
     difference, largest_difference : float
         First and largest step of the differences, as fractions of the scale.
     roughness : float
-        Insignificant change of a residual, see `roughness_of` [standard deviations].
+        Insignificant change of a residual [standard deviations].
     trials : int
         Number of steps of different damping in one batch.
     tolerance : float
@@ -133,6 +148,19 @@ class LeastSquares:
         )
 
 
+class LeastSquaresFit(NamedTuple):
+    """Result of a descent."""
+
+    point: FloatArray  # (n,)
+    deviance: float  # inf if no point could be evaluated
+    hessian: FloatArray  # (n, n) half the second derivatives of the deviance (Gauss-Newton)
+    gradient: FloatArray  # (n,) half the first derivatives, not zero on an active bound
+    residual: FloatArray  # (m,); empty if no point could be evaluated
+    columns: FloatArray  # (m, n) its derivatives, per scale of a parameter; may be empty
+    evaluations: int
+    reason: str
+
+
 @final
 class LeastSquaresSearch:
     """Running descents from all starts, advanced by the residuals of the points they request.
@@ -175,47 +203,29 @@ class LeastSquaresSearch:
 
     def ask(self) -> FloatArray:
         """Return the points (k, n) to evaluate next; the same until their residuals are given."""
-        return ask_all(self._running) if self._running else np.zeros((0, self.box.n))
+        points = [descent.ask() for descent in self._running]
+        return np.concatenate(points) if points else np.zeros((0, self.box.n))
 
     def tell(self, residuals: FloatArray) -> None:
         """Take the residuals (k, m) of the requested points; rows that are not finite failed."""
-        asked = len(self.ask())
-        if np.ndim(residuals) != 2 or len(residuals) != asked:
-            raise InvalidInput(
-                "residuals",
-                found=f"shape {np.shape(residuals)}",
-                expected=f"({asked}, m), one row a point",
-            )
-        if asked:
-            tell_all(self._running, residuals)
+        told = checked_residuals(residuals, self.ask())
+        running = self._running
+        ends = np.cumsum([len(descent.ask()) for descent in running])
+        for descent, part in zip(running, np.split(told, ends[:-1]), strict=True):
+            descent.tell(part)
 
     @property
     def _running(self) -> list[Descent]:
         return [descent for descent in self.descents if not descent.done]
 
 
-def roughness_of(residuals: Residuals, box: SearchBox, point: FloatArray) -> float:
-    """Estimate the insignificant change of a residual, for `LeastSquares.roughness`.
-
-    Parameters
-    ----------
-    residuals : callable
-    box : SearchBox
-    point : (n,) array
-        Feasible point.
-
-    Returns
-    -------
-    float
-        Largest second difference along a short line over the root of 6, the ratio of its scatter to
-        that of one residual [standard deviations]; 0 if fewer than three points succeed.
-    """
-    centre = np.clip(point, box.low, box.high)
-    inward = np.where(centre > 0.5 * (box.low + box.high), -1.0, 1.0)
-    steps = NEAR * np.arange(N_NEAR)[:, None]
-    told = np.asarray(residuals(centre + steps * inward * box.scale), np.float64)
-    told = told[np.isfinite(told).all(axis=1)]
-    return float(np.abs(np.diff(told, n=2, axis=0)).max(initial=0.0) / 6.0**0.5)
+def checked_residuals(residuals: FloatArray, points: FloatArray) -> FloatArray:
+    """Return residuals (k, m) of requested points (k, n), or raise `InvalidInput`."""
+    rows = np.asarray(residuals, np.float64)
+    if rows.ndim != 2 or len(rows) != len(points):
+        expected = f"({len(points)}, m), one row a point"
+        raise InvalidInput("residuals", found=f"shape {rows.shape}", expected=expected)
+    return rows
 
 
 def fit(search: LeastSquaresSearch, residuals: Residuals) -> LeastSquaresFit:
@@ -223,3 +233,270 @@ def fit(search: LeastSquaresSearch, residuals: Residuals) -> LeastSquaresFit:
     while not search.done:
         search.tell(residuals(search.ask()))
     return search.fits[0]
+
+
+@final
+class Descent:
+    """Least-squares fit of some parameters from one start, or from the best of several.
+
+    Parameters
+    ----------
+    options : LeastSquares
+    box : SearchBox
+    cost : Cost
+    starts : (c, n) array
+        Candidates for the start.
+    free : (n,) bool array, optional
+        Parameters to fit; the others have the values of the start.
+    columns : (m, n) array, optional
+        Derivatives at another point near by, per scale of each parameter. One step is tried with
+        them; derivatives are computed only if that step does not gain as predicted.
+    """
+
+    def __init__(
+        self,
+        options: LeastSquares,
+        box: SearchBox,
+        cost: Cost,
+        starts: FloatArray,
+        free: BoolArray | None = None,
+        columns: FloatArray | None = None,
+    ) -> None:
+        self.box, self.cost, self.reason = box, cost, ""
+        self.evaluations, self.iterations = 0, 0
+        self.point, self.deviance = np.array(starts[0]), math.inf
+        self._options = options
+        self._residual = np.zeros(0)
+        self._free = np.ones(box.n, bool) if free is None else np.asarray(free, bool)
+        self._starts = np.clip(starts, box.low, box.high)
+        self._differences = Differences(
+            box, options.difference, options.largest_difference, options.roughness
+        )
+        self._central = options.differences == "central"
+        self._damping, self._failures = FIRST_DAMPING, 0
+        self._model = Quadratic(np.zeros((box.n, box.n)), np.zeros(box.n))
+        self._trials: FloatArray | None = None
+        self._asked: FloatArray | None = None
+        self._borrowed = columns
+        self._columns = np.zeros((0, box.n))
+        if (
+            len(self._starts) == 1 and columns is None
+        ):  # its derivatives can be requested in the same batch
+            self._differences.begin(self._starts[0], self._free, self._central)
+
+    @property
+    def done(self) -> bool:
+        """Whether the descent has ended, for `reason`."""
+        return bool(self.reason)
+
+    @property
+    def fit(self) -> LeastSquaresFit:
+        """Best point so far, with the latest derivatives."""
+        hessian = self._model.hessian / np.outer(self.box.scale, self.box.scale)
+        return LeastSquaresFit(
+            self.point,
+            self.deviance,
+            hessian,
+            self._model.gradient / self.box.scale,
+            self._residual,
+            self._columns,
+            self.evaluations,
+            self.reason,
+        )
+
+    def ask(self) -> FloatArray:
+        """Return the points (k, n) to evaluate next; none at the end."""
+        if self._asked is None:
+            self._asked = np.zeros((0, self.box.n)) if self.done else self._next()
+        return self._asked
+
+    def tell(self, residuals: FloatArray) -> FloatArray:
+        """Take the residuals (k, m) of the requested points and return their deviances (k,)."""
+        points = self.ask()
+        told = checked_residuals(residuals, points)
+        deviances = self.cost.deviance(points, told)
+        self._asked = None
+        self.evaluations += len(points)
+        if len(points):
+            self._learn(points, told, deviances)
+        return deviances
+
+    def _next(self) -> FloatArray:
+        if self.evaluations == 0:
+            waiting = len(self._starts) == 1 and self._differences.pending
+            return (
+                np.vstack((self._starts, self._differences.probes())) if waiting else self._starts
+            )
+        return self._differences.probes() if self._trials is None else self._trials
+
+    def _learn(self, points: FloatArray, residuals: FloatArray, deviances: FloatArray) -> None:
+        first = not self._residual.size
+        self._keep_best(points, residuals, deviances)
+        if first:
+            self._learn_start(residuals, deviances)
+        elif self._trials is None:
+            self._learn_probes(residuals)
+        else:
+            self._learn_trials(deviances)
+
+    def _keep_best(self, points: FloatArray, residuals: FloatArray, deviances: FloatArray) -> None:
+        k = int(np.argmin(deviances))
+        if deviances[k] < self.deviance:
+            self.point, self.deviance = points[k].copy(), float(deviances[k])
+            self._residual = residuals[k].copy()
+
+    def _learn_start(self, residuals: FloatArray, deviances: FloatArray) -> None:
+        count = len(self._starts)
+        if not np.isfinite(deviances[:count]).any():
+            self.reason = FAILED
+        elif not self._free.any():
+            self.reason = NOTHING_FREE
+        elif len(residuals) > count:
+            self._rebase(self._starts[0], residuals[0], float(deviances[0]))
+            self._learn_probes(residuals[count:])
+        elif self._borrowed is not None:
+            self._rebase(self.point, self._residual, self.deviance)
+            self._columns = self._borrowed
+            self._model_from(self._borrowed)
+        else:
+            self._differentiate()
+
+    def _differentiate(self) -> None:
+        """Request derivatives at the best point."""
+        self._borrowed = None
+        self._rebase(self.point, self._residual, self.deviance)
+        self._differences.begin(self._base, self._free, self._central)
+
+    def _rebase(self, point: FloatArray, residual: FloatArray, deviance: float) -> None:
+        self._base, self._base_residual, self._base_deviance = point, residual, deviance
+        self._trials, self._failures = None, 0
+
+    def _learn_probes(self, residuals: FloatArray) -> None:
+        self._differences.learn(residuals, self._base_residual)
+        if self._differences.pending:
+            return
+        self._columns = self._differences.columns(len(self._base_residual))
+        self._model_from(self._columns)
+
+    def _model_from(self, columns: FloatArray) -> None:
+        """Plan the next steps with derivatives (m, n); end if the predicted gain is too small."""
+        columns = np.where(self._free, columns, 0.0)
+        self._model = self.cost.quadratic(self._base, self._base_residual, columns, self.box.scale)
+        if not self._model.hessian.any():
+            self.reason = NO_ANSWER
+            return
+        self._plan_trials()
+        if self._most_to_gain() <= self._enough():
+            self._confirm(SETTLED)
+
+    def _learn_trials(self, deviances: FloatArray) -> None:
+        if self.deviance < self._base_deviance:
+            k = int(np.argmin(deviances))
+            if deviances[k] <= self.deviance:  # and the lowest point was not a probe
+                self._damping = float(self._dampings[k])
+            self._accept(self._base_deviance - self.deviance)
+            return
+        if self._borrowed is not None:
+            self._differentiate()
+            return
+        self._failures += 1
+        self._damping = float(self._dampings[-1]) * SPREAD ** (1 - self._powers()[0])
+        if self._failures < PATIENCE:
+            self._plan_trials()
+        else:
+            self._damping = FIRST_DAMPING
+            self._confirm(STUCK)
+
+    def _accept(self, gain: float) -> None:
+        self.iterations += 1
+        if self.iterations >= self._options.most_iterations:
+            self.reason = EXHAUSTED
+        elif gain <= self._enough() or abs(self._most_to_gain() - gain) <= self._enough():
+            self._confirm(SETTLED)  # the second: the gain was the largest that the model predicts
+        elif self._options.secant and gain > HALF_AS_GOOD * self._most_to_gain():
+            self._correct()
+        else:
+            self._differentiate()
+
+    def _correct(self) -> None:
+        """Continue with the present derivatives, corrected by the last step (Broyden's update)."""
+        move = (self.point - self._base) / self.box.scale
+        missed = self._residual - self._base_residual - self._columns @ move
+        self._columns = self._columns + np.outer(missed, move / float(move @ move))
+        self._borrowed = self._columns
+        self._rebase(self.point, self._residual, self.deviance)
+        self._model_from(self._columns)
+
+    def _confirm(self, reason: str) -> None:
+        """End, unless better derivatives may still give a descent direction."""
+        if self._options.differences == "auto" and not self._central:
+            self._central = True
+            self._differentiate()
+        elif reason == STUCK and self._options.differences == "auto" and self._differences.widen():
+            self._differentiate()
+        else:
+            self.reason = reason
+
+    def _enough(self) -> float:
+        """Return the gain below which the descent ends."""
+        return max(self._options.tolerance * self.deviance, self._options.enough)
+
+    def _most_to_gain(self) -> float:
+        return max(self._model.gain(step) for step in self._steps)
+
+    def _plan_trials(self) -> None:
+        """Compute the best steps within the bounds for several dampings."""
+        self._dampings = np.maximum(MIN_DAMPING, self._damping * SPREAD ** self._powers())
+        low = np.where(self._free, (self.box.low - self._base) / self.box.scale, 0.0)
+        high = np.where(self._free, (self.box.high - self._base) / self.box.scale, 0.0)
+        unit = float(np.diag(self._model.hessian).max())
+        self._steps = [
+            bounded_step(self._model, unit * damping, low, high) for damping in self._dampings
+        ]
+        self._trials = np.array([self._at(step, low, high) for step in self._steps])
+
+    def _powers(self) -> FloatArray:
+        trials = 1 if self._borrowed is not None else self._options.trials
+        below = (trials - 1) // 2
+        return np.arange(-below, trials - below).astype(np.float64)
+
+    def _at(self, step: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+        """Return the end (n,) of a step, exactly on a bound if it ends there."""
+        box = self.box
+        point = np.clip(self._base + step * box.scale, box.low, box.high)
+        point = np.where(self._free & (step >= high), box.high, point)
+        return np.asarray(np.where(self._free & (step <= low), box.low, point))
+
+
+def bounded_step(model: Quadratic, damping: float, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Minimise a damped quadratic in a box about zero, by an active set that only grows.
+
+    Parameters
+    ----------
+    model : Quadratic
+    damping : float
+        Damping, added to the diagonal of the Hessian.
+    low, high : (n,) arrays
+        Bounds of the step, low <= 0 <= high [scales]; both zero for fixed parameters.
+
+    Returns
+    -------
+    (n,) float64
+        Exact minimum if no bound is active; otherwise a step that lowers the quadratic for enough
+        damping, which is sufficient for the Levenberg-Marquardt method.
+    """
+    hessian = model.hessian + damping * np.eye(len(low))
+    step = np.zeros(len(low))
+    outward = ((low > -ON_BOUND) & (model.gradient > 0.0)) | (
+        (high < ON_BOUND) & (model.gradient < 0.0)
+    )
+    inside = (high - low > ON_BOUND) & ~outward
+    while inside.any():
+        right = -(model.gradient + hessian[:, ~inside] @ step[~inside])[inside]
+        step[inside] = np.linalg.solve(hessian[np.ix_(inside, inside)], right)
+        out = inside & ((step < low) | (step > high))
+        if not out.any():
+            break
+        step = np.clip(step, low, high)
+        inside &= ~out
+    return step

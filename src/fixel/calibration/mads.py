@@ -17,8 +17,15 @@ from typing import IO, Any, ClassVar, Final, final
 import numpy as np
 
 from fixel.calibration import mads_child
-from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, SearchBox
-from fixel.calibration.options import positive, settle, whole
+from fixel.calibration.optimiser import (
+    AbstractOptimiser,
+    Feasible,
+    Search,
+    SearchBox,
+    positive,
+    settle,
+    whole,
+)
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
 
@@ -85,6 +92,8 @@ class Mads(AbstractOptimiser):
 
 @final
 class _MadsSearch(Search):
+    has_iterations = False
+
     def __init__(self, box: SearchBox, options: Mads, seed: int) -> None:
         super().__init__(box)
         self.options = options

@@ -9,10 +9,18 @@ from typing import ClassVar, Final, final
 
 import numpy as np
 
-from fixel.calibration.optimiser import AbstractOptimiser, Feasible, SearchBox
-from fixel.calibration.options import positive, settle, whole
-from fixel.calibration.starts import feasible_points
-from fixel.calibration.walk import GeneratorSearch, Moves, inside
+from fixel.calibration.optimiser import (
+    AbstractOptimiser,
+    Feasible,
+    GeneratorSearch,
+    Moves,
+    SearchBox,
+    feasible_points,
+    inside,
+    positive,
+    settle,
+    whole,
+)
 from fixel.typing import FloatArray
 
 # Distances of the trials beyond the centre of the other vertices, over that of the worst vertex.

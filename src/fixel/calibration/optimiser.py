@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Callable
+import operator
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.typing import FloatArray
+from fixel.model.fields import fraction, positive, settle
+from fixel.typing import FloatArray, IntArray
 
 
 class SearchBox(NamedTuple):
@@ -45,6 +48,9 @@ class Best(NamedTuple):
 
 class Search(abc.ABC):
     """Running search, advanced by the errors of the points that it requests."""
+
+    # Whether the points of one request are an iteration, instead of one point after another.
+    has_iterations: bool = True
 
     def __init__(self, box: SearchBox) -> None:
         self.box = box
@@ -91,6 +97,10 @@ class Search(abc.ABC):
         self._asked = None
         self._learn(asked, told)
 
+    def owners(self) -> IntArray:
+        """Return which of several parallel searches requests each point; zeros for one search."""
+        return np.zeros(len(self.ask()), np.int64)
+
     @abc.abstractmethod
     def _next(self) -> FloatArray:
         """Return points (k, n), k at least 1. Called once for each `_learn`."""
@@ -117,3 +127,186 @@ class AbstractOptimiser(abc.ABC):
         feasible : callable, optional
             Test of points for random starts; a search may also request other points.
         """
+
+
+__all__ = ["between", "fraction", "positive", "settle", "whole"]
+
+
+def whole(value: object, where: str, least: int = 1) -> int:
+    """Return a whole number of at least `least`, or raise `InvalidInput`."""
+    try:
+        number = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        number = least - 1
+    if number < least or isinstance(value, bool):
+        raise InvalidInput(where, found=value, expected=f"a whole number of at least {least}")
+    return number
+
+
+def between(value: object, where: str) -> float:
+    """Return a number between 0 and 1, exclusive, or raise `InvalidInput`."""
+    number = positive(value, where)
+    if number >= 1.0:
+        raise InvalidInput(where, found=number, expected="a number between 0 and 1")
+    return number
+
+
+Moves = Generator[FloatArray, FloatArray, str]
+"""Yields points (k, n), is sent their errors (k,), returns why it ended."""
+
+
+class GeneratorSearch(Search):
+    """Search whose algorithm is a generator."""
+
+    def __init__(self, box: SearchBox) -> None:
+        super().__init__(box)
+        self._moves: Moves | None = None
+        self._points = np.zeros((0, box.n))
+
+    @abc.abstractmethod
+    def _walk(self) -> Moves:
+        """Yield points to evaluate; `evaluations` and `best` include the last errors received."""
+
+    def _next(self) -> FloatArray:
+        if self._moves is None:
+            self._moves = self._walk()
+            self._points = next(self._moves)
+        return self._points
+
+    def _learn(self, points: FloatArray, errors: FloatArray) -> None:
+        if self._moves is None or self.done:
+            return
+        try:
+            self._points = self._moves.send(errors)
+        except StopIteration as end:
+            self.reason = str(end.value)
+
+
+def inside(box: SearchBox, points: FloatArray) -> np.ndarray:
+    """Return a mask (k,) of the points (k, n) within the bounds."""
+    return np.asarray(((points >= box.low) & (points <= box.high)).all(axis=1))
+
+
+BATCH = 256  # points drawn at a time; a power of two, as the sequence requires
+TRIES = 64 * BATCH
+
+
+def feasible_points(
+    box: SearchBox, count: int, seed: int = 0, feasible: Feasible | None = None
+) -> FloatArray:
+    """Return the first `count` feasible points of a scrambled Sobol' sequence over a box.
+
+    Returns
+    -------
+    (k, n) float64
+        At least one point, but fewer than `count` if `TRIES` points contain no more.
+
+    Source
+    ------
+    Owen (1998), scrambled Sobol' points, as in SciPy.
+    """
+    from scipy.stats import qmc
+
+    sequence = qmc.Sobol(d=box.n, scramble=True, seed=np.random.default_rng(seed))
+    found = np.zeros((0, box.n))
+    for _ in range(TRIES // BATCH):
+        points = box.low + sequence.random(BATCH) * (box.high - box.low)
+        points = np.clip(points, box.low, box.high)
+        if feasible is not None:
+            points = points[np.asarray(feasible(points), bool)]
+        found = np.concatenate((found, points))
+        if len(found) >= count:
+            return found[:count]
+    if not len(found):
+        raise InvalidInput(
+            "start",
+            found=f"no feasible point among {TRIES} random ones",
+            expected="bounds that hold points which can be simulated",
+            hint="narrow the bounds around a parameter set that works",
+        )
+    return found
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MultiStart(AbstractOptimiser):
+    """Several parallel searches, for errors with more than one minimum.
+
+    The first starts from the start of the box, if that is feasible, the others from random feasible
+    points. They advance together, so that every batch contains points of all searches and can be
+    evaluated on several cores. The cost is `starts` times the evaluations of one search.
+
+    Parameters
+    ----------
+    optimiser : AbstractOptimiser
+        Optimiser of each search.
+    starts : int
+        Number of starts; fewer if feasible points are too rare.
+    """
+
+    name: ClassVar[str] = "multi-start"
+    optimiser: AbstractOptimiser
+    starts: int = 8
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.optimiser, AbstractOptimiser):
+            raise InvalidInput(
+                "MultiStart.optimiser", found=self.optimiser, expected="an optimiser: NelderMead()"
+            )
+        settle(self, starts=whole(self.starts, "MultiStart.starts"))
+
+    def start(
+        self, box: SearchBox, seed: int = 0, feasible: Feasible | None = None
+    ) -> MultiStartSearch:
+        given = box.start[None]
+        if feasible is not None and not np.asarray(feasible(given), bool)[0]:
+            given = given[:0]
+        wanted = self.starts - len(given)
+        try:
+            drawn = feasible_points(box, wanted, seed, feasible) if wanted else given[:0]
+        except InvalidInput:
+            if not len(given):
+                raise
+            drawn = given[:0]
+        return MultiStartSearch(
+            box,
+            [
+                self.optimiser.start(box._replace(start=point), seed + k, feasible)
+                for k, point in enumerate(np.concatenate((given, drawn)))
+            ],
+        )
+
+
+@final
+class MultiStartSearch(Search):
+    """Parallel searches that are running.
+
+    Attributes
+    ----------
+    searches : tuple of Search
+        Searches, each with its own `best`, `reason` and `evaluations`.
+    """
+
+    def __init__(self, box: SearchBox, searches: list[Search]) -> None:
+        super().__init__(box)
+        self.searches = tuple(searches)
+        self.has_iterations = all(search.has_iterations for search in searches)
+
+    def owners(self) -> IntArray:
+        running = [k for k, search in enumerate(self.searches) if not search.done]
+        return np.repeat(running, [len(self.searches[k].ask()) for k in running])
+
+    def _next(self) -> FloatArray:
+        return np.concatenate([search.ask() for search in self._running()])
+
+    def _learn(self, points: FloatArray, errors: FloatArray) -> None:
+        begin = 0
+        for search in self._running():
+            end = begin + len(search.ask())
+            search.tell(errors[begin:end])
+            begin = end
+        if not self._running():
+            self.reason = f"all {len(self.searches)} searches ended"
+
+    def _running(self) -> list[Search]:
+        return [search for search in self.searches if not search.done]

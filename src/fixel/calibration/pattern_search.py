@@ -8,9 +8,19 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, SearchBox
-from fixel.calibration.options import between, positive, settle, whole
-from fixel.calibration.walk import GeneratorSearch, Moves, inside
+from fixel.calibration.optimiser import (
+    AbstractOptimiser,
+    Feasible,
+    GeneratorSearch,
+    Moves,
+    Search,
+    SearchBox,
+    between,
+    inside,
+    positive,
+    settle,
+    whole,
+)
 from fixel.errors import InvalidInput
 from fixel.model.fields import finite, non_negative
 from fixel.typing import FloatArray

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.cost import Cost, NormalPrior, Residuals
-from fixel.calibration.descent import FAILED, Descent, LeastSquaresFit
-from fixel.calibration.least_squares import LeastSquares
-from fixel.calibration.optimiser import Best, SearchBox
-from fixel.calibration.options import whole
-from fixel.calibration.side import Node, Side
-from fixel.calibration.slices import Slice, Slicer
-from fixel.calibration.tasks import Task, Tasks
+from fixel.calibration.cost import Cost, NormalPrior
+from fixel.calibration.least_squares import (
+    FAILED,
+    Descent,
+    LeastSquares,
+    LeastSquaresFit,
+    checked_residuals,
+)
+from fixel.calibration.optimiser import Best, SearchBox, whole
+from fixel.calibration.profile_branch import Node, ProfileBranch, Slice, Slicer
 from fixel.errors import InvalidInput
 from fixel.model.fields import positive, settle
 from fixel.typing import FloatArray
@@ -53,6 +55,9 @@ TRIALS: Final = 2
 # Share of the largest eigenvalue added to the Hessian before its inverse predicts anything.
 RIDGE: Final = 1e-12
 
+Task = Generator[FloatArray, FloatArray, None]
+"""Yields points (k, n), is sent their residuals (k, m)."""
+
 Found = Generator[FloatArray, FloatArray, Node]
 
 
@@ -68,15 +73,6 @@ class Profile(NamedTuple):
     slice: Slice  # the others held at the best
     moved: FloatArray  # (n,) how far the others went, to the ends [scales]
     rise: FloatArray  # (n,) of the deviance when each is put back to the best there [thresholds]
-
-    def crossings(self, threshold: float) -> tuple[float | None, float | None]:
-        """Ends of the interval for another, smaller rise of the deviance, from the same values."""
-        best = int(np.argmin(self.deviances))
-        length = np.sqrt(np.maximum(0.0, self.deviances - self.deviances[best]) / threshold)
-        return (
-            _first_crossing(self.values[best::-1], length[best::-1]),
-            _first_crossing(self.values[best:], length[best:]),
-        )
 
 
 class Profiles(NamedTuple):
@@ -192,7 +188,7 @@ class ProfileSearch:
         self._given: float | None = None
         self._met: dict[bytes, float] = {}  # deviance of each point evaluated
         self._hessian = np.zeros((box.n, box.n))
-        self._sides: list[Side] = []
+        self._sides: list[ProfileBranch] = []
         self._slicers: list[Slicer] = []
         self._restarts = 0
         self._begin()
@@ -225,10 +221,8 @@ class ProfileSearch:
 
     def tell(self, residuals: FloatArray) -> None:
         """Residuals (k, m) of the points asked for; a row that is not finite has failed."""
-        points, told = self.ask(), np.asarray(residuals, np.float64)
-        if told.ndim != 2 or len(told) != len(points):
-            expected = f"({len(points)}, m), one row a point"
-            raise InvalidInput("residuals", found=f"shape {told.shape}", expected=expected)
+        points = self.ask()
+        told = checked_residuals(residuals, points)
         if self.done:
             return
         self.evaluations += len(points)
@@ -365,19 +359,19 @@ class ProfileSearch:
             node = Node(float(self._best.point[j]), self._best.error, self._best.point)
             for sign in (-1, 1):
                 slope = covariance[:, j] / variance
-                side = Side(self.box, j, sign, node, reach, slope)
+                side = ProfileBranch(self.box, j, sign, node, reach, slope)
                 side.begin(fitted.point, fitted.residual, fitted.columns)
                 for known in self._known[j]:
                     if sign * (known.value - node.value) > 0.0:
                         side.add(known)
                 self._sides.append(side)
 
-    def _trace(self, side: Side) -> Task:
+    def _trace(self, side: ProfileBranch) -> Task:
         """Step outwards, then close in on the crossing."""
         while (value := side.next_value(self._threshold)) is not None:
             side.add((yield from self._fixed(side, side.guesses(value))))
 
-    def _polish(self, side: Side) -> Task:
+    def _polish(self, side: ProfileBranch) -> Task:
         """Try each node's parameters at its neighbours: on a rough surface descents get stuck."""
         if self._roughness < ROUGH * self._nominal and not self._restarts:
             return
@@ -391,7 +385,7 @@ class ProfileSearch:
             if deviance < nodes[k].deviance - WORTH * self._threshold:
                 side.add((yield from self._fixed(side, point[None])))
 
-    def _scan(self, side: Side) -> Task:
+    def _scan(self, side: ProfileBranch) -> Task:
         """Look at the rest of the way to the bound."""
         if side.crossing(self._threshold) is None or side.nodes[-1].value == side.bound:
             return
@@ -427,7 +421,7 @@ class ProfileSearch:
             points = slicer.ask()
             slicer.tell((yield from self._deviances(points)))
 
-    def _hold(self, side: Side) -> Task:
+    def _hold(self, side: ProfileBranch) -> Task:
         """At the end of the interval put each other parameter back, to see which one it needs."""
         if self._width(side.index) <= WIDE * (self.box.high - self.box.low)[side.index]:
             return
@@ -450,7 +444,9 @@ class ProfileSearch:
         ]
         return ends[1] - ends[0]
 
-    def _fixed(self, side: Side, guesses: FloatArray, options: LeastSquares | None = None) -> Found:
+    def _fixed(
+        self, side: ProfileBranch, guesses: FloatArray, options: LeastSquares | None = None
+    ) -> Found:
         """Fit the others with one unknown fixed, from the first guess that can be evaluated."""
         free = np.arange(self.box.n) != side.index
         options = options or self._fitting
@@ -480,24 +476,60 @@ class ProfileSearch:
         )
 
 
-def run_profiles(search: ProfileSearch, residuals: Residuals) -> Profiles:
-    """Run a search to its end."""
-    while not search.done:
-        search.tell(residuals(search.ask()))
-    return search.profiles
-
-
 def _run(descent: Descent) -> Task:
     while not descent.done:
         descent.tell((yield descent.ask()))
 
 
-def _first_crossing(values: FloatArray, length: Sequence[float] | FloatArray) -> float | None:
-    """Return the value at which lengths that begin at 0 first reach 1; None without one."""
-    for k in range(1, len(values)):
-        if length[k] >= 1.0:
-            if math.isinf(length[k]):
-                return None
-            share = (1.0 - length[k - 1]) / (length[k] - length[k - 1])
-            return float(values[k - 1] + share * (values[k] - values[k - 1]))
-    return None
+@final
+class Tasks:
+    """Several tasks whose points are combined into batches.
+
+    Parameters
+    ----------
+    tasks : iterable of Task
+    most : int
+        Maximum number of points of a batch, unless one task alone requests more.
+    """
+
+    def __init__(self, tasks: Iterable[Task], most: int) -> None:
+        self._most = most
+        self._running: list[tuple[Task, FloatArray]] = []
+        for task in tasks:
+            self._advance(task, None)
+
+    @property
+    def done(self) -> bool:
+        """Whether all tasks have ended."""
+        return not self._running
+
+    def ask(self) -> FloatArray:
+        """Return the points (k, n) of the next tasks."""
+        return np.concatenate([points for _, points in self._turn()])
+
+    def tell(self, residuals: FloatArray) -> None:
+        """Take the residuals (k, m) of the requested points."""
+        turn = self._turn()
+        waiting = self._running[len(turn) :]
+        self._running = []
+        begin = 0
+        for task, points in turn:
+            self._advance(task, residuals[begin : begin + len(points)])
+            begin += len(points)
+        # Tasks that waited go first; otherwise the first tasks would run alone until they end.
+        self._running = waiting + self._running
+
+    def _turn(self) -> list[tuple[Task, FloatArray]]:
+        total = np.cumsum([len(points) for _, points in self._running])
+        count = max(1, int(np.searchsorted(total, self._most, side="right")))
+        return self._running[:count]
+
+    def _advance(self, task: Task, residuals: FloatArray | None) -> None:
+        """Run a task until it requests points; empty requests are answered at once."""
+        try:
+            points = next(task) if residuals is None else task.send(residuals)
+            while not len(points):
+                points = task.send(np.zeros((0, 0)))
+        except StopIteration:
+            return
+        self._running.append((task, points))

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 
 from fixel.calibration.objective import Evaluation
-from fixel.calibration.optimiser import AbstractOptimiser, Feasible, Search, SearchBox
+from fixel.calibration.optimiser import AbstractOptimiser, Best, Feasible, Search, SearchBox
 from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -45,6 +45,22 @@ class Trace(NamedTuple):
     errors: FloatArray  # (n,)
     reasons: list[str]  # why an evaluation failed; empty if it did not
     ended: str  # why the search ended
+    iterations: IntArray = np.zeros(0, np.int64)  # (n,) of each evaluation; empty if unknown
+    starts: IntArray = np.zeros(0, np.int64)  # (n,) search of each; empty if there was only one
+
+    @property
+    def begins(self) -> IntArray:
+        """First evaluation (n_iteration,) of each iteration; empty if unknown."""
+        return np.flatnonzero(np.diff(self.iterations, prepend=-1))
+
+    def ends(self) -> list[Best]:
+        """Return the best point of each of several searches; none if there was only one."""
+        found = []
+        for k in range(int(self.starts.max(initial=-1)) + 1):
+            own = np.flatnonzero(self.starts == k)
+            best = own[np.argmin(self.errors[own])]
+            found.append(Best(self.points[best], float(self.errors[best])))
+        return found
 
 
 def box_of(space: ParameterSpace) -> SearchBox:
@@ -149,8 +165,11 @@ class _Log:
         self._points: list[FloatArray] = []
         self._errors: list[FloatArray] = []
         self._reasons: list[str] = []
+        self._owners: list[IntArray] = []
 
     def tell(self, points: FloatArray, errors: FloatArray, reasons: list[str]) -> None:
+        if self.search.has_iterations:
+            self._owners.append(self.search.owners())
         self.search.tell(errors)
         self._points.append(points)
         self._errors.append(errors)
@@ -159,6 +178,8 @@ class _Log:
     def trace(self) -> Trace:
         best = self.search.best
         n = self.search.box.n
+        sizes = [len(own) for own in self._owners]
+        owners = np.concatenate([np.zeros(0, np.int64), *self._owners])
         return Trace(
             best.point,
             best.error,
@@ -166,6 +187,8 @@ class _Log:
             np.concatenate([np.zeros(0), *self._errors]),
             self._reasons,
             self.search.reason,
+            np.repeat(np.arange(len(sizes)), sizes),
+            owners if owners.any() else owners[:0],
         )
 
 

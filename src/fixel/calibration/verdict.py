@@ -38,7 +38,7 @@ import numpy as np
 from fixel.calibration.honest import Honest
 from fixel.calibration.noise import Dispersion
 from fixel.calibration.profile import Profile, Profiles
-from fixel.calibration.side import ON_BOUND
+from fixel.calibration.profile_branch import ON_BOUND
 from fixel.errors import InvalidInput
 from fixel.model.parameters import info_of
 from fixel.model.records import Estimate

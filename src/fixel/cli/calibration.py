@@ -171,7 +171,7 @@ def calibrate(
     scenes = [target.case.scene for target in chosen.targets]
     search = NamedOptions(name=optimiser or "", options=_options(option or []))
     if dakota is not None:
-        from fixel.workflows.calibration.dakota import from_dakota
+        from fixel.workflows.calibration.parameter_options import from_dakota
 
         search, unknowns = from_dakota(dakota)
     elif space is not None:

@@ -14,33 +14,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Final, final
+from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fixel.calibration.target import scene_of
 from fixel.errors import InvalidInput
 from fixel.filtering.prior import checked_priors
-from fixel.filtering.running import POSE, RunningFilter
-from fixel.model import Experiment, Scene
 from fixel.model.fields import (
-    instance,
     non_negative,
     optional_positive,
     positive,
     settle,
-    vector,
 )
 from fixel.simulation import (
     AbstractMotionModel,
     FirstOrder,
     QuasiStatic,
 )
-
-WEIGHTS_OF_LIMIT: Final = 20.0  # of the object, for a drive that the scene calls rigid
 
 
 @final
@@ -99,8 +91,8 @@ class ParticleFilter:
     threads: int = 1
 
     def __post_init__(self) -> None:
-        _refuse_count("filter.n_particles", self.n_particles, 2)
-        _refuse_count("filter.threads", self.threads, 1)
+        check_count("filter.n_particles", self.n_particles, 2)
+        check_count("filter.threads", self.threads, 1)
         for name, unit in _POSITIVE.items():
             settle(self, **{name: positive(getattr(self, name), f"filter.{name}", unit)})
         for name, unit in _NOT_NEGATIVE.items():
@@ -117,63 +109,6 @@ class ParticleFilter:
         priors = MappingProxyType(checked_priors(self.priors))
         settle(self, force_limit=limit, priors=priors)
 
-    def start(
-        self,
-        setup: Scene | Experiment,
-        seed: int = 0,
-        *,
-        pose: ArrayLike | None = None,
-        pusher: ArrayLike | None = None,
-        time: float | None = None,
-    ) -> RunningFilter:
-        """Begin to follow an object.
-
-        Parameters
-        ----------
-        setup : Scene or Experiment
-            What is on the plate. Of an experiment, its scene at its first frame is taken.
-        seed : int
-            Of everything random.
-        pose, pusher : (3,) array_like, optional
-            Of the object and of the pusher now [m, m, rad]; as in the scene where left out.
-        time : float, optional
-            Now [s]; 0, or the experiment's first instant, where left out.
-
-        Raises
-        ------
-        InvalidInput
-            No scene, more than one body or pusher, or a prior that changes nothing in it.
-        """
-        _refuse_count("filter.seed", seed, 0)
-        if isinstance(setup, Experiment):
-            scene = scene_of(setup)
-            time = float(setup.trajectory.time[0]) if time is None else time
-            pose = setup.trajectory.at(time) if pose is None else pose
-            if pusher is None and setup.pusher is not None:
-                pusher = setup.pusher.at(time)
-        else:
-            instance(setup, Scene, "setup", "a Scene or an Experiment")
-            scene = setup
-        _refuse_scene(scene)
-        return RunningFilter(
-            self,
-            self._yielding(scene),
-            seed,
-            0.0 if time is None else float(time),
-            vector(scene.bodies[0].pose if pose is None else pose, "pose", POSE),
-            vector(scene.pushers[0].pose if pusher is None else pusher, "pusher", POSE),
-        )
-
-    def _yielding(self, scene: Scene) -> Scene:
-        """The scene with a drive that stalls."""
-        pusher, body = scene.pushers[0], scene.bodies[0]
-        if pusher.drive.force_limit is not None:
-            return scene
-        weight = body.mass * scene.gravity
-        limit = WEIGHTS_OF_LIMIT * weight if self.force_limit is None else self.force_limit
-        drive = replace(pusher.drive, force_limit=limit or None)
-        return replace(scene, pushers=(replace(pusher, drive=drive),))
-
 
 _POSITIVE = {"position_deviation": "m", "angle_deviation": "rad", "touch_gap": "m"}
 _NOT_NEGATIVE = {
@@ -188,16 +123,7 @@ _BETWEEN = {
 }
 
 
-def _refuse_scene(scene: Scene) -> None:
-    if len(scene.bodies) != 1 or len(scene.pushers) != 1:
-        raise InvalidInput(
-            "filter.scene",
-            found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
-            expected="one free body and one pusher",
-        )
-
-
-def _refuse_count(where: str, value: object, least: int) -> None:
+def check_count(where: str, value: object, least: int) -> None:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise InvalidInput(where, found=value, expected=f"a whole number of at least {least}")
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.prior import Unknowns
 from fixel.kernels.measure import measure_gaps
 from fixel.model import Scene, wrapped
@@ -18,9 +19,6 @@ from fixel.simulation.geometry import pack_shapes
 from fixel.simulation.pack import Template, Variation
 from fixel.simulation.simulate import method_of
 from fixel.typing import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from fixel.filtering.particle_filter import ParticleFilter
 
 FRAME: Final = 1.0 / 30.0  # [s] for which model error is given
 GROUP: Final = 4  # frames of the past that are simulated in one step

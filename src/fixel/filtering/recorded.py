@@ -13,7 +13,7 @@ from fixel.errors import InvalidInput
 from fixel.filtering.misfit import FilterMisfit, misfit_of
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.prior import UniformPrior, excited, touches_bound
-from fixel.filtering.running import FilterEstimate, FilterFrame
+from fixel.filtering.running import FilterEstimate, FilterFrame, start_filter
 from fixel.model import Experiment, Scene, Trajectory, pose_error
 from fixel.typing import BoolArray, FloatArray, IntArray, Progress
 
@@ -167,8 +167,8 @@ def run_filter(
     options = options or ParticleFilter()
     scene = scene_of(experiment)
     frames = _frames(experiment, scene, use_tactile, occlusion)
-    running = options.start(
-        scene, seed, pose=frames[0].seen, pusher=frames[0].pusher, time=frames[0].time
+    running = start_filter(
+        options, scene, seed, pose=frames[0].seen, pusher=frames[0].pusher, time=frames[0].time
     )
     estimates, busy = [running.estimate], [0.0]
     for done, frame in enumerate(frames[1:], 2):

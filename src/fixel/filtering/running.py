@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, NamedTuple, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fixel.calibration.target import scene_of
 from fixel.errors import InvalidInput
 from fixel.filtering.head_path import smoothed
+from fixel.filtering.particle_filter import ParticleFilter, check_count
 from fixel.filtering.particles import (
     FOLD,
     FRAME,
@@ -33,13 +35,11 @@ from fixel.filtering.weights import (
     quantiles,
     systematic,
 )
-from fixel.model import Scene, wrapped
-from fixel.model.fields import vector
+from fixel.model import Experiment, Scene, wrapped
+from fixel.model.fields import instance, vector
 from fixel.typing import BoolArray, FloatArray
 
-if TYPE_CHECKING:
-    from fixel.filtering.particle_filter import ParticleFilter
-
+WEIGHTS_OF_LIMIT: Final = 20.0  # of the object, for a drive that the scene calls rigid
 QUANTILES: Final = (0.05, 0.5, 0.95)
 # [-] standard deviations; the nearest of all particles further than this from what was seen is no
 # chance but a lost object.
@@ -425,4 +425,73 @@ class RunningFilter:
             failed=failed,
             surprise=surprise,
             recovered=recovered,
+        )
+
+
+def start_filter(
+    options: ParticleFilter,
+    setup: Scene | Experiment,
+    seed: int = 0,
+    *,
+    pose: ArrayLike | None = None,
+    pusher: ArrayLike | None = None,
+    time: float | None = None,
+) -> RunningFilter:
+    """Begin to follow an object.
+
+    Parameters
+    ----------
+    options : ParticleFilter
+    setup : Scene or Experiment
+        What is on the plate. Of an experiment, its scene at its first frame is taken.
+    seed : int
+        Of everything random.
+    pose, pusher : (3,) array_like, optional
+        Of the object and of the pusher now [m, m, rad]; as in the scene where left out.
+    time : float, optional
+        Now [s]; 0, or the experiment's first instant, where left out.
+
+    Raises
+    ------
+    InvalidInput
+        No scene, more than one body or pusher, or a prior that changes nothing in it.
+    """
+    check_count("filter.seed", seed, 0)
+    if isinstance(setup, Experiment):
+        scene = scene_of(setup)
+        time = float(setup.trajectory.time[0]) if time is None else time
+        pose = setup.trajectory.at(time) if pose is None else pose
+        if pusher is None and setup.pusher is not None:
+            pusher = setup.pusher.at(time)
+    else:
+        instance(setup, Scene, "setup", "a Scene or an Experiment")
+        scene = setup
+    _refuse_scene(scene)
+    return RunningFilter(
+        options,
+        _yielding(options, scene),
+        seed,
+        0.0 if time is None else float(time),
+        vector(scene.bodies[0].pose if pose is None else pose, "pose", POSE),
+        vector(scene.pushers[0].pose if pusher is None else pusher, "pusher", POSE),
+    )
+
+
+def _yielding(options: ParticleFilter, scene: Scene) -> Scene:
+    """The scene with a drive that stalls."""
+    pusher, body = scene.pushers[0], scene.bodies[0]
+    if pusher.drive.force_limit is not None:
+        return scene
+    weight = body.mass * scene.gravity
+    limit = WEIGHTS_OF_LIMIT * weight if options.force_limit is None else options.force_limit
+    drive = replace(pusher.drive, force_limit=limit or None)
+    return replace(scene, pushers=(replace(pusher, drive=drive),))
+
+
+def _refuse_scene(scene: Scene) -> None:
+    if len(scene.bodies) != 1 or len(scene.pushers) != 1:
+        raise InvalidInput(
+            "filter.scene",
+            found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
+            expected="one free body and one pusher",
         )

@@ -17,7 +17,7 @@ import numpy as np
 
 from fixel.calibration import NelderMead
 from fixel.calibration.nelder_mead import NelderMeadSearch
-from fixel.calibration.starts import feasible_points
+from fixel.calibration.optimiser import feasible_points
 from fixel.calibration.study import box_of
 from fixel.drawing.convergence import BestSoFar, ConvergenceChart
 from fixel.reproductions.asme_table_1 import IDENTIFICATION, P1, made_targets, objective, space

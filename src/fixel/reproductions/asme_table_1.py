@@ -18,8 +18,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fixel.calibration import MultiStart, NelderMead
-from fixel.calibration.multi_start import MultiStartSearch
 from fixel.calibration.objective import Comparer, Objective, RootMeanSquare
+from fixel.calibration.optimiser import MultiStartSearch
 from fixel.calibration.solutions import (
     Solution,
     SupportFeatures,

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.calibration.study import box_of
 from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
 from fixel.errors import InvalidInput
@@ -19,7 +18,6 @@ from fixel.workflows.calibration.parameter_options import fitted
 from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.result import Curve
-from fixel.workflows.calibration.retrace import UNKNOWN, retraced
 
 PLANNED = thesis_plan().experiments
 QUICK = NamedOptions(name="pattern-search", options={"threshold_delta": 0.2})
@@ -196,18 +194,16 @@ def test_simulated_experiments_never_look_real(lab):
     assert all(banner == desk.banner for banner in desk.banners)
 
 
-def test_a_search_that_went_another_way_tells_nothing(lab):
-    done = _done(lab, n=1, mode="each")
-    trace, box = done.outcome.found[0].trace, box_of(done.request.space)
-    feasible = CalibrationReportData(done).comparer.feasible
+def test_iterations_and_starts_of_a_search_are_stored(lab):
+    done = _done(lab, n=1, mode="each", starts=2)
+    trace = done.outcome.found[0].trace
+    assert trace.begins[:2].tolist() == [0, 2]  # a point of each start
+    assert len(trace.ends()) == 2
+    assert min(end.error for end in trace.ends()) == trace.error
 
-    went = retraced(done.request, trace, box, feasible)
-    assert went.begins[:2].tolist() == [0, 1]
-    assert went.ends == []
-    elsewhere = trace._replace(points=trace.points + 1e-9)
-    assert retraced(done.request, elsewhere, box, feasible) is UNKNOWN
-    squares = done.request.model_copy(update={"optimiser": NamedOptions(name="least-squares")})
-    assert retraced(squares, trace, box, feasible) is UNKNOWN
+    single = _done(lab, n=1, mode="each").outcome.found[0].trace
+    assert single.begins[:2].tolist() == [0, 1]
+    assert single.ends() == []
 
 
 def test_a_folder_that_cannot_be_made_is_refused(lab, tmp_path):

@@ -23,11 +23,12 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import job, run
 from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.detail import listed
-from fixel.workflows.calibration.files import read_targets, target_files
 from fixel.workflows.calibration.parameter_options import default_unknowns, fitted, held, read_space
 from fixel.workflows.calibration.request import (
     CalibrationRequest,
     NamedOptions,
+    read_targets,
+    target_files,
     usual_optimiser,
 )
 from fixel.workflows.calibration.result import outcome_bytes, outcome_of, outliers

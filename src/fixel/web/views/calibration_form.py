@@ -18,8 +18,7 @@ from fixel.web.values import Answer, FilterText, Id, RequestBody, Text
 from fixel.workflows import jobs
 from fixel.workflows.calibration.parameter_options import default_unknowns, usual
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.run import ExperimentSelection, prepare, sampled
-from fixel.workflows.calibration.unattended import MODULE
+from fixel.workflows.calibration.run import MODULE, ExperimentSelection, prepare, sampled
 from fixel.workflows.project.filters import view_of
 
 LOOKED_AT: Final = 12  # experiments from which the offer is made

@@ -27,8 +27,7 @@ from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.job import ROLLOUTS_A_CHUNK
 from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import found_of
-from fixel.workflows.calibration.run import MAKER, experiments_of, request_of, stored_ids
-from fixel.workflows.calibration.unattended import collected
+from fixel.workflows.calibration.run import MAKER, collected, experiments_of, request_of, stored_ids
 
 SEARCHES: Final = ("all together", "squares")  # stages whose errors are the objective
 ALONE: Final = "alone"

@@ -212,11 +212,12 @@ def _search_chart(
     panels = []
     for word, one in picks:
         assert one.trace is not None
-        begins = desk.retraced(one).begins
         title = title_of(desk, one)
         if word:
             title = f"{word} of {len(desk.searched)}\n{title}"
-        panels.append(SearchPanel(title, desk.lengths(one.trace.errors, len(one.members)), begins))
+        panels.append(
+            SearchPanel(title, desk.lengths(one.trace.errors, len(one.members)), one.trace.begins)
+        )
     return SearchChart(panels=panels, unit="mm", what=_what(desk, picks[0][1]))
 
 
@@ -229,22 +230,22 @@ def _what(desk: CalibrationReportData, one: ParameterSet) -> str:
 
 def _starts(desk: CalibrationReportData, name: str, one: ParameterSet) -> Pictures:
     """Chart of the ends of all starts, if there were several."""
-    if desk.request.starts == 1:
+    if desk.request.starts == 1 or one.trace is None:
         return
-    traced = desk.retraced(one)
-    if len(traced.ends) < 2:
+    ends = one.trace.ends()
+    if len(ends) < 2:
         return
     space = desk.space
     chart = StartsChart(
-        title=f"{len(traced.ends)} starts: {title_of(desk, one)}",
+        title=f"{len(ends)} starts: {title_of(desk, one)}",
         unit="mm",
-        errors=desk.lengths(np.array([end.error for end in traced.ends]), len(one.members)),
-        points=np.array([end.point for end in traced.ends]),
+        errors=desk.lengths(np.array([end.error for end in ends]), len(one.members)),
+        points=np.array([end.point for end in ends]),
         labels=space.labels,
         units=[unknown.unit for unknown in space.free],
         low=space.low,
         high=space.high,
-        evaluations=traced.evaluations,
+        evaluations=np.bincount(one.trace.starts).tolist(),
         nearly=NEARLY if desk.unit == "mm" else 0.5 * NEARLY,
         what=_what(desk, one),
     )

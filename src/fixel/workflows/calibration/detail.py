@@ -135,17 +135,18 @@ def starts_of(desk: CalibrationReportData, one: ParameterSet) -> list[Start]:
     """Return the ends of several searches, best first; empty for a single search."""
     if desk.request.starts == 1 or one.trace is None:
         return []
-    traced = desk.retraced(one)
-    best = min((end.error for end in traced.ends), default=math.inf)
+    ends = one.trace.ends()
+    best = min((end.error for end in ends), default=math.inf)
+    evaluations = np.bincount(one.trace.starts, minlength=len(ends)).tolist()
     shared = len(one.members) if desk.request.combine == "sum" else 1
     found = [
         Start(
             _finite(end.error / shared),
             end.point.tolist(),
-            evaluations,
+            count,
             math.isfinite(end.error) and end.error <= best * (1.0 + NEARLY),
         )
-        for end, evaluations in zip(traced.ends, traced.evaluations, strict=True)
+        for end, count in zip(ends, evaluations, strict=True)
     ]
     return sorted(found, key=lambda start: math.inf if start.error is None else start.error)
 

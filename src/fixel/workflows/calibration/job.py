@@ -53,8 +53,7 @@ from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
 from fixel.model.records import Estimate
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.files import read_targets
-from fixel.workflows.calibration.request import CalibrationRequest
+from fixel.workflows.calibration.request import CalibrationRequest, read_targets
 from fixel.workflows.calibration.result import (
     ALONE,
     DIRECT,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -12,11 +13,13 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.errors import InvalidInput
+from fixel.formats.dakota_file import load_dakota
 from fixel.io.document import read_document
 from fixel.model import Disk, Ellipsoid, Scene, SupportPoints, Tripod, UniformPressure
 from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation.uneven_table import TABLE_NAMES
+from fixel.workflows.calibration.request import NamedOptions
 
 MAX_FRICTION: Final = 1.0
 MIN_RADIUS: Final = 1e-3  # [m] of a tripod: with zero all loads would act at one point
@@ -230,3 +233,13 @@ def in_si(written: str) -> tuple[str, float]:
         if name != written and (name in KNOWN_PARAMETERS or re.fullmatch(r"load_\d+", name)):
             return name, factor
     return written, 1.0
+
+
+def from_dakota(path: Path) -> tuple[NamedOptions, list[Unknown]]:
+    """Return the pattern search and the parameters that the file defines."""
+    found = load_dakota(path)
+    options = {
+        field.name: getattr(found.optimiser, field.name)
+        for field in dataclasses.fields(found.optimiser)
+    }
+    return NamedOptions(name=found.optimiser.name, options=options), list(found.space.unknowns)

@@ -9,8 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from fixel.calibration.objective import Comparer
-from fixel.calibration.study import NOMINAL, box_of
+from fixel.calibration.study import NOMINAL
 from fixel.calibration.target import Target
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
@@ -22,11 +21,9 @@ from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import (
     DIRECT,
     STORED,
-    SUBSET,
     CalibrationResult,
     ParameterSet,
 )
-from fixel.workflows.calibration.retrace import SearchHistory, retraced
 from fixel.workflows.calibration.run import Calibration, experiments_of
 from fixel.workflows.figures import banner_of
 
@@ -125,12 +122,6 @@ class CalibrationReportData:
                 found.append(OffsetSeries(name, unit, np.array(members), values))
         return found
 
-    @cached_property
-    def comparer(self) -> Comparer:
-        """Comparison of simulation and experiment, as in the calibration."""
-        request = self.request
-        return Comparer(self.targets, self.space, request.made_error, request.made_motion)
-
     def estimates(self, known: Sequence[Estimate], one: ParameterSet) -> list[Estimate]:
         """Return an estimate for each free parameter of a set, with the bounds of the search.
 
@@ -151,18 +142,6 @@ class CalibrationReportData:
             )
             for u, best in zip(self.space.free, one.point.tolist(), strict=True)
         ]
-
-    def retraced(self, one: ParameterSet) -> SearchHistory:
-        """Replay the search of a set."""
-        if one.trace is None:
-            raise ValueError("a set without a search")
-        space = self.space
-        if one.how == DIRECT:
-            for other in self.outcome.together:
-                if other.how == SUBSET:
-                    space = space.started_at(other.point)
-        feasible = self.comparer.feasible
-        return retraced(self.request, one.trace, box_of(space), feasible)
 
 
 def title_of(desk: CalibrationReportData, one: ParameterSet, word: str = "") -> str:

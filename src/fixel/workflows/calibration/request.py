@@ -1,21 +1,31 @@
-"""Parameters and methods of a calibration, as plain content stored in its job folder."""
+"""Input of a calibration, as stored in its job folder: parameters, methods and experiments."""
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
+import json
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator
 
 from fixel.calibration import OPTIMISERS, AbstractOptimiser, MultiStart, PatternSearch
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ERRORS, AbstractError, Robust, RootMeanSquare
+from fixel.calibration.target import Target
 from fixel.errors import InvalidInput
+from fixel.formats.scene_model import scene_content, scene_of
+from fixel.formats.scene_schema import SceneRecord
+from fixel.io.array_bytes import arrays_of, bytes_of
+from fixel.io.damaged_files import readable
 from fixel.model.fields import name_of
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import AbstractMotionModel
+from fixel.simulation.ensemble import RolloutCase
 from fixel.simulation.motion import MOTION_MODELS
 
 Mode = Literal["each", "joint", "campaign", "stored"]
@@ -26,6 +36,8 @@ LEAST_SQUARES: Final = "least-squares"
 PATTERN_SEARCH: Final = PatternSearch.name
 ENOUGH: Final = 10  # residuals an unknown, for least squares unless asked for another search
 PAPER: Final = RootMeanSquare.name
+TARGETS: Final = "targets.json"
+POSES: Final = "poses.npz"
 
 
 class _RequestLevel(BaseModel):
@@ -228,3 +240,44 @@ def _made(family: tuple[Any, ...], choice: NamedOptions, where: str) -> Any:
                 expected="one of " + (", ".join(sorted(options)) or "none"),
             )
     return member(**choice.options)
+
+
+def target_files(targets: Sequence[Target]) -> dict[str, bytes]:
+    """Return the files that contain targets, by name."""
+    content = [
+        {
+            "key": target.key,
+            "conditions": dict(target.conditions),
+            "scene": scene_content(target.case.scene),
+            "samples": len(target.pose),
+        }
+        for target in targets
+    ]
+    poses = bytes_of(
+        time=np.concatenate([target.case.times for target in targets]),
+        pose=np.concatenate([target.pose for target in targets]),
+    )
+    return {TARGETS: json.dumps(content, allow_nan=False).encode(), POSES: poses}
+
+
+def read_targets(folder: Path) -> list[Target]:
+    """Load the targets from a folder; bit-exact inverse of `target_files`."""
+    with readable(folder):
+        return _read_targets(folder)
+
+
+def _read_targets(folder: Path) -> list[Target]:
+    content = json.loads((folder / TARGETS).read_text(encoding="utf-8"))
+    arrays = arrays_of((folder / POSES).read_bytes())
+    ends = np.cumsum([entry["samples"] for entry in content])[:-1]
+    return [
+        Target(
+            entry["key"],
+            entry["conditions"],
+            RolloutCase(scene_of(SceneRecord.model_validate(entry["scene"])), time),
+            pose,
+        )
+        for entry, time, pose in zip(
+            content, np.split(arrays["time"], ends), np.split(arrays["pose"], ends), strict=True
+        )
+    ]

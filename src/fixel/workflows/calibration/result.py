@@ -214,7 +214,8 @@ CURVE: Final = ("values", "deviances", "slice_values", "slice_deviances")
 
 def found_arrays(found: Sequence[ParameterSet]) -> dict[str, Any]:
     """Convert sets of parameters to named arrays."""
-    plain, arrays = [], {}
+    plain: list[dict[str, Any]] = []
+    arrays: dict[str, Any] = {}
     for k, one in enumerate(found):
         arrays[f"point_{k}"], arrays[f"errors_{k}"] = one.point, one.errors
         arrays[f"solutions_{k}"] = one.solutions
@@ -223,6 +224,7 @@ def found_arrays(found: Sequence[ParameterSet]) -> dict[str, Any]:
                 arrays[f"{name}_{k}_{j}"] = getattr(curve, name)
         if one.trace is not None:
             arrays[f"points_{k}"], arrays[f"tried_{k}"] = one.trace.points, one.trace.errors
+            arrays |= {f"iterations_{k}": one.trace.iterations, f"starts_{k}": one.trace.starts}
         plain.append(
             {
                 "how": one.how,
@@ -275,7 +277,17 @@ def _trace(entry: dict[str, Any], arrays: dict[str, Any], k: int) -> Trace:
     errors = arrays[f"tried_{k}"]
     reasons = [entry["reasons"].get(str(n), "") for n in range(len(errors))]
     best = float(errors.min()) if len(errors) else float("inf")
-    return Trace(arrays[f"point_{k}"], best, arrays[f"points_{k}"], errors, reasons, entry["ended"])
+    unknown = np.zeros(0, np.int64)  # in results of earlier versions
+    return Trace(
+        arrays[f"point_{k}"],
+        best,
+        arrays[f"points_{k}"],
+        errors,
+        reasons,
+        entry["ended"],
+        arrays.get(f"iterations_{k}", unknown),
+        arrays.get(f"starts_{k}", unknown),
+    )
 
 
 def _text(content: Any) -> FloatArray:

@@ -1,4 +1,9 @@
-"""Calibrate stored experiments, and keep what comes out of it."""
+"""Calibrate stored experiments, and store the results in their project.
+
+`python -m fixel.workflows.calibration.run FOLDER` runs the job of a calibration in the background
+and stores its result. The process may be killed at any moment: the next process that resumes or
+inspects the job does the rest.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +11,7 @@ import hashlib
 import json
 import math
 import shlex
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -19,10 +25,11 @@ from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
-from fixel.errors import InvalidInput
+from fixel.errors import FixelError, InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
 from fixel.io.lock import FileLock
+from fixel.jobs import coordinator
 from fixel.jobs import folder as files
 from fixel.jobs.site import Site
 from fixel.jobs.work import JobProgress
@@ -30,13 +37,14 @@ from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Evaluations, Member
 from fixel.model.space import Unknown
 from fixel.workflows import jobs
-from fixel.workflows.calibration.files import read_targets, target_files
+from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.job import REQUEST
-from fixel.workflows.calibration.request import CalibrationRequest
+from fixel.workflows.calibration.request import CalibrationRequest, read_targets, target_files
 from fixel.workflows.calibration.result import SEARCHED, CalibrationResult, ParameterSet, outcome_of
 from fixel.workflows.project.suggestions import refuse_mistyped
 
 MAKER: Final = "calibration:calibration_work"
+MODULE: Final = "fixel.workflows.calibration.run"
 EXPERIMENTS: Final = "experiments.json"  # ids of the targets in the project
 STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
 MEMBERS_A_GROUP: Final = 5  # experiments for each value of a condition that a sample is spread over
@@ -424,3 +432,35 @@ def _method(
         **({"misfit_ratio": one.misfit_ratio} if math.isfinite(one.misfit_ratio) else {}),
         **{k: v if isinstance(v, str | float | int) else str(v) for k, v in options.items()},
     }
+
+
+def collected(project: Project, folder: Path) -> list[int]:
+    """Return the ids of the stored calibrations of a finished job; store them if necessary.
+
+    Raises
+    ------
+    JobRefused
+        Another process is storing them.
+    """
+    request, ids = request_of(folder), experiments_of(folder)
+    command = command_of(project.folder.resolve(), request, [str(number) for number in ids])
+    return collect(project, folder, command, {}).ids
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the job, then store its result."""
+    given = sys.argv[1:] if arguments is None else arguments
+    folder = Path(given[0])
+    status = coordinator.main(given)
+    if status or files.read_status(folder).state != "done":
+        return status
+    try:
+        collected(Project.open(folder.resolve().parents[1]), folder)
+    except FixelError as problem:
+        files.log(folder, str(problem))
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -13,8 +13,7 @@ import numpy as np
 
 from fixel.calibration.noise import noise_from_repetitions
 from fixel.calibration.objective import ANGLE_SCALE, EndPose
-from fixel.calibration.repetitions import repetitions, same_configuration
-from fixel.calibration.target import Target
+from fixel.calibration.target import Target, repetitions, same_configuration
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.domain.contacts import CONTACT_ANGLE

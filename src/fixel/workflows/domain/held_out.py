@@ -18,9 +18,8 @@ from fixel.calibration.cost import NormalPrior
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import AbstractError, Comparer, EndPose, MeanSquare
-from fixel.calibration.repetitions import same_configuration
 from fixel.calibration.study import box_of
-from fixel.calibration.target import Target
+from fixel.calibration.target import Target, same_configuration
 from fixel.domain.evidence import folds_of
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache
