@@ -1,6 +1,7 @@
 """Charts of maps: what is drawn is what the table says."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
@@ -8,32 +9,41 @@ import pytest
 from matplotlib.colors import to_hex
 from tests.drawing.collisions import collisions
 
+from fixel.domain.cells import CellAxis, Cells
+from fixel.domain.domain import CellVerdict, Claim
 from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
-from fixel.drawing.domain import FILLS, MapChart, MapPanel, SizeChart, Strip
+from fixel.drawing.domain import FILLS, MapChart, SizeChart
 
-HEAD = ("group", "cell", "colour")
+CLAIM = Claim(threshold=2.0)
 
 
-def _panel(rows, columns, name="a map"):
-    names = list(FILLS)
-    colour = [[names[(i + j) % len(names)] for j in range(columns)] for i in range(rows)]
-    count = [[i * j for j in range(columns)] for i in range(rows)]
-    inside = [[colour[i][j] == "trusted" for j in range(columns)] for i in range(rows)]
-    return MapPanel(
-        title=name, colour=colour, count=count, inside=inside, nominal=(0, columns // 2)
+def _axis(name, ticks):
+    return CellAxis(name=name, labels=tuple(ticks))
+
+
+def _chart(rows, columns, panels, name="{}"):
+    """A chart of a stand-in for a map: every colour, counts, and the trusted cells inside."""
+    colours = list(FILLS)
+    axes = [_axis("offset_y", [name.format(k) for k in range(columns)])]
+    if rows > 1:
+        axes.append(_axis("offset_theta", [name.format(k) for k in range(rows)]))
+    index = [(j, i)[: len(axes)] for i in range(rows) for j in range(columns)]
+    own = [
+        CellVerdict(colours[(k // columns + k % columns) % len(colours)], 0.5, "why")
+        for k in range(len(index))
+    ]
+    inside = [k for k, verdict in enumerate(own) if verdict.colour == "trusted"]
+    counts = np.array([[(k // columns) * (k % columns) for k in range(len(index))]] * panels)
+    domain = SimpleNamespace(
+        groups=tuple(f"{name.format(k)} on plywood" for k in range(panels)),
+        cells=Cells(axes=tuple(axes), index=tuple(index), nominal=columns // 2, arms=False),
+        counts=counts,
+        domains=lambda claim: [inside] * panels,
+        statistic=lambda level: np.ones(counts.shape),
     )
-
-
-def _chart(rows, columns, panels):
-    return MapChart(
-        across=Strip("offset y [mm]", tuple(f"{k}" for k in range(columns))),
-        up=Strip("offset theta [deg]", tuple(f"{k}" for k in range(rows))),
-        panels=tuple(_panel(rows, columns, f"map {k}") for k in range(panels)),
-        heading="held-out error within 2 mm",
-        head=HEAD,
-        rows=[("map 0", "y = 0 mm", "trusted")],
-    )
+    return MapChart(domain=domain, claim=CLAIM, verdicts=[own] * panels,
+                    up=1 if rows > 1 else None)  # fmt: skip
 
 
 @pytest.mark.parametrize(("rows", "columns", "panels"), [(1, 11, 20), (6, 11, 4), (2, 7, 1)])
@@ -68,31 +78,19 @@ def test_colours_differ_in_lightness():
 
 def test_sizes_against_thresholds(tmp_path):
     taus = np.geomspace(0.5, 10.0, 12)
-    sizes = {"square": np.arange(12.0), "pentagon": np.arange(12.0)[::-1].copy()}
-    chart = SizeChart(
-        thresholds=taus,
-        sizes=sizes,
-        cells=21,
-        threshold=2.0,
-        label="threshold τ [mm]",
-        column="threshold_mm",
+    sizes = np.array([np.arange(12.0), np.arange(12.0)[::-1]])
+    domain = SimpleNamespace(
+        groups=("square", "pentagon"),
+        usual_thresholds=taus,
+        cells=range(21),
+        curve=lambda claim, thresholds: sizes,
     )
+    chart = SizeChart(domain=domain, claim=CLAIM)
     draw_chart(chart, tmp_path / "size.png")
     table = chart.table()
     assert table.head == ("threshold_mm", "cells_square", "cells_pentagon")
     assert len(table.rows) == 12
     assert table.rows[3][1:] == (3.0, 8.0)
-
-
-def _named(rows, columns, panels, name):
-    ticks = [name.format(k) for k in range(max(rows, columns))]
-    return MapChart(
-        across=Strip("offset y [mm]", tuple(ticks[:columns])),
-        up=Strip("offset theta [deg]", tuple(ticks[:rows])) if rows > 1 else Strip("", ("",)),
-        panels=tuple(_panel(rows, columns, f"{name.format(k)} on plywood") for k in range(panels)),
-        heading="held-out error within 2 mm",
-        head=HEAD,
-    )
 
 
 @pytest.mark.parametrize("name", ["{}", "-{}.25", "collinear-tight-{}"])
@@ -102,7 +100,7 @@ def _named(rows, columns, panels, name):
 )
 def test_numbers_and_titles_of_a_map_do_not_collide(rows, columns, panels, name):
     with mpl.rc_context(palette.STYLE):
-        figure = _named(rows, columns, panels, name).figure()
+        figure = _chart(rows, columns, panels, name).figure()
     assert not collisions(figure)
 
 

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
+from fixel.domain.cells import CellAxis
+from fixel.domain.domain import CellVerdict, Claim, DomainMap
 from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
     Style,
     clean,
+    legend_of,
     log_scale,
-    plain,
     sheet,
     shortened,
 )
-from fixel.table import Table
-from fixel.typing import FloatArray
+from fixel.table import Table, Value
+from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,141 +45,165 @@ LETTER: Final = 0.62 * palette.FONT_SIZE / 72.0  # [inch], width of a letter
 LINE: Final = 1.5 * palette.FONT_SIZE / 72.0  # [inch], distance of lines of text
 
 
-class Strip(NamedTuple):
-    """Labels of one axis of a map."""
-
-    name: str  # with its unit
-    ticks: tuple[str, ...]
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MapPanel:
-    """Map over one or two axes.
-
-    Attributes
-    ----------
-    title : str
-    colour : (n_row, n_column) sequence of sequence of str
-        Colour of each cell, a key of `FILLS`; a map over one axis has one row.
-    count : (n_row, n_column)
-        Number of members in each cell.
-    inside : (n_row, n_column)
-        Whether each cell belongs to D(tau).
-    nominal : (int, int), optional
-        Row and column of the nominal cell.
-    """
-
-    title: str
-    colour: Sequence[Sequence[str]]
-    count: Sequence[Sequence[int]]
-    inside: Sequence[Sequence[bool]]
-    nominal: tuple[int, int] | None
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapChart(AbstractChart):
-    """Small multiples of one map, with one panel per group.
+    """Small multiples of a map of the domain, with one panel per group; the first 30 are drawn.
 
     Parameters
     ----------
-    across, up : Strip
-        Axes of the columns and the rows; the rows have no name in a map over one axis.
-    panels : tuple of MapPanel
-        Maps; the first 30 are drawn.
-    heading : str
+    domain : DomainMap
+    claim : Claim
         Claim that holds in blue cells.
-    rows : sequence of tuple
-        Data of the table, one row per cell.
-    head : tuple of str
+    verdicts : list of list of CellVerdict
+        Verdict on every cell of every map.
+    across : int
+        Index of the axis of the columns.
+    up : int, optional
+        Index of the axis of the rows; without one, the cells through the nominal are drawn.
     """
 
-    across: Strip
-    up: Strip
-    panels: tuple[MapPanel, ...]
-    heading: str
-    head: tuple[str, ...]
-    rows: Sequence[tuple[Any, ...]] = field(default=())
+    domain: DomainMap
+    claim: Claim
+    verdicts: list[list[CellVerdict]]
+    across: int = 0
+    up: int | None = None
+
+    @property
+    def grid(self) -> IntArray:
+        """Cells (n_row, n_column) to draw, in rows from below."""
+        cells = self.domain.cells
+        number = {index: c for c, index in enumerate(cells.index)}
+        n_up = 1 if self.up is None else len(cells.axes[self.up])
+        found = np.zeros((n_up, len(cells.axes[self.across])), np.int64)
+        for row, column in np.ndindex(*found.shape):
+            index = list(cells.index[cells.nominal])
+            index[self.across] = column
+            if self.up is not None:
+                index[self.up] = row
+            found[row, column] = number[tuple(index)]
+        return found
 
     def figure(self) -> Figure:
-        shown = self.panels[:MAX_PANELS]
-        columns = min(len(shown), self._columns())
+        groups, axes = self.domain.groups, self.domain.cells.axes
+        shown, (n_up, n_across) = groups[:MAX_PANELS], self.grid.shape
+        ticks, up_ticks = (
+            _ticks(axes[self.across]),
+            [""] if self.up is None else _ticks(axes[self.up]),
+        )
+        columns = min(len(shown), _most_columns(n_up, n_across))
         lines = math.ceil(len(shown) / columns)
-        n_up, n_across = len(self.up.ticks), len(self.across.ticks)
         width = WIDE if columns > 1 or n_across > 8 else palette.COLUMN + 0.6
-        left = 0.6 + LETTER * _longest(self.up)
-        room = (width - left) / columns
-        side = min(0.42, room / n_across)
-        upwards = LETTER * (_longest(self.across) + 1) > room / n_across
-        below = LETTER * _longest(self.across) if upwards else 0.0
-        height = lines * (max(side, 0.17) * n_up + 0.42) + 0.75 + below
-        figure = sheet(width, max(height, 1.3), self._title(shown))
-        table = figure.subplots(lines, columns, squeeze=False)
-        for k, axes in enumerate(table.flat):
+        room = (width - 0.6 - LETTER * max(map(len, up_ticks))) / columns
+        longest = max(map(len, ticks))
+        upwards = LETTER * (longest + 1) > room / n_across
+        side = max(min(0.42, room / n_across), 0.17)
+        height = lines * (side * n_up + 0.42) + 0.75 + (LETTER * longest if upwards else 0.0)
+        more = f" (and {len(groups) - len(shown)} more)" if len(groups) > len(shown) else ""
+        figure = sheet(width, max(height, 1.3), self._heading() + more)
+        places = list(range(0, n_across, math.ceil(LINE * n_across / room)))
+        for k, panel in enumerate(figure.subplots(lines, columns, squeeze=False).flat):
             if k >= len(shown):
-                axes.set_visible(False)
+                panel.set_visible(False)
                 continue
-            last = k + columns >= len(shown)
-            _draw_panel(axes, shown[k], self, first=k % columns == 0, last=last)
-            places = range(0, n_across, math.ceil(LINE * n_across / room))
-            axes.set_xticks(list(places), [self.across.ticks[j] if last else "" for j in places],
-                            rotation=90 if upwards else 0)  # fmt: skip
-            axes.set_title(shortened(shown[k].title, int(room / LETTER)),
-                           fontsize=palette.FONT_SIZE, pad=2.5)  # fmt: skip
-        _legend(figure, shown)
+            last, labelled = k + columns >= len(shown), k % columns == 0 and n_up > 1
+            self._draw_panel(panel, k)
+            panel.set_yticks(range(n_up), up_ticks if labelled else [""] * n_up)
+            panel.set_xticks(places, [ticks[j] if last else "" for j in places],
+                             rotation=90 if upwards else 0)  # fmt: skip
+            panel.set_xlabel(_label(axes[self.across]) if last else "")
+            if labelled and self.up is not None:
+                panel.set_ylabel(_label(axes[self.up]))
+            title = shortened(shown[k] or "all experiments", int(room / LETTER))
+            panel.set_title(title, fontsize=palette.FONT_SIZE, pad=2.5)
+        self._legend(figure, len(shown))
         return figure
 
-    def _columns(self) -> int:
-        if len(self.up.ticks) == 1:
-            return 2 if len(self.across.ticks) > 6 else 3
-        longest = max(len(self.across.ticks), 4)
-        return max(1, min(COLUMNS, 28 // longest))
+    def _heading(self) -> str:
+        kind = "error" if self.claim.measure == "absolute" else "excess"
+        share = f"{100.0 * self.claim.level:g} % of experiments"
+        return f"held-out {kind} within τ = {self.claim.text()} for {share}"
 
-    def _title(self, shown: Sequence[MapPanel]) -> str:
-        more = len(self.panels) - len(shown)
-        return self.heading + (f" (and {more} more)" if more else "")
+    def _draw_panel(self, axes: Axes, g: int) -> None:
+        from matplotlib.patches import Rectangle
 
-    def table(self) -> Table:
-        return Table(self.head, list(self.rows))
-
-
-def _draw_panel(axes: Axes, panel: MapPanel, chart: MapChart, *, first: bool, last: bool) -> None:
-    from matplotlib.patches import Rectangle
-
-    n_up, n_across = len(chart.up.ticks), len(chart.across.ticks)
-    letters = n_up * n_across <= MAX_LETTERS
-    for i in range(n_up):
-        for j in range(n_across):
-            name = panel.colour[i][j]
+        grid, counts = self.grid, self.domain.counts[g]
+        for (i, j), cell in np.ndenumerate(grid):
+            name, count = self.verdicts[g][cell].colour, int(counts[cell])
             style = {"edgecolor": "white", "linewidth": 0.6, **FILLS[name]}
             axes.add_patch(Rectangle((j - 0.5, i - 0.5), 1.0, 1.0, **style))
-            if letters and panel.count[i][j]:
+            if count and grid.size <= MAX_LETTERS:
                 ink = "white" if name in LIGHT else palette.INK
-                axes.text(j, i, str(panel.count[i][j]), ha="center", va="center", color=ink,
+                axes.text(j, i, str(count), ha="center", va="center", color=ink,
                           fontsize=palette.FONT_SIZE - 1.5)  # fmt: skip
-    _outline(axes, np.array(panel.inside, bool))
-    if panel.nominal is not None:
-        i, j = panel.nominal
-        # Circle a short number; put the mark next to a long one.
-        crowded = panel.count[i][j] > 99
-        place = (j - 0.38, i + 0.3) if crowded else (j, i)
-        axes.plot(*place, marker="o", markersize=5.0 if crowded else 9.0, markerfacecolor="none",
-                  markeredgecolor="white", markeredgewidth=1.1, zorder=5)  # fmt: skip
-    axes.set_xlim(-0.5, n_across - 0.5)
-    axes.set_ylim(-0.5, n_up - 0.5)
-    axes.tick_params(length=0.0, pad=1.5)
-    axes.spines[:].set_visible(False)
-    labelled = first and n_up > 1
-    axes.set_yticks(range(n_up), [tick if labelled else "" for tick in chart.up.ticks])
-    if last:
-        axes.set_xlabel(chart.across.name)
-    if labelled:
-        axes.set_ylabel(chart.up.name)
+            if cell == self.domain.cells.nominal:
+                # Circle a short number; put the mark next to a long one.
+                place, size = ((j - 0.38, i + 0.3), 5.0) if count > 99 else ((j, i), 9.0)
+                axes.plot(*place, marker="o", markersize=size, markerfacecolor="none",
+                          markeredgecolor="white", markeredgewidth=1.1, zorder=5)  # fmt: skip
+        _outline(axes, np.isin(grid, self.domain.domains(self.claim)[g]))
+        axes.set_xlim(-0.5, grid.shape[1] - 0.5)
+        axes.set_ylim(-0.5, grid.shape[0] - 0.5)
+        axes.tick_params(length=0.0, pad=1.5)
+        axes.spines[:].set_visible(False)
+
+    def _legend(self, figure: Figure, n: int) -> None:
+        from matplotlib.lines import Line2D
+        from matplotlib.patches import Patch
+
+        used = {self.verdicts[g][c].colour for g in range(n) for c in self.grid.flat}
+        handles: list[Any] = [
+            Patch(label=name, **{"edgecolor": "white", **style})
+            for name, style in FILLS.items()
+            if name in used or name in ("trusted", "doubtful", "not trusted", "no data")
+        ]
+        ring: Style = {"linestyle": "none", "marker": "o", "markerfacecolor": "none"}
+        handles.append(Line2D([], [], color=palette.INK, linewidth=1.6, label="D(τ)"))
+        handles.append(Line2D([], [], markeredgecolor=palette.INK, label="nominal", **ring))
+        legend_of(figure, handles, 4 if figure.get_figwidth() < 5.0 else len(handles))
+
+    def table(self) -> Table:
+        domain, inside = self.domain, self.domain.domains(self.claim)
+        error = domain.statistic(self.claim.level)
+        head = ("group", "cell", "members", "error", "confidence", "colour", "in_domain", "reason")
+        rows: list[tuple[Value, ...]] = [
+            (
+                group,
+                domain.cells.text(c),
+                int(domain.counts[g, c]),
+                float(error[g, c]) if np.isfinite(error[g, c]) else None,
+                None if np.isnan(verdict.confidence) else verdict.confidence,
+                verdict.colour,
+                int(c in inside[g]),
+                verdict.reason,
+            )
+            for g, group in enumerate(domain.groups)
+            for c, verdict in enumerate(self.verdicts[g])
+        ]
+        return Table(head, rows)
 
 
-def _longest(strip: Strip) -> int:
-    return max(len(tick) for tick in strip.ticks)
+def _most_columns(n_up: int, n_across: int) -> int:
+    """Number of panels side by side, by the number of cells in one."""
+    if n_up == 1:
+        return 2 if n_across > 6 else 3
+    return max(1, min(COLUMNS, 28 // max(n_across, 4)))
+
+
+def _label(axis: CellAxis) -> str:
+    """Name of an axis with its unit."""
+    name = axis.name
+    for ending in ("_m_s", "_rad", "_m", "_s"):
+        if axis.unit and name.endswith(ending):
+            name = name.removesuffix(ending)
+            break
+    return name.replace("_", " ") + (f" [{axis.unit}]" if axis.unit else "")
+
+
+def _ticks(axis: CellAxis) -> list[str]:
+    if axis.edges:
+        return [f"{axis.factor * centre + 0.0:.3g}" for centre in axis.centres]
+    return [axis.text(k) for k in range(len(axis))]
 
 
 def _outline(axes: Axes, inside: Any) -> None:
@@ -197,77 +223,46 @@ def _outline(axes: Axes, inside: Any) -> None:
                           solid_capstyle="projecting")  # fmt: skip
 
 
-def _legend(figure: Figure, panels: Sequence[MapPanel]) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    used = {name for panel in panels for row in panel.colour for name in row}
-    handles: list[Any] = [
-        Patch(label=name, **{"edgecolor": "white", **style})
-        for name, style in FILLS.items()
-        if name in used or name in ("trusted", "doubtful", "not trusted", "no data")
-    ]
-    ring: Style = {"linestyle": "none", "marker": "o", "markerfacecolor": "none"}
-    handles.append(Line2D([], [], color=palette.INK, linewidth=1.6, label="D(τ)"))
-    handles.append(Line2D([], [], markeredgecolor=palette.INK, label="nominal", **ring))
-    narrow = figure.get_figwidth() < 5.0
-    figure.legend(handles=handles, frameon=False, ncols=4 if narrow else len(handles),
-                  loc="outside lower center", handlelength=1.4, columnspacing=1.2)  # fmt: skip
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SizeChart(AbstractChart):
-    """Number of cells in D(tau) against the threshold.
+    """Number of cells in D(tau) against the threshold."""
 
-    Parameters
-    ----------
-    thresholds : (n,) float64
-    sizes : mapping of group to (n,) float64
-        Number of cells in D(tau).
-    cells : int
-        Number of cells in one map.
-    threshold : float
-        Requested threshold.
-    label : str
-        Label of the thresholds, with unit.
-    column : str
-        Name of their column in the table.
-    """
+    domain: DomainMap
+    claim: Claim
 
-    thresholds: FloatArray
-    sizes: Mapping[str, FloatArray]
-    cells: int
-    threshold: float
-    label: str
-    column: str
+    @property
+    def sizes(self) -> FloatArray:
+        """Number of cells in D(tau), (n_group, n_threshold)."""
+        domain = self.domain
+        return np.asarray(domain.curve(self.claim, domain.usual_thresholds.tolist()), np.float64)
 
     def figure(self) -> Figure:
         figure = sheet(palette.COLUMN + 0.9, 2.7)
         axes = figure.subplots()
-        table = np.array(list(self.sizes.values()))
-        single = len(table) == 1
-        for own in table:
-            axes.step(self.thresholds, own, where="post", linewidth=0.7, alpha=0.7,
+        thresholds, sizes, cells = self.domain.usual_thresholds, self.sizes, len(self.domain.cells)
+        single = len(sizes) == 1
+        for own in sizes:
+            axes.step(thresholds, own, where="post", linewidth=0.7, alpha=0.7,
                       color=palette.BODY if single else palette.TRAIL)  # fmt: skip
         if not single:
-            axes.step([], [], color=palette.TRAIL, linewidth=0.7, label=f"{len(table)} maps")
-            axes.step(self.thresholds, table.mean(axis=0), where="post", linewidth=1.6,
+            axes.step([], [], color=palette.TRAIL, linewidth=0.7, label=f"{len(sizes)} maps")
+            axes.step(thresholds, sizes.mean(axis=0), where="post", linewidth=1.6,
                       color=palette.BODY, label="their mean")  # fmt: skip
-        axes.axvline(self.threshold, color=palette.INK, linewidth=0.8, linestyle=(0, (4, 2)),
+        axes.axvline(self.claim.threshold, color=palette.INK, linewidth=0.8, linestyle=(0, (4, 2)),
                      label="τ asked for")  # fmt: skip
-        log_scale(axes, "x", self.thresholds)
-        axes.set_ylim(-0.02 * self.cells, 1.04 * max(float(table.max()), 1.0))
-        axes.set(xlabel=self.label, ylabel=f"cells in D(τ), of {self.cells}")
+        log_scale(axes, "x", thresholds)
+        axes.set_ylim(-0.02 * cells, 1.04 * max(float(sizes.max()), 1.0))
+        unit = " [mm]" if self.claim.measure == "absolute" else ", share above the own best"
+        axes.set(xlabel=f"threshold τ{unit}", ylabel=f"cells in D(τ), of {cells}")
         axes.locator_params(axis="y", integer=True)
         axes.legend(frameon=False, loc="upper left")
         clean(axes)
         return figure
 
     def table(self) -> Table:
-        head = (self.column, *(f"cells_{name or 'all'}".replace(" ", "_") for name in self.sizes))
-        columns = [plain(np.asarray(own, np.float64)) for own in self.sizes.values()]
-        rows = [
-            (tau, *(own[k] for own in columns)) for k, tau in enumerate(self.thresholds.tolist())
-        ]
-        return Table(head, rows)
+        unit = "mm" if self.claim.measure == "absolute" else "share"
+        names = [f"cells_{group or 'all'}".replace(" ", "_") for group in self.domain.groups]
+        columns = dict(zip(names, self.sizes, strict=True))
+        thresholds = self.domain.usual_thresholds
+        return Table.from_columns({f"threshold_{unit}": thresholds, **columns})

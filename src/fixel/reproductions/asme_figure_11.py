@@ -19,8 +19,8 @@ from fixel.calibration import NelderMead
 from fixel.calibration.nelder_mead import NelderMeadSearch
 from fixel.calibration.optimiser import feasible_points
 from fixel.calibration.study import box_of
-from fixel.drawing.convergence import BestSoFar, ConvergenceChart
 from fixel.reproductions.asme_table_1 import IDENTIFICATION, P1, made_targets, objective, space
+from fixel.reproductions.charts.convergence import BestSoFar, ConvergenceChart
 from fixel.reproductions.reproduction import Reproduction, Row
 from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
 from fixel.testing.scenes import box

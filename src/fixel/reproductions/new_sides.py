@@ -20,9 +20,9 @@ from fixel.datasets.raw.mit_push import PUSHER_RADIUS, read
 from fixel.domain.contacts import PushedContacts, TouchedPlaces, contacts_of
 from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, min_experiments
 from fixel.domain.features import Configurations
-from fixel.drawing.promise import NewSidesChart
 from fixel.io.result_cache import ResultCache
 from fixel.model import wrapped
+from fixel.reproductions.charts.promise import NewSidesChart
 from fixel.reproductions.evidence import evidence_of
 from fixel.reproductions.fitting import FittedPushes
 from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit

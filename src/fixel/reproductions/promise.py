@@ -16,8 +16,8 @@ import numpy as np
 
 from fixel.datasets.raw.mit_push import read
 from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, constant_bound
-from fixel.drawing.promise import PromiseChart
 from fixel.io.result_cache import ResultCache
+from fixel.reproductions.charts.promise import PromiseChart
 from fixel.reproductions.evidence import PushErrors, evidence_of
 from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
 from fixel.reproductions.reproduction import Reproduction, Row

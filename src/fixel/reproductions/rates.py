@@ -18,11 +18,11 @@ from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.target import target_of
 from fixel.datasets.raw import mit_push, read_dataset
 from fixel.datasets.raw.mit_timeseries import PushRuns
-from fixel.drawing.promise import RatesChart
 from fixel.errors import DatasetMissing
 from fixel.io.result_cache import ResultCache
 from fixel.model import Disk, Shape, pose_error
 from fixel.reproductions import cmu_tripod, rpi_141
+from fixel.reproductions.charts.promise import RatesChart
 from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
 from fixel.reproductions.replay import ReplayRequest, replay_dataset
 from fixel.reproductions.reproduction import Reproduction, Row

@@ -272,7 +272,7 @@ def _draw(
     experiment: Experiment,
     files: dict[str, Path],
 ) -> None:
-    from fixel.drawing.track import draw_track
+    from fixel.drawing.tracking import draw_track
     from fixel.workflows.acquisition.track_charts import write_overlay, write_sheet
 
     if "overlay" in files:

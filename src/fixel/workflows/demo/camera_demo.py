@@ -14,7 +14,7 @@ import numpy as np
 
 from fixel.database.project import SETTINGS, Project
 from fixel.database.query import ExperimentQuery
-from fixel.drawing.side_by_side import SideBySide, TrackedRun
+from fixel.drawing.tracking import SideBySide, TrackedRun
 from fixel.errors import InvalidInput
 from fixel.formats.recording import is_recording, open_recording
 from fixel.formats.scene_file import load_scene

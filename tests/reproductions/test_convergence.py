@@ -3,7 +3,7 @@
 import numpy as np
 from tests.drawing.collisions import collisions
 
-from fixel.drawing.convergence import BestSoFar, ConvergenceChart
+from fixel.reproductions.charts.convergence import BestSoFar, ConvergenceChart
 
 
 def test_numbers_of_the_errors_do_not_collide():

@@ -1,26 +1,87 @@
-"""Tracked and true paths of runs, side by side."""
+"""Figures of tracked motion: its quality against time, and true paths beside tracked ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, clean, sheet
+from fixel.drawing.chart import WIDE, AbstractChart, Style, clean, save_figure, sheet
+from fixel.drawing.top_view import closed
 from fixel.model import placed, pose_error
-from fixel.table import Table, Value
+from fixel.table import Table
 from fixel.typing import FloatArray
+from fixel.vision.tracking.tracked import FilmTracks, PartTrack
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+COLOURS: Final = (palette.BODY, palette.PUSHER, palette.CONE, palette.TOUCHED)
+HEIGHT: Final = 5.2  # [inch]
 ROW: Final = 2.0  # [inch], height of a run
 OUTLINES: Final = 4  # number of outlines of the object along its path
 ROOM: Final = 5.0  # [mm], margin around all that is drawn
+
+
+def draw_track(
+    tracked: FilmTracks, path: str | Path, effective: tuple[float, float] | None = None
+) -> None:
+    """Draw tracked poses and residuals against time, with gaps shaded.
+
+    Parameters
+    ----------
+    tracked : FilmTracks
+    path : str or Path
+        File to write (`.pdf`, `.svg` or `.png`).
+    effective : (float, float), optional
+        First and last time of useful data, counted from the first frame [s].
+    """
+    save_figure(lambda: track_figure(tracked, effective), path)
+
+
+def track_figure(tracked: FilmTracks, effective: tuple[float, float] | None = None) -> Figure:
+    """Create the figure that `draw_track` saves."""
+    figure = sheet(WIDE, HEIGHT)
+    panels = figure.subplots(4, 1, sharex=True)
+    micro = _is_small(tracked)
+    unit, factor = ("µm", 1e6) if micro else ("mm", 1e3)
+    zero = tracked.time[0]
+    for part, colour in zip(tracked.parts.values(), COLOURS, strict=False):
+        _part(panels, part, colour, zero, factor)
+    labels = (f"x [{unit}]", f"y [{unit}]", "θ [deg]", "residual [px]")
+    for axes, label in zip(panels, labels, strict=True):
+        axes.set_ylabel(label)
+        axes.spines[["top", "right"]].set_visible(False)
+        for instant in effective or ():
+            axes.axvline(instant, color=palette.INK, linewidth=0.5, linestyle=(0, (3, 2)))
+    panels[3].set_ylim(bottom=0.0)
+    panels[3].set_xlabel("time [s]; dashed: effective start and end; shaded: no pose")
+    panels[0].legend(loc="upper left", frameon=False, ncols=4)
+    figure.align_ylabels(panels)
+    return figure
+
+
+def _part(panels: Any, part: PartTrack, colour: str, zero: float, factor: float) -> None:
+    time, out = part.time - zero, part.seen & ~part.good
+    pose = part.pose * (factor, factor, np.degrees(1.0))
+    for axes, column in zip(panels, pose.T, strict=False):
+        shown = np.where(part.good, column, np.nan)
+        axes.plot(time, shown, color=colour, linewidth=0.9, label=part.name)
+        axes.plot(time[out], column[out], "x", color=palette.FORCE, markersize=3)
+    panels[3].plot(time, part.residual, color=colour, linewidth=0.7)
+    for first, last, _ in part.gaps:
+        for axes in panels:
+            axes.axvspan(first - zero, last - zero, color=colour, alpha=0.15, linewidth=0)
+
+
+def _is_small(tracked: FilmTracks) -> bool:
+    places = [part.pose[part.good, :2] for part in tracked.parts.values() if part.good.any()]
+    return bool(places) and max(float(np.ptp(own, axis=0).max()) for own in places) < 5e-3
 
 
 @final
@@ -82,15 +143,13 @@ class SideBySide(AbstractChart):
         return figure
 
     def table(self) -> Table:
-        columns = ("run", "time_s", *(f"{who}_{k}" for who in ("true", "tracked") for k in _POSE))
-        rows: list[tuple[Value, ...]] = [
-            (run.name, time, *true, *tracked)
-            for run in self.runs
-            for time, true, tracked in zip(
-                run.time.tolist(), run.true.tolist(), run.tracked.tolist(), strict=True
-            )
-        ]
-        return Table(columns, rows)
+        runs = self.runs
+        columns: dict[str, Any] = {"run": [run.name for run in runs for _ in run.time],
+                   "time_s": np.concatenate([run.time for run in runs])}  # fmt: skip
+        for name in ("true", "tracked"):
+            poses = np.concatenate([getattr(run, name) for run in runs])
+            columns |= {f"{name}_{k}": poses[:, j] for j, k in enumerate(_POSE)}
+        return Table.from_columns(columns)
 
 
 _POSE: Final = ("x_m", "y_m", "angle_rad")
@@ -100,9 +159,8 @@ def _from_above(axes: Axes, run: TrackedRun, poses: FloatArray, colour: str) -> 
     for fixel in run.fixels:
         axes.fill(*(1e3 * fixel.T), color=palette.FIXEL, linewidth=0.0)
     for k in np.linspace(0, len(poses) - 1, OUTLINES).astype(int):
-        corners = 1e3 * placed(run.outline, poses[k])
-        style: dict[str, Any] = {"color": colour, "linewidth": 0.9}
-        axes.plot(*np.vstack((corners, corners[:1])).T, alpha=1.0 if k else 0.5, **style)
+        line: Style = {"color": colour, "linewidth": 0.9, "alpha": 1.0 if k else 0.5}
+        axes.plot(*closed(placed(run.outline, poses[k])), **line)
     axes.plot(*(1e3 * poses[:, :2].T), color=palette.FORCE, linewidth=1.0)
     everything = np.vstack([placed(run.outline, pose) for pose in run.true] + [*run.fixels])
     low, high = 1e3 * everything.min(0) - ROOM, 1e3 * everything.max(0) + ROOM
