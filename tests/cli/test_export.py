@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 import typer
 
-from fixel.cli.export import export
+from fixel.cli.project import export
 from fixel.database.bundle import import_bundle
 from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored, StoreRefused

@@ -9,8 +9,9 @@ import pyarrow.parquet
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.formats.trajectory_file import plain_numbers, save_trajectory, trajectory_columns
+from fixel.formats.trajectory_file import save_trajectory, trajectory_columns
 from fixel.io.atomic import written_whole
+from fixel.io.document import plain_numbers
 from fixel.simulation import StewartTrinkle, simulate
 from fixel.testing import scenes
 

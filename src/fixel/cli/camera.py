@@ -1,12 +1,14 @@
 """`fixel camera`: calibrate, import, place and check a camera; print boards and tags."""
 
+import math
+import re
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from fixel.cli.camera_options import heights_of, pose_of, quoted, range_of, size_of
 from fixel.cli.camera_text import (
     coefficient_lines,
     corner_lines,
@@ -14,12 +16,14 @@ from fixel.cli.camera_text import (
     misfit_lines,
     place_lines,
     remark_lines,
-    show,
     verdict_lines,
     view_lines,
 )
-from fixel.cli.options import AsJson
+from fixel.cli.options import AsJson, argument, option, required, with_options
+from fixel.cli.screen import counting_bar, paragraphs, print_answer, wrote
 from fixel.errors import InvalidInput
+
+THESIS_HEIGHTS = (0.0, 25.4)  # [mm] plate, upper face of the object
 
 app = typer.Typer(
     help="Calibrate, import, place and check a camera; print boards and tags.",
@@ -54,33 +58,23 @@ CameraFile = Annotated[
 
 
 @app.command("calibrate")
+@with_options
 def calibrate(
-    pictures: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Pictures of a board, folders of them, or a video.",
-            metavar="PICTURES...",
-            exists=True,
-        ),
-    ],
-    board: BoardOption = None,
-    out: Annotated[Path, typer.Option(help="Camera file to write.", metavar="FILE")] = Path(
-        "camera.yaml"
+    *,
+    pictures: list[Path] = required(
+        "Pictures of a board, folders of them, or a video.", metavar="PICTURES...", exists=True
     ),
-    coefficients: Annotated[
-        int | None,
-        typer.Option(
-            help="Number of distortion coefficients: 0, 1, 2, 4, 5 or 8.",
-            show_default="5, 8 where pictures left out need them, 4 for fewer than 8 pictures",
-        ),
-    ] = None,
-    fisheye: Annotated[
-        bool, typer.Option("--fisheye", help="For lenses wider than about 120 degrees.")
-    ] = False,
+    board: BoardOption = None,
+    out: Path = option(Path("camera.yaml"), "Camera file to write."),
+    coefficients: int | None = option(
+        None,
+        "Number of distortion coefficients: 0, 1, 2, 4, 5 or 8.",
+        show_default="5, 8 where pictures left out need them, 4 for fewer than 8 pictures",
+    ),
+    fisheye: bool = option(False, "For lenses wider than about 120 degrees.", "--fisheye"),
     as_json: AsJson = False,
 ) -> None:
     """Calibrate a lens from 10 to 20 pictures of a board."""
-    from fixel.cli.screen import counting_bar
     from fixel.workflows.acquisition.camera.calibrate import calibrate as run
 
     if board is None:
@@ -92,45 +86,32 @@ def calibrate(
         )
     with counting_bar() as bar:
         answer = run(pictures, board, out, coefficients=coefficients, fisheye=fisheye, progress=bar)
-    show(
-        answer.summary(),
-        [
-            lens_lines(answer),
-            view_lines(answer),
-            coefficient_lines(answer) + corner_lines(answer),
-        ],
-        [out],
-        f"fixel camera place {quoted(out)} PICTURE --rig RIG, a picture of the plate with its "
-        f"tags; or --board {board}, with the board flat on it",
+    _show(
         as_json,
+        answer.summary(),
+        [lens_lines(answer), view_lines(answer), coefficient_lines(answer) + corner_lines(answer)],
+        [out],
+        f"fixel camera place {_quoted(out)} PICTURE --rig RIG, a picture of the plate with its "
+        f"tags; or --board {board}, with the board flat on it",
     )
 
 
 @app.command("import")
+@with_options
 def import_(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            help="Calib_Results.m or .mat, OpenCV's storage, Kalibr's camchain, ROS's camera_info.",
-            metavar="FILE",
-            exists=True,
-            dir_okay=False,
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="Camera file to write.", metavar="FILE")] = Path(
-        "camera.yaml"
+    *,
+    file: Path = required(
+        "Calib_Results.m or .mat, OpenCV's storage, Kalibr's camchain, ROS's camera_info.",
+        exists=True,
+        dir_okay=False,
     ),
-    format: Annotated[str, typer.Option(help="auto, matlab, opencv, kalibr or ros.")] = "auto",
-    size: Annotated[
-        str | None,
-        typer.Option(
-            help="Of your pictures, 1280x720: refused if the file is for others.", metavar="WxH"
-        ),
-    ] = None,
-    which: Annotated[
-        str, typer.Option(help="Of several cameras in a Kalibr file.", metavar="cam0")
-    ] = "",
-    unit: Annotated[str, typer.Option(help="Of lengths in a MATLAB file: mm, cm or m.")] = "mm",
+    out: Path = option(Path("camera.yaml"), "Camera file to write."),
+    format: str = option("auto", "auto, matlab, opencv, kalibr or ros."),
+    size: str | None = option(
+        None, "Of your pictures, 1280x720: refused if the file is for others.", metavar="WxH"
+    ),
+    which: str = option("", "Of several cameras in a Kalibr file.", metavar="cam0"),
+    unit: str = option("mm", "Of lengths in a MATLAB file: mm, cm or m."),
     as_json: AsJson = False,
 ) -> None:
     """Take over a camera that another program calibrated."""
@@ -139,16 +120,16 @@ def import_(
     units = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
     if unit not in units:
         raise InvalidInput("--unit", found=repr(unit), expected="mm, cm or m")
-    answer = bring_in(file, out, format=format, size=size_of(size), which=which, unit=units[unit])
+    answer = bring_in(file, out, format=format, size=_size(size), which=which, unit=units[unit])
     placed = answer.camera.camera is not None
-    show(
+    _show(
+        as_json,
         answer.summary(),
         [lens_lines(answer), remark_lines(answer)],
         [out],
-        f"fixel camera check {quoted(out)}"
+        f"fixel camera check {_quoted(out)}"
         if placed
-        else f"fixel camera place {quoted(out)} PICTURE --board charuco:7x5:30mm:22mm",
-        as_json,
+        else f"fixel camera place {_quoted(out)} PICTURE --board charuco:7x5:30mm:22mm",
     )
 
 
@@ -163,39 +144,30 @@ def export(
     from fixel.workflows.acquisition.camera.calibrate import export as run
 
     answer = run(camera, out, format)
-    show(answer.summary(), [lens_lines(answer)], [out], "", as_json)
+    _show(as_json, answer.summary(), [lens_lines(answer)], [out], "")
 
 
 @app.command("place")
+@with_options
 def place(
+    *,
     camera: CameraFile,
-    picture: Annotated[
-        Path,
-        typer.Argument(
-            help="Picture of the plate, or a video whose first frame is taken.",
-            metavar="PICTURE",
-            exists=True,
-        ),
-    ],
+    picture: Path = required(
+        "Picture of the plate, or a video whose first frame is taken.",
+        metavar="PICTURE",
+        exists=True,
+    ),
     board: BoardOption = None,
-    at: Annotated[
-        str,
-        typer.Option(
-            help="Where the board's lower left corner lies in the world: x, y [mm], angle [deg].",
-            metavar="X,Y,ANGLE",
-        ),
-    ] = "0,0,0",
-    thickness_mm: Annotated[
-        float, typer.Option(help="Of the board, above the plate [mm].", min=0.0)
-    ] = 0.0,
-    rig: Annotated[
-        str | None,
-        typer.Option(help="Rig whose tags are on the plate; used before a board.", metavar="RIG"),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Camera file to write.", metavar="FILE", show_default="CAMERA-placed"),
-    ] = None,
+    at: str = option(
+        "0,0,0",
+        "Where the board's lower left corner lies in the world: x, y [mm], angle [deg].",
+        metavar="X,Y,ANGLE",
+    ),
+    thickness_mm: float = option(0.0, "Of the board, above the plate [mm].", min=0.0),
+    rig: str | None = option(
+        None, "Rig whose tags are on the plate; used before a board.", metavar="RIG"
+    ),
+    out: Path | None = option(None, "Camera file to write.", show_default="CAMERA-placed"),
     height_mm: Heights = None,
     plot: Plot = None,
     as_json: AsJson = False,
@@ -209,23 +181,18 @@ def place(
         picture,
         target,
         board=board,
-        at=pose_of(at),
+        at=_pose(at),
         thickness=thickness_mm / 1e3,
         rig=rig,
-        heights=heights_of(height_mm),
+        heights=_heights(height_mm),
         plot=plot,
     )
-    show(
+    _show(
+        as_json,
         answer.summary(),
-        [
-            place_lines(answer),
-            misfit_lines(answer),
-            verdict_lines(answer),
-            remark_lines(answer),
-        ],
+        [place_lines(answer), misfit_lines(answer), verdict_lines(answer), remark_lines(answer)],
         [target, plot],
         f"name {target.name} as the camera of a rig file, then fixel camera check RIG --video FILE",
-        as_json,
     )
 
 
@@ -250,27 +217,25 @@ def check(
     """Report how right places on the plate are, and whether the camera is still where it was."""
     from fixel.workflows.acquisition.camera.check import check as run
 
-    found = run(camera, video=video, heights=heights_of(height_mm), plot=plot)
+    found = run(camera, video=video, heights=_heights(height_mm), plot=plot)
     tags = [
         f"tag {number} of the plate is {1e3 * off:.2f} mm from its place"
         for number, off in found.tags.items()
     ]
-    trip = [f"pixels and directions agree both ways to {found.round_trip:.1g} px"]
-    problems = [f"PROBLEM: {problem}" for problem in found.problems]
-    show(
+    _show(
+        as_json,
         found.summary(),
         [
             lens_lines(found.answer),
             place_lines(found.answer),
-            trip,
+            [f"pixels and directions agree both ways to {found.round_trip:.1g} px"],
             verdict_lines(found.answer),
             remark_lines(found.answer),
             tags,
-            problems,
+            [f"PROBLEM: {problem}" for problem in found.problems],
         ],
         [plot],
-        "" if not found.problems else f"fixel camera place {quoted(camera)} PICTURE",
-        as_json,
+        "" if not found.problems else f"fixel camera place {_quoted(camera)} PICTURE",
     )
     if found.problems:
         raise typer.Exit(1)
@@ -291,31 +256,26 @@ def board_(
     from fixel.workflows.acquisition.camera.prints import print_board
 
     answer = print_board(board, out, paper)
-    show(
+    _show(
+        as_json,
         answer.summary(),
         [["Print at 100 %, measure the ruler, glue it to something flat."]],
         [out],
         f"fixel camera calibrate PICTURES... --board {answer.what}",
-        as_json,
     )
 
 
 @app.command("tags")
+@with_options
 def tags(
-    rig: Annotated[
-        str | None,
-        typer.Argument(help="Rig whose tags to print.", metavar="RIG", show_default="none"),
-    ] = None,
-    ids: Annotated[
-        str | None, typer.Option(help="Numbers, in place of a rig: 0-9.", metavar="FIRST-LAST")
-    ] = None,
-    size_mm: Annotated[float, typer.Option(help="Side of the black square [mm].")] = 30.0,
-    family: Annotated[
-        str, typer.Option(help="apriltag-36h11, aruco-4x4-50 or aruco-5x5-100.")
-    ] = "apriltag-36h11",
-    out: Annotated[Path, typer.Option(help="Print to write: .pdf or .png.", metavar="FILE")] = Path(
-        "tags.pdf"
+    *,
+    rig: str | None = argument(
+        None, "Rig whose tags to print.", metavar="RIG", show_default="none"
     ),
+    ids: str | None = option(None, "Numbers, in place of a rig: 0-9.", metavar="FIRST-LAST"),
+    size_mm: float = option(30.0, "Side of the black square [mm]."),
+    family: str = option("apriltag-36h11", "apriltag-36h11, aruco-4x4-50 or aruco-5x5-100."),
+    out: Path = option(Path("tags.pdf"), "Print to write: .pdf or .png."),
     paper: Paper = "a4",
     as_json: AsJson = False,
 ) -> None:
@@ -329,9 +289,10 @@ def tags(
     if rig is not None:
         answer = print_rig_tags(rig, out, paper)
     else:
-        first, last = range_of(str(ids))
+        first, last = _range(str(ids))
         answer = print_tags(first, last, size_mm / 1e3, family, out, paper)
-    show(
+    _show(
+        as_json,
         answer.summary(),
         [
             [
@@ -340,6 +301,55 @@ def tags(
             ]
         ],
         [out],
-        f"fixel camera place CAMERA PICTURE --rig {shlex.quote(rig)}" if rig else "",
-        as_json,
+        f"fixel camera place CAMERA PICTURE --rig {_quoted(rig)}" if rig else "",
     )
+
+
+def _show(
+    as_json: bool,
+    content: dict[str, Any],
+    blocks: Sequence[list[str]],
+    files: Sequence[Path | None],
+    after: str,
+) -> None:
+    """Print one JSON object, or blocks of lines, files and the next command."""
+    following = [f"Next: {after}"] if after else []
+    print_answer(as_json, lambda: content, lambda: paragraphs(*blocks, wrote(files), following))
+
+
+def _quoted(path: Path | str) -> str:
+    return shlex.quote(str(path))
+
+
+def _heights(typed: list[float] | None) -> tuple[float, ...]:
+    """Return heights above the plate [m]; those of the thesis by default."""
+    return tuple(mm / 1e3 for mm in (typed or THESIS_HEIGHTS))
+
+
+def _pose(text: str) -> tuple[float, float, float]:
+    """Parse `X,Y,ANGLE` in mm and degrees to metres and radians."""
+    try:
+        x, y, angle = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InvalidInput(
+            "--at", found=repr(text), expected="x and y [mm] and an angle [deg]: 0,0,0"
+        ) from None
+    return x / 1e3, y / 1e3, math.radians(angle)
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    """Parse `1280x720` to width and height [px]."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if not found:
+        raise InvalidInput("--size", found=repr(text), expected="width and height [px]: 1280x720")
+    return int(found[1]), int(found[2])
+
+
+def _range(text: str) -> tuple[int, int]:
+    """Parse `0-9` to the first and the last number."""
+    found = re.fullmatch(r"(\d{1,4})(?:-(\d{1,4}))?", text)
+    if not found:
+        raise InvalidInput("--ids", found=repr(text), expected="numbers such as 0-9")
+    return int(found[1]), int(found[2] or found[1])

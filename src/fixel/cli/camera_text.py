@@ -1,33 +1,14 @@
 """Text output of the commands of `fixel camera`."""
 
-import json
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
+from fixel.table import Column, Table
 
 if TYPE_CHECKING:
     from fixel.workflows.acquisition.camera.calibrate import CameraAnswer
 
 MAX_ROWS = 40
-
-
-def show(
-    summary: dict[str, Any],
-    blocks: list[list[str]],
-    files: list[Path | None],
-    then: str,
-    as_json: bool,
-) -> None:
-    """Print one JSON object, or blocks of lines, files and the next command."""
-    if as_json:
-        typer.echo(json.dumps(summary, allow_nan=False))
-        return
-    wrote = [f"wrote {file}" for file in files if file]
-    after = [f"Next: {then}"] if then else []
-    everything = [*blocks, wrote, after]
-    typer.echo("\n\n".join("\n".join(block) for block in everything if block))
 
 
 def lens_lines(answer: "CameraAnswer") -> list[str]:
@@ -61,19 +42,16 @@ def lens_lines(answer: "CameraAnswer") -> list[str]:
 
 def view_lines(answer: "CameraAnswer") -> list[str]:
     """Table of the pictures, and of those that were left out."""
-    from fixel.cli.screen import table
-
     found = answer.calibration
     assert found is not None
-    rows = [
-        (u.name, str(u.corners), f"{u.rms:.3f}", f"{u.tilt * 57.29578:.0f}") for u in found.used
-    ]
-    head = ("picture", "corners", "rms [px]", "tilt [deg]")
+    rows = [(u.name, u.corners, u.rms, math.degrees(u.tilt)) for u in found.used]
+    residual, tilt = Column("rms", "px", ".3f"), Column("tilt", "deg", ".0f")
+    pictures = Table(("picture", "corners", residual, tilt), rows)
     used = {u.name for u in found.used}
     left_out = [f"  {d.name}: {d.reason}" for d in found.dropped if d.name not in used]
     partly = [f"  {d.name}: {d.reason}" for d in found.dropped if d.name in used]
     return [
-        *table(head, rows[:MAX_ROWS]),
+        *pictures.lines(MAX_ROWS),
         *([f"... and {len(rows) - MAX_ROWS} more"] if len(rows) > MAX_ROWS else []),
         f"{len(rows)} pictures used, rms {found.rms:.3f} px",
         *([f"left out ({len(left_out)}):", *left_out[:MAX_ROWS]] if left_out else []),

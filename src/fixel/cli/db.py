@@ -1,16 +1,17 @@
 """`fixel db upgrade|backup|check [PROJECT]`: the database of a project."""
 
-import json
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, project_at, project_words
+from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, project_at
+from fixel.cli.screen import command_of, paragraphs, print_answer, shortened
+from fixel.table import Table
 
 if TYPE_CHECKING:
-    from fixel.workflows.project.maintenance import Backup, CheckResult, SchemaVersions
+    from fixel.workflows.project.maintenance import CheckResult, SchemaVersions
 
 MAX_TROUBLES = 20
 
@@ -30,7 +31,7 @@ def upgrade(
 
     project = project_at(place, folder)
     versions = maintenance.upgrade(project)
-    typer.echo(json.dumps(versions._asdict()) if as_json else _upgraded(versions, project))
+    print_answer(as_json, versions._asdict, lambda: _upgraded(versions, project))
 
 
 @app.command("backup")
@@ -44,11 +45,16 @@ def backup(
     from fixel.workflows.project import maintenance
 
     done = maintenance.backup(project_at(place, folder), file)
-    if as_json:
-        paths = {"file": str(done.file), "media": str(done.media)}
-        typer.echo(json.dumps(done._asdict() | paths))
-    else:
-        typer.echo(_backed_up(done))
+    print_answer(
+        as_json,
+        lambda: done._asdict() | {"file": str(done.file), "media": str(done.media)},
+        lambda: [
+            f"wrote {done.file}: {done.size} bytes, sha256 {done.sha256}",
+            "The media are not in it; they never change, so copy what is new:",
+            "",
+            f"Next: {shlex.join(['cp', '-rn', str(done.media), f'{done.file}.media'])}",
+        ],
+    )
 
 
 @app.command("check")
@@ -63,7 +69,11 @@ def check(
 
     project = project_at(place, folder)
     found = maintenance.check(project)
-    typer.echo(json.dumps(found.summary()) if as_json else _checked(found, project))
+    print_answer(
+        as_json,
+        found.summary,
+        lambda: paragraphs(_contents(found), _troubles(found), [f"Next: {_next(found, project)}"]),
+    )
     if found.troubles:
         raise typer.Exit(1)
 
@@ -77,71 +87,50 @@ def diagram(
     from fixel.workflows.project import maintenance
 
     names = maintenance.diagram(file)
-    if as_json:
-        typer.echo(json.dumps({"file": str(file), "tables": names}))
-    else:
-        typer.echo(f"wrote {file}: {len(names)} tables")
+    print_answer(
+        as_json,
+        lambda: {"file": str(file), "tables": names},
+        lambda: [f"wrote {file}: {len(names)} tables"],
+    )
 
 
-def _upgraded(versions: "SchemaVersions", project: Path) -> str:
+def _upgraded(versions: "SchemaVersions", project: Path) -> list[str]:
     if versions.before == versions.after:
         done = f"The database has schema {versions.after} already."
     elif versions.before is None:
         done = f"The database was empty; it has schema {versions.after} now."
     else:
         done = f"The database had schema {versions.before}; it has {versions.after} now."
-    return f"{done}\n\nNext: {_command('check', project)}"
-
-
-def _backed_up(done: "Backup") -> str:
-    return (
-        f"wrote {done.file}: {done.size} bytes, sha256 {done.sha256}\n"
-        f"The media are not in it; they never change, so copy what is new:\n\n"
-        f"Next: {shlex.join(['cp', '-rn', str(done.media), f'{done.file}.media'])}"
-    )
-
-
-def _checked(found: "CheckResult", project: Path) -> str:
-    blocks = [_contents(found), _troubles(found), [f"Next: {_next(found, project)}"]]
-    return "\n\n".join("\n".join(block) for block in blocks if block)
+    return [done, "", f"Next: {_command('check', project)}"]
 
 
 def _contents(found: "CheckResult") -> list[str]:
-    from fixel.cli.screen import table
-
     version = "unknown" if found.version is None else found.version
-    rows = [(name, str(n)) for name, n in found.counts.items() if n]
+    rows = [(name, n) for name, n in found.counts.items() if n]
     unused = f", {found.unused_files} of them not of this project" if found.unused_files else ""
     return [
         f"{found.engine}, schema {version}",
-        *(table(("table", "rows"), rows) if rows else []),
+        *(Table(("table", "rows"), rows).lines() if rows else []),
         f"media files: {found.media_files}{unused}",
     ]
 
 
 def _troubles(found: "CheckResult") -> list[str]:
-    if not found.troubles:
+    n = len(found.troubles)
+    if not n:
         return ["Everything can be read."]
     shown = [f"  {t.where}: {t.sentence}" for t in found.troubles[:MAX_TROUBLES]]
-    left_out = len(found.troubles) - len(shown)
-    more = [f"  ... and {left_out} more; --json has them all"] if left_out else []
-    plural = "" if len(found.troubles) == 1 else "s"
-    return [f"{len(found.troubles)} thing{plural} wrong", *shown, *more]
+    return [f"{n} thing{'s' * (n != 1)} wrong", *shortened(shown, n, "  ")]
 
 
 def _next(found: "CheckResult", project: Path) -> str:
     """Return advice against the first fault, or else the command that most users need next."""
     if found.troubles:
         return found.troubles[0].hint.removeprefix("run: ")
-    return _next_of(found.engine, project)
-
-
-def _next_of(engine: str, project: Path) -> str:
-    if engine == "sqlite":
+    if found.engine == "sqlite":
         return _command("backup", project, "backup.db")
-    return shlex.join(["fixel", "list", *project_words(project)])
+    return command_of("list", project=project)
 
 
 def _command(name: str, project: Path, *arguments: str) -> str:
-    where = [] if project == Path() else [str(project)]
-    return shlex.join(["fixel", "db", name, *arguments, *where])
+    return command_of("db", name, *arguments, *([] if project == Path() else [project]))

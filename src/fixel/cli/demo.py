@@ -1,10 +1,15 @@
 """`fixel demo`: a tour that ends in a report."""
 
+import shlex
 import time
+from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
+
+from fixel.cli.options import option, with_options
+from fixel.cli.screen import notify, progress_bar, seconds
 
 if TYPE_CHECKING:
     from fixel.workflows.demo.camera_demo import CameraTour
@@ -17,26 +22,22 @@ CAMERA = "camera"
 NOT_SOLVED = 3
 
 
+@with_options
 def demo(
-    out: Annotated[
-        Path, typer.Option(help="Folder for the figures; made when missing.", metavar="FOLDER")
-    ] = Path("fixel-demo"),
-    quick: Annotated[
-        bool, typer.Option("--quick", help="The grasp only: no experiments, no report.")
-    ] = False,
-    camera: Annotated[
-        bool,
-        typer.Option(
-            "--camera",
-            help="Instead: film simulated pushes, record the films off a network camera, track,"
-            " calibrate, and compare with the truth. Takes minutes; the same command resumes it.",
-        ),
-    ] = False,
+    *,
+    out: Path = option(
+        Path("fixel-demo"), "Folder for the figures; made when missing.", metavar="FOLDER"
+    ),
+    quick: bool = option(False, "The grasp only: no experiments, no report.", "--quick"),
+    camera: bool = option(
+        False,
+        "Instead: film simulated pushes, record the films off a network camera, track,"
+        " calibrate, and compare with the truth. Takes minutes; the same command resumes it.",
+        "--camera",
+    ),
 ) -> None:
     """Simulate and film a grasp; then calibrate simulated experiments and report how far to
     believe the simulator."""
-    from fixel.cli.screen import notify, progress_bar
-
     if camera:
         from fixel.workflows.demo.camera_demo import run_camera_tour
 
@@ -46,25 +47,22 @@ def demo(
             notify=lambda what: notify(f"{time.monotonic() - begin:4.0f} s  {what} ..."),
             progress=progress_bar("Filming"),
         )
-        return typer.echo("\n".join(_whole_way(tour)))
+        return typer.echo("\n".join(_camera_lines(tour)))
     from fixel.workflows.demo.scene_demo import run_demo
 
     result = run_demo(out, notify=notify, progress=progress_bar("Filming"))
-    typer.echo("\n".join(_told(result)))
+    typer.echo("\n".join(_scene_lines(result)))
     if not result.simulation.converged:
         raise typer.Exit(NOT_SOLVED)
     if not quick:
         from fixel.workflows.demo.laboratory_demo import run_tour
 
         typer.echo("\nHow far is such a simulation to be believed? A laboratory finds out:\n")
-        believed = run_tour(out / LAB, notify=lambda what: notify(f"  {what} ..."))
-        typer.echo("\n".join(_reported(believed)))
+        laboratory = run_tour(out / LAB, notify=lambda what: notify(f"  {what} ..."))
+        typer.echo("\n".join(_laboratory_lines(laboratory)))
 
 
-def _whole_way(tour: "CameraTour") -> list[str]:
-    import math
-    import shlex
-
+def _camera_lines(tour: "CameraTour") -> list[str]:
     from fixel.workflows.demo.camera_demo import estimate_table
     from fixel.workflows.report.write import next_command
 
@@ -72,7 +70,7 @@ def _whole_way(tour: "CameraTour") -> list[str]:
     return [
         "",
         f"{tour.frames} frames recorded, {tour.lost} lost. Tracked poses are"
-        f" {1e3 * errors.position:.3f} mm and {math.degrees(errors.angle):.3f} deg from the true"
+        f" {1e3 * errors.position:.3f} mm and {degrees(errors.angle):.3f} deg from the true"
         " ones (RMS).",
         "",
         *estimate_table(tour.estimates).lines(),
@@ -87,9 +85,7 @@ def _whole_way(tour: "CameraTour") -> list[str]:
     ]
 
 
-def _reported(tour: "Tour") -> list[str]:
-    import shlex
-
+def _laboratory_lines(tour: "Tour") -> list[str]:
     from fixel.workflows.report.write import next_command
 
     content = tour.report.content
@@ -110,11 +106,7 @@ def _reported(tour: "Tour") -> list[str]:
     ]
 
 
-def _told(result: "Demo") -> list[str]:
-    import shlex
-
-    from fixel.cli.screen import seconds
-
+def _scene_lines(result: "Demo") -> list[str]:
     run, files = result.simulation, result.files
     scene = shlex.quote(str(files["scene"]))
     return [

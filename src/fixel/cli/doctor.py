@@ -1,38 +1,27 @@
 """`fixel doctor`: check an installation."""
 
-import sys
 from typing import TYPE_CHECKING
 
 import typer
 
 from fixel.cli.options import AsJson
+from fixel.cli.screen import notice, print_answer, seconds
 
 if TYPE_CHECKING:
     from fixel.workflows.diagnostics.doctor import Diagnosis
 
 
-def doctor(
-    as_json: AsJson = False,
-) -> None:
+def doctor(as_json: AsJson = False) -> None:
     """Check this installation and report what to do about anything that is wrong."""
-    from fixel.cli.screen import notify
     from fixel.workflows.diagnostics.doctor import examine
 
-    found = examine(notify if sys.stderr.isatty() or not as_json else None)
-    if as_json:
-        import json
-
-        from fixel.formats.trajectory_file import plain_numbers
-
-        typer.echo(json.dumps(plain_numbers(found.summary()), allow_nan=False))
-    else:
-        typer.echo("\n".join(_report(found)))
+    found = examine(notice(as_json))
+    print_answer(as_json, found.summary, lambda: _lines(found))
     if not found.passed:
         raise typer.Exit(1)
 
 
-def _report(found: "Diagnosis") -> list[str]:
-    from fixel.cli.screen import seconds
+def _lines(found: "Diagnosis") -> list[str]:
     from fixel.workflows.diagnostics.self_test import worst_residual
 
     versions = [f"{name} {number}" for name, number in found.versions.items()]

@@ -1,124 +1,138 @@
-"""`fixel domain`: map where one parameter set can be trusted."""
+"""`fixel domain` and `fixel domain growth`: where one parameter set can be trusted."""
 
-import json
-import shlex
 import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from fixel.cli.growth import growth
 from fixel.cli.options import (
     AsJson,
     DatasetName,
-    Flagged,
     PictureFolder,
     ProjectFolder,
     Seed,
-    Where,
+    Selection,
+    option,
+    require_folder,
+    with_options,
+)
+from fixel.cli.screen import (
+    command_line,
+    command_of,
+    notify,
+    print_answer,
+    progress_bar,
+    seconds,
+    shortened,
+    wrote,
 )
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
+    from fixel.workflows.analysis import StoredAnalysis
     from fixel.workflows.domain.request import DomainRequest
     from fixel.workflows.domain.run import DomainResult
+    from fixel.workflows.growth.explore import Exploration
 
 MAX_ROWS = 30
 
 app = typer.Typer(invoke_without_command=True, rich_markup_mode=None)
-app.command("growth")(growth)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DomainOptions:
+    """Options of `fixel domain` for the map."""
+
+    calibration: int | None = option(
+        None,
+        "Stored calibration to start from.",
+        metavar="N",
+        show_default="the newest for several",
+    )
+    fit: list[str] | None = option(
+        None,
+        "Parameter to find, in place of the calibration's; may be repeated.",
+        metavar="NAME[=LOW:HIGH[:START]]",
+    )
+    selection: Selection
+    axes: str | None = option(
+        None,
+        "Conditions the map goes over: offset_y_m,offset_theta_rad.",
+        metavar="NAME[,NAME]",
+        show_default="the offsets that vary",
+    )
+    by: str | None = option(
+        None, "Conditions with a map for each of their values: shape,layout.", metavar="NAME[,NAME]"
+    )
+    apart: str | None = option(
+        None,
+        "Conditions with parameters for each of their values: surface,shape.",
+        metavar="NAME[,NAME]",
+    )
+    leave_out: str | None = option(
+        None, "Condition whose values are held out whole: layout.", metavar="CONDITION"
+    )
+    nominal: str | None = option(
+        None, "Where the domain grows from, in SI units.", metavar="AXIS=VALUE[,AXIS=VALUE]"
+    )
+    step: list[str] | None = option(
+        None,
+        "Width of the cells along an axis, in SI units; may be repeated.",
+        metavar="AXIS=WIDTH",
+    )
+    threshold_mm: float | None = option(
+        None,
+        "Root mean square error that must not be exceeded [mm].",
+        show_default="twice the median",
+    )
+    relative: float | None = option(
+        None,
+        "In place of it: how much larger E may be than an experiment's own best,"
+        " as a share of that.",
+        metavar="SHARE",
+    )
+    level: float = option(0.9, "Share of new experiments that have to stay below.")
+    confidence: float = option(0.95, "At which a cell is called trusted.")
+    folds: int | None = option(
+        None, "Of the cross-validation.", min=2, show_default="5; 2 for more than 2000"
+    )
+    seed: Seed = 0
+
+    @property
+    def request(self) -> "DomainRequest":
+        """Request of the map."""
+        from fixel.workflows.domain.request import DomainRequest
+
+        if self.threshold_mm is not None and self.relative is not None:
+            raise InvalidInput("--relative", found="--threshold-mm too", expected="one of them")
+        return DomainRequest(
+            query=self.selection.query,
+            calibration=self.calibration,
+            fit=tuple(self.fit or ()),
+            axes=_names(self.axes),
+            by=_names(self.by),
+            apart=_names(self.apart),
+            leave_out=self.leave_out or "",
+            nominal=_values("--nominal", self.nominal.split(",") if self.nominal else []),
+            steps=_widths(self.step or []),
+            threshold=self.threshold_mm if self.relative is None else self.relative,
+            measure="absolute" if self.relative is None else "relative",
+            level=self.level,
+            confidence=self.confidence,
+            folds=self.folds,
+            seed=self.seed,
+        )
 
 
 @app.callback()
+@with_options
 def domain(
+    *,
     context: typer.Context,
     folder: ProjectFolder = Path(),
-    calibration: Annotated[
-        int | None,
-        typer.Option(
-            help="Stored calibration to start from.",
-            metavar="N",
-            show_default="the newest for several",
-        ),
-    ] = None,
-    fit: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Parameter to find, in place of the calibration's; may be repeated.",
-            metavar="NAME[=LOW:HIGH[:START]]",
-        ),
-    ] = None,
-    dataset: DatasetName = None,
-    where: Where = None,
-    flagged: Flagged = False,
-    axes: Annotated[
-        str | None,
-        typer.Option(
-            help="Conditions the map goes over: offset_y_m,offset_theta_rad.",
-            metavar="NAME[,NAME]",
-            show_default="the offsets that vary",
-        ),
-    ] = None,
-    by: Annotated[
-        str | None,
-        typer.Option(
-            help="Conditions with a map for each of their values: shape,layout.",
-            metavar="NAME[,NAME]",
-        ),
-    ] = None,
-    apart: Annotated[
-        str | None,
-        typer.Option(
-            help="Conditions with parameters for each of their values: surface,shape.",
-            metavar="NAME[,NAME]",
-        ),
-    ] = None,
-    leave_out: Annotated[
-        str | None,
-        typer.Option(
-            help="Condition whose values are held out whole: layout.", metavar="CONDITION"
-        ),
-    ] = None,
-    nominal: Annotated[
-        str | None,
-        typer.Option(
-            help="Where the domain grows from, in SI units.", metavar="AXIS=VALUE[,AXIS=VALUE]"
-        ),
-    ] = None,
-    step: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Width of the cells along an axis, in SI units; may be repeated.",
-            metavar="AXIS=WIDTH",
-        ),
-    ] = None,
-    threshold_mm: Annotated[
-        float | None,
-        typer.Option(
-            help="Root mean square error that must not be exceeded [mm].",
-            show_default="twice the median",
-        ),
-    ] = None,
-    relative: Annotated[
-        float | None,
-        typer.Option(
-            help="In place of it: how much larger E may be than an experiment's own best,"
-            " as a share of that.",
-            metavar="SHARE",
-        ),
-    ] = None,
-    level: Annotated[
-        float, typer.Option(help="Share of new experiments that have to stay below.")
-    ] = 0.9,
-    confidence: Annotated[float, typer.Option(help="At which a cell is called trusted.")] = 0.95,
-    folds: Annotated[
-        int | None,
-        typer.Option(
-            help="Of the cross-validation.", min=2, show_default="5; 2 for more than 2000"
-        ),
-    ] = None,
-    seed: Seed = 0,
+    options: DomainOptions,
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
@@ -128,43 +142,18 @@ def domain(
     """
     if context.invoked_subcommand is not None:
         return
-    from fixel.cli.screen import progress_bar
     from fixel.database.project import Project
-    from fixel.workflows.domain.request import DomainRequest
     from fixel.workflows.domain.run import map_domain
-    from fixel.workflows.project.filters import query_of
 
-    if threshold_mm is not None and relative is not None:
-        raise InvalidInput("--relative", found="--threshold-mm too", expected="one of them")
-    asked = DomainRequest(
-        query=query_of(dataset=dataset, where=where or (), flagged=flagged),
-        calibration=calibration,
-        fit=tuple(fit or ()),
-        axes=_names(axes),
-        by=_names(by),
-        apart=_names(apart),
-        leave_out=leave_out or "",
-        nominal=_values("--nominal", (nominal or "").split(",") if nominal else []),
-        steps=_widths(step or []),
-        threshold=threshold_mm if relative is None else relative,
-        measure="absolute" if relative is None else "relative",
-        level=level,
-        confidence=confidence,
-        folds=folds,
-        seed=seed,
-    )
+    request = options.request
     done = map_domain(
         Project.open(folder),
-        asked,
+        request,
         plot=plot,
         progress=progress_bar("Holding out"),
-        command="fixel " + shlex.join(sys.argv[1:]),
+        command=command_line(),
     )
-    if as_json:
-        typer.echo(json.dumps(_answer(done)))
-        return
-    for line in _lines(done, folder, asked):
-        typer.echo(line)
+    print_answer(as_json, lambda: _content(done), lambda: _lines(done, folder, request))
 
 
 def _names(text: str | None) -> tuple[str, ...]:
@@ -193,7 +182,7 @@ def _widths(settings: list[str]) -> dict[str, float]:
     return found
 
 
-def _answer(done: "DomainResult") -> dict[str, object]:
+def _content(done: "DomainResult") -> dict[str, Any]:
     analysis = done.kept.analysis
     return {
         "title": analysis.title,
@@ -206,33 +195,148 @@ def _answer(done: "DomainResult") -> dict[str, object]:
     }
 
 
-def _lines(done: "DomainResult", folder: Path, asked: "DomainRequest") -> list[str]:
+def _lines(done: "DomainResult", folder: Path, request: "DomainRequest") -> list[str]:
     analysis = done.kept.analysis
     lines = [*analysis.headline, ""]
     for one in analysis.tables:
-        lines += [f"{one.title}:", *one.lines(MAX_ROWS)]
-        more = len(one.rows) - MAX_ROWS
-        lines += [f"... and {more} more; --json has them all"] if more > 0 else []
-        lines.append("")
+        shown = shortened(one.lines(MAX_ROWS), len(one.rows) + 1)
+        lines += [f"{one.title}:", *shown, ""]
     lines += [f"Warning: {sentence}." for sentence in analysis.warnings]
-    lines += [f"wrote {path}" for path in done.files]
-    lines.append(f"kept in {done.kept.folder}")
-    lines.append(f"Next: {_next(done, folder, asked)}")
-    return lines
+    return [
+        *lines,
+        *wrote(done.files),
+        f"kept in {done.kept.folder}",
+        f"Next: {_next(done, folder, request)}",
+    ]
 
 
-def _next(done: "DomainResult", folder: Path, asked: "DomainRequest") -> str:
+def _next(done: "DomainResult", folder: Path, request: "DomainRequest") -> str:
     """Return the next command: charts, then a tighter threshold or, below the noise, a report."""
-    from dataclasses import replace
-
-    from fixel.workflows.domain.request import command_of
+    from fixel.workflows.domain.request import command_of as domain_command
 
     if not done.files:
-        return f"{command_of(folder, asked, done.claim)} --plot domain"
+        return f"{domain_command(folder, request, done.claim)} --plot domain"
     tighter = replace(done.claim, threshold=0.5 * done.claim.threshold)
     floor = done.gathered.floor_mm
     if floor is not None and tighter.measure == "absolute" and tighter.threshold < floor:
-        return "fixel report" + (
-            "" if folder == Path() else f" --project {shlex.quote(str(folder))}"
-        )
-    return command_of(folder, asked, tighter)
+        return command_of("report", project=folder)
+    return domain_command(folder, request, tighter)
+
+
+@app.command("growth")
+@with_options
+def growth(
+    *,
+    folder: ProjectFolder = Path(),
+    shape: str | None = option(None, "Only this shape.", metavar="NAME"),
+    dataset: DatasetName = None,
+    index: str = option(
+        "corrected",
+        "corrected, or printed: the rows of the thesis's code, theta one too early.",
+        metavar="WHICH",
+    ),
+    threshold: str | None = option(
+        None,
+        "Of the error, in its unit, or as a distance: 5, or 2.2mm.",
+        metavar="E",
+        show_default="the thesis's 5 mm²",
+    ),
+    sizes: list[str] | None = option(
+        None,
+        "Samples of the intervals, 2 to 5; for one axis or for all; may be repeated.",
+        metavar="[AXIS=]N[,N]",
+        show_default="x=2,4 y=3,5 theta=2,4",
+    ),
+    motion: str | None = option(None, "Only calibrations with this motion model.", metavar="MODEL"),
+    error: str | None = option(None, "Only calibrations with this error.", metavar="NAME"),
+    plot: Path | None = option(
+        None, "Folder for the pictures, beside the project's own.", metavar="FOLDER"
+    ),
+    as_json: AsJson = False,
+) -> None:
+    """Grow the domain of applicability from stored calibrations, as the thesis did.
+
+    Step i adds the experiments x+i, y+i, y-i and theta+i to the nominal one; one set of parameters
+    simulates them all, and the largest error counts.
+    """
+    from fixel.database.project import Project
+    from fixel.domain.growth import INDEXES
+    from fixel.workflows.growth.run import GrowthRequest, run_growth
+
+    if index not in INDEXES:
+        raise InvalidInput("--index", found=repr(index), expected="corrected or printed")
+    request = GrowthRequest(
+        shape=shape,
+        dataset=dataset,
+        index="printed" if index == "printed" else "corrected",
+        sizes=_sizes(sizes or []),
+        threshold=threshold,
+        motion=motion,
+        error=error,
+    )
+    require_folder(plot)
+    report = command_of("report", project=folder)
+    found, kept = run_growth(
+        Project.open(folder),
+        request,
+        command=command_line(),
+        where=report.removeprefix("fixel report"),
+        notify=notify if sys.stderr.isatty() else None,
+    )
+    copied = [] if plot is None else kept.copy_pictures(plot)
+    print_answer(
+        as_json,
+        lambda: _growth_content(kept, copied),
+        lambda: _growth_lines(found, kept, copied, report),
+    )
+
+
+def _sizes(texts: list[str]) -> dict[str, tuple[int, ...]] | None:
+    from fixel.domain.growth import AXES
+
+    found: dict[str, tuple[int, ...]] = {}
+    for text in texts:
+        axis, equals, numbers = text.rpartition("=")
+        try:
+            own = tuple(int(number) for number in numbers.split(","))
+        except ValueError:
+            own = ()
+        if not own or (equals and axis not in AXES):
+            raise InvalidInput(
+                "--sizes", found=repr(text), expected="numbers of samples, such as y=3,5 or 2,4"
+            )
+        found |= dict.fromkeys((axis,) if equals else AXES, own)
+    return found or None
+
+
+def _growth_content(kept: "StoredAnalysis", copied: list[Path]) -> dict[str, Any]:
+    analysis = kept.analysis
+    return {
+        "headline": list(analysis.headline),
+        "warnings": list(analysis.warnings),
+        "folder": str(kept.folder),
+        "pictures": [str(kept.picture(shown.name)) for shown in analysis.pictures],
+        "copied": [str(path) for path in copied],
+        "seconds": analysis.seconds,
+        **analysis.numbers,
+    }
+
+
+def _growth_lines(
+    found: "Exploration", kept: "StoredAnalysis", copied: list[Path], report: str
+) -> list[str]:
+    analysis, n = kept.analysis, len(found.added)
+    lines = []
+    for one in analysis.tables:
+        lines += [one.title, *one.lines(), ""]
+    new = f", {n} sets of parameters stored as calibrations" if n else ""
+    return [
+        *lines,
+        *analysis.headline,
+        "",
+        *(f"Warning: {sentence}" for sentence in analysis.warnings),
+        *wrote(path for path in copied if path.suffix == ".png"),
+        f"{found.rollouts} simulations, {seconds(analysis.seconds)}{new}; kept with its pictures in"
+        f" {kept.folder}",
+        f"Next: {report}",
+    ]

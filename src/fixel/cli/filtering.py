@@ -1,103 +1,121 @@
 """`fixel filter KEY`: pose and friction of a stored experiment, estimated frame by frame."""
 
-import json
 import shlex
+from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from fixel.cli.options import AsJson, ProjectFolder
+from fixel.cli.options import (
+    AnySeed,
+    AsJson,
+    ProjectFolder,
+    option,
+    require_picture,
+    required,
+    with_options,
+)
+from fixel.cli.screen import (
+    command_of,
+    origin_of,
+    paragraphs,
+    print_answer,
+    progress_bar,
+    project_words,
+    wrote,
+)
 from fixel.errors import InvalidInput
+from fixel.table import Column, Table
 
 if TYPE_CHECKING:
     from fixel.workflows.filtering.run import FilterAnswer
-
-HERE = Path()
 
 Range = tuple[float, float]
 
 BELIEF_FAR = 3.0  # times the camera's noise: a belief beyond it is worth a line
 NOISE_FAR = 1.5  # times the belief: ellipsoids are too small beyond it
+N_PARTICLES = 125
 
 
+@dataclass(frozen=True, kw_only=True)
+class FilterOptions:
+    """Options of `fixel filter`."""
+
+    occlude: str | None = option(
+        None, "Hide the object from the filter meanwhile [s].", metavar="FROM:TO"
+    )
+    tactile: bool = option(True, "Whether the fixels are listened to.", "--tactile/--no-tactile")
+    particles: int = option(N_PARTICLES, "How many particles.")
+    prior: list[str] | None = option(
+        None,
+        "Uniform belief about a parameter, e.g. mu_pusher=0.1:1; may be repeated.",
+        metavar="NAME=LOW:HIGH",
+    )
+    seed: AnySeed = 0
+    threads: int = option(1, "Of the simulation.", min=1)
+    plot: Path | None = option(None, "Draw the run: .png, .svg or .pdf.")
+    save: bool = option(True, "Keep the run.", "--save/--no-save")
+
+    def command(self, key: str, project: Path) -> str:
+        """Return the command to be typed in the current folder, without --plot."""
+        words: list[object] = []
+        if self.occlude is not None:
+            words += ["--occlude", self.occlude]
+        if not self.tactile:
+            words += ["--no-tactile"]
+        for belief in self.prior or []:
+            words += ["--prior", belief]
+        words += [] if self.particles == N_PARTICLES else ["--particles", self.particles]
+        words += [] if self.seed == 0 else ["--seed", self.seed]
+        return command_of("filter", key, *project_words(project), *words)
+
+
+@with_options
 def filter_(
-    key: Annotated[
-        str,
-        typer.Argument(
-            help="Experiment: its id, its name, or DATASET/NAME.",
-            metavar="EXPERIMENT",
-            show_default=False,
-        ),
-    ],
-    project: ProjectFolder = HERE,
-    occlude: Annotated[
-        str | None,
-        typer.Option(help="Hide the object from the filter meanwhile [s].", metavar="FROM:TO"),
-    ] = None,
-    tactile: Annotated[
-        bool, typer.Option("--tactile/--no-tactile", help="Whether the fixels are listened to.")
-    ] = True,
-    particles: Annotated[int, typer.Option(help="How many particles.")] = 125,
-    prior: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Uniform belief about a parameter, e.g. mu_pusher=0.1:1; may be repeated.",
-            metavar="NAME=LOW:HIGH",
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the random number generator.")] = 0,
-    threads: Annotated[int, typer.Option(help="Of the simulation.", min=1)] = 1,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the run: .png, .svg or .pdf.", metavar="FILE")
-    ] = None,
-    save: Annotated[bool, typer.Option("--save/--no-save", help="Keep the run.")] = True,
+    *,
+    key: str = required(
+        "Experiment: its id, its name, or DATASET/NAME.", metavar="EXPERIMENT", show_default=False
+    ),
+    project: ProjectFolder = Path(),
+    options: FilterOptions,
     as_json: AsJson = False,
 ) -> None:
     """Estimate pose and friction while an experiment goes on, with a particle filter."""
-    from fixel.cli.screen import progress_bar
     from fixel.database.project import Project
     from fixel.filtering.particle_filter import ParticleFilter
     from fixel.workflows.filtering.run import filter_experiment
 
-    _refuse_picture(plot)
-    command = _command(key, project, occlude, tactile, particles, prior, seed)
-    options = ParticleFilter(
-        n_particles=particles, threads=threads, priors=dict(map(_prior, prior or []))
+    plot = options.plot
+    require_picture(plot)
+    command = options.command(key, project)
+    machine = ParticleFilter(
+        n_particles=options.particles,
+        threads=options.threads,
+        priors=dict(map(_prior, options.prior or [])),
     )
     answer = filter_experiment(
         Project.open(project),
         key,
-        options,
-        occlusion=None if occlude is None else _interval("--occlude", occlude),
-        use_tactile=tactile,
-        seed=seed,
-        save=save,
+        machine,
+        occlusion=None if options.occlude is None else _interval("--occlude", options.occlude),
+        use_tactile=options.tactile,
+        seed=options.seed,
+        save=options.save,
         command=command,
         progress=progress_bar("Filtering"),
     )
     if plot is not None:
         _draw(answer, plot)
-    if as_json:
-        files = {} if plot is None else {"plot": str(plot)}
-        typer.echo(_json(answer.summary() | {"files": files}))
-        return
-    typer.echo(_written(answer, plot, project, command))
-
-
-def _refuse_picture(plot: Path | None) -> None:
-    """Before any work."""
-    if plot is not None:
-        from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
-        from fixel.io.atomic import refuse_unwritable
-
-        refuse_ending(plot, PICTURE_ENDINGS, "picture")
-        refuse_unwritable(plot)
+    files = {} if plot is None else {"plot": str(plot)}
+    print_answer(
+        as_json,
+        lambda: answer.summary() | {"files": files},
+        lambda: _lines(answer, plot, project, command),
+    )
 
 
 def _interval(option: str, text: str) -> Range:
-    """Of FROM:TO, or a refusal."""
+    """Parse FROM:TO."""
     first, _, last = text.partition(":")
     try:
         return float(first), float(last)
@@ -112,36 +130,6 @@ def _prior(text: str) -> tuple[str, Range]:
     return name.strip(), _interval(f"--prior {name.strip()}", interval)
 
 
-def _command(
-    key: str,
-    project: Path,
-    occlude: str | None,
-    tactile: bool,
-    particles: int,
-    prior: list[str] | None,
-    seed: int,
-) -> str:
-    """What to type, from the current folder."""
-    words = ["fixel", "filter", key]
-    if project != HERE:
-        words += ["--project", str(project)]
-    if occlude is not None:
-        words += ["--occlude", occlude]
-    if not tactile:
-        words += ["--no-tactile"]
-    for belief in prior or []:
-        words += ["--prior", belief]
-    words += [] if particles == 125 else ["--particles", str(particles)]
-    words += [] if seed == 0 else ["--seed", str(seed)]
-    return shlex.join(words)
-
-
-def _json(answer: dict[str, object]) -> str:
-    from fixel.formats.trajectory_file import plain_numbers
-
-    return json.dumps(plain_numbers(answer), allow_nan=False)
-
-
 def _draw(answer: "FilterAnswer", plot: Path) -> None:
     from fixel.drawing.filtering import draw_filter
     from fixel.io.atomic import written_whole
@@ -150,12 +138,10 @@ def _draw(answer: "FilterAnswer", plot: Path) -> None:
         draw_filter(answer.experiment, answer.estimates, unfinished)
 
 
-# --- the answer for people --------------------------------------------------------------------
-
-
-def _written(answer: "FilterAnswer", plot: Path | None, project: Path, command: str) -> str:
-    blocks = [
-        [_origin(answer)],
+def _lines(answer: "FilterAnswer", plot: Path | None, project: Path, command: str) -> list[str]:
+    kept = [] if answer.run_id is None else [f"kept as filter run {answer.run_id}"]
+    return paragraphs(
+        [origin_of(answer.experiment)],
         _misfit(answer),
         _noise(answer),
         _input(answer),
@@ -164,16 +150,9 @@ def _written(answer: "FilterAnswer", plot: Path | None, project: Path, command: 
         _calibrated(answer),
         _modes(answer),
         _effort(answer),
-        _kept(answer, plot),
+        kept + wrote([plot]),
         [f"Next: {_next(answer, plot, project, command)}"],
-    ]
-    return "\n\n".join("\n".join(block) for block in blocks if block)
-
-
-def _origin(answer: "FilterAnswer") -> str:
-    experiment = answer.experiment
-    what = "real" if experiment.real else f"SIMULATED by {experiment.simulated_by}"
-    return f"{experiment.key}: {what}"
+    )
 
 
 def _misfit(answer: "FilterAnswer") -> list[str]:
@@ -214,8 +193,7 @@ def _input(answer: "FilterAnswer") -> list[str]:
     found = answer.estimates
     hidden = "never hidden"
     if found.occlusion is not None:
-        start, end = found.occlusion
-        hidden = f"hidden from {start:g} to {end:g} s"
+        hidden = "hidden from {:g} to {:g} s".format(*found.occlusion)
     felt = "with the fixels' readings" if found.uses_tactile else "without tactile readings"
     return [
         f"{len(found.time)} frames from {found.time[0]:.4g} to {found.time[-1]:.4g} s, {hidden},"
@@ -224,55 +202,43 @@ def _input(answer: "FilterAnswer") -> list[str]:
 
 
 def _errors(answer: "FilterAnswer") -> list[str]:
-    from fixel.cli.screen import table
-
-    rows = [
-        (name, f"{1e3 * errors[0]:.3f}", f"{degrees(errors[1]):.3f}")
-        for name, errors in (
-            ("while seen", answer.rms(hidden=False)),
-            ("while hidden", answer.rms(hidden=True)),
-        )
-        if errors is not None
-    ]
-    return table(("error, rms", "position [mm]", "angle [deg]"), rows) if rows else []
+    found = {"while seen": answer.rms(hidden=False), "while hidden": answer.rms(hidden=True)}
+    rows = [(k, 1e3 * pair[0], degrees(pair[1])) for k, pair in found.items() if pair is not None]
+    columns = ("error, rms", Column("position", "mm", ".3f"), Column("angle", "deg", ".3f"))
+    return Table(columns, rows).lines() if rows else []
 
 
 def _parameters(answer: "FilterAnswer") -> list[str]:
-    from fixel.cli.screen import table
-
     found = answer.estimates
-    rows = []
+    rows: list[tuple[Any, ...]] = []
     for name, mean, (low, _, high) in zip(
         found.prior.names, found.mean[-1], found.quantiles[-1], strict=True
     ):
-        told = "" if found.excited[name] else "not excited: about as believed before"
+        remark = "" if found.excited[name] else "not excited: about as believed before"
         if found.at_bound[name]:
-            told = "at the bound of its prior: choose a wider one with --prior"
-        shown = f"{name} [mm]" if name == "tripod_radius" else name
-        factor = 1e3 if name == "tripod_radius" else 1.0
-        numbers = [f"{factor * value:.3g}" for value in (mean, low, high)]
-        rows.append((shown, *numbers, told))
-    return table(("at the end", "mean", "5 %", "95 %", ""), rows) if rows else []
+            remark = "at the bound of its prior: choose a wider one with --prior"
+        label, factor = _label_and_factor(name)
+        rows.append((label, *(float(factor * value) for value in (mean, low, high)), remark))
+    numbers = (Column(name, format=".3g") for name in ("mean", "5 %", "95 %"))
+    return Table(("at the end", *numbers, ""), rows).lines() if rows else []
 
 
 def _calibrated(answer: "FilterAnswer") -> list[str]:
     """Return estimates of the same parameters by calibrations with this experiment."""
-    from fixel.cli.screen import table
-
-    rows = []
+    rows: list[tuple[Any, ...]] = []
     for number, parameters in answer.compared().items():
         for name, one in parameters.items():
-            factor = 1e3 if name == "tripod_radius" else 1.0
-            ends = [one["low"], one["high"]]
-            shown = ["open" if end is None else f"{factor * end:.3g}" for end in ends]
-            label = f"{name} [mm]" if name == "tripod_radius" else name
+            label, factor = _label_and_factor(name)
+            ends = ("open" if x is None else f"{factor * x:.3g}" for x in (one["low"], one["high"]))
             verdict = one["verdict"] or "not assessed"
-            rows.append(
-                (f"calibration {number}", label, f"{factor * one['value']:.3g}", *shown, verdict)
-            )
-    return (
-        table(("of this experiment", "", "value", "low", "high", "verdict"), rows) if rows else []
-    )
+            rows.append((f"calibration {number}", label, factor * one["value"], *ends, verdict))
+    columns = ("of this experiment", "", Column("value", format=".3g"), "low", "high", "verdict")
+    return Table(columns, rows).lines() if rows else []
+
+
+def _label_and_factor(name: str) -> tuple[str, float]:
+    """Name of a parameter with its unit for display, and the factor to that unit."""
+    return (f"{name} [mm]", 1e3) if name == "tripod_radius" else (name, 1.0)
 
 
 def _modes(answer: "FilterAnswer") -> list[str]:
@@ -297,13 +263,8 @@ def _effort(answer: "FilterAnswer") -> list[str]:
     return lines
 
 
-def _kept(answer: "FilterAnswer", plot: Path | None) -> list[str]:
-    kept = [] if answer.run_id is None else [f"kept as filter run {answer.run_id}"]
-    return kept + ([] if plot is None else [f"wrote {plot}"])
-
-
 def _next(answer: "FilterAnswer", plot: Path | None, project: Path, command: str) -> str:
-    """The command most people want after this one."""
+    """Return the command that most users need next."""
     experiment, found = answer.experiment, answer.estimates
     if plot is None:
         return f"{command} --plot {shlex.quote(experiment.name.replace('/', '-') + '-filter.png')}"
@@ -311,10 +272,7 @@ def _next(answer: "FilterAnswer", plot: Path | None, project: Path, command: str
         start, end = found.time[0], found.time[-1]
         third = (end - start) / 3.0
         return f"{command} --occlude {start + third:.3g}:{end - third:.3g}"
-    words = ["fixel", "compare", experiment.key]
-    words += [] if project == HERE else ["--project", str(project)]
-    for name, told in found.excited.items():
-        if told:
-            value = found.mean[-1][found.prior.names.index(name)]
-            words += ["--set", f"{name}={value:.3g}"]
-    return shlex.join(words)
+    values = dict(zip(found.prior.names, found.mean[-1], strict=True))
+    excited = [name for name, known in found.excited.items() if known]
+    settings = [word for name in excited for word in ("--set", f"{name}={values[name]:.3g}")]
+    return command_of("compare", experiment.key, *project_words(project), *settings)

@@ -1,16 +1,25 @@
 """`fixel jobs submit|status|resume|cancel|logs|site|pack|unpack`: work that takes long."""
 
-import json
-import shlex
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson, ProjectFolder, project_at
+from fixel.cli.options import (
+    AsJson,
+    ProjectFolder,
+    SiteFile,
+    Workers,
+    option,
+    project_at,
+    with_options,
+)
+from fixel.cli.screen import command_of, notify, print_answer, seconds, table
+from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.jobs.work import JobProgress
@@ -26,48 +35,38 @@ app = typer.Typer(
 )
 
 JobFolder = Annotated[Path, typer.Argument(help="Folder of the job.", metavar="FOLDER")]
-Workers = Annotated[
-    int | None,
-    typer.Option(help="Processes; 0 for this one alone.", min=0, metavar="N", show_default="0"),
-]
-SiteFile = Annotated[
-    Path | None,
-    typer.Option(help="Cluster the workers run on: see fixel jobs site.", metavar="FILE"),
-]
-Detach = Annotated[bool, typer.Option("--detach", help="Leave it running, and return at once.")]
-Coordinator = Annotated[
-    str, typer.Option(help="Where the job is run from: here, or slurm.", metavar="PLACE")
-]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaceOptions:
+    """Options of `fixel jobs submit` and `resume`: where and how a job runs."""
+
+    site: SiteFile = None
+    workers: Workers = None
+    detach: bool = option(False, "Leave it running, and return at once.", "--detach")
+    coordinator: str = option("here", "Where the job is run from: here, or slurm.", metavar="PLACE")
 
 
 @app.command("submit")
-def submit(
-    folder: JobFolder,
-    site: SiteFile = None,
-    workers: Workers = None,
-    detach: Detach = False,
-    coordinator: Coordinator = "here",
-    as_json: AsJson = False,
-) -> None:
+@with_options
+def submit(*, folder: JobFolder, options: PlaceOptions, as_json: AsJson = False) -> None:
     """Run a prepared job; an interrupted one goes on."""
-    _run(folder, site, workers, detach, coordinator, as_json)
+    _run(folder, options, as_json)
 
 
 @app.command("resume")
+@with_options
 def resume(
+    *,
     folder: JobFolder,
-    site: SiteFile = None,
-    workers: Workers = None,
-    detach: Detach = False,
-    coordinator: Coordinator = "here",
-    accept_version: Annotated[
-        bool,
-        typer.Option("--accept-version", help="Go on with another fixel; last digits may differ."),
-    ] = False,
+    options: PlaceOptions,
+    accept_version: bool = option(
+        False, "Go on with another fixel; last digits may differ.", "--accept-version"
+    ),
     as_json: AsJson = False,
 ) -> None:
     """Resume a job that was stopped, cancelled or lost, with its last settings by default."""
-    _run(folder, site, workers, detach, coordinator, as_json, accept_version)
+    _run(folder, options, as_json, accept_version)
 
 
 @app.command("status")
@@ -92,10 +91,9 @@ def status(
     for folder in folders or [project]:
         is_job = (folder / "job.json").exists()
         found += [jobs.status_of(folder)] if is_job else jobs.jobs_in(folder)
-    if as_json:
-        typer.echo(json.dumps({"jobs": [job.summary() for job in found]}))
-    else:
-        typer.echo("\n".join(_listed(found)))
+    print_answer(
+        as_json, lambda: {"jobs": [job.summary() for job in found]}, lambda: _listed(found)
+    )
 
 
 @app.command("cancel")
@@ -103,7 +101,7 @@ def cancel(folder: JobFolder, as_json: AsJson = False) -> None:
     """End a job and its workers; what was finished stays."""
     from fixel.workflows import jobs
 
-    _say_status(jobs.cancel(folder), as_json)
+    _print_status(jobs.cancel(folder), as_json)
 
 
 @app.command("logs")
@@ -138,11 +136,14 @@ def pack(
     from fixel.workflows import jobs
 
     size = jobs.pack(folder, file)
-    if as_json:
-        typer.echo(json.dumps({"file": str(file), "bytes": size}))
-        return
-    typer.echo(f"wrote {file}: {size} bytes")
-    typer.echo(f"Next: {shlex.join(['fixel', 'jobs', 'unpack', str(file), f'{file.stem}-job'])}")
+    print_answer(
+        as_json,
+        lambda: {"file": str(file), "bytes": size},
+        lambda: [
+            f"wrote {file}: {size} bytes",
+            f"Next: {command_of('jobs', 'unpack', file, f'{file.stem}-job')}",
+        ],
+    )
 
 
 @app.command("unpack")
@@ -154,55 +155,39 @@ def unpack(
     """Make a folder of a packed job."""
     from fixel.workflows import jobs
 
-    _say_status(jobs.unpack(file, folder), as_json)
+    _print_status(jobs.unpack(file, folder), as_json)
 
 
-def _run(
-    folder: Path,
-    site: Path | None,
-    workers: int | None,
-    detach: bool,
-    coordinator: str,
-    as_json: bool,
-    accept_version: bool = False,
-) -> None:
-    from fixel.errors import InvalidInput
+def _run(folder: Path, options: PlaceOptions, as_json: bool, accept_version: bool = False) -> None:
     from fixel.jobs.coordinator import interrupt_on_termination
     from fixel.jobs.site import load_site
     from fixel.workflows import jobs
 
-    if coordinator not in ("here", "slurm"):
-        raise InvalidInput("--coordinator", found=coordinator, expected="here or slurm")
-    before = jobs.status_of(folder)
-    if before.state == "done":
-        _say_status(before, as_json)
-        return
-    jobs.arrange(
-        folder,
-        workers=workers,
-        site=None if site is None else load_site(site),
-        accept_version=accept_version,
-    )
-    if coordinator == "slurm":
-        jobs.run_on_slurm(folder)
-        _say_status(jobs.status_of(folder), as_json)
-        return
-    if detach:
-        _say_status(jobs.run_detached(folder), as_json)
-        return
-    interrupt_on_termination()
-    try:
-        done = jobs.run_here(folder, job_bar(), None if as_json else _say)
-    except KeyboardInterrupt:
-        _say(f"stopped; what was finished is kept. Go on with: {_command('resume', folder)}")
-        raise
-    _say_status(done, as_json)
-
-
-def _say(sentence: str) -> None:
-    from fixel.cli.screen import notify
-
-    notify(sentence)
+    place, site = options.coordinator, options.site
+    if place not in ("here", "slurm"):
+        raise InvalidInput("--coordinator", found=place, expected="here or slurm")
+    done = jobs.status_of(folder)
+    if done.state != "done":
+        jobs.arrange(
+            folder,
+            workers=options.workers,
+            site=None if site is None else load_site(site),
+            accept_version=accept_version,
+        )
+        if place == "slurm":
+            jobs.run_on_slurm(folder)
+            done = jobs.status_of(folder)
+        elif options.detach:
+            done = jobs.run_detached(folder)
+        else:
+            interrupt_on_termination()
+            try:
+                done = jobs.run_here(folder, job_bar(), None if as_json else notify)
+            except KeyboardInterrupt:
+                resume = command_of("jobs", "resume", folder)
+                notify(f"stopped; what was finished is kept. Go on with: {resume}")
+                raise
+    _print_status(done, as_json)
 
 
 def job_bar() -> "Callable[[JobProgress], None]":
@@ -236,8 +221,6 @@ def _share(progress: "JobProgress") -> str:
 
 
 def _details(progress: "JobProgress") -> list[str]:
-    from fixel.cli.screen import seconds
-
     rate = f"{progress.rate:.3g}/s" if progress.rate else ""
     left = f"about {seconds(progress.left_s)} left" if progress.left_s else ""
     failed = f"{progress.failed} failed" if progress.failed else ""
@@ -245,26 +228,19 @@ def _details(progress: "JobProgress") -> list[str]:
 
 
 def _listed(found: "list[JobStatus]") -> list[str]:
-    from fixel.cli.screen import seconds, table
-
     if not found:
         return ["no jobs here", "", "Next: fixel calibrate --help"]
     head = ("job", "state", "done", "of", "failed", "workers", "rate [1/s]", "left", "")
-    rows = [
-        (
-            job.folder,
-            job.state,
-            str(job.done),
-            _total(job),
-            str(job.failed),
-            "" if job.ended else str(job.workers),
-            "" if job.ended else f"{job.rate:.3g}",
-            "" if job.ended or job.left_s is None else seconds(job.left_s),
-            job.reason or job.note,
-        )
-        for job in found
-    ]
-    return [*table(head, rows, left=2), "", *_advice(found[0])]
+    return [*table(head, map(_row, found), left=2), "", *_advice(found[0])]
+
+
+def _row(job: "JobStatus") -> tuple[str, ...]:
+    running = ("", "", "")
+    if not job.ended:
+        left = "" if job.left_s is None else seconds(job.left_s)
+        running = (str(job.workers), f"{job.rate:.3g}", left)
+    counts = (str(job.done), _total(job), str(job.failed))
+    return (job.folder, job.state, *counts, *running, job.reason or job.note)
 
 
 def _total(status: "JobStatus") -> str:
@@ -275,34 +251,31 @@ def _total(status: "JobStatus") -> str:
 def _advice(job: "JobStatus") -> list[str]:
     folder = Path(job.folder)
     if job.state == "lost":
-        answers = f"{job.kept} answers are kept"
         return [
-            f"The process that ran {folder} has died; {answers}, and resume goes on from them.",
-            f"Next: {_command('resume', folder)}",
+            f"The process that ran {folder} has died; {job.kept} answers are kept, and resume goes"
+            " on from them.",
+            f"Next: {command_of('jobs', 'resume', folder)}",
         ]
     after = {
-        "queued": "submit",
-        "failed": "logs",
-        "stopped": "resume",
-        "cancelled": "resume",
-        "done": "pack",
+        "queued": ("submit", folder),
+        "failed": ("logs", folder),
+        "stopped": ("resume", folder),
+        "cancelled": ("resume", folder),
+        "done": ("pack", folder, "job.zip"),
     }
-    command = _command(after.get(job.state, "logs -f"), folder)
-    return [f"Next: {command}{' job.zip' if job.state == 'done' else ''}"]
+    return [f"Next: {command_of('jobs', *after.get(job.state, ('logs', '-f', folder)))}"]
 
 
-def _say_status(job: "JobStatus", as_json: bool) -> None:
-    if as_json:
-        typer.echo(json.dumps(job.summary()))
-        return
+def _print_status(job: "JobStatus", as_json: bool) -> None:
     reason = f": {job.reason}" if job.reason else ""
     failed = f", {job.failed} of them failed" if job.failed else ""
-    typer.echo(f"{job.folder} is {job.state}{reason}; {job.done} of {_total(job)} chunks{failed}")
-    if job.state == "done":
-        typer.echo(f"the result is in {Path(job.folder) / 'result'}")
-    else:
-        typer.echo("\n".join(_advice(job)))
-
-
-def _command(name: str, folder: Path) -> str:
-    return f"fixel jobs {name} {shlex.quote(str(folder))}"
+    done = f"{job.done} of {_total(job)} chunks{failed}"
+    where = [f"the result is in {Path(job.folder) / 'result'}"]
+    print_answer(
+        as_json,
+        job.summary,
+        lambda: [
+            f"{job.folder} is {job.state}{reason}; {done}",
+            *(where if job.state == "done" else _advice(job)),
+        ],
+    )

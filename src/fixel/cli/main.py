@@ -22,30 +22,26 @@ import typer
 from typer.core import TyperGroup
 
 from fixel.cli import (
-    actuator,
-    benchmark,
     calibration,
     camera,
     db,
     demo,
+    devices,
     doctor,
     domain,
-    download,
-    export,
-    film,
     filtering,
     jobs,
     overlay,
     project,
     record,
-    replay,
     report,
+    reproductions,
     sampling,
     sensitivity,
     serve,
     show,
     simulation,
-    tactile,
+    testbed,
     track,
     uncertainty,
 )
@@ -76,12 +72,12 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
     "Simulate": {"simulate": simulation.simulate, "sample": sampling.sample},
     "Experiments": {
         "import": project.import_,
-        "testbed": project.testbed,
+        "testbed": testbed.app,
         "list": project.list_,
         "show": show.show,
         "compare": show.compare,
         "filter": filtering.filter_,
-        "export": export.export,
+        "export": project.export,
     },
     "Calibrate and judge": {
         "calibrate": calibration.calibrate,
@@ -95,13 +91,13 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
         "overlay": overlay.overlay,
         "record": record.app,
         "track": track.track,
-        "tactile": tactile.app,
-        "actuator": actuator.app,
+        "tactile": devices.tactile,
+        "actuator": devices.actuator,
     },
     "Published data": {
-        "data": download.data,
-        "replay": replay.replay,
-        "benchmark": benchmark.app,
+        "data": project.data,
+        "replay": reproductions.replay,
+        "benchmark": reproductions.app,
     },
     "Upkeep": {"jobs": jobs.app, "db": db.app},
 }
@@ -129,8 +125,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-project.testbed.command("film")(film.film)
-project.testbed.command("serve")(record.serve)
 for _commands in SECTIONS.values():
     for _name, _command in _commands.items():
         if isinstance(_command, typer.Typer):

@@ -1,11 +1,21 @@
-"""Options that several commands share, with the same wording everywhere."""
+"""Options of commands: groups of options as dataclasses, and those that several commands share."""
 
+from collections.abc import Callable
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_type_hints
 
 import typer
 
 from fixel.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from fixel.database.query import ExperimentQuery
+
+T = TypeVar("T")
+_INFO: Final = "typer"  # key in the metadata of a dataclass field
 
 ProjectFolder = Annotated[
     Path,
@@ -36,10 +46,106 @@ NoiseMrad = Annotated[
     typer.Option(help="Standard deviation of measured angles [mrad].", show_default="found out"),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of the random number generator.", min=0)]
+AnySeed = Annotated[int, typer.Option(help="Seed of the random number generator.")]
 PictureFolder = Annotated[
     Path | None,
     typer.Option(help="Folder for pictures, as PNG and PDF, and their data.", metavar="FOLDER"),
 ]
+Workers = Annotated[
+    int | None,
+    typer.Option(help="Processes; 0 for this one alone.", min=0, metavar="N", show_default="0"),
+]
+SiteFile = Annotated[
+    Path | None,
+    typer.Option(help="Cluster the workers run on: see fixel jobs site.", metavar="FILE"),
+]
+
+
+def option(default: T, help: str, *names: str, **more: Any) -> T:
+    """Declare an option of a command `with_options`.
+
+    Parameters
+    ----------
+    default : object
+    help : str
+    *names : str
+        Names of the option; by default that of the field or parameter.
+    **more : object
+        Further arguments of `typer.Option`.
+    """
+    return field(default=default, metadata={_INFO: typer.Option(*names, help=help, **more)})
+
+
+def argument(default: T, help: str, **more: Any) -> T:
+    """Declare an argument of a command `with_options` that may be left out."""
+    return field(default=default, metadata={_INFO: typer.Argument(help=help, **more)})
+
+
+def required(help: str, **more: Any) -> Any:
+    """Declare an argument of a command `with_options` that is required."""
+    return field(metadata={_INFO: typer.Argument(help=help, **more)})
+
+
+def with_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Show Typer the options of a command that are declared with `option` or in groups.
+
+    A group is a parameter whose type is a dataclass; each of its fields is an option, or a group
+    again. Typer sees one parameter for each option, and the command gets the dataclass.
+    """
+    given = signature(command, eval_str=True).parameters.values()
+    groups = {p.name: p.annotation for p in given if is_dataclass(p.annotation)}
+    parameters: list[Parameter] = []
+    for parameter in given:
+        if parameter.name in groups:
+            parameters += _options_of(groups[parameter.name])
+        else:
+            parameters.append(_parameter(parameter.name, parameter.annotation, parameter.default))
+
+    @wraps(command)
+    def run(**values: Any) -> None:
+        made = {name: _take(group, values) for name, group in groups.items()}
+        command(**values, **made)
+
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    return run
+
+
+def _options_of(group: Any) -> list[Parameter]:
+    """Parameters for the fields of a group and of the groups in it, in their order."""
+    hints = get_type_hints(group, include_extras=True)
+    parameters = []
+    for one in fields(group):
+        hint = hints[one.name]
+        if is_dataclass(hint):
+            parameters += _options_of(hint)
+        else:
+            default = one if _INFO in one.metadata else one.default
+            parameters.append(_parameter(one.name, hint, default))
+    return parameters
+
+
+def _parameter(name: str, hint: Any, default: Any) -> Parameter:
+    """Parameter for Typer; a default made by `option` and its kin brings the declaration."""
+    if isinstance(default, Field):
+        info, default = default.metadata[_INFO], default.default
+        if info.metavar is None and hint in (Path, Path | None):
+            info.metavar = "FILE"
+        hint = Annotated[hint, info]
+    default = Parameter.empty if default is MISSING else default
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=hint)
+
+
+def _take(group: Any, values: dict[str, Any]) -> Any:
+    """Build a group from the values of its options, which are removed from `values`."""
+    hints = get_type_hints(group)
+    made = {
+        one.name: _take(hints[one.name], values)
+        if is_dataclass(hints[one.name])
+        else values.pop(one.name)
+        for one in fields(group)
+    }
+    return group(**made)
 
 
 def project_at(place: Path | None, folder: Path) -> Path:
@@ -51,6 +157,50 @@ def project_at(place: Path | None, folder: Path) -> Path:
     return folder if place is None else place
 
 
-def project_words(folder: Path) -> list[str]:
-    """Return the words that a command needs at its end to find the same project."""
-    return [] if folder == Path() else ["--project", str(folder)]
+def require_folder(folder: Path | None) -> None:
+    """Make the folder for pictures, if there is to be one, before any work."""
+    if folder is not None:
+        from fixel.workflows.figures import make_folder
+
+        make_folder(folder)
+
+
+def require_picture(file: Path | None) -> None:
+    """Reject an invalid or unwritable file for a picture before any work."""
+    if file is not None:
+        from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
+        from fixel.io.atomic import refuse_unwritable
+
+        refuse_ending(file, PICTURE_ENDINGS, "picture")
+        refuse_unwritable(file)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Selection:
+    """Options that select experiments of a project by their properties."""
+
+    dataset: DatasetName = None
+    where: Where = None
+    flagged: Flagged = False
+
+    @property
+    def query(self) -> "ExperimentQuery":
+        """Query for the selected experiments."""
+        from fixel.workflows.project.filters import query_of
+
+        return query_of(dataset=self.dataset, where=self.where or (), flagged=self.flagged)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasurementNoise:
+    """Options for the standard deviations of measured poses."""
+
+    noise_mm: NoiseMm = None
+    noise_mrad: NoiseMrad = None
+
+
+def require_one_of(option: str, value: str, known: tuple[str, ...]) -> Any:
+    """Return a value if it is one of those that an option knows."""
+    if value not in known:
+        raise InvalidInput(option, found=repr(value), expected="one of " + ", ".join(known))
+    return value

@@ -1,9 +1,8 @@
 """`fixel overlay SCENE`: outlines of where everything should lie, on the live picture."""
 
-import json
-import shlex
 import sys
 from contextlib import suppress
+from dataclasses import dataclass
 from itertools import islice
 from math import degrees, radians
 from pathlib import Path
@@ -11,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson, ProjectFolder
+from fixel.cli.options import AsJson, ProjectFolder, argument, option, with_options
+from fixel.cli.screen import (
+    command_line,
+    command_of,
+    notify,
+    paragraphs,
+    print_answer,
+    table,
+    wrote,
+)
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -20,62 +28,64 @@ if TYPE_CHECKING:
     from fixel.workflows.acquisition.overlay import Overlay
     from fixel.workflows.acquisition.overlay_check import Look, Tolerance
 
-HERE = Path()
 NOT_IN_PLACE = 4
 WAKING = 5  # pictures that are skipped: a camera that was just switched on sends dark ones
 
 
+@dataclass(frozen=True, kw_only=True)
+class OverlayOptions:
+    """Options of `fixel overlay`."""
+
+    camera: str = option(
+        "0", "A camera (0, /dev/video0, http://...), a video file or a recording.", metavar="SOURCE"
+    )
+    experiment: str | None = option(
+        None, "Instead of a scene file: a stored experiment.", metavar="KEY"
+    )
+    project: ProjectFolder = Path()
+    tolerance_mm: float | None = option(
+        None, "How far off a part may be [mm].", show_default="the rig's"
+    )
+    tolerance_deg: float | None = option(
+        None, "How far turned a part may be [deg].", show_default="the rig's"
+    )
+    port: int | None = option(
+        None,
+        "Port of the page, on this machine only.",
+        min=1,
+        max=65535,
+        show_default="any free one",
+    )
+    once: bool = option(False, "Look once, write a picture, exit 0 if all is in place.", "--once")
+    output: Path = option(Path("overlay.png"), "With --once: the picture to write, .png.")
+
+    def tolerance(self, rig: "Rig") -> "Tolerance":
+        """Return the tolerance; where none is given, that of the rig."""
+        from fixel.workflows.acquisition.overlay_check import Tolerance
+
+        mm, deg = self.tolerance_mm, self.tolerance_deg
+        return Tolerance(
+            distance=rig.position_tolerance if mm is None else 1e-3 * mm,
+            angle=rig.angle_tolerance if deg is None else radians(deg),
+        )
+
+
+@with_options
 def overlay(
+    *,
     rig: Annotated[
         str,
         typer.Option(help="Rig file: camera and marks; or the name of an example.", metavar="RIG"),
     ],
-    scene: Annotated[
-        Path | None,
-        typer.Argument(
-            help="Scene file, YAML or JSON.",
-            metavar="SCENE",
-            exists=True,
-            dir_okay=False,
-            show_default=False,
-        ),
-    ] = None,
-    camera: Annotated[
-        str,
-        typer.Option(
-            help="A camera (0, /dev/video0, http://...), a video file or a recording.",
-            metavar="SOURCE",
-        ),
-    ] = "0",
-    experiment: Annotated[
-        str | None,
-        typer.Option(help="Instead of a scene file: a stored experiment.", metavar="KEY"),
-    ] = None,
-    project: ProjectFolder = HERE,
-    tolerance_mm: Annotated[
-        float | None,
-        typer.Option(help="How far off a part may be [mm].", show_default="the rig's"),
-    ] = None,
-    tolerance_deg: Annotated[
-        float | None,
-        typer.Option(help="How far turned a part may be [deg].", show_default="the rig's"),
-    ] = None,
-    port: Annotated[
-        int | None,
-        typer.Option(
-            help="Port of the page, on this machine only.",
-            min=1,
-            max=65535,
-            show_default="any free one",
-        ),
-    ] = None,
-    once: Annotated[
-        bool,
-        typer.Option("--once", help="Look once, write a picture, exit 0 if all is in place."),
-    ] = False,
-    output: Annotated[
-        Path, typer.Option(help="With --once: the picture to write, .png.", metavar="FILE")
-    ] = Path("overlay.png"),
+    scene: Path | None = argument(
+        None,
+        "Scene file, YAML or JSON.",
+        metavar="SCENE",
+        exists=True,
+        dir_okay=False,
+        show_default=False,
+    ),
+    options: OverlayOptions,
     as_json: AsJson = False,
 ) -> None:
     """Show where parts belong on the live picture, and how far off they are."""
@@ -85,45 +95,45 @@ def overlay(
     from fixel.testbed.open_source import source_of
     from fixel.workflows.acquisition.overlay import Overlay, scene_of
 
+    once, camera, output = options.once, options.camera, options.output
     if once:
         refuse_ending(output, (".png",), "picture")
         refuse_unwritable(output)
     bench = rig_of(rig)
-    looks = Overlay(
-        bench, scene_of(scene, experiment, project), _tolerance(bench, tolerance_mm, tolerance_deg)
-    )
+    placed = scene_of(scene, options.experiment, options.project)
+    looks = Overlay(bench, placed, options.tolerance(bench))
     size = bench.camera.lens.image_size
     with source_of(camera, size=size, as_fast_as_possible=once) as source:
         if once:
             look = _once(looks, source, output)
         else:
-            heading = f"{experiment or (scene.name if scene else '')} on {bench.name}"
-            look = _live(looks, source, heading, port, show=not as_json)
-    if as_json:
-        files = {"picture": str(output)} if once else {}
-        typer.echo(json.dumps({**look.summary(), "files": files}, allow_nan=False))
-    else:
-        setting = ["--camera", camera, "--rig", rig] + (["--scene", str(scene)] if scene else [])
-        typer.echo(written(look, shlex.join(setting), output if once else None))
+            heading = f"{options.experiment or (scene.name if scene else '')} on {bench.name}"
+            look = _live(looks, source, heading, options.port, show=not as_json)
+    files = {"picture": str(output)} if once else {}
+    setting = ["--camera", camera, "--rig", rig] + (["--scene", str(scene)] if scene else [])
+    print_answer(
+        as_json,
+        lambda: {**look.summary(), "files": files},
+        lambda: _lines(look, setting, output if once else None),
+    )
     if once and not look.placed:
         raise typer.Exit(NOT_IN_PLACE)
 
 
-def written(look: "Look", setting: str, picture: Path | None) -> str:
-    """Return a few lines of text: the verdict, the errors, the file, the next command."""
-    blocks = [
+def _lines(look: "Look", setting: list[str], picture: Path | None) -> list[str]:
+    """A few lines of text: the verdict, the errors, the file, the next command."""
+    # After a part has been moved, the same command.
+    record = command_of("record", *setting, "--out", "recording")
+    return paragraphs(
         [look.sentence],
         _errors(look),
         [*look.problems, *look.remarks],
-        [] if picture is None else [f"wrote {picture}"],
-        [f"Next: {_next(look, setting)}"],
-    ]
-    return "\n\n".join("\n".join(block) for block in blocks if block)
+        wrote([picture]),
+        [f"Next: {record if look.placed else command_line()}"],
+    )
 
 
 def _errors(look: "Look") -> list[str]:
-    from fixel.cli.screen import table
-
     rows = []
     for part in look.checked:
         if part.error is None:
@@ -135,22 +145,6 @@ def _errors(look: "Look") -> list[str]:
         *table(("measured less wanted", "x [mm]", "y [mm]", "angle [deg]", "verdict"), rows),
         f"allowed: {1e3 * allowed.distance:.3g} mm, {degrees(allowed.angle):.3g} deg",
     ]
-
-
-def _next(look: "Look", setting: str) -> str:
-    """Return the command that most users need next."""
-    if look.placed:
-        return f"fixel record {setting} --out recording"
-    return shlex.join(["fixel", *sys.argv[1:]])  # after the part has been moved
-
-
-def _tolerance(rig: "Rig", mm: float | None, deg: float | None) -> "Tolerance":
-    from fixel.workflows.acquisition.overlay_check import Tolerance
-
-    return Tolerance(
-        distance=rig.position_tolerance if mm is None else 1e-3 * mm,
-        angle=rig.angle_tolerance if deg is None else radians(deg),
-    )
 
 
 def _once(looks: "Overlay", source: "FrameSource", output: Path) -> "Look":
@@ -167,7 +161,6 @@ def _live(
     looks: "Overlay", source: "FrameSource", heading: str, port: int | None, *, show: bool
 ) -> "Look":
     """Show the overlay in a browser until the pictures end, or Ctrl-C."""
-    from fixel.cli.screen import notify
     from fixel.web import require_server
     from fixel.workflows.acquisition.overlay import frames_of, watch
 

@@ -1,6 +1,5 @@
-"""`fixel new`, `import`, `list` and `testbed run`: a laboratory's project folder."""
+"""`fixel new`, `import`, `list`, `export` and `data`: a laboratory's project folder."""
 
-import json
 import shlex
 import sys
 from math import degrees
@@ -9,16 +8,28 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.cli.options import AsJson, DatasetName, Flagged, ProjectFolder, Where, project_words
+from fixel.cli.options import (
+    AsJson,
+    DatasetName,
+    Flagged,
+    ProjectFolder,
+    Where,
+    argument,
+    option,
+    project_at,
+    required,
+    with_options,
+)
+from fixel.cli.screen import command_of, notify, print_answer, progress_bar, project_words, seconds
+from fixel.errors import InvalidInput
+from fixel.table import Column, Table
 
 if TYPE_CHECKING:
     from fixel.database.browsing import ExperimentPage, ExperimentRow
+    from fixel.workflows.project.export import ExportAnswer
     from fixel.workflows.project.importing import ImportSummary
 
 MAX_ROWS = 30
-
-
-testbed = typer.Typer(help="Perform experiments.", no_args_is_help=True, rich_markup_mode=None)
 
 
 def new(
@@ -35,41 +46,39 @@ def new(
     """Make a project: a folder with settings, a database and media."""
     from fixel.workflows.project.importing import new_project
 
-    project = new_project(folder, database)
-    if as_json:
-        typer.echo(json.dumps({"folder": str(folder), "name": project.settings.name}))
-        return
-    typer.echo(f"made the project {project.settings.name} in {folder}")
-    typer.echo("fixel import SOURCE stores what was recorded; or try simulated experiments:")
-    typer.echo(f"Next: fixel testbed run --limit 30 --project {shlex.quote(str(folder))}")
+    name = new_project(folder, database).settings.name
+    print_answer(
+        as_json,
+        lambda: {"folder": str(folder), "name": name},
+        lambda: [
+            f"made the project {name} in {folder}",
+            "fixel import SOURCE stores what was recorded; or try simulated experiments:",
+            f"Next: {command_of('testbed', 'run', '--limit', 30, '--project', folder)}",
+        ],
+    )
 
 
+@with_options
 def import_(
-    source: Annotated[Path, typer.Argument(help="File or folder.", metavar="SOURCE")],
+    *,
+    source: Path = required("File or folder.", metavar="SOURCE"),
     folder: ProjectFolder = Path(),
-    importer: Annotated[
-        str | None,
-        typer.Option("--as", help="Name of the importer, else it is recognised.", metavar="NAME"),
-    ] = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option("--option", help="For the importer; may be repeated.", metavar="NAME=VALUE"),
-    ] = None,
-    scene: Annotated[
-        Path | None,
-        typer.Option(
-            help="Scene file for a CSV table: outline of the object, pusher, pegs. Without one,"
-            " a template is written beside the table.",
-            metavar="FILE",
-        ),
-    ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print how the source is read, and import nothing.")
-    ] = False,
+    importer: str | None = option(
+        None, "Name of the importer, else it is recognised.", "--as", metavar="NAME"
+    ),
+    option: list[str] | None = option(
+        None, "For the importer; may be repeated.", "--option", metavar="NAME=VALUE"
+    ),
+    scene: Path | None = option(
+        None,
+        "Scene file for a CSV table: outline of the object, pusher, pegs. Without one,"
+        " a template is written beside the table.",
+        metavar="FILE",
+    ),
+    dry_run: bool = option(False, "Print how the source is read, and import nothing.", "--dry-run"),
     as_json: AsJson = False,
 ) -> None:
     """Import recorded experiments; those stored already are skipped."""
-    from fixel.cli.screen import progress_bar
     from fixel.database.project import Project
     from fixel.workflows.project.importing import import_experiments, import_plan, write_template
 
@@ -79,79 +88,88 @@ def import_(
     if not dry_run:
         project = Project.open(folder)
     plan = import_plan(source, importer, option or (), scene)
-    answer: dict[str, Any] = {
+    content: dict[str, Any] = {
         "importer": plan.importer,
         "source": str(source),
         "experiments": plan.n_experiments,
         "understood": list(plan.understood),
     }
-    if not as_json:
-        typer.echo(f"{source}: {plan.n_experiments} experiments, read as {plan.importer}")
-        for sentence in plan.understood:
-            typer.echo(f"  {sentence}")
+    lines = [f"{source}: {plan.n_experiments} experiments, read as {plan.importer}"]
+    lines += [f"  {sentence}" for sentence in plan.understood]
     if dry_run:
-        if as_json:
-            typer.echo(json.dumps(answer))
-        else:
-            typer.echo(f"Next: {shlex.join(_without_dry_run())}")
+        following = f"Next: {_without_dry_run()}"
+        print_answer(as_json, lambda: content, lambda: [*lines, following])
         return
+    if not as_json:
+        typer.echo("\n".join(lines))
     done = import_experiments(project, plan, progress_bar("Importing"))
     template = write_template(plan, project.folder)
     if template is not None:
-        answer["template"] = str(template)
-        if not as_json:
-            typer.echo(
-                f"There is no scene, so these poses cannot be simulated or calibrated. Fill in"
-                f" {template}, then import the table again with --scene."
-            )
-            words = [*sys.argv[1:], "--scene", str(template)]
-            answer["next"] = shlex.join(["fixel", *words])
-    _say_imported(done, answer, as_json, folder)
+        content |= {
+            "template": str(template),
+            "next": shlex.join(["fixel", *sys.argv[1:], "--scene", str(template)]),
+        }
+    print_imported(done, content, as_json, folder)
 
 
-def _without_dry_run() -> list[str]:
-    return ["fixel", *(word for word in sys.argv[1:] if word != "--dry-run")]
+def _without_dry_run() -> str:
+    return shlex.join(["fixel", *(word for word in sys.argv[1:] if word != "--dry-run")])
 
 
 def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> None:
     """Import the bundle that another project exported."""
-    from fixel.cli.screen import progress_bar
     from fixel.database.project import Project
     from fixel.workflows.project.export import import_zip
 
     counts = import_zip(Project.open(folder), source, progress_bar("Importing"), dry_run=dry_run)
-    if as_json:
-        typer.echo(json.dumps({"source": str(source), "dry_run": dry_run, **counts}))
-        return
     verb = "would add" if dry_run else "added"
     found = ", ".join(f"{n} {kind}" for kind, n in counts.items() if n) or "nothing"
-    typer.echo(f"{source}: {verb} {found}")
-    after = _without_dry_run() if dry_run else ["fixel", "list", *project_words(folder)]
-    typer.echo(f"Next: {shlex.join(after)}")
+    following = _without_dry_run() if dry_run else command_of("list", project=folder)
+    print_answer(
+        as_json,
+        lambda: {"source": str(source), "dry_run": dry_run, **counts},
+        lambda: [f"{source}: {verb} {found}", f"Next: {following}"],
+    )
 
 
+def print_imported(
+    done: "ImportSummary", content: dict[str, Any], as_json: bool, folder: Path
+) -> None:
+    """Print how many experiments were stored; `content` is more for the JSON answer."""
+    known = f", {done.known} were there already" if done.known else ""
+    lines = [f"stored {done.new} experiments in {seconds(done.wall_time_s)}{known}"]
+    if "template" in content:
+        lines.insert(
+            0,
+            "There is no scene, so these poses cannot be simulated or calibrated. Fill in"
+            f" {content['template']}, then import the table again with --scene.",
+        )
+    if done.faulty:
+        lines.append(
+            f"{done.faulty} of them have faults in their data: fixel list --all shows them"
+        )
+    following = content.get("next", command_of("list", project=folder))
+    print_answer(as_json, lambda: content | done._asdict(), lambda: [*lines, f"Next: {following}"])
+
+
+@with_options
 def list_(
+    *,
     folder: ProjectFolder = Path(),
     dataset: DatasetName = None,
-    name: Annotated[
-        str | None, typer.Option(help="Only names like this; * for anything.", metavar="PATTERN")
-    ] = None,
-    real: Annotated[
-        bool | None, typer.Option("--real/--simulated", help="Only real, or only simulated ones.")
-    ] = None,
+    name: str | None = option(None, "Only names like this; * for anything.", metavar="PATTERN"),
+    real: bool | None = option(None, "Only real, or only simulated ones.", "--real/--simulated"),
     where: Where = None,
-    flag: Annotated[
-        str | None, typer.Option(help="Only those with this flag.", metavar="NAME")
-    ] = None,
+    flag: str | None = option(None, "Only those with this flag.", metavar="NAME"),
     flagged: Flagged = False,
-    deleted: Annotated[bool, typer.Option("--deleted", help="Only those deleted.")] = False,
-    limit: Annotated[int, typer.Option(help="Maximum number of rows.", min=1)] = MAX_ROWS,
+    deleted: bool = option(False, "Only those deleted.", "--deleted"),
+    limit: int = option(MAX_ROWS, "Maximum number of rows.", min=1),
     as_json: AsJson = False,
 ) -> None:
     """List experiments."""
     from fixel.database.project import Project
     from fixel.workflows.project.filters import query_of
-    from fixel.workflows.project.importing import list_experiments, overview
+    from fixel.workflows.project.importing import list_experiments
 
     project = Project.open(folder)
     query = query_of(
@@ -165,78 +183,35 @@ def list_(
         limit=limit,
     )
     listing = list_experiments(project, query)
-    if as_json:
-        typer.echo(json.dumps(_listed(listing)))
-        return
-    for line in _lines(listing):
-        typer.echo(line)
-    datasets, flags = overview(project)
-    if datasets and not any((dataset, name, where, flag)):
-        typer.echo("datasets: " + ", ".join(f"{k} {n}" for k, n in datasets.items()))
-    if flags and not flag:
-        typer.echo("flags:    " + ", ".join(f"{k} {n}" for k, n in flags.items()))
+
+    def lines() -> list[str]:
+        from fixel.workflows.project.importing import overview
+
+        datasets, flags = overview(project)
+        found = _listed(listing)
+        if datasets and not any((dataset, name, where, flag)):
+            found.append("datasets: " + ", ".join(f"{k} {n}" for k, n in datasets.items()))
+        if flags and not flag:
+            found.append("flags:    " + ", ".join(f"{k} {n}" for k, n in flags.items()))
+        return [*found, f"Next: {_next(listing, folder)}"]
+
+    print_answer(as_json, lambda: _content(listing), lines)
+
+
+def _next(listing: "ExperimentPage", folder: Path) -> str:
     if listing.rows:
-        words = ["fixel", "show", listing.rows[0].key, *project_words(folder)]
-        typer.echo(f"Next: {shlex.join([*words, '--plot', 'run.png'])}")
-    else:
-        words = ["fixel", "testbed", "run", "--limit", "30", *project_words(folder)]
-        typer.echo(f"Next: {shlex.join(words)}")
+        key = listing.rows[0].key
+        return command_of("show", key, *project_words(folder), "--plot", "run.png")
+    return command_of("testbed", "run", "--limit", 30, project=folder)
 
 
-@testbed.command("run")
-def run_plan(
-    plan: Annotated[
-        Path | None,
-        typer.Argument(help="Plan file; without one, the thesis's 420.", metavar="[PLAN]"),
-    ] = None,
-    folder: ProjectFolder = Path(),
-    seed: Annotated[int, typer.Option(help="Seed of the random number generator.")] = 1,
-    limit: Annotated[
-        int | None, typer.Option(help="Only the first so many.", min=1, metavar="COUNT")
-    ] = None,
-    threads: Annotated[
-        int | None, typer.Option(help="As many as there are cores, else.", min=1)
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Perform a plan on the simulated testbed: with noise, ripple and a rough plate."""
-    from fixel.cli.screen import progress_bar
-    from fixel.database.project import Project
-    from fixel.workflows.project.importing import run_testbed
-
-    done = run_testbed(
-        Project.open(folder),
-        plan,
-        seed=seed,
-        limit=limit,
-        threads=threads,
-        progress=progress_bar("Performing"),
+def _listed(listing: "ExperimentPage") -> list[str]:
+    columns = (
+        *("id", "experiment", "", "frames", Column("time", "s", ".2f")),
+        *(Column("moved", "mm", ".1f"), Column("turned", "deg", ".1f"), "contacts"),
     )
-    _say_imported(done, {"seed": seed}, as_json, folder)
-
-
-def _say_imported(
-    done: "ImportSummary", answer: dict[str, Any], as_json: bool, folder: Path
-) -> None:
-    if as_json:
-        typer.echo(json.dumps(answer | done._asdict()))
-        return
-    from fixel.cli.screen import seconds
-
-    known = f", {done.known} were there already" if done.known else ""
-    typer.echo(f"stored {done.new} experiments in {seconds(done.wall_time_s)}{known}")
-    if done.faulty:
-        typer.echo(f"{done.faulty} of them have faults in their data: fixel list --all shows them")
-    following = shlex.join(["fixel", "list", *project_words(folder)])
-    typer.echo(f"Next: {answer.get('next', following)}")
-
-
-def _lines(listing: "ExperimentPage") -> list[str]:
-    from fixel.cli.screen import table
-
-    head = ("id", "experiment", "", "frames", "time [s]", "moved [mm]", "turned [deg]", "contacts")
-    rows = [_row(summary) for summary in listing.rows]
-    lines = table(head, rows, left=3) if rows else []
+    rows = [_row(row) for row in listing.rows]
+    lines = Table(columns, rows, left=3).lines() if rows else []
     more = listing.total - len(rows)
     lines.append(f"{listing.total} experiments" + (f", {more} not shown" if more else ""))
     if listing.left_out:
@@ -244,27 +219,119 @@ def _lines(listing: "ExperimentPage") -> list[str]:
     return lines
 
 
-def _row(summary: "ExperimentRow") -> tuple[str, ...]:
+def _row(row: "ExperimentRow") -> tuple[str | float, ...]:
     return (
-        str(summary.id),
-        summary.key,
-        "" if summary.is_real else "SIMULATED",
-        str(summary.n_frame),
-        f"{summary.duration_s:.2f}",
-        f"{1e3 * summary.moved_m:.1f}",
-        f"{degrees(summary.turned_rad):.1f}",
-        summary.contact_mode,
+        row.id,
+        row.key,
+        "" if row.is_real else "SIMULATED",
+        row.n_frame,
+        row.duration_s,
+        1e3 * row.moved_m,
+        degrees(row.turned_rad),
+        row.contact_mode,
     )
 
 
-def _listed(listing: "ExperimentPage") -> dict[str, Any]:
+def _content(listing: "ExperimentPage") -> dict[str, Any]:
     experiments = []
-    for summary in listing.rows:
-        row = summary._asdict()
-        del row["conditions_json"]
-        experiments.append(row | {"conditions": summary.conditions})
-    return {
-        "experiments": experiments,
-        "total": listing.total,
-        "left_out": listing.left_out,
+    for row in listing.rows:
+        content = row._asdict()
+        del content["conditions_json"]
+        experiments.append(content | {"conditions": row.conditions})
+    return {"experiments": experiments, "total": listing.total, "left_out": listing.left_out}
+
+
+@with_options
+def export(
+    *,
+    paths: list[Path] = required(
+        "TARGET: a .zip that another project imports; with --parquet or --lerobot, a new"
+        " folder. PROJECT: the same as --project.",
+        metavar="[PROJECT] TARGET",
+        show_default=False,
+    ),
+    folder: ProjectFolder = Path(),
+    dataset: str | None = option(None, "Only the experiments of this dataset.", metavar="NAME"),
+    parquet: bool = option(False, "Write two tables: experiments and frames.", "--parquet"),
+    lerobot: bool = option(False, "Write a LeRobot dataset, version 3.0.", "--lerobot"),
+    fps: int | None = option(
+        None,
+        "Frames a second of the LeRobot dataset; else the experiments' own, mostly.",
+        metavar="HZ",
+    ),
+    as_json: AsJson = False,
+) -> None:
+    """Write the experiments of a project for others, flagged ones too."""
+    from fixel.workflows.project.export import export as export_project
+
+    *places, target = paths
+    if len(places) > 1:
+        raise InvalidInput("TARGET", found=f"{len(paths)} paths", expected="[PROJECT] TARGET")
+    if parquet and lerobot:
+        raise InvalidInput("--parquet", found="--lerobot too", expected="one of them")
+    answer = export_project(
+        project_at(places[0] if places else None, folder),
+        target,
+        format="parquet" if parquet else "lerobot" if lerobot else "bundle",
+        dataset=dataset,
+        fps=fps,
+        progress=progress_bar("Exporting"),
+    )
+    print_answer(as_json, answer.summary, lambda: _exported(answer))
+
+
+def _exported(answer: "ExportAnswer") -> list[str]:
+    counts = dict(answer.counts)
+    total = counts.pop("experiments")
+    about = [f"{counts.pop(what, 0)} {what}" for what in ("flagged", "simulated", "replaced")]
+    about = [text for text in about if not text.startswith("0 ")]
+    more = [f"{n} {what.replace('_', ' ')}" for what, n in counts.items() if n]
+    reasons = {
+        "deleted": "deleted experiments",
+        "calibrations": "calibrations that used experiments which are not exported",
     }
+    return [
+        f"{total} experiments" + (f", of them {', '.join(about)}" if about else ""),
+        *([f"with {', '.join(more)}"] if more else []),
+        *(f"left out: {n} {reasons[what]}" for what, n in answer.left_out.items()),
+        f"wrote {answer.target}, {answer.bytes / 1e6:.3g} MB in {seconds(answer.seconds)}",
+    ]
+
+
+@with_options
+def data(
+    *,
+    url: str | None = argument(None, "Address of a file to fetch.", metavar="[URL]"),
+    folder: Path = option(Path("data"), "Where to put it.", "--output", "-o", metavar="FOLDER"),
+    sha256: str | None = option(None, "Checksum it must have.", "--sha256", metavar="DIGITS"),
+    as_json: AsJson = False,
+) -> None:
+    """List the public datasets fixel can import; with an address, fetch a file of one."""
+    from fixel.workflows.project.download import datasets, fetch
+
+    if url is None:
+        known = datasets()
+        print_answer(as_json, lambda: {"datasets": known}, lambda: _datasets(known))
+        return
+    found = fetch(url, folder, sha256)
+    size = found.n_byte
+    if sha256 is None and not as_json:
+        notify("No checksum was asked for: compare this one with the publisher's.")
+    print_answer(
+        as_json,
+        lambda: {"file": str(found.file), "sha256": found.sha256, "bytes": size},
+        lambda: [
+            f"fetched {found.file}, {size / 1e6:.3g} MB, sha256 {found.sha256}",
+            f"Next: {command_of('import', found.file, '--dry-run')}",
+        ],
+    )
+
+
+def _datasets(known: list[dict[str, str]]) -> list[str]:
+    lines = [
+        f"{entry['name']}\n  {entry['title']}\n"
+        f"  licence: {entry['licence']}\n  cite: {entry['citation']}"
+        for entry in known
+    ]
+    lines.append("fixel data URL --sha256 DIGITS fetches a file; fixel import FILE stores it")
+    return [*lines, "Next: fixel import --help"]

@@ -1,23 +1,27 @@
-"""`fixel record`: record an experiment; check and repair recordings; serve one as a camera."""
+"""`fixel record`: record an experiment; check and repair recordings."""
 
-import json
 import re
-import shlex
+import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fixel.cli.options import AsJson
+from fixel.cli.options import AsJson, option, with_options
+from fixel.cli.screen import command_of, notify, print_answer
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.formats.recording import Recording
     from fixel.testbed.frame_source import CameraPicture
     from fixel.testbed.recorder import RecordingStatus, RecordingSummary
+    from fixel.workflows.acquisition.record import RecordPlan
 
 UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
@@ -33,102 +37,91 @@ Folder = Annotated[
 ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class RecordOptions:
+    """Options of `fixel record`."""
+
+    camera: str | None = option(
+        None,
+        "0 or /dev/video0, http://... of a network camera, a video or a recording.",
+        metavar="SOURCE",
+    )
+    out: Path | None = option(None, "Folder to make for the recording.", metavar="FOLDER")
+    tactile: str | None = option(
+        None,
+        "Serial port of the tactile board; 'film' for the readings of a played recording.",
+        metavar="PORT",
+        show_default="none",
+    )
+    rig: str | None = option(
+        None, "Rig, by name or file; its camera's size is required.", metavar="RIG"
+    )
+    scene: Path | None = option(
+        None,
+        "Scene file of what lies on the plate, kept with the recording.",
+        metavar="FILE",
+        exists=True,
+        dir_okay=False,
+    )
+    size: str | None = option(None, "Asked of the camera, without --rig.", metavar="WIDTHxHEIGHT")
+    rate: float = option(30.0, "Asked of the camera [frames/s].", min=1.0)
+    codec: str = option(
+        "auto",
+        "as-it-comes: JPEG of the camera, bit by bit; near: JPEG of high quality; exact:"
+        " no loss, 7 times the space; auto: as it comes, or near.",
+        metavar="NAME",
+    )
+    until: str = option(
+        "key",
+        "key: until Enter or Ctrl-C; limit; seated: as --mode says, or at rest.",
+        metavar="WHEN",
+    )
+    mode: str | None = option(
+        None, "Fixels 1, 2, 3 that mean seated, such as 010.", metavar="DIGITS"
+    )
+    limit: str | None = option(None, "The longest it may take: 15s, 10min.", metavar="DURATION")
+    preview: bool = option(False, "Show it in the browser.", "--preview")
+    fast: bool = option(False, "Play a file as fast as it is read, at its own times.", "--fast")
+
+    @property
+    def plan(self) -> "RecordPlan":
+        """Plan of the recording."""
+        from fixel.workflows.acquisition.record import RecordPlan
+
+        if self.camera is None or self.out is None:
+            missing = "--camera" if self.camera is None else "--out"
+            raise InvalidInput(
+                missing, found=None, expected="fixel record --camera SOURCE --out FOLDER"
+            )
+        return RecordPlan(
+            camera=self.camera,
+            folder=self.out,
+            tactile=self.tactile,
+            rig=self.rig,
+            scene=self.scene,
+            size=None if self.size is None else _size(self.size),
+            rate=self.rate,
+            codec=self.codec,
+            until=self.until,
+            mode=self.mode,
+            limit=None if self.limit is None else duration(self.limit),
+            fast=self.fast,
+        )
+
+
 @app.callback()
-def record(
-    context: typer.Context,
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            help="0 or /dev/video0, http://... of a network camera, a video or a recording.",
-            metavar="SOURCE",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder to make for the recording.", metavar="FOLDER")
-    ] = None,
-    tactile: Annotated[
-        str | None,
-        typer.Option(
-            help="Serial port of the tactile board; 'film' for the readings of a played recording.",
-            metavar="PORT",
-            show_default="none",
-        ),
-    ] = None,
-    rig: Annotated[
-        str | None,
-        typer.Option(help="Rig, by name or file; its camera's size is required.", metavar="RIG"),
-    ] = None,
-    scene: Annotated[
-        Path | None,
-        typer.Option(
-            help="Scene file of what lies on the plate, kept with the recording.",
-            metavar="FILE",
-            exists=True,
-            dir_okay=False,
-        ),
-    ] = None,
-    size: Annotated[
-        str | None,
-        typer.Option(help="Asked of the camera, without --rig.", metavar="WIDTHxHEIGHT"),
-    ] = None,
-    rate: Annotated[float, typer.Option(help="Asked of the camera [frames/s].", min=1.0)] = 30.0,
-    codec: Annotated[
-        str,
-        typer.Option(
-            help="as-it-comes: JPEG of the camera, bit by bit; near: JPEG of high quality; exact:"
-            " no loss, 7 times the space; auto: as it comes, or near.",
-            metavar="NAME",
-        ),
-    ] = "auto",
-    until: Annotated[
-        str,
-        typer.Option(
-            help="key: until Enter or Ctrl-C; limit; seated: as --mode says, or at rest.",
-            metavar="WHEN",
-        ),
-    ] = "key",
-    mode: Annotated[
-        str | None,
-        typer.Option(help="Fixels 1, 2, 3 that mean seated, such as 010.", metavar="DIGITS"),
-    ] = None,
-    limit: Annotated[
-        str | None, typer.Option(help="The longest it may take: 15s, 10min.", metavar="DURATION")
-    ] = None,
-    preview: Annotated[bool, typer.Option("--preview", help="Show it in the browser.")] = False,
-    fast: Annotated[
-        bool, typer.Option("--fast", help="Play a file as fast as it is read, at its own times.")
-    ] = False,
-    as_json: AsJson = False,
-) -> None:
+@with_options
+def record(*, context: typer.Context, options: RecordOptions, as_json: AsJson = False) -> None:
     """Record an experiment: frames, and for each what the fixels feel."""
     if context.invoked_subcommand is not None:
         return
-    from fixel.cli.stopping import stop_on_request
-    from fixel.workflows.acquisition.record import RecordPlan, summary
     from fixel.workflows.acquisition.record import record as record_experiment
+    from fixel.workflows.acquisition.record import summary
 
-    if camera is None or out is None:
-        missing = "--camera" if camera is None else "--out"
-        raise InvalidInput(
-            missing, found=None, expected="fixel record --camera SOURCE --out FOLDER"
-        )
-    plan = RecordPlan(
-        camera=camera,
-        folder=out,
-        tactile=tactile,
-        rig=rig,
-        scene=scene,
-        size=None if size is None else _size(size),
-        rate=rate,
-        codec=codec,
-        until=until,
-        mode=mode,
-        limit=None if limit is None else duration(limit),
-        fast=fast,
-    )
-    with stop_on_request() as wish, _shown(plan.limit, out, preview, wish) as watch:
+    plan = options.plan
+    with stop_on_request() as wish, _shown(plan, options.preview, wish) as watch:
         done = record_experiment(plan, stop=wish, watch=watch)
-    typer.echo(json.dumps(summary(done), allow_nan=False) if as_json else _written(done))
+    print_answer(as_json, lambda: summary(done), lambda: _lines(done))
     if done.early:
         raise typer.Exit(1)
 
@@ -136,36 +129,13 @@ def record(
 @app.command()
 def check(folder: Folder, as_json: AsJson = False) -> None:
     """Check every frame of a recording against its row, and report what is missing."""
-    _checked(folder, as_json, repair=False)
+    _check(folder, as_json, repair=False)
 
 
 @app.command()
 def repair(folder: Folder, as_json: AsJson = False) -> None:
     """Cut off what is torn at the end of a recording that broke off, and mark it as ended."""
-    _checked(folder, as_json, repair=True)
-
-
-def serve(
-    film: Annotated[
-        Path,
-        typer.Argument(help="A video, or the folder of a recording.", metavar="FILM", exists=True),
-    ],
-    port: Annotated[int, typer.Option(help="0 for any that is free.", min=0, max=65535)] = 0,
-    loop: Annotated[bool, typer.Option("--loop", help="Begin anew at its end.")] = False,
-    as_json: AsJson = False,
-) -> None:
-    """Serve a film on this machine as a network camera would, until Ctrl-C."""
-    from fixel.testbed.loopback import LoopbackCamera
-
-    with LoopbackCamera(film, port=port, loop=loop) as camera:
-        if as_json:
-            typer.echo(json.dumps({"url": camera.url, "size_px": list(camera.stream.size)}))
-        else:
-            width, height = camera.stream.size
-            typer.echo(f"serving {film}, {width} x {height} pixels, at {camera.url}")
-            words = ["fixel", "record", "--camera", camera.url, "--out", "recording"]
-            typer.echo(f"Next: {shlex.join(words)}")
-        camera.wait()
+    _check(folder, as_json, repair=True)
 
 
 def duration(text: str) -> float:
@@ -184,10 +154,10 @@ def _size(text: str) -> tuple[int, int]:
 
 
 @contextmanager
-def _shown(limit: float | None, out: Path, preview: bool, wish: Any) -> Iterator[Any]:
+def _shown(plan: "RecordPlan", preview: bool, wish: "StopWish") -> Iterator[Any]:
     """Yield a callback that shows a running recording: on the terminal, and in the browser."""
     line = _StatusLine() if sys.stderr.isatty() else None
-    with _browser(limit, out, preview, wish) as page:
+    with _browser(plan, preview, wish) as page:
 
         def watch(arrived: "CameraPicture", status: "RecordingStatus") -> None:
             if line is not None:
@@ -203,15 +173,14 @@ def _shown(limit: float | None, out: Path, preview: bool, wish: Any) -> Iterator
 
 
 @contextmanager
-def _browser(limit: float | None, out: Path, preview: bool, wish: Any) -> Iterator[Any]:
+def _browser(plan: "RecordPlan", preview: bool, wish: "StopWish") -> Iterator[Any]:
     if not preview:
         yield None
         return
-    from fixel.cli.screen import notify
     from fixel.web.record_page import RecordPreview
     from fixel.web.serve import WebServer
 
-    shown = RecordPreview(str(out))
+    shown = RecordPreview(str(plan.folder))
 
     def page(arrived: "CameraPicture", status: "RecordingStatus") -> None:
         if shown.stop_wanted:
@@ -224,7 +193,7 @@ def _browser(limit: float | None, out: Path, preview: bool, wish: Any) -> Iterat
                 lost=status.lost,
                 reading=-1 if status.bits is None else status.bits,
                 disk_free_bytes=float(status.free),
-                limit_s=limit,
+                limit_s=plan.limit,
                 problems=status.problems,
             ),
         )
@@ -254,8 +223,7 @@ class _StatusLine:
             print(file=sys.stderr, flush=True)
 
 
-def _written(done: "RecordingSummary") -> str:
-    """Return a text about the recording."""
+def _lines(done: "RecordingSummary") -> list[str]:
     frames = "frame" if done.frames == 1 else "frames"
     lines = [
         f"recorded {done.folder}: {done.frames} {frames} in {done.seconds:.3f} s, "
@@ -265,20 +233,17 @@ def _written(done: "RecordingSummary") -> str:
     if done.without_reading:
         lines.append(f"without a reading of the fixels: {done.without_reading}")
     lines += [f"problem: {problem}" for problem in done.problems]
-    return "\n".join([*lines, f"Next: fixel track {shlex.quote(str(done.folder))}"])
+    return [*lines, f"Next: {command_of('track', done.folder)}"]
 
 
-def _checked(folder: Path, as_json: bool, *, repair: bool) -> None:
+def _check(folder: Path, as_json: bool, *, repair: bool) -> None:
     from fixel.workflows.acquisition.record import check, check_summary
 
     recording = check(folder, repair=repair)
-    if as_json:
-        typer.echo(json.dumps(check_summary(recording), allow_nan=False))
-    else:
-        typer.echo(_found(recording))
+    print_answer(as_json, lambda: check_summary(recording), lambda: _check_lines(recording))
 
 
-def _found(recording: "Recording") -> str:
+def _check_lines(recording: "Recording") -> list[str]:
     width, height = recording.header.size
     readings = int((recording.readings >= 0).sum())
     lines = [
@@ -290,6 +255,42 @@ def _found(recording: "Recording") -> str:
     if recording.end is not None:
         lines.append(f"ended: {recording.end.reason}")
     lines += [f"problem: {problem}" for problem in recording.problems]
-    folder = shlex.quote(str(recording.folder))
-    verb = "track" if recording.complete else "record repair"
-    return "\n".join([*lines, f"Next: fixel {verb} {folder}"])
+    words = ["track"] if recording.complete else ["record", "repair"]
+    return [*lines, f"Next: {command_of(*words, recording.folder)}"]
+
+
+class StopWish:
+    """Request to stop, with its reason."""
+
+    def __init__(self) -> None:
+        self.reason = ""
+
+    def __call__(self) -> str:
+        """Return the reason to stop; empty while there is none."""
+        return self.reason
+
+
+@contextmanager
+def stop_on_request() -> Iterator[StopWish]:
+    """Collect requests to stop: Enter, Ctrl-C, SIGTERM; a second Ctrl-C interrupts at once."""
+    wish = StopWish()
+
+    def request(number: int, frame: FrameType | None) -> None:
+        wish.reason = "stopped with Ctrl-C" if number == signal.SIGINT else "asked to stop"
+        signal.signal(number, signal.default_int_handler)
+
+    kept: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        kept = {n: signal.signal(n, request) for n in (signal.SIGINT, signal.SIGTERM)}
+    if sys.stdin is not None and sys.stdin.isatty():
+        threading.Thread(target=_wait_for_enter, args=(wish,), daemon=True).start()
+    try:
+        yield wish
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)
+
+
+def _wait_for_enter(wish: StopWish) -> None:
+    if sys.stdin.readline():
+        wish.reason = wish.reason or "stopped with Enter"

@@ -1,40 +1,34 @@
-"""`fixel report`: write one page about a calibration."""
+"""`fixel report`: one page about a calibration."""
 
-import json
-import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from fixel.cli.options import AsJson, ProjectFolder
+from fixel.cli.options import AsJson, ProjectFolder, option, with_options
+from fixel.cli.screen import command_line, notify, print_answer
 
 if TYPE_CHECKING:
     from fixel.workflows.report.write import Report
 
 
+@with_options
 def report(
+    *,
     folder: ProjectFolder = Path(),
-    out: Annotated[
-        Path, typer.Option(help="Folder to write to; made when missing.", metavar="FOLDER")
-    ] = Path("report"),
-    calibration: Annotated[
-        int | None,
-        typer.Option(
-            help="Id of the calibration it is about.",
-            metavar="ID",
-            show_default="the newest for several experiments",
-        ),
-    ] = None,
-    title: Annotated[str, typer.Option(help="Of the report.", metavar="TEXT")] = "",
+    out: Path = option(Path("report"), "Folder to write to; made when missing.", metavar="FOLDER"),
+    calibration: int | None = option(
+        None,
+        "Id of the calibration it is about.",
+        metavar="ID",
+        show_default="the newest for several experiments",
+    ),
+    title: str = option("", "Of the report.", metavar="TEXT"),
     as_json: AsJson = False,
 ) -> None:
     """Write what is known of a calibration on one page: data, errors, verdicts, domain, limits.
 
     The page needs no network. Next to it: every figure as PDF, and a bibliography.
     """
-    from fixel.cli.screen import notify
     from fixel.database.project import Project
     from fixel.workflows.report.write import write_report
 
@@ -43,13 +37,10 @@ def report(
         out,
         number=calibration,
         title=title,
-        command="fixel " + shlex.join(sys.argv[1:]),
+        command=command_line(),
         notify=notify if sys.stderr.isatty() else None,
     )
-    if as_json:
-        typer.echo(json.dumps(done.summary()))
-        return
-    typer.echo("\n".join(_lines(done)))
+    print_answer(as_json, done.summary, lambda: _lines(done))
 
 
 def _lines(done: "Report") -> list[str]:
@@ -57,11 +48,10 @@ def _lines(done: "Report") -> list[str]:
 
     content = done.content
     n = len(content.warnings)
-    warnings = [f"{n} warning{'s' * (n != 1)}, which stand first:" if n else "no warnings"]
     return [
         *content.findings,
         "",
-        *warnings,
+        f"{n} warning{'s' * (n != 1)}, which stand first:" if n else "no warnings",
         *(f"  - {sentence}" for sentence in content.warnings),
         "",
         f"wrote {done.page} ({done.size / 1e6:.1f} MB), {len(done.figures)} figures as PDF in"

@@ -1,16 +1,13 @@
 """`fixel sample [PLAN.yaml]`: plan experiments."""
 
-import json
-import shlex
-import sys
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from fixel.cli.options import AsJson
+from fixel.cli.options import AsJson, argument, option, with_options
+from fixel.cli.screen import command_of, notice, paragraphs, print_answer, shortened, wrote
 from fixel.errors import InvalidInput
+from fixel.table import Table
 
 if TYPE_CHECKING:
     from fixel.workflows.sampling.run import SampleAnswer
@@ -18,39 +15,31 @@ if TYPE_CHECKING:
 MAX_PROBLEMS = 20
 
 
+@with_options
 def sample(
-    plan: Annotated[
-        Path | None,
-        typer.Argument(
-            help="Plan file, YAML or JSON; left out, the thesis's scheme of 420 experiments.",
-            metavar="PLAN",
-            exists=True,
-            dir_okay=False,
-            show_default=False,
-        ),
-    ] = None,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw the plan: .png, .svg or .pdf.", metavar="FILE")
-    ] = None,
+    *,
+    plan: Path | None = argument(
+        None,
+        "Plan file, YAML or JSON; left out, the thesis's scheme of 420 experiments.",
+        metavar="PLAN",
+        exists=True,
+        dir_okay=False,
+        show_default=False,
+    ),
+    plot: Path | None = option(None, "Draw the plan: .png, .svg or .pdf."),
     as_json: AsJson = False,
-    output: Annotated[
-        Path | None, typer.Option(help="Write the plan to this file: .yaml.", metavar="FILE")
-    ] = None,
-    eight_push: Annotated[
-        bool,
-        typer.Option(
-            "--eight-push",
-            help="Instead of the thesis's scheme, the eight pushes of the ASME paper with which"
-            " three support points are identified.",
-        ),
-    ] = False,
-    simulate: Annotated[
-        bool,
-        typer.Option("--simulate", help="Simulate every experiment: does it touch a fixel?"),
-    ] = False,
+    output: Path | None = option(None, "Write the plan to this file: .yaml."),
+    eight_push: bool = option(
+        False,
+        "Instead of the thesis's scheme, the eight pushes of the ASME paper with which"
+        " three support points are identified.",
+        "--eight-push",
+    ),
+    simulate: bool = option(
+        False, "Simulate every experiment: does it touch a fixel?", "--simulate"
+    ),
 ) -> None:
     """Lay out a plan of experiments, and report its problems."""
-    from fixel.cli.screen import notify
     from fixel.workflows.sampling.run import sample as sample_plan
 
     if eight_push and plan is not None:
@@ -61,65 +50,54 @@ def sample(
         output=output,
         plot=plot,
         simulate=simulate,
-        notify=notify if sys.stderr.isatty() or not as_json else None,
+        notify=notice(as_json),
     )
-    if as_json:
-        typer.echo(json.dumps(answer.summary(), allow_nan=False))
-    else:
-        typer.echo(written(answer, plan, "--eight-push" if eight_push else ""))
+    print_answer(as_json, answer.summary, lambda: _lines(answer, plan, eight_push))
 
 
-def written(answer: "SampleAnswer", path: Path | None, design: str = "") -> str:
-    """Return about a screen of text: counts, problems, files, the next command."""
-    blocks = [
+def _lines(answer: "SampleAnswer", path: Path | None, eight_push: bool) -> list[str]:
+    """About a screen of text: counts, problems, files, the next command."""
+    return paragraphs(
         _counts(answer),
         _problems(answer),
-        [f"wrote {file}" for file in answer.files.values()],
-        [f"Next: {_next(answer, path, design)}"],
-    ]
-    return "\n\n".join("\n".join(block) for block in blocks if block)
+        wrote(answer.files.values()),
+        [f"Next: {_next(answer, path, eight_push)}"],
+    )
 
 
 def _counts(answer: "SampleAnswer") -> list[str]:
-    from fixel.cli.screen import table
-
     plan = answer.plan
-    layouts, configurations = str(len(plan.layouts)), str(plan.configurations)
-    each = len(plan.layouts) * plan.configurations * plan.repetitions
-    rows = [
-        (shape.name, layouts, configurations, str(plan.repetitions), str(each))
-        for shape in plan.shapes
+    n_layouts, n = len(plan.layouts), len(plan.layouts) * plan.configurations * plan.repetitions
+    rows: list[tuple[str | int, ...]] = [
+        (shape.name, n_layouts, plan.configurations, plan.repetitions, n) for shape in plan.shapes
     ]
-    rows.append((f"{len(plan.shapes)} in all", "", "", "", str(plan.total)))
+    rows.append((f"{len(plan.shapes)} in all", "", "", "", plan.total))
     numbered = [layout.title for layout in plan.layouts if layout.number is not None]
-    head = ("shape", "layouts", "configurations", "repetitions", "experiments")
+    listed = "layouts: " + ", ".join(numbered) if numbered else ""
     hours = plan.total * plan.rig.duration / 3600.0
     return [
         f"plan {plan.name}",
-        *table(head, rows),
-        *textwrap.wrap(
-            "layouts: " + ", ".join(numbered) if numbered else "", 100, break_on_hyphens=False
-        ),
+        *Table(("shape", "layouts", "configurations", "repetitions", "experiments"), rows).lines(),
+        *textwrap.wrap(listed, 100, break_on_hyphens=False),
         f"each pushes for {plan.rig.duration:.3g} s, all together {hours:.2g} h",
     ]
 
 
 def _problems(answer: "SampleAnswer") -> list[str]:
     how = "by geometry and simulation" if answer.rehearsed else "by geometry"
-    if not answer.problems:
+    n = len(answer.problems)
+    if not n:
         return [f"No problems, checked {how}."]
     shown = [f"  {p.name}: {p.sentence}" for p in answer.problems[:MAX_PROBLEMS]]
-    left_out = len(answer.problems) - len(shown)
-    more = [f"  ... and {left_out} more; --json has them all"] if left_out else []
-    plural = "" if len(answer.problems) == 1 else "s"
-    return [f"{len(answer.problems)} problem{plural}, checked {how}", *shown, *more]
+    return [f"{n} problem{'s' * (n != 1)}, checked {how}", *shortened(shown, n, "  ")]
 
 
-def _next(answer: "SampleAnswer", path: Path | None, design: str) -> str:
+def _next(answer: "SampleAnswer", path: Path | None, eight_push: bool) -> str:
     """Return the command that most users need next."""
     plan = answer.files.get("output", path)
     if plan is None:
-        return " ".join(("fixel sample", design, "--output plan.yaml")).replace("  ", " ")
+        design = ["--eight-push"] if eight_push else []
+        return command_of("sample", *design, "--output", "plan.yaml")
     if not any(layout.pegs for layout in answer.plan.layouts):  # the testbed is for grasps
-        return f"fixel sample {shlex.quote(str(plan))} --simulate"
-    return f"fixel testbed run {shlex.quote(str(plan))}"
+        return command_of("sample", plan, "--simulate")
+    return command_of("testbed", "run", plan)

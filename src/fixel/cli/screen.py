@@ -1,20 +1,56 @@
-"""Output that the commands share: sentences, tables, progress."""
+"""Output of the commands: answers as text or JSON, sentences, commands, progress."""
 
+import json
 import shlex
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from fixel.table import Table
 
 if TYPE_CHECKING:
+    from fixel.model import Experiment
     from fixel.typing import Progress
-
-Row = Sequence[str]
 
 BAR = 30  # [characters]
 BETWEEN_BARS = 0.1  # [s] between two updates of a bar
+
+
+def print_answer(
+    as_json: bool, content: Callable[[], Mapping[str, Any]], text: Callable[[], Iterable[str]]
+) -> None:
+    """Print the answer of a command: one JSON object on one line, or lines of text.
+
+    Numbers that are not finite become null in JSON.
+    """
+    if as_json:
+        from fixel.io.document import plain_numbers
+
+        typer.echo(json.dumps(plain_numbers(content()), allow_nan=False))
+    else:
+        typer.echo("\n".join(text()))
+
+
+def paragraphs(*blocks: Sequence[str]) -> list[str]:
+    """Join blocks of lines with an empty line between two of them; empty blocks are left out."""
+    full = [block for block in blocks if block]
+    return [line for block in full for line in ("", *block)][1:]
+
+
+def shortened(lines: Sequence[str], total: int, indent: str = "") -> list[str]:
+    """Return the lines, and below them how many of `total` are missing."""
+    more = total - len(lines)
+    return [*lines, f"{indent}... and {more} more; --json has them all"] if more > 0 else [*lines]
+
+
+def wrote(files: Iterable[Path | None]) -> list[str]:
+    """Return a line for each file that was written."""
+    return [f"wrote {file}" for file in files if file is not None]
 
 
 def notify(sentence: str) -> None:
@@ -22,16 +58,49 @@ def notify(sentence: str) -> None:
     print(sentence, file=sys.stderr, flush=True)
 
 
-def table(head: Row, rows: Sequence[Row], left: int = 1) -> list[str]:
-    """Format the lines of a table; the first `left` columns are left-aligned, the others right."""
-    widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
-    return [
-        "  ".join(
-            cell.ljust(width) if k < left else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in (head, *rows)
-    ]
+def notice(as_json: bool) -> Callable[[str], None] | None:
+    """Return `notify` for use on a terminal or without --json; else None."""
+    return notify if sys.stderr.isatty() or not as_json else None
+
+
+def command_line() -> str:
+    """Return the running command as it can be typed again."""
+    return shlex.join(["fixel", *sys.argv[1:]])
+
+
+def project_words(folder: Path) -> list[str]:
+    """Return the words that a command needs at its end to find the same project."""
+    return [] if folder == Path() else ["--project", str(folder)]
+
+
+def command_of(*words: object, project: Path = Path()) -> str:
+    """Return a command of fixel, quoted for a shell, that finds the same project."""
+    return shlex.join(["fixel", *map(str, words), *project_words(project)])
+
+
+def compare_command(
+    key: str, values: Mapping[str, float], motion: str, folder: Path = Path()
+) -> str:
+    """Return the command that compares an experiment with its simulation."""
+    settings = [word for k, v in values.items() for word in ("--set", f"{k}={v:.4g}")]
+    chosen = [] if motion == "dynamic" else ["--motion", motion]
+    return command_of("compare", key, *settings, *chosen, project=folder)
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:
+    """Format the lines of a table of texts; the first `left` columns are left-aligned."""
+    return Table(head, rows, left=left).lines()
+
+
+def origin_of(experiment: "Experiment") -> str:
+    """Return the name of an experiment, and whether it is real."""
+    what = "real" if experiment.real else f"SIMULATED by {experiment.simulated_by}"
+    return f"{experiment.key}: {what}"
+
+
+def seconds(duration: float) -> str:
+    """Format a wall time for display."""
+    return f"{1e3 * duration:.3g} ms" if duration < 1.0 else f"{duration:.3g} s"
 
 
 def progress_bar(what: str) -> "Progress | None":
@@ -70,20 +139,3 @@ def counting_bar() -> "Iterator[Progress]":
             bar.update(task, completed=done, total=total, description=note)
 
         yield show
-
-
-def compare_command(
-    key: str, values: Mapping[str, float], motion: str, folder: Path = Path()
-) -> str:
-    """Return the command that compares an experiment with its simulation."""
-    words = ["fixel", "compare", key]
-    for name, value in values.items():
-        words += ["--set", f"{name}={value:.4g}"]
-    words += [] if motion == "dynamic" else ["--motion", motion]
-    words += [] if folder == Path() else ["--project", str(folder)]
-    return shlex.join(words)
-
-
-def seconds(duration: float) -> str:
-    """Format a wall time for display."""
-    return f"{1e3 * duration:.3g} ms" if duration < 1.0 else f"{duration:.3g} s"

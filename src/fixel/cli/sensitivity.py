@@ -1,150 +1,143 @@
 """`fixel sensitivity`: outcomes of pushes over the error of their start."""
 
-import json
 import math
-import shlex
-import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any, Literal
 
-import typer
-
-from fixel.cli.options import AsJson, ProjectFolder, project_words
+from fixel.cli.options import (
+    AnySeed,
+    AsJson,
+    ProjectFolder,
+    argument,
+    option,
+    require_folder,
+    with_options,
+)
+from fixel.cli.screen import (
+    command_line,
+    command_of,
+    notice,
+    print_answer,
+    progress_bar,
+    seconds,
+)
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.uncertainty.starts import StartError
+    from fixel.workflows.sensitivity.request import SensitivityRequest
     from fixel.workflows.sensitivity.run import SensitivityAnswer
 
-HERE = Path()
+
+@dataclass(frozen=True, kw_only=True)
+class SensitivityOptions:
+    """Options of `fixel sensitivity` for the analysis."""
+
+    calibration: int | None = option(
+        None,
+        "Stored calibration to simulate with.",
+        metavar="ID",
+        show_default="the newest; nominal values without any",
+    )
+    set_: list[str] | None = option(
+        None, "A parameter's value; may be repeated.", "--set", metavar="NAME=VALUE"
+    )
+    start_error_mm: float | None = option(
+        None, "Half-width of the start's error along x and y.  [default: 0.3]"
+    )
+    start_error_deg: float | None = option(None, "Half-width of its angle's.  [default: 0.5]")
+    preset: str | None = option(
+        None,
+        "Instead: asme (+-5 um, +-0.5 deg) or rpi-camera (noise of RPI's camera).",
+        show_default=False,
+    )
+    normal: bool = option(False, "The errors are standard deviations, not half-widths.", "--normal")
+    samples: int = option(1000, "Perturbed starts of each push.", min=50)
+    indices: bool = option(False, "Sobol indices, too (needs SALib).", "--indices/--no-indices")
+    vary: list[str] | None = option(
+        None,
+        "An uncertain parameter for the indices; may be repeated. The intervals of the"
+        " calibration where left out.",
+        metavar="NAME=LOW:HIGH",
+    )
+    base: int = option(128, "Base samples of the indices, a power of two.")
+    seed: AnySeed = 0
+    threads: int | None = option(None, "Of the simulation; all cores where left out.", min=1)
+
+    @property
+    def request(self) -> "SensitivityRequest":
+        """Request of the analysis."""
+        from fixel.workflows.sensitivity.request import SensitivityRequest
+
+        return SensitivityRequest(
+            error=self._error,
+            samples=self.samples,
+            values=dict(map(_value, self.set_ or ())),
+            ranges=dict(map(_range, self.vary or ())),
+            calibration=self.calibration,
+            indices=self.indices or bool(self.vary),
+            base=self.base,
+            seed=self.seed,
+            threads=self.threads,
+        )
+
+    @property
+    def _error(self) -> "StartError":
+        from fixel.uncertainty.starts import StartError, preset
+
+        mm, deg = self.start_error_mm, self.start_error_deg
+        if self.preset is not None:
+            if mm is not None or deg is not None or self.normal:
+                raise InvalidInput(
+                    "--preset", found="with a start error of its own", expected="one or the other"
+                )
+            return preset(self.preset)
+        place = 1e-3 * (0.3 if mm is None else mm)
+        angle = math.radians(0.5 if deg is None else deg)
+        kind: Literal["normal", "uniform"] = "normal" if self.normal else "uniform"
+        return StartError(x=place, y=place, theta=angle, kind=kind)
 
 
+@with_options
 def sensitivity(
-    things: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Experiments (id, name or DATASET/NAME) or scene files; all experiments with a"
-            " scene where left out.",
-            metavar="[EXPERIMENT|SCENE.yaml]...",
-            show_default=False,
-        ),
-    ] = None,
-    project: ProjectFolder = HERE,
-    calibration: Annotated[
-        int | None,
-        typer.Option(
-            help="Stored calibration to simulate with.",
-            metavar="ID",
-            show_default="the newest; nominal values without any",
-        ),
-    ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="A parameter's value; may be repeated.", metavar="NAME=VALUE"),
-    ] = None,
-    start_error_mm: Annotated[
-        float | None,
-        typer.Option(help="Half-width of the start's error along x and y.  [default: 0.3]"),
-    ] = None,
-    start_error_deg: Annotated[
-        float | None, typer.Option(help="Half-width of its angle's.  [default: 0.5]")
-    ] = None,
-    preset: Annotated[
-        str | None,
-        typer.Option(
-            help="Instead: asme (+-5 um, +-0.5 deg) or rpi-camera (noise of RPI's camera).",
-            show_default=False,
-        ),
-    ] = None,
-    normal: Annotated[
-        bool, typer.Option("--normal", help="The errors are standard deviations, not half-widths.")
-    ] = False,
-    samples: Annotated[int, typer.Option(help="Perturbed starts of each push.", min=50)] = 1000,
-    indices: Annotated[
-        bool, typer.Option("--indices/--no-indices", help="Sobol indices, too (needs SALib).")
-    ] = False,
-    vary: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="An uncertain parameter for the indices; may be repeated. The intervals of the"
-            " calibration where left out.",
-            metavar="NAME=LOW:HIGH",
-        ),
-    ] = None,
-    base: Annotated[int, typer.Option(help="Base samples of the indices, a power of two.")] = 128,
-    seed: Annotated[int, typer.Option(help="Seed of the random number generator.")] = 0,
-    threads: Annotated[
-        int | None, typer.Option(help="Of the simulation; all cores where left out.", min=1)
-    ] = None,
-    plot: Annotated[
-        Path | None,
-        typer.Option(help="Pictures go here, too.", metavar="FOLDER", file_okay=False),
-    ] = None,
+    *,
+    things: list[str] | None = argument(
+        None,
+        "Experiments (id, name or DATASET/NAME) or scene files; all experiments with a"
+        " scene where left out.",
+        metavar="[EXPERIMENT|SCENE.yaml]...",
+        show_default=False,
+    ),
+    project: ProjectFolder = Path(),
+    options: SensitivityOptions,
+    plot: Path | None = option(None, "Pictures go here, too.", metavar="FOLDER", file_okay=False),
     as_json: AsJson = False,
 ) -> None:
     """Report how errors of the start grow, and which pushes part ways, before they are executed."""
-    from fixel.cli.screen import notify, progress_bar
     from fixel.database.project import Project
     from fixel.workflows.compilation import get_ready
-    from fixel.workflows.figures import make_folder, write_picture
-    from fixel.workflows.project.importing import typed
-    from fixel.workflows.sensitivity.request import SensitivityRequest
+    from fixel.workflows.figures import write_picture
     from fixel.workflows.sensitivity.run import analyse_sensitivity
 
-    request = SensitivityRequest(
-        error=_error(start_error_mm, start_error_deg, preset, normal),
-        samples=samples,
-        values=dict(_value(text) for text in set_ or ()),
-        ranges=dict(_range(text) for text in vary or ()),
-        calibration=calibration,
-        indices=indices or bool(vary),
-        base=base,
-        seed=seed,
-        threads=threads,
-    )
-    if plot is not None:
-        make_folder(plot)
-    speaks = notify if sys.stderr.isatty() or not as_json else None
+    request = options.request
+    require_folder(plot)
     answer = analyse_sensitivity(
         things or (),
         request,
         lambda: Project.open(project),
-        command=typed(),
+        command=command_line(),
         progress=progress_bar,
-        ready=lambda scene: get_ready(scene, speaks),
+        ready=lambda scene: get_ready(scene, notice(as_json)),
     )
     files = []
     if plot is not None and answer.kept is not None:
         files = answer.kept.copy_pictures(plot)
     elif plot is not None:
         files = [path for picture in answer.pictures for path in write_picture(plot, picture)]
-    if as_json:
-        from fixel.formats.trajectory_file import plain_numbers
-
-        found = {
-            "headline": list(answer.analysis.headline),
-            "warnings": list(answer.analysis.warnings),
-            **answer.analysis.numbers,
-            "folder": None if answer.kept is None else str(answer.kept.folder),
-            "files": [str(path) for path in files],
-        }
-        typer.echo(json.dumps(plain_numbers(found), allow_nan=False))
-        return
-    typer.echo("\n".join(_lines(answer, files, plot, project)))
-
-
-def _error(mm: float | None, deg: float | None, name: str | None, normal: bool) -> "StartError":
-    from fixel.uncertainty.starts import StartError, preset
-
-    if name is not None:
-        if mm is not None or deg is not None or normal:
-            raise InvalidInput(
-                "--preset", found="with a start error of its own", expected="one or the other"
-            )
-        return preset(name)
-    place = 1e-3 * (0.3 if mm is None else mm)
-    angle = math.radians(0.5 if deg is None else deg)
-    return StartError(x=place, y=place, theta=angle, kind="normal" if normal else "uniform")
+    print_answer(
+        as_json, lambda: _content(answer, files), lambda: _lines(answer, files, plot, project)
+    )
 
 
 def _value(text: str) -> tuple[str, float]:
@@ -170,11 +163,19 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
         raise InvalidInput("--vary", found=repr(text), expected="NAME=LOW:HIGH") from None
 
 
+def _content(answer: "SensitivityAnswer", files: list[Path]) -> dict[str, Any]:
+    return {
+        "headline": list(answer.analysis.headline),
+        "warnings": list(answer.analysis.warnings),
+        **answer.analysis.numbers,
+        "folder": None if answer.kept is None else str(answer.kept.folder),
+        "files": [str(path) for path in files],
+    }
+
+
 def _lines(
     answer: "SensitivityAnswer", files: list[Path], plot: Path | None, project: Path
 ) -> list[str]:
-    from fixel.cli.screen import seconds
-
     analysis = answer.analysis
     lines = [*analysis.headline, ""]
     for table in analysis.tables:
@@ -197,5 +198,5 @@ def _next(answer: "SensitivityAnswer", plot: Path | None, project: Path) -> str:
     if answer.findings[0].indices is None:
         return f"{again} --indices"
     if answer.kept is not None:
-        return shlex.join(["fixel", "report", *project_words(project)])
+        return command_of("report", project=project)
     return f"{again} --samples {10 * len(answer.findings[0].ensemble.reasons)}"

@@ -6,32 +6,27 @@ import sys
 import tempfile
 from html import escape
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, project_at
+from fixel.cli.options import AsJson, ProjectFolder, ProjectPlace, option, project_at, with_options
+from fixel.cli.screen import notify
 from fixel.errors import InvalidInput
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
+@with_options
 def serve(
+    *,
     place: ProjectPlace = None,
     folder: ProjectFolder = Path(),
-    port: Annotated[
-        int | None, typer.Option(help="Port to listen on; any free one where left out.", min=1)
-    ] = None,
-    host: Annotated[
-        str, typer.Option(help="Address to listen on; another than this needs --allow-others.")
-    ] = "127.0.0.1",
-    allow_others: Annotated[
-        bool,
-        typer.Option("--allow-others", help="Let other machines in that have the link."),
-    ] = False,
-    open_: Annotated[
-        bool, typer.Option("--open/--no-open", help="Open the link in a browser.")
-    ] = True,
+    port: int | None = option(None, "Port to listen on; any free one where left out.", min=1),
+    host: str = option(
+        "127.0.0.1", "Address to listen on; another than this needs --allow-others."
+    ),
+    allow_others: bool = option(
+        False, "Let other machines in that have the link.", "--allow-others"
+    ),
+    open_: bool = option(True, "Open the link in a browser.", "--open/--no-open"),
     as_json: AsJson = False,
 ) -> None:
     """Look at a project in a browser: experiments, simulations, calibrations, domains."""
@@ -63,7 +58,7 @@ def serve(
                 webbrowser.open(door.as_uri())
         server.wait()
     except KeyboardInterrupt:
-        _say("fixel: stopped.")
+        notify("fixel: stopped.")
     finally:
         if door is not None:
             door.unlink(missing_ok=True)
@@ -83,8 +78,8 @@ def _announce(name: str, link: str, host: str, as_json: bool) -> None:
         return
     print(f"The pages of {name}, for whoever has this link:\n\n  {link}\n", flush=True)
     if host not in LOOPBACK:
-        _say("Other machines can reach it, and the way there is not encrypted.")
-    _say("Ctrl-C ends it.")
+        notify("Other machines can reach it, and the way there is not encrypted.")
+    notify("Ctrl-C ends it.")
 
 
 def _door(link: str, folder: Path) -> Path | None:
@@ -104,7 +99,3 @@ def _door(link: str, folder: Path) -> Path | None:
     with open(handle, "w", encoding="utf-8") as file:
         file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={escape(link)}">\n')
     return door
-
-
-def _say(sentence: str) -> None:
-    print(sentence, file=sys.stderr, flush=True)

@@ -1,34 +1,41 @@
 """`fixel show KEY` and `fixel compare KEY`: one stored experiment, and a simulation of it."""
 
-import json
 import shlex
-import sys
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson, ProjectFolder, project_words
+from fixel.cli.options import AsJson, ProjectFolder, option, require_picture, with_options
+from fixel.cli.screen import (
+    command_of,
+    notice,
+    origin_of,
+    paragraphs,
+    print_answer,
+    project_words,
+    shortened,
+    wrote,
+)
 from fixel.cli.simulation import NOT_SOLVED, MotionChoice
 from fixel.errors import InvalidInput
+from fixel.table import Column, Table
 
 if TYPE_CHECKING:
     from fixel.model import Experiment, Parameters
     from fixel.workflows.project.compare import Comparison
 
-HERE = Path()
 MAX_ROWS = 20
 
 Key = Annotated[
-    str,
-    typer.Argument(help="Experiment: its id, its name, or DATASET/NAME.", show_default=False),
+    str, typer.Argument(help="Experiment: its id, its name, or DATASET/NAME.", show_default=False)
 ]
 
 
 def show(
     key: Key,
-    project: ProjectFolder = HERE,
+    project: ProjectFolder = Path(),
     plot: Annotated[
         Path | None, typer.Option(help="Draw the experiment: .png, .svg or .pdf.", metavar="FILE")
     ] = None,
@@ -39,7 +46,7 @@ def show(
     from fixel.io.atomic import written_whole
     from fixel.workflows.project.compare import summary
 
-    _refuse_picture(plot)
+    require_picture(plot)
     with Project.open(project).store() as store:
         number = store.find(key)
         experiment = store.experiment(number)
@@ -48,39 +55,34 @@ def show(
 
         with written_whole(plot) as unfinished:
             draw_experiment(experiment, unfinished)
-    if as_json:
-        typer.echo(_json({"id": number, **summary(experiment), "files": _files(plot)}))
-    else:
-        typer.echo(_written_show(number, experiment, project, plot))
+    print_answer(
+        as_json,
+        lambda: {"id": number, **summary(experiment), "files": _files(plot)},
+        lambda: _show_lines(number, experiment, project, plot),
+    )
 
 
+@with_options
 def compare(
+    *,
     key: Key,
-    project: ProjectFolder = HERE,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="A parameter of the simulation, e.g. mu_support=0.3; may be repeated.",
-            metavar="NAME=VALUE",
-        ),
-    ] = None,
-    calibration: Annotated[
-        int | None,
-        typer.Option(
-            help="Id of a stored calibration: its parameters and its motion model; --set and"
-            " --motion change them.",
-            metavar="ID",
-        ),
-    ] = None,
-    motion: Annotated[
-        MotionChoice | None, typer.Option(help="Motion model; dynamic where left out.")
-    ] = None,
-    plot: Annotated[
-        Path | None, typer.Option(help="Draw both motions: .png, .svg or .pdf.", metavar="FILE")
-    ] = None,
+    project: ProjectFolder = Path(),
+    set_: list[str] | None = option(
+        None,
+        "A parameter of the simulation, e.g. mu_support=0.3; may be repeated.",
+        "--set",
+        metavar="NAME=VALUE",
+    ),
+    calibration: int | None = option(
+        None,
+        "Id of a stored calibration: its parameters and its motion model; --set and"
+        " --motion change them.",
+        metavar="ID",
+    ),
+    motion: MotionChoice | None = option(None, "Motion model; dynamic where left out."),
+    plot: Path | None = option(None, "Draw both motions: .png, .svg or .pdf."),
     as_json: AsJson = False,
-    save: Annotated[bool, typer.Option("--save", help="Keep the simulation.")] = False,
+    save: bool = option(False, "Keep the simulation.", "--save"),
 ) -> None:
     """Simulate an experiment, and report how far the simulation is from what was measured."""
     from fixel.database.project import Project
@@ -88,7 +90,7 @@ def compare(
     from fixel.workflows.calibration.stored import parameters_of
     from fixel.workflows.project.compare import comparison
 
-    _refuse_picture(plot)
+    require_picture(plot)
     parameters = _parameters(set_ or [])
     models = {model.name: model for model in MOTION_MODELS}
     with Project.open(project).store() as store:
@@ -97,46 +99,24 @@ def compare(
         model = models[motion]() if motion else None
         if calibration is not None:
             parameters, model = parameters_of(store, calibration, experiment, parameters, model)
-        _announce(experiment, as_json)
+        _compile(experiment, as_json)
         answer = comparison(experiment, parameters, model)
         command = _command("compare", experiment, project, set_ or [], motion, calibration)
         saved = store.add_simulation(answer.record(number, command)) if save else None
     if plot is not None:
         _draw(answer, plot)
-    if as_json:
-        extra = {"experiment_id": number, "simulation_id": saved, "files": _files(plot)}
-        typer.echo(_json(answer.summary() | extra))
-    else:
-        typer.echo(_written_compare(answer, project, plot, saved, command))
+    more = {"experiment_id": number, "simulation_id": saved, "files": _files(plot)}
+    print_answer(
+        as_json,
+        lambda: answer.summary() | more,
+        lambda: _compare_lines(answer, project, plot, saved, command),
+    )
     if not answer.complete:
         raise typer.Exit(NOT_SOLVED)
 
 
-# --- what both share --------------------------------------------------------------------------
-
-
-def _refuse_picture(plot: Path | None) -> None:
-    """Reject an invalid file for the chart before any work."""
-    if plot is not None:
-        from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
-        from fixel.io.atomic import refuse_unwritable
-
-        refuse_ending(plot, PICTURE_ENDINGS, "picture")
-        refuse_unwritable(plot)
-
-
-def _json(answer: dict[str, object]) -> str:
-    from fixel.formats.trajectory_file import plain_numbers
-
-    return json.dumps(plain_numbers(answer), allow_nan=False)
-
-
 def _files(plot: Path | None) -> dict[str, str]:
     return {} if plot is None else {"plot": str(plot)}
-
-
-def _joined(blocks: list[list[str]]) -> str:
-    return "\n\n".join("\n".join(block) for block in blocks if block)
 
 
 def _command(
@@ -148,40 +128,29 @@ def _command(
     calibration: int | None = None,
 ) -> str:
     """Return the command, to be run in the current folder."""
-    words = ["fixel", name, experiment.key, *project_words(project)]
-    if calibration is not None:
-        words += ["--calibration", str(calibration)]
-    for value in set_ or []:
-        words += ["--set", value]
-    if motion is not None:
-        words += ["--motion", motion.value]
-    return shlex.join(words)
+    words: list[object] = [] if calibration is None else ["--calibration", calibration]
+    words += [word for value in set_ or [] for word in ("--set", value)]
+    words += [] if motion is None else ["--motion", motion.value]
+    return command_of(name, experiment.key, *project_words(project), *words)
 
 
-def _origin(experiment: "Experiment") -> str:
-    what = "real" if experiment.real else f"SIMULATED by {experiment.simulated_by}"
-    return f"{experiment.key}: {what}"
-
-
-# --- show -------------------------------------------------------------------------------------
-
-
-def _written_show(number: int, experiment: "Experiment", project: Path, plot: Path | None) -> str:
-    """Return about a screen of text."""
-    blocks = [
-        [_origin(experiment), f"experiment {number} of dataset {experiment.dataset}"],
+def _show_lines(
+    number: int, experiment: "Experiment", project: Path, plot: Path | None
+) -> list[str]:
+    """About a screen of text."""
+    return paragraphs(
+        [origin_of(experiment), f"experiment {number} of dataset {experiment.dataset}"],
         _frames(experiment),
         _poses(experiment),
-        _mode(experiment),
+        [f"contact mode at the end: {experiment.contact_mode or 'not known'}"],
         _listed("conditions", [(k, _value(v)) for k, v in experiment.conditions.items()]),
         _listed("flags", [(f.name, f.detail) for f in experiment.flags if f.fault]),
         _listed("remarks", [(f.name, f.detail) for f in experiment.flags if not f.fault]),
         _channels(experiment),
         _provenance(experiment),
-        [] if plot is None else [f"wrote {plot}"],
+        wrote([plot]),
         [f"Next: {_next_show(experiment, project, plot)}"],
-    ]
-    return _joined(blocks)
+    )
 
 
 def _frames(experiment: "Experiment") -> list[str]:
@@ -200,21 +169,17 @@ def _frames(experiment: "Experiment") -> list[str]:
 
 
 def _poses(experiment: "Experiment") -> list[str]:
-    from fixel.cli.screen import table
     from fixel.workflows.project.compare import length_unit, travelled
 
     unit, metre = length_unit(experiment)
     rows = []
     for name, row in (("start", 0), ("end", -1)):
         x, y, angle = experiment.trajectory.pose[row].tolist()
-        rows.append((name, f"{x / metre:.2f}", f"{y / metre:.2f}", f"{degrees(angle):.2f}"))
-    head = (experiment.object_name, f"x [{unit}]", f"y [{unit}]", "angle [deg]")
+        rows.append((name, x / metre, y / metre, degrees(angle)))
+    x_and_y = (Column("x", unit, ".2f"), Column("y", unit, ".2f"))
+    columns = (experiment.object_name, *x_and_y, Column("angle", "deg", ".2f"))
     way = travelled(experiment.trajectory, 1e-3 if unit == "mm" else 1e-6)
-    return [*table(head, rows), f"travelled {way / metre:.2f} {unit}"]
-
-
-def _mode(experiment: "Experiment") -> list[str]:
-    return [f"contact mode at the end: {experiment.contact_mode or 'not known'}"]
+    return [*Table(columns, rows).lines(), f"travelled {way / metre:.2f} {unit}"]
 
 
 def _listed(title: str, rows: list[tuple[str, str]]) -> list[str]:
@@ -222,9 +187,7 @@ def _listed(title: str, rows: list[tuple[str, str]]) -> list[str]:
         return []
     width = max(len(name) for name, _ in rows[:MAX_ROWS])
     shown = [f"  {name.ljust(width)}  {value}".rstrip() for name, value in rows[:MAX_ROWS]]
-    left_out = len(rows) - len(shown)
-    more = [f"  ... and {left_out} more; --json has them all"] if left_out else []
-    return [title, *shown, *more]
+    return [title, *shortened(shown, len(rows), "  ")]
 
 
 def _value(value: str | float) -> str:
@@ -258,15 +221,12 @@ def _next_show(experiment: "Experiment", project: Path, plot: Path | None) -> st
         return _command("show", experiment, project) + f" --plot {_picture(experiment)}"
     if experiment.scene is not None:
         return _command("compare", experiment, project)
-    return shlex.join(["fixel", "list", *project_words(project)])
+    return command_of("list", project=project)
 
 
 def _picture(experiment: "Experiment") -> str:
     """Return a valid file name, whatever the name of the experiment."""
     return shlex.quote(experiment.name.replace("/", "-") + ".png")
-
-
-# --- compare ----------------------------------------------------------------------------------
 
 
 def _parameters(settings: list[str]) -> "Parameters":
@@ -287,13 +247,12 @@ def _parameters(settings: list[str]) -> "Parameters":
     return Parameters(values)
 
 
-def _announce(experiment: "Experiment", as_json: bool) -> None:
+def _compile(experiment: "Experiment", as_json: bool) -> None:
     """Compile before the clock runs; print a notice on a terminal, or without `--json`."""
     if experiment.scene is not None:
-        from fixel.cli.screen import notify
         from fixel.workflows.compilation import get_ready
 
-        get_ready(experiment.scene, notify if sys.stderr.isatty() or not as_json else None)
+        get_ready(experiment.scene, notice(as_json))
 
 
 def _draw(answer: "Comparison", plot: Path) -> None:
@@ -304,22 +263,20 @@ def _draw(answer: "Comparison", plot: Path) -> None:
         draw_comparison(answer.experiment, answer.simulated, unfinished, answer.contacts)
 
 
-def _written_compare(
+def _compare_lines(
     answer: "Comparison", project: Path, plot: Path | None, saved: int | None, command: str
-) -> str:
-    """Return about a screen of text."""
-    wrote = [] if plot is None else [f"wrote {plot}"]
+) -> list[str]:
+    """About a screen of text."""
     kept = [] if saved is None else [f"kept as simulation {saved}"]
-    blocks = [
-        [_origin(answer.experiment)],
+    return paragraphs(
+        [origin_of(answer.experiment)],
         _listed("parameters", [(k, _value(v)) for k, v in answer.parameters.items()]),
         _status(answer),
         _errors(answer),
         _modes(answer),
-        wrote + kept,
+        wrote([plot]) + kept,
         [f"Next: {_next_compare(answer, project, plot, saved, command)}"],
-    ]
-    return _joined(blocks)
+    )
 
 
 def _status(answer: "Comparison") -> list[str]:

@@ -1,13 +1,12 @@
 """`fixel track FILM`: track a film and store an experiment."""
 
-import json
-import shlex
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from fixel.cli.options import AsJson, ProjectFolder
+from fixel.cli.options import AsJson, ProjectFolder, option, required, with_options
+from fixel.cli.screen import command_of, print_answer, progress_bar, wrote
+from fixel.table import Column, Table
 
 if TYPE_CHECKING:
     from fixel.workflows.acquisition.track import TrackAnswer
@@ -15,109 +14,82 @@ if TYPE_CHECKING:
 MAX_FLAGS = 8
 
 
+@dataclass(frozen=True, kw_only=True)
+class TrackOptions:
+    """Options of `fixel track`."""
+
+    rig: str = option(
+        "",
+        "Rig file, or thesis-tags, thesis-stickers, microscope.",
+        metavar="RIG",
+        show_default="rig.yaml beside the film",
+    )
+    scene: Path | None = option(
+        None,
+        "Scene file, as it was planned.",
+        metavar="FILE",
+        show_default="scene.yaml beside the film",
+    )
+    method: str = option("auto", "auto, tags, stickers or silhouette.", metavar="METHOD")
+    folder: ProjectFolder = Path()
+    dataset: str = option("bench", "Of the experiment.", metavar="NAME")
+    name: str = option("", "Of the experiment.", metavar="NAME", show_default="the film's")
+    register: bool = option(
+        False, "Find the camera's place anew, from tags on the plate.", "--register"
+    )
+    dry_run: bool = option(False, "Track, and store nothing.", "--dry-run")
+    overlay: Path | None = option(None, "Film with the measured outlines: .mp4, .mkv.")
+    sheet: Path | None = option(None, "A few frames of that: .png.")
+    plot: Path | None = option(None, "Poses, residuals and gaps: .png, .svg, .pdf.")
+
+    def command(self, source: Path) -> str:
+        """Return the command that tracks the film and stores the experiment."""
+        options = {
+            "--rig": self.rig,
+            "--scene": self.scene,
+            "--method": self.method if self.method != "auto" else "",
+            "--project": self.folder if self.folder != Path() else "",
+            "--dataset": self.dataset if self.dataset != "bench" else "",
+            "--name": self.name,
+        }
+        words = [word for key, value in options.items() if value for word in (key, value)]
+        return command_of("track", source, *(["--register"] if self.register else []), *words)
+
+
+@with_options
 def track(
-    source: Annotated[
-        Path, typer.Argument(help="Video file, or folder of a recording.", metavar="FILM")
-    ],
-    rig: Annotated[
-        str,
-        typer.Option(
-            help="Rig file, or thesis-tags, thesis-stickers, microscope.",
-            metavar="RIG",
-            show_default="rig.yaml beside the film",
-        ),
-    ] = "",
-    scene: Annotated[
-        Path | None,
-        typer.Option(
-            help="Scene file, as it was planned.",
-            metavar="FILE",
-            show_default="scene.yaml beside the film",
-        ),
-    ] = None,
-    method: Annotated[
-        str, typer.Option(help="auto, tags, stickers or silhouette.", metavar="METHOD")
-    ] = "auto",
-    folder: ProjectFolder = Path(),
-    dataset: Annotated[str, typer.Option(help="Of the experiment.", metavar="NAME")] = "bench",
-    name: Annotated[
-        str,
-        typer.Option(help="Of the experiment.", metavar="NAME", show_default="the film's"),
-    ] = "",
-    register: Annotated[
-        bool,
-        typer.Option("--register", help="Find the camera's place anew, from tags on the plate."),
-    ] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Track, and store nothing.")] = False,
-    overlay: Annotated[
-        Path | None,
-        typer.Option(help="Film with the measured outlines: .mp4, .mkv.", metavar="FILE"),
-    ] = None,
-    sheet: Annotated[
-        Path | None, typer.Option(help="A few frames of that: .png.", metavar="FILE")
-    ] = None,
-    plot: Annotated[
-        Path | None,
-        typer.Option(help="Poses, residuals and gaps: .png, .svg, .pdf.", metavar="FILE"),
-    ] = None,
+    *,
+    source: Path = required("Video file, or folder of a recording.", metavar="FILM"),
+    options: TrackOptions,
     as_json: AsJson = False,
 ) -> None:
     """Track a film, and store it as an experiment."""
-    from fixel.cli.screen import progress_bar
     from fixel.workflows.acquisition.track import track_film
 
     answer = track_film(
         source,
-        rig=rig,
-        scene=scene,
-        method=method,
-        register=register,
-        project=None if dry_run else folder,
-        dataset=dataset,
-        name=name,
-        overlay=overlay,
-        sheet=sheet,
-        plot=plot,
+        rig=options.rig,
+        scene=options.scene,
+        method=options.method,
+        register=options.register,
+        project=None if options.dry_run else options.folder,
+        dataset=options.dataset,
+        name=options.name,
+        overlay=options.overlay,
+        sheet=options.sheet,
+        plot=options.plot,
         progress=progress_bar("Tracking"),
     )
-    if as_json:
-        typer.echo(json.dumps(answer.summary(), allow_nan=False))
-        return
-    options = {
-        "--rig": rig,
-        "--scene": scene or "",
-        "--method": method if method != "auto" else "",
-        "--project": folder if folder != Path() else "",
-        "--dataset": dataset if dataset != "bench" else "",
-        "--name": name,
-    }
-    again = ["fixel", "track", str(source), *(["--register"] if register else [])]
-    again += [word for key, value in options.items() if value for word in (key, str(value))]
-    typer.echo("\n".join(_lines(answer, folder, shlex.join(again))))
+    print_answer(as_json, answer.summary, lambda: _lines(answer, source, options))
 
 
-def _lines(answer: "TrackAnswer", folder: Path, again: str) -> list[str]:
-    from fixel.cli.screen import table
-
+def _lines(answer: "TrackAnswer", source: Path, options: TrackOptions) -> list[str]:
     experiment, tracked, motion = answer.experiment, answer.tracked, answer.motion
     seconds = tracked.time[-1] - tracked.time[0]
     lines = [
-        f"{answer.film.path}: {len(tracked.time)} frames, {seconds:.2f} s, rig {answer.rig.name}"
+        f"{answer.film.path}: {len(tracked.time)} frames, {seconds:.2f} s, rig {answer.rig.name}",
+        *_parts(answer),
     ]
-    rows = []
-    for name, part in answer.summary()["parts"].items():
-        rows.append(
-            (
-                name,
-                str(part["frames"]),
-                str(len(tracked.time) - part["frames"]),
-                str(part["outliers"]),
-                f"{part['residual_px']:.3f}",
-                f"{part['residual_m'] * 1e6:.2f}",
-            )
-        )
-    head = ("part", "poses", "missing", "outliers", "residual [px]", "[um]")
-    lines += table(head, rows)
     if motion is not None and motion.moved:
         assert experiment.effective is not None
         first, last = experiment.effective
@@ -132,13 +104,24 @@ def _lines(answer: "TrackAnswer", folder: Path, again: str) -> list[str]:
     lines += [f"  {flag.name}: {flag.detail}" for flag in experiment.flags[:MAX_FLAGS]]
     if experiment.simulated_by:
         lines.append("SIMULATED: no camera has seen this")
-    lines += [f"wrote {path}" for path in answer.files.values()]
-    where = "" if folder == Path() else f" --project {shlex.quote(str(folder))}"
+    lines += wrote(answer.files.values())
     if answer.number is None:
         lines.append("stored nothing; leave out --dry-run to store it")
-        lines.append(f"Next: {again}")
-    else:
-        verb = "stored as" if answer.new else "there already as"
-        lines.append(f"{verb} experiment {answer.number}, {experiment.key}")
-        lines.append(f"Next: fixel show {shlex.quote(experiment.key)}{where}")
-    return lines
+        return [*lines, f"Next: {options.command(source)}"]
+    verb = "stored as" if answer.new else "there already as"
+    lines.append(f"{verb} experiment {answer.number}, {experiment.key}")
+    return [*lines, f"Next: {command_of('show', experiment.key, project=options.folder)}"]
+
+
+def _parts(answer: "TrackAnswer") -> list[str]:
+    n = len(answer.tracked.time)
+    rows = [
+        (
+            *(name, part["frames"], n - part["frames"], part["outliers"]),
+            *(part["residual_px"], part["residual_m"] * 1e6),
+        )
+        for name, part in answer.summary()["parts"].items()
+    ]
+    head = ("part", "poses", "missing", "outliers")
+    residuals = (Column("residual", "px", ".3f"), Column("[um]", format=".2f"))
+    return Table((*head, *residuals), rows).lines()

@@ -1,70 +1,94 @@
 """`fixel uncertainty`: posterior of the parameters, and predictions of paths and poses."""
 
-import json
-import shlex
-import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from fixel.cli.options import AsJson, NoiseMm, NoiseMrad, PictureFolder, ProjectFolder, Seed
+from fixel.cli.options import (
+    AsJson,
+    MeasurementNoise,
+    PictureFolder,
+    ProjectFolder,
+    Seed,
+    argument,
+    option,
+    require_folder,
+    with_options,
+)
+from fixel.cli.screen import (
+    command_line,
+    compare_command,
+    print_answer,
+    progress_bar,
+    seconds,
+    wrote,
+)
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.uncertainty.posterior import SamplerProgress
     from fixel.workflows.analysis import StoredAnalysis
-    from fixel.workflows.uncertainty.run import Uncertainty
+    from fixel.workflows.uncertainty.run import Uncertainty, UncertaintyRequest
 
 
+@dataclass(frozen=True, kw_only=True)
+class UncertaintyOptions:
+    """Options of `fixel uncertainty` for the posterior."""
+
+    calibration: int | None = option(
+        None,
+        "Stored calibration whose parameters, motion model and experiments are taken.",
+        metavar="NUMBER",
+        show_default=False,
+    )
+    fit: list[str] | None = option(
+        None,
+        "Parameter to ask for, in SI units or with _mm, _deg, _mrad after the name; may be"
+        " repeated.",
+        metavar="NAME[=LOW:HIGH]",
+    )
+    held_out: list[str] | None = option(
+        None, "Experiment to be predicted only; may be repeated.", metavar="NAME"
+    )
+    motion: str | None = option(
+        None,
+        "dynamic, quasistatic or first-order.",
+        metavar="MODEL",
+        show_default="the calibration's, or dynamic",
+    )
+    noise: MeasurementNoise
+    model_error: bool = option(
+        True, "The model's own error as a term of its own.", "--model-error/--no-model-error"
+    )
+    samples: int = option(1000, "Effective samples wanted.", min=10)
+    seed: Seed = 0
+
+    def request(self, experiments: list[str]) -> "UncertaintyRequest":
+        """Return the request for experiments, given by id or name."""
+        from fixel.workflows.uncertainty.run import UncertaintyRequest
+
+        return UncertaintyRequest(
+            experiments=tuple(experiments),
+            held_out=tuple(self.held_out or ()),
+            calibration=self.calibration,
+            fit=tuple(self.fit or ()),
+            motion=self.motion,
+            noise=_noise(self.noise.noise_mm, self.noise.noise_mrad),
+            model_error=self.model_error,
+            samples=self.samples,
+            seed=self.seed,
+        )
+
+
+@with_options
 def uncertainty(
-    experiments: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Ids or names; those of the calibration where left out.",
-            metavar="[EXPERIMENT]...",
-        ),
-    ] = None,
+    *,
+    experiments: list[str] | None = argument(
+        None, "Ids or names; those of the calibration where left out.", metavar="[EXPERIMENT]..."
+    ),
     folder: ProjectFolder = Path(),
-    calibration: Annotated[
-        int | None,
-        typer.Option(
-            help="Stored calibration whose parameters, motion model and experiments are taken.",
-            metavar="NUMBER",
-            show_default=False,
-        ),
-    ] = None,
-    fit: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Parameter to ask for, in SI units or with _mm, _deg, _mrad after the name; may be"
-            " repeated.",
-            metavar="NAME[=LOW:HIGH]",
-        ),
-    ] = None,
-    held_out: Annotated[
-        list[str] | None,
-        typer.Option(help="Experiment to be predicted only; may be repeated.", metavar="NAME"),
-    ] = None,
-    motion: Annotated[
-        str | None,
-        typer.Option(
-            help="dynamic, quasistatic or first-order.",
-            metavar="MODEL",
-            show_default="the calibration's, or dynamic",
-        ),
-    ] = None,
-    noise_mm: NoiseMm = None,
-    noise_mrad: NoiseMrad = None,
-    model_error: Annotated[
-        bool,
-        typer.Option(
-            "--model-error/--no-model-error", help="The model's own error as a term of its own."
-        ),
-    ] = True,
-    samples: Annotated[int, typer.Option(help="Effective samples wanted.", min=10)] = 1000,
-    seed: Seed = 0,
+    options: UncertaintyOptions,
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
@@ -74,35 +98,20 @@ def uncertainty(
     """
     from fixel.database.project import Project
     from fixel.workflows.uncertainty.report import keep_uncertainty
-    from fixel.workflows.uncertainty.run import UncertaintyRequest, find_uncertainty
+    from fixel.workflows.uncertainty.run import find_uncertainty
 
-    request = UncertaintyRequest(
-        experiments=tuple(experiments or ()),
-        held_out=tuple(held_out or ()),
-        calibration=calibration,
-        fit=tuple(fit or ()),
-        motion=motion,
-        noise=_noise(noise_mm, noise_mrad),
-        model_error=model_error,
-        samples=samples,
-        seed=seed,
-    )
-    if plot is not None:
-        from fixel.workflows.figures import make_folder
-
-        make_folder(plot)
+    request = options.request(experiments or [])
+    require_folder(plot)
     project = Project.open(folder)
     found = find_uncertainty(project, request, _bar())
-    kept = keep_uncertainty(project, found, "fixel " + shlex.join(sys.argv[1:]))
+    kept = keep_uncertainty(project, found, command_line())
     pictures = [] if plot is None else kept.copy_pictures(plot)
-    if as_json:
-        answer = kept.analysis.numbers | {
-            "folder": str(kept.folder),
-            "pictures": [str(path) for path in pictures],
-        }
-        typer.echo(json.dumps(answer, allow_nan=False))
-        return
-    typer.echo("\n".join(_lines(found, kept, pictures, folder)))
+    files = {"folder": str(kept.folder), "pictures": [str(path) for path in pictures]}
+    print_answer(
+        as_json,
+        lambda: kept.analysis.numbers | files,
+        lambda: _lines(found, kept, pictures, folder),
+    )
 
 
 def _noise(mm: float | None, mrad: float | None) -> tuple[float, float] | None:
@@ -116,14 +125,12 @@ def _noise(mm: float | None, mrad: float | None) -> tuple[float, float] | None:
 
 
 def _bar() -> "Callable[[SamplerProgress], None] | None":
-    from fixel.cli.screen import progress_bar
-
     show = progress_bar("Sampling")
     if show is None:
         return None
     highest = 0
 
-    def tell(progress: "SamplerProgress") -> None:
+    def update(progress: "SamplerProgress") -> None:
         nonlocal highest
         share = round(1000.0 * progress.share)
         if share >= 1000 and progress.remaining > 0.0:
@@ -131,35 +138,31 @@ def _bar() -> "Callable[[SamplerProgress], None] | None":
         highest = max(highest, share)
         show(highest, 1000)
 
-    return tell
+    return update
 
 
 def _lines(
     found: "Uncertainty", kept: "StoredAnalysis", pictures: list[Path], folder: Path
 ) -> list[str]:
-    from fixel.cli.screen import seconds
-
     analysis, posterior = kept.analysis, found.posterior
     lines = [f"Mind: {sentence}" for sentence in analysis.warnings]  # first: they limit the rest
     lines += analysis.headline
     for table in analysis.tables:
         lines += ["", table.title, *table.lines()]
-    lines += [
+    return [
+        *lines,
         "",
         f"{posterior.effective:.0f} effective samples from {posterior.evaluations} simulated"
         f" points in {seconds(posterior.seconds)}; log evidence {posterior.log_evidence:.2f}"
         f" +- {posterior.log_evidence_error:.2f}",
+        *wrote(pictures),
+        f"kept in {kept.folder}",
+        f"Next: {_next(found, folder)}",
     ]
-    lines += [f"wrote {path}" for path in pictures]
-    lines.append(f"kept in {kept.folder}")
-    lines.append(f"Next: {_next(found, folder)}")
-    return lines
 
 
 def _next(found: "Uncertainty", folder: Path) -> str:
     """Return the next command: a comparison with the likeliest values."""
-    from fixel.cli.screen import compare_command
-
     first = found.predicted[0]
     n = len(found.space.free)
     columns = found.space.columns(found.posterior.best[None, :n], first.target.conditions)

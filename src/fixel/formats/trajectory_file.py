@@ -14,7 +14,6 @@ Columns, in this order, the same for every simulation of a scene with the same c
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
+from fixel.io.document import plain_numbers
 from fixel.simulation import Simulation
 
 TRAJECTORY_ENDINGS = (".csv", ".parquet")
@@ -87,15 +87,6 @@ def trajectory_columns(simulation: Simulation) -> dict[str, NDArray[Any]]:
         columns[f"{name}.force_N"] = trace.force
         columns[f"{name}.stalled"] = trace.stalled
     return columns | _contact_columns(simulation)
-
-
-def plain_numbers(value: Any) -> Any:
-    """Convert a value for strict JSON: numbers that are not finite become None."""
-    if isinstance(value, dict):
-        return {key: plain_numbers(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain_numbers(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _contact_columns(simulation: Simulation) -> dict[str, NDArray[Any]]:

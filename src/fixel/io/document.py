@@ -8,6 +8,7 @@ YAML 1.2: `1e-3` is a number, `no` and `1:30` are text.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -84,6 +85,15 @@ def yaml_text(content: Any) -> str:
         content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=100
     )
     return text
+
+
+def plain_numbers(value: Any) -> Any:
+    """Convert a value for strict JSON: numbers that are not finite become None."""
+    if isinstance(value, dict):
+        return {key: plain_numbers(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_numbers(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def plain_scalar(text: str) -> Any:

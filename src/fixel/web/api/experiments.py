@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field
 
 from fixel.database.browsing import ExperimentDetails, ExperimentRow
 from fixel.errors import NotStored
-from fixel.formats.trajectory_file import plain_numbers
+from fixel.io.document import plain_numbers
 from fixel.model import Flag
 from fixel.web.context import Context, ProjectContext
 from fixel.web.values import MAX_ID, Answer, Array, Number

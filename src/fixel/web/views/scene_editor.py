@@ -12,8 +12,7 @@ from pydantic import Field
 from fixel.errors import InvalidInput, JobRefused
 from fixel.formats import SceneFile
 from fixel.formats.scene_file import scene_dict, scene_file_from_dict
-from fixel.formats.trajectory_file import plain_numbers
-from fixel.io.document import parse_json, parse_yaml, yaml_text
+from fixel.io.document import parse_json, parse_yaml, plain_numbers, yaml_text
 from fixel.jobs.worker_process import WorkerProcess
 from fixel.model import Disk, Experiment, PathDrive, Scene, SupportPoints, UniformPressure
 from fixel.simulation import simulate

@@ -19,7 +19,7 @@ from fixel.database import schema
 from fixel.database.engine import open_engine, reading
 from fixel.database.project import Project
 from fixel.errors import JobRefused, NotStored
-from fixel.formats.trajectory_file import plain_numbers
+from fixel.io.document import plain_numbers
 from fixel.jobs.worker_process import WorkerProcess
 from fixel.kernels.jit import cache_folder
 from fixel.web.values import Answer

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -208,8 +207,3 @@ def _refuse(target: Path, format: str, fps: int | None) -> None:
 def _size(target: Path) -> int:
     files = [target] if target.is_file() else [p for p in target.rglob("*") if p.is_file()]
     return sum(path.stat().st_size for path in files)
-
-
-def json_text(answer: ExportAnswer) -> str:
-    """Return the summary as one JSON object on one line."""
-    return json.dumps(answer.summary(), allow_nan=False)

@@ -1,0 +1,272 @@
+"""`fixel tactile` and `fixel actuator`: the board that reads the fixels, and the drive."""
+
+import json
+import sys
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fixel.cli.options import AsJson, option, with_options
+from fixel.cli.screen import notify, print_answer, progress_bar, seconds, table
+
+if TYPE_CHECKING:
+    from fixel.testbed.serial_port import PortSeen
+    from fixel.testbed.tactile import TactileReader
+    from fixel.testbed.tactile_reading import TactileReading
+    from fixel.workflows.acquisition.actuator import ActuatorAnswer
+    from fixel.workflows.acquisition.tactile import TactileCheck
+
+tactile = typer.Typer(
+    help="The Arduino that feels what the fixels touch.",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Port = Annotated[
+    str | None,
+    typer.Option(
+        help="Serial port of the board: /dev/ttyACM0, COM4.", metavar="PORT", show_default=False
+    ),
+]
+
+
+@tactile.command("ports")
+def ports(as_json: AsJson = False) -> None:
+    """List the serial ports of this computer."""
+    from fixel.workflows.acquisition.tactile import serial_ports
+
+    _print_ports(serial_ports(), as_json, "fixel tactile check --port")
+
+
+def _print_ports(found: "list[PortSeen]", as_json: bool, follow: str) -> None:
+    """Print ports as a table or as JSON, and the next command."""
+    rows = [(port.port, port.description, port.in_use_by or "nobody") for port in found]
+    lines = ["No serial ports. Plug the device in; on Linux, dmesg says what it became."]
+    if found:
+        lines = [*table(("port", "what", "in use by"), rows, left=3), ""]
+        lines.append(f"Next: {follow} {found[0].port}")
+    print_answer(as_json, lambda: {"ports": [port._asdict() for port in found]}, lambda: lines)
+
+
+@tactile.command("check")
+def check(
+    port: Port = None,
+    readings: Annotated[int, typer.Option(help="How often to ask.", min=1)] = 300,
+    deadline: Annotated[
+        float, typer.Option(help="What counts as in time [ms].", min=0.1, metavar="MS")
+    ] = 15.0,
+    as_json: AsJson = False,
+) -> None:
+    """Ask the board many times; exit code 1 if an answer was missing, late or damaged."""
+    from fixel.workflows.acquisition.tactile import check_tactile
+
+    found = check_tactile(
+        port,
+        readings=readings,
+        deadline=1e-3 * deadline,
+        progress=None if as_json else progress_bar("asking"),
+    )
+    print_answer(as_json, found.summary, lambda: _check_lines(found))
+    if not found.passed:
+        raise typer.Exit(1)
+
+
+def _check_lines(found: "TactileCheck") -> list[str]:
+    counts = found.statistics
+    with_time = "with time stamps" if found.protocol > 1 else "bits alone"
+    lines = [f"{found.port}: tactile board, protocol {found.protocol}, {with_time}"]
+    if found.thresholds:
+        blue, red, green = found.thresholds
+        lines += [f"thresholds   blue {blue}, red {red}, green {green} of 1023"]
+    lines += [
+        f"asked        {counts['asked']} in {seconds(found.seconds)}",
+        f"answered     {counts['answered']}",
+        f"missing      {counts['missing']} within {1e3 * found.deadline:.3g} ms",
+        f"late         {counts['late']}",
+        f"damaged      {counts['garbled']}",
+        f"stray bytes  {counts['stray_bytes']}",
+    ]
+    if counts["round_trip_median_s"] is not None:
+        median, worst = counts["round_trip_median_s"], counts["round_trip_max_s"]
+        lines += [f"round trip   {1e3 * median:.2f} ms median, {1e3 * worst:.2f} ms at most"]
+    if found.drift:
+        lines += [f"clock        {-1e6 * found.drift:+.0f} ppm against this computer's"]
+    if found.trouble:
+        lines += [f"broken off   {found.trouble}"]
+    return [*lines, "", f"Next: fixel tactile watch --port {found.port}"]
+
+
+@tactile.command("watch")
+@with_options
+def watch(
+    *,
+    port: Port = None,
+    duration: float | None = option(
+        None, "For how long [s].", min=0.0, show_default="until Ctrl-C"
+    ),
+    rate: float = option(30.0, "Readings a second [Hz].", min=0.1),
+    threshold: int | None = option(None, "Of all three sensors, of 1023.", min=0, max=1023),
+    as_json: AsJson = False,
+) -> None:
+    """Show what the board feels, live; with --json a line a reading."""
+    from fixel.workflows.acquisition.tactile import watch_tactile
+
+    thresholds = None if threshold is None else (threshold,) * 3
+    live = sys.stdout.isatty() and not as_json
+    last = ""
+    for reader, reading in watch_tactile(
+        port, interval=1.0 / rate, duration=duration, thresholds=thresholds
+    ):
+        line = _as_json(reading) if as_json else _line(reader, reading)
+        news = line.split("  (")[0] + reading.problem
+        if live:
+            print(f"\r\033[K{line}", end="", flush=True)
+        elif as_json or news != last:
+            # A file gets the changes only; most readings are the same.
+            typer.echo(line)
+            last = news
+    if live:
+        typer.echo("")
+
+
+def _line(reader: "TactileReader", reading: "TactileReading") -> str:
+    from fixel.testbed.tactile_bits import COLOURS, FIXELS, contact_mode
+
+    counts = reader.statistics
+    if reading.bits is None:
+        return f"no reading: {reading.problem}"
+    fixels = ", ".join(
+        f"{name} {'TOUCHED' if touched == '1' else 'free   '}"
+        for name, touched in zip(FIXELS, contact_mode(reading.bits), strict=True)
+    )
+    volts = ""
+    if reading.values is not None:
+        by_colour = dict(zip(COLOURS, reading.values, strict=True))
+        volts = "  " + " ".join(f"{by_colour[name] * 5 / 1023:.2f}" for name in FIXELS) + " V"
+    lost = counts.asked - counts.answered
+    trip = f"{1e3 * counts.round_trips[-1]:.1f} ms" if counts.round_trips else "-"
+    return f"{fixels}  ({trip}, {counts.asked} asked, {lost} lost){volts}" + (
+        f"  {reading.problem}" if reading.problem else ""
+    )
+
+
+def _as_json(reading: "TactileReading") -> str:
+    return json.dumps(
+        {
+            "bits": reading.bits,
+            "time_s": reading.time,
+            "device_time_s": reading.device_time,
+            "values": reading.values,
+            "problem": reading.problem,
+        }
+    )
+
+
+actuator = typer.Typer(
+    help="The drive that pushes: a GRBL controller, a person, or none.",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+DrivePort = Annotated[
+    str | None,
+    typer.Option(
+        help="Serial port of the controller: /dev/ttyUSB0, COM5.",
+        metavar="PORT",
+        show_default=False,
+    ),
+]
+Driver = Annotated[
+    str, typer.Option(help="Of what kind: grbl, manual or simulated.", metavar="DRIVER")
+]
+
+
+@actuator.command("ports")
+def actuator_ports(as_json: AsJson = False) -> None:
+    """List the serial ports of this computer."""
+    from fixel.workflows.acquisition.tactile import serial_ports
+
+    _print_ports(serial_ports(), as_json, "fixel actuator where --port")
+
+
+@actuator.command("home")
+def home(port: DrivePort = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
+    """Let the drive go to its end switch, and know where it is."""
+    from fixel.workflows.acquisition.actuator import chosen_actuator, home_actuator
+
+    _print_position(home_actuator(chosen_actuator(driver, port, notify=notify)), as_json, port)
+
+
+@actuator.command("move")
+@with_options
+def move(
+    *,
+    port: DrivePort = None,
+    to: float | None = option(None, "Position to go to [mm].", metavar="MM", show_default=False),
+    by: float | None = option(None, "Or how much further [mm].", metavar="MM", show_default=False),
+    speed: float = option(13.5, "[mm/s]", metavar="MM/S"),
+    driver: Driver = "grbl",
+    dead_man: float | None = option(
+        None,
+        "For how long it may go on without this program [s].",
+        metavar="S",
+        show_default="0.5, or as the controller's acceleration needs",
+    ),
+    unlock: bool = option(False, "End an alarm first, without homing.", "--unlock"),
+    as_json: AsJson = False,
+) -> None:
+    """Move the drive. Any key, Ctrl-C, or `fixel actuator stop` elsewhere stops it at once."""
+    from fixel.workflows.acquisition.actuator import chosen_actuator, move_actuator
+
+    if sys.stdin.isatty() and driver == "grbl":
+        notify("Any key stops the drive.")
+    answer = move_actuator(
+        chosen_actuator(driver, port, notify=notify, dead_man=dead_man),
+        to=None if to is None else 1e-3 * to,
+        by=None if by is None else 1e-3 * by,
+        speed=1e-3 * speed,
+        unlock=unlock,
+    )
+    _print_position(answer, as_json, port)
+
+
+@actuator.command("stop")
+def stop(port: DrivePort = None, as_json: AsJson = False) -> None:
+    """Stop every drive that a program of yours moves, or the one at a port, at once.
+
+    The drive loses its place: home it before you move it again.
+    """
+    from fixel.workflows.acquisition.actuator_stop import stop_actuators
+
+    stopped = stop_actuators(port)
+    print_answer(
+        as_json,
+        lambda: {"stopped": stopped},
+        lambda: [
+            *(f"stopped the drive at {one}" for one in stopped),
+            f"Next: fixel actuator home --port {stopped[0]}",
+        ],
+    )
+
+
+@actuator.command("where")
+def where(port: DrivePort = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
+    """Show the position of the drive; it does not move."""
+    from fixel.workflows.acquisition.actuator import chosen_actuator, where_is_actuator
+
+    _print_position(where_is_actuator(chosen_actuator(driver, port, notify=notify)), as_json, port)
+
+
+def _print_position(answer: "ActuatorAnswer", as_json: bool, port: str | None) -> None:
+    low, high = answer.reach
+    state = f", {answer.state}" if answer.state else ""
+    at = f"--port {port}" if port else f"--driver {answer.driver}"
+    print_answer(
+        as_json,
+        answer.summary,
+        lambda: [
+            f"{answer.driver}: at {1e3 * answer.position:.3f} mm of {1e3 * low:.4g} to"
+            f" {1e3 * high:.4g} mm{state}",
+            f"Next: fixel actuator {'home' if answer.state == 'Alarm' else 'move --by 10'} {at}",
+        ],
+    )

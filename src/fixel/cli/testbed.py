@@ -1,0 +1,170 @@
+"""`fixel testbed run`, `film` and `serve`: experiments on a simulated testbed, and their films."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from fixel.cli.options import (
+    AnySeed,
+    AsJson,
+    ProjectFolder,
+    Seed,
+    argument,
+    option,
+    required,
+    with_options,
+)
+from fixel.cli.project import print_imported
+from fixel.cli.screen import command_of, notice, print_answer, progress_bar, shortened, wrote
+from fixel.table import Column, Table
+
+if TYPE_CHECKING:
+    from fixel.workflows.acquisition.film import FilmResult
+
+MAX_ROWS = 20
+
+app = typer.Typer(help="Perform experiments.", no_args_is_help=True, rich_markup_mode=None)
+
+
+@app.command("run")
+@with_options
+def run_plan(
+    *,
+    plan: Path | None = argument(
+        None, "Plan file; without one, the thesis's 420.", metavar="[PLAN]"
+    ),
+    folder: ProjectFolder = Path(),
+    seed: AnySeed = 1,
+    limit: int | None = option(None, "Only the first so many.", min=1, metavar="COUNT"),
+    threads: int | None = option(None, "As many as there are cores, else.", min=1),
+    as_json: AsJson = False,
+) -> None:
+    """Perform a plan on the simulated testbed: with noise, ripple and a rough plate."""
+    from fixel.database.project import Project
+    from fixel.workflows.project.importing import run_testbed
+
+    done = run_testbed(
+        Project.open(folder),
+        plan,
+        seed=seed,
+        limit=limit,
+        threads=threads,
+        progress=progress_bar("Performing"),
+    )
+    print_imported(done, {"seed": seed}, as_json, folder)
+
+
+@app.command("film")
+@with_options
+def film(
+    *,
+    sources: list[str] | None = argument(
+        None,
+        "Scene files, plan files, or experiments of the project by id or name.",
+        metavar="[EXPERIMENT|SCENE.yaml|PLAN.yaml]...",
+    ),
+    out: Path = option(Path("film"), "Folder to make.", "--out", "-o", metavar="FOLDER"),
+    rig: str = option(
+        "thesis-tags", "Rig file, or thesis-tags, thesis-stickers, microscope.", metavar="RIG"
+    ),
+    looks: str | None = option(
+        None,
+        "clean, thesis, hard; microscope-clean, microscope.",
+        metavar="NAME",
+        show_default="thesis, or microscope",
+    ),
+    set_: list[str] | None = option(
+        None,
+        "A number of the looks, e.g. occlusion=1.5; may be repeated.",
+        "--set",
+        metavar="NAME=VALUE",
+    ),
+    seed: Seed = 1,
+    exact: bool = option(False, "Keep every bit of every picture; larger files.", "--exact"),
+    video: Path | None = option(None, "Write it as one video file too: .mp4, .mkv."),
+    rate: float = option(30.0, "Frames a second [Hz].", min=0.1, max=1000.0),
+    lead: float = option(0.5, "At rest before the motion [s].", min=0.0),
+    rest: float = option(0.5, "At rest after the motion [s].", min=0.0),
+    frames: int | None = option(None, "No more than so many.", min=1, metavar="COUNT"),
+    limit: int | None = option(None, "Only the first so many of a plan.", min=1, metavar="COUNT"),
+    folder: ProjectFolder = Path(),
+    as_json: AsJson = False,
+) -> None:
+    """Film simulated experiments: recordings with known truth, to test tracking against."""
+    from fixel.workflows.acquisition import film as films
+
+    settings = films.Shooting(
+        rig=rig,
+        looks=looks or "",
+        changes=tuple(set_ or ()),
+        seed=seed,
+        codec="exact" if exact else "near",
+        rate=rate,
+        lead=lead,
+        rest=rest,
+        frames=frames,
+    )
+    made = films.film(
+        sources or [],
+        out,
+        settings,
+        project=folder,
+        limit=limit,
+        video=video,
+        notify=notice(as_json),
+        progress=None if as_json else progress_bar("Filming"),
+    )
+    print_answer(as_json, lambda: {"films": list(map(_content, made))}, lambda: _lines(made))
+
+
+def _lines(films: "list[FilmResult]") -> list[str]:
+    rows = [
+        (one.name, one.frames, one.seconds, one.status, str(one.folder)) for one in films[:MAX_ROWS]
+    ]
+    columns = ("film", "frames", Column("time", "s", ".2f"), "simulation", "recording")
+    lines = shortened(Table(columns, rows).lines(), len(films) + 1)
+    lines += wrote(one.video for one in films)
+    unmarked = sorted({name for one in films for name in one.unmarked})
+    if unmarked:
+        lines.append(f"without a mark, since the rig knows none: {', '.join(unmarked)}")
+    if films:
+        lines += ["", f"Next: {command_of('track', films[0].folder)}"]
+    return lines
+
+
+def _content(one: "FilmResult") -> dict[str, object]:
+    return {
+        "name": one.name,
+        "folder": str(one.folder),
+        "frames": one.frames,
+        "seconds": one.seconds,
+        "status": one.status,
+        "unmarked": list(one.unmarked),
+        "video": None if one.video is None else str(one.video),
+    }
+
+
+@app.command("serve")
+@with_options
+def serve(
+    *,
+    film: Path = required("A video, or the folder of a recording.", metavar="FILM", exists=True),
+    port: int = option(0, "0 for any that is free.", min=0, max=65535),
+    loop: bool = option(False, "Begin anew at its end.", "--loop"),
+    as_json: AsJson = False,
+) -> None:
+    """Serve a film on this machine as a network camera would, until Ctrl-C."""
+    from fixel.testbed.loopback import LoopbackCamera
+
+    with LoopbackCamera(film, port=port, loop=loop) as camera:
+        width, height = camera.stream.size
+        print_answer(
+            as_json,
+            lambda: {"url": camera.url, "size_px": [width, height]},
+            lambda: [
+                f"serving {film}, {width} x {height} pixels, at {camera.url}",
+                f"Next: {command_of('record', '--camera', camera.url, '--out', 'recording')}",
+            ],
+        )
+        camera.wait()
