@@ -173,17 +173,17 @@ def test_a_shell_completes_commands():
 
 
 def test_a_benchmark_that_needs_no_data_takes_none(capsys, monkeypatch):
-    from fixel.reproductions import overview
+    from fixel.reproductions import run
 
     asked = []
 
     def found(name, data, **more):
         asked.append((name, data))
-        return overview.Reproduction(
+        return run.Reproduction(
             name=name, tables={}, conclusions=["done"], settings={}, picture=None, seconds=0.0
         )
 
-    monkeypatch.setattr(overview, "reproduce", found)
+    monkeypatch.setattr(run, "reproduce", found)
     assert fixel(capsys, "benchmark", "real", "--only", "asme-table-1")[:2] == (0, "done\n")
     assert asked == [("asme-table-1", None)]
     code, _, err = fixel(capsys, "benchmark", "real")

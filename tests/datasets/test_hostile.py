@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 from tests.datasets import push_files, recordings
 
-from fixel.datasets import IMPORTERS
-from fixel.datasets.raw import base
+from fixel.datasets import IMPORTERS, files
 from fixel.errors import FixelError, InvalidInput
 
 
@@ -83,7 +82,7 @@ def _mutate(path: Path, rng: random.Random) -> None:
 def test_what_unpacks_to_too_much_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(base, "MAX_FILE", 2_000_000)
+    monkeypatch.setattr(files, "MAX_FILE", 2_000_000)
     path = tmp_path / "bomb.csv.gz"
     path.write_bytes(gzip.compress(b"t_s,x_m,y_m\n" + b"0,0,0\n" * 1_000_000))
 
@@ -94,7 +93,7 @@ def test_what_unpacks_to_too_much_is_refused(
 def test_more_cells_than_the_memory_holds_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(base, "MAX_CELLS", 1_000_000)
+    monkeypatch.setattr(files, "MAX_CELLS", 1_000_000)
     path = tmp_path / "bomb.csv.gz"
     path.write_bytes(gzip.compress(b"t_s,x_m,y_m\n" + b"\n" * 2_000_000))
 

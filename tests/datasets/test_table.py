@@ -132,7 +132,7 @@ def test_a_compressed_table(tmp_path: Path) -> None:
         ("t_s,x_m,y_m\n0,0,0\n0,0,0\n", "row 2: found t = 0 s after 0 s"),
         ("t_s,x_m,y_m\n0,0,0\n2,0,0\n1,0,0\n", "row 3: found t = 1 s after 2 s"),
         ("t_s,x_m,y_m\n0,nan,0\n", "row 1, column x_m: found 'nan'"),
-        ("t_s,x_m,y_m\n0,1e30,0\n", "column x_m: found 1e"),
+        ("t_s,x_m,y_m\n0,1e30,0\n", "row 1, column x_m: found '1e30'"),
         ("t_s,x_m,y_m\n,0,0\n", "column t_s: found ''"),
         ("t_s,x_m\n0,0\n", "a column for y; name columns"),
         ("t_s,x_m,y_m,pusher_x_m\n0,0,0,0\n", "a column for pusher_y"),

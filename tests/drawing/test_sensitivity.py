@@ -1,4 +1,4 @@
-"""Pictures of fans, indices and repetitions, and the numbers behind them."""
+"""Pictures of fans and indices, and the numbers behind them."""
 
 import matplotlib as mpl
 import numpy as np
@@ -9,7 +9,6 @@ from tests.uncertainty.forks import fork, grid
 from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
 from fixel.drawing.sensitivity import EnsembleChart, IndicesChart
-from fixel.reproductions.charts.repeats import RepeatPicture, RepeatPoint
 from fixel.uncertainty.indices import Factor, Indices
 
 
@@ -45,17 +44,7 @@ def indices_chart():
     return IndicesChart(title="a push", indices=indices)
 
 
-def repeat_picture():
-    size = np.array([1e-3, 0.01])
-    return RepeatPicture(
-        [
-            RepeatPoint("inside #1", "two fingers", size, size, 0.5 * size, 2.0 * size),
-            RepeatPoint("outside #1", "two fingers", 3.0 * size, size, 0.5 * size, 2.0 * size),
-        ]
-    )
-
-
-@pytest.mark.parametrize("make", [ensemble_chart, indices_chart, repeat_picture])
+@pytest.mark.parametrize("make", [ensemble_chart, indices_chart])
 def test_a_picture_is_drawn_and_has_its_numbers(make, tmp_path):
     chart, file = make(), tmp_path / "one.png"
     draw_chart(chart, file, banner="SIMULATED by a test")
@@ -70,11 +59,6 @@ def test_a_fan_names_its_outcomes_and_keeps_every_start():
     labels = chart.figure().axes[0].get_legend_handles_labels()[1]
     assert {"outcome 1: 80%", "outcome 2: 20%", "nominal"} <= set(labels)
     assert [row[-1] for row in chart.table().rows] == [1] * 40 + [2] * 10
-
-
-def test_only_what_is_wider_than_predicted_is_marked():
-    labels = repeat_picture().figure().axes[0].get_legend_handles_labels()[1]
-    assert labels.count("measured, wider than predicted") == 1
 
 
 @pytest.mark.parametrize("turn", [1e-9, 1.0])

@@ -14,8 +14,13 @@ import pytest
 
 from fixel.calibration.least_squares import LeastSquares
 from fixel.reproductions.cmu_tripod import surface_friction, transferred
-from fixel.reproductions.tripod_points import fitted_points
-from fixel.reproductions.tripod_pushes import TripodPush, machined, read_pushes, support_of
+from fixel.reproductions.tripod_pushes import (
+    TripodPush,
+    fitted_points,
+    machined,
+    read_pushes,
+    support_of,
+)
 
 
 @pytest.fixture(scope="module")

@@ -20,9 +20,7 @@ def pooled(answer: Replay) -> dict[str, Any]:
 
 def test_two_hundred_pushes_are_as_near_as_the_published_simulator(data_root: Path) -> None:
     """Spread over all 17 groups. Bounds: the whole set's figures and three standard errors."""
-    answer = replay_dataset(
-        data_root / "mit_push_endpoints", ReplayRequest(select={}, settings={}, limit=200)
-    )
+    answer = replay_dataset(data_root / "mit_push_endpoints", ReplayRequest(limit=200))
 
     assert len(answer.groups) == 18
     assert answer.not_solved <= 1

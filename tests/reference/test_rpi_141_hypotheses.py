@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from fixel.model import Experiment
-from fixel.reproductions.rpi_141 import experiment_141, judged, lateral_misses
-from fixel.reproductions.rpi_141_hypotheses import hypotheses
+from fixel.reproductions.rpi_141 import HYPOTHESES, experiment_141, judged, lateral_misses
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +29,7 @@ def experiment(data_root: Path) -> Experiment:
     ],
 )
 def test_errors_of_hypotheses(experiment: Experiment, name: str, free: float, whole: float) -> None:
-    hypothesis = next(h for h in hypotheses() if h.name == name)
+    hypothesis = next(h for h in HYPOTHESES if h.name == name)
     row, _ = judged(experiment, hypothesis, starts=1)
     # A tenth of a millimetre: what the step and the end of a search are worth.
     assert row["rms_mm_free"] == pytest.approx(free, abs=0.15)

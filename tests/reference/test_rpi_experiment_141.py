@@ -12,36 +12,41 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fixel.datasets.raw import RpiTrial, RpiTrials, read_dataset
+from fixel.datasets.rpi_2dgad import LabSimulation, lab_simulation
+from fixel.model import Experiment
 from fixel.reproductions.replay import replay_dataset
-from fixel.reproductions.replay.rpi_2dgad import as_the_lab_did, weighted_error
+from fixel.reproductions.replay.trials import as_the_lab_did, weighted_error
+from fixel.reproductions.rpi_141 import experiment_141
+
+Trial = tuple[Experiment, LabSimulation]
 
 
 @pytest.fixture(scope="module")
-def trial(data_root: Path) -> RpiTrial:
-    data = read_dataset(data_root / "rpi_2dgad")
-    assert isinstance(data, RpiTrials)
-    return data.trials[0]
+def trial(data_root: Path) -> Trial:
+    folder = data_root / "rpi_2dgad"
+    lab = lab_simulation(folder, 141)
+    assert lab is not None
+    return experiment_141(folder), lab
 
 
-def distance_from_the_lab(trial: RpiTrial, *, leading: bool) -> float:
+def distance_from_the_lab(trial: Trial, *, leading: bool) -> float:
     """Root mean square of the weighted pose error over all 112 frames [mm]."""
-    assert trial.lab is not None
-    simulation = as_the_lab_did(trial, leading=leading)
+    lab = trial[1]
+    simulation = as_the_lab_did(*trial, leading=leading)
     assert simulation.status == "converged"
     poses = simulation.pose["object"]
-    assert len(poses) == len(trial.lab.frame) == 112
-    error = weighted_error(poses, trial.lab.object_pose)
+    assert len(poses) == len(lab.time) == 112
+    error = weighted_error(poses, lab.pose)
     return float(np.sqrt(np.mean(error**2))) * 1e3
 
 
-def test_the_laboratorys_simulation_is_met(trial: RpiTrial) -> None:
+def test_the_laboratorys_simulation_is_met(trial: Trial) -> None:
     # Reached: 0.114 mm. The stored poses are rounded to 1e-4 mm and 1e-4 rad; what is left is the
     # laboratory's own contact detection.
     assert distance_from_the_lab(trial, leading=True) < 0.12
 
 
-def test_without_the_leading_driver_it_is_a_quarter_millimetre_off(trial: RpiTrial) -> None:
+def test_without_the_leading_driver_it_is_a_quarter_millimetre_off(trial: Trial) -> None:
     # Reached: 0.245 mm, about one step of the driver (0.31 mm).
     assert 0.2 < distance_from_the_lab(trial, leading=False) < 0.3
 

@@ -1,45 +1,65 @@
-"""Pictures of reproductions are drawn, whatever they hold, and only into files that can be."""
+"""Pictures of reproductions are drawn, whatever they show."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from fixel.errors import InvalidInput
-from fixel.reproductions.charts.reproductions import (
-    ClusterPicture,
-    PathCurve,
-    PathPicture,
-    SupportPanel,
-    SupportPicture,
-    TriangleCluster,
-    draw,
-)
+from fixel.drawing.chart import save_filled
+from fixel.model import Body, Disk, Fixel, PathDrive, Polygon, Pusher, Scene, UniformPressure
+from fixel.reproductions.charts.pictures import draw_clusters, draw_paths, draw_supports
+from fixel.reproductions.repeats import GroupPrediction, draw_repeats
 
 SQUARE = 0.05 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 TRIANGLE = 0.03 * np.array([[0.0, 1.0], [-1.0, -0.5], [1.0, -0.5]])
 WAY = np.column_stack((np.linspace(0.0, 0.02, 5), np.zeros(5), np.zeros(5)))
+ACTUATOR = WAY[[0, -1]] - (0.1, 0.0, 0.0)
+SCENE = Scene(
+    bodies=(
+        Body(
+            name="square",
+            shape=Polygon(SQUARE),
+            mass=0.2,
+            pose=WAY[0],
+            support=UniformPressure(friction=0.3),
+        ),
+    ),
+    pushers=(
+        Pusher(
+            name="head",
+            shape=Polygon(0.2 * SQUARE),
+            pose=ACTUATOR[0],
+            drive=PathDrive(waypoints=np.column_stack(([0.0, 1.0], ACTUATOR))),
+            friction=0.3,
+        ),
+    ),
+    fixels=(
+        Fixel(name="fixel-1", shape=Disk(0.005), pose=np.array([0.1, 0.0, 0.0]), friction=0.3),
+    ),
+    duration=1.0,
+)
+CLUSTERS = {str(k): (TRIANGLE[None], np.full((1, 3), 1 / 3)) for k in range(6)}
 
-PICTURES = {
-    "supports": SupportPicture([SupportPanel("one", SQUARE, TRIANGLE, TRIANGLE, -TRIANGLE)]),
-    "paths": PathPicture(
-        outline=SQUARE,
-        time=np.arange(5.0),
-        curves=[
-            PathCurve("measured", WAY, np.zeros(0)),
-            PathCurve("before", WAY + 0.01, np.full(5, 0.014)),
-        ],
-        fixels=np.array([[0.1, 0.0]]),
-        fixel_radius=0.005,
-        actuator_outline=0.2 * SQUARE,
-        actuator=WAY[[0, -1]] - (0.1, 0.0, 0.0),
-    ),
-    "clusters": ClusterPicture(
-        SQUARE,
-        TRIANGLE,
-        [TriangleCluster(str(k), TRIANGLE[None], np.full((1, 3), 1 / 3)) for k in range(6)],
-    ),
-    "no cluster": ClusterPicture(SQUARE, TRIANGLE, []),
+
+def prediction(name: str, end: float) -> GroupPrediction:
+    size = np.array([1e-3, 0.01])
+    return GroupPrediction(
+        name, "two fingers", 3, size, end * size, size, 2.0 * size, 0.5 * size, failed=0
+    )
+
+
+REPEATS = partial(draw_repeats, [prediction("inside #1", 1.0), prediction("outside #1", 3.0)])
+PICTURES: dict[str, Callable[[Figure], None]] = {
+    "supports": partial(draw_supports, SQUARE, {"one": (TRIANGLE, TRIANGLE, -TRIANGLE)}),
+    "paths": partial(draw_paths, SCENE, np.arange(5.0), WAY, {"before": WAY + 0.01}, ACTUATOR),
+    "clusters": partial(draw_clusters, SQUARE, TRIANGLE, CLUSTERS),
+    "no cluster": partial(draw_clusters, SQUARE, TRIANGLE, {}),
+    "repeats": REPEATS,
 }
 
 
@@ -47,10 +67,16 @@ PICTURES = {
 @pytest.mark.parametrize("ending", [".png", ".svg"])
 def test_every_kind_is_drawn(name: str, ending: str, tmp_path: Path) -> None:
     file = tmp_path / f"picture{ending}"
-    draw(PICTURES[name], file)
+
+    save_filled(PICTURES[name], file)
+
     assert file.stat().st_size > 5_000
 
 
-def test_other_endings_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match=r"\.png"):
-        draw(PICTURES["paths"], tmp_path / "picture.txt")
+def test_only_what_is_wider_than_predicted_is_marked() -> None:
+    figure = Figure()
+
+    REPEATS(figure)
+
+    labels = figure.axes[0].get_legend_handles_labels()[1]
+    assert labels.count("measured, wider than predicted") == 1

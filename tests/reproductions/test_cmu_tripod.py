@@ -9,8 +9,15 @@ from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.target import Target
 from fixel.model import Body, Disk, LineDrive, Polygon, Pusher, Scene, SupportPoints
 from fixel.reproductions import cmu_tripod
-from fixel.reproductions.tripod_points import SupportFit, fitted_points
-from fixel.reproductions.tripod_pushes import GRAVITY, SAMPLES, STEP, TripodPush, unit_forces
+from fixel.reproductions.tripod_pushes import (
+    GRAVITY,
+    SAMPLES,
+    STEP,
+    SupportFit,
+    TripodPush,
+    fitted_points,
+    unit_forces,
+)
 from fixel.simulation import StewartTrinkle
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 

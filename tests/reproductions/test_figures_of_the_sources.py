@@ -12,7 +12,7 @@ from tests.cli.shell import fixel
 from fixel.database.project import Project
 from fixel.drawing.relations import Entity, columns_of
 from fixel.errors import InvalidInput
-from fixel.reproductions.overview import reproduce
+from fixel.reproductions.run import reproduce
 from fixel.workflows.project import maintenance
 
 

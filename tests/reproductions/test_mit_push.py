@@ -12,14 +12,13 @@ from tests.datasets import push_files
 from typer.testing import CliRunner
 
 from fixel.cli import main
-from fixel.datasets.raw import mit_push
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.io.result_cache import ResultCache
-from fixel.reproductions import Benchmark, BenchmarkRequest, benchmark_real
-from fixel.reproductions.leftover import learned_ends
 from fixel.reproductions.protocols import PROTOCOLS
-from fixel.reproductions.pushes import PushGroup, rows_by_key, usable_rows
-from fixel.reproductions.splits import Split, few_of, folds, random_split
+from fixel.reproductions.pushes import PushGroup, read_mit_pushes, rows_by_key
+from fixel.reproductions.residuals import Split, few_of, folds, learned_ends, random_split
+from fixel.reproductions.result import Benchmark
+from fixel.reproductions.run import BenchmarkRequest, benchmark_real
 
 SHIFT = (0.9e-3, -0.6e-3)
 TRUTH = {
@@ -32,8 +31,8 @@ def made_up(folder: Path, n: int = 30) -> Path:
     rng = np.random.default_rng(7)
     rows = [_start(k, name, rng) for name in ("block", "egg") for k in range(n)]
     write = push_files.mit_push(folder, *rows)
-    data = mit_push.read(write)
-    for key, own in rows_by_key(data, usable_rows(data)).items():
+    data = read_mit_pushes(write)
+    for key, own in rows_by_key(data, data.usable).items():
         group = PushGroup(data, key, own)
         values = {name: np.full(len(own), value) for name, value in TRUTH.items()}
         found = group.simulate(np.arange(len(own)), values)
@@ -181,8 +180,8 @@ def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path) -> None:
 
 def test_what_is_held_out_is_never_looked_at(tmp_path: Path) -> None:
     """Wrong ends of held-out pushes change no prediction, neither of physics nor of the process."""
-    data = mit_push.read(made_up(tmp_path / "data"))
-    (key, rows), *_ = rows_by_key(data, usable_rows(data)).items()
+    data = read_mit_pushes(made_up(tmp_path / "data"))
+    (key, rows), *_ = rows_by_key(data, data.usable).items()
     group = PushGroup(data, key, rows)
     split = random_split(np.zeros(len(rows)).tolist(), 0.6, 0)
     speed = data.speed[rows]
@@ -200,7 +199,7 @@ def test_what_is_held_out_is_never_looked_at(tmp_path: Path) -> None:
 
 def test_fits_depend_on_training_pushes_alone(tmp_path: Path) -> None:
     folder = made_up(tmp_path / "data", 16)
-    data = mit_push.read(folder)
+    data = read_mit_pushes(folder)
     request = BenchmarkRequest(protocols=("calibrated", "few"), seeds=1, quick=True)
     first = benchmark_real(folder, request)
     split = {name for scored in first.scored for name in scored.names}

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from tests.reproductions.test_mit_push import made_up
 
-from fixel.datasets.raw import mit_push
 from fixel.domain import scale_model
 from fixel.io.result_cache import ResultCache
-from fixel.reproductions import BenchmarkRequest, new_sides
+from fixel.reproductions import new_sides
 from fixel.reproductions.new_sides import side_labels
-from fixel.reproductions.overview import reproduce
-from fixel.reproductions.protocols import BenchmarkData
-from fixel.reproductions.splits import split_without
+from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest
+from fixel.reproductions.pushes import read_mit_pushes
+from fixel.reproductions.residuals import split_without
+from fixel.reproductions.run import reproduce
 
 
 def test_a_side_left_out_has_no_push_in_training() -> None:
@@ -28,7 +28,7 @@ def test_a_side_left_out_has_no_push_in_training() -> None:
 
 def test_sides_are_those_the_pushes_were_made_up_on(tmp_path: Path) -> None:
     """The k-th push goes into side k modulo 4 of a square, whichever way that is turned."""
-    data = mit_push.read(made_up(tmp_path / "data", 64))
+    data = read_mit_pushes(made_up(tmp_path / "data", 64))
     bench = BenchmarkData(data, BenchmarkRequest(), ResultCache(None), lambda *_: None)
     key = next(key for key in bench.rows if key[1] == "block")
     number = np.array([int(bench.names[row].rsplit("_", 1)[1]) % 4 for row in bench.rows[key]])

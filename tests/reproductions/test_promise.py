@@ -9,21 +9,20 @@ import numpy as np
 import pytest
 from tests.reproductions.test_mit_push import made_up
 
-from fixel.datasets.raw import mit_push
 from fixel.errors import DatasetMissing
 from fixel.io.result_cache import ResultCache
 from fixel.model import Disk, Polygon
-from fixel.reproductions import BenchmarkRequest
-from fixel.reproductions.evidence import evidence_of
-from fixel.reproductions.overview import reproduce
 from fixel.reproductions.promise import LEVELS, PushTable, _halves, _rank_correlation
-from fixel.reproductions.protocols import BenchmarkData, full_fit
+from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
+from fixel.reproductions.pushes import read_mit_pushes
 from fixel.reproductions.rates import PAPER_RATE, extent
+from fixel.reproductions.residuals import evidence_of
+from fixel.reproductions.run import reproduce
 
 
 def bench_of(folder: Path) -> BenchmarkData:
     request = BenchmarkRequest(protocols=("calibrated",), seeds=1, quick=True)
-    return BenchmarkData(mit_push.read(folder), request, ResultCache(None), lambda *_: None)
+    return BenchmarkData(read_mit_pushes(folder), request, ResultCache(None), lambda *_: None)
 
 
 def test_what_is_promised_from_is_known_before_the_push(tmp_path: Path) -> None:
@@ -34,9 +33,9 @@ def test_what_is_promised_from_is_known_before_the_push(tmp_path: Path) -> None:
     speed = bench.data.speed[group.rows]
     fit = full_fit(bench, group, 0, split)
 
-    before = evidence_of(group, 0, split, fit, speed)
+    before = evidence_of(group, split, fit, speed)
     group.end[split.held_out] += 5.0
-    after = evidence_of(group, 0, split, fit, speed)
+    after = evidence_of(group, split, fit, speed)
 
     assert np.array_equal(before.features.table, after.features.table)
     assert np.isfinite(before.features.table).all()

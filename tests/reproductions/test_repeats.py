@@ -7,14 +7,14 @@ import pytest
 
 from fixel.errors import DatasetMissing
 from fixel.reproductions import repeats
-from fixel.reproductions.overview import reproduce
-from fixel.reproductions.two_point_groups import (
+from fixel.reproductions.repeat_groups import (
     RepeatGroup,
     group_scene,
     outline_of,
     read_groups,
     rig_noise,
 )
+from fixel.reproductions.run import reproduce
 
 
 def made(start, end, start_pose="a", heading=0.0):

@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from tests.datasets import push_files
+from tests.datasets import push_files, recordings
 from typer.testing import CliRunner
 
 from fixel.cli import main
-from fixel.errors import InvalidInput
-from fixel.reproductions.replay import (
-    Replay,
-    ReplayRequest,
-    columns_and_values,
-    draw_replay,
-    names_and_numbers,
-    replay_dataset,
-)
-from fixel.reproductions.replay.choose import spread
-from fixel.reproductions.replay.rpi_2dgad import contact_mode
+from fixel.cli.reproductions import refuse_picture
+from fixel.errors import DatasetMissing, InvalidInput
+from fixel.reproductions.replay import Replay, ReplayRequest, replay_dataset
+from fixel.reproductions.replay.request import columns_and_values, names_and_numbers, spread
+from fixel.reproductions.replay.trials import contact_mode
+
+MAKERS: dict[str, Callable[..., Path]] = {
+    "mit_push": push_files.mit_push,
+    "rpi_2dgad": recordings.rpi_2dgad,
+    "mit_timeseries": push_files.mit_timeseries,
+}
 
 # Position of a straight push: the engine moves the object by the measured stroke exactly, but for
 # the tolerance of its steps.
@@ -120,7 +121,7 @@ def test_pairs_need_both_sides(pair: str) -> None:
 
 
 def test_a_trial_pushed_straight_follows_the_actuator(tmp_path: Path) -> None:
-    answer = replayed(push_files.rpi_2dgad(tmp_path))
+    answer = replayed(recordings.rpi_2dgad(tmp_path))
 
     marker, smoothed, lab, repeated = answer.pushes
     for row in (marker, smoothed):
@@ -132,12 +133,12 @@ def test_a_trial_pushed_straight_follows_the_actuator(tmp_path: Path) -> None:
     assert lab["error_mm2"] == pytest.approx(0.0)
     # The driver leads by one step of 0.3 mm.
     assert repeated["position_mm_rms"] == pytest.approx(0.3, abs=0.05)
-    assert answer.left_out == {"no actuator path or fixel positions": 1}
+    assert answer.left_out == {"no actuator path or fixel positions": 2}
 
 
 def test_an_incomplete_trial_cannot_be_selected(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="a complete one: 7"):
-        replayed(push_files.rpi_2dgad(tmp_path), "experiment_id=8")
+        replayed(recordings.rpi_2dgad(tmp_path), "experiment_id=8")
 
 
 def test_contact_mode_counts_fixels_from_the_left() -> None:
@@ -165,7 +166,7 @@ def test_windows_of_a_straight_run_follow_the_tip(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("dataset", ["mit_push", "rpi_2dgad", "mit_timeseries"])
 def test_command_prints_json_and_draws(dataset: str, tmp_path: Path) -> None:
-    make = getattr(push_files, dataset)
+    make = MAKERS[dataset]
     pushes = (push_files.push(0),) if dataset == "mit_push" else ()
     folder = make(tmp_path / "data", *pushes)
     picture = tmp_path / "replay.png"
@@ -181,7 +182,7 @@ def test_command_prints_json_and_draws(dataset: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("dataset", ["mit_push", "rpi_2dgad", "mit_timeseries"])
 def test_command_prints_a_plain_table_and_the_next_step(dataset: str, tmp_path: Path) -> None:
-    make = getattr(push_files, dataset)
+    make = MAKERS[dataset]
     pushes = (push_files.push(0, author_quad_x1=0.25, author_quad_y1=-0.1, author_quad_th1=0),)
     folder = make(tmp_path / "data", *(pushes if dataset == "mit_push" else ()))
 
@@ -204,7 +205,21 @@ def test_command_refuses_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_pictures_are_refused_before_the_work(tmp_path: Path) -> None:
-    answer = replayed(push_files.mit_push(tmp_path, push_files.push(0)))
-
     with pytest.raises(InvalidInput, match=r"\.png, \.svg or \.pdf"):
-        draw_replay(answer, tmp_path / "replay.gif")
+        refuse_picture(tmp_path / "replay.gif")
+    with pytest.raises(InvalidInput, match="no folder"):
+        refuse_picture(tmp_path / "nowhere" / "replay.png")
+
+
+def test_an_unknown_folder_says_what_was_looked_for(tmp_path: Path) -> None:
+    with pytest.raises(DatasetMissing, match=r"pushes\.csv\.gz and shapes\.json"):
+        replay_dataset(tmp_path)
+    with pytest.raises(DatasetMissing, match=r"pushes\.csv\.gz and shapes\.json"):
+        replay_dataset(recordings.cmu_tripod(tmp_path / "known"))
+
+
+def test_a_folder_of_datasets_says_where_they_are(tmp_path: Path) -> None:
+    push_files.mit_push(tmp_path / "inside", push_files.push(0))
+
+    with pytest.raises(DatasetMissing, match="look inside: inside"):
+        replay_dataset(tmp_path)

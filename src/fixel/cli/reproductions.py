@@ -1,8 +1,8 @@
 """`fixel replay` and `fixel benchmark real`: recorded pushes, simulated and calibrated."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import typer
 
@@ -12,10 +12,8 @@ from fixel.cli.simulation import MotionChoice
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from fixel.reproductions import Benchmark
     from fixel.reproductions.replay import Replay
+    from fixel.reproductions.result import Benchmark
 
 Record = dict[str, Any]
 
@@ -63,75 +61,108 @@ def replay(
     plot: Path | None = option(None, "Draw measured and simulated motion: .png, .svg or .pdf."),
 ) -> None:
     """Replay recorded pushes and report how far simulation and measurement lie apart."""
-    from fixel.reproductions import replay as pushes
+    from fixel.reproductions.replay import ReplayRequest, replay_dataset
+    from fixel.reproductions.replay.request import columns_and_values, names_and_numbers
 
     if plot is not None:
-        pushes.refuse_picture(plot)
-    request = pushes.ReplayRequest(
-        select=pushes.columns_and_values(select or ()),
+        refuse_picture(plot)
+    request = ReplayRequest(
+        select=columns_and_values(select or ()),
         limit=limit,
-        settings=pushes.names_and_numbers(set_ or ()),
+        settings=names_and_numbers(set_ or ()),
         motion=None if motion is None else motion.value,
         everything=everything,
         window=window,
     )
     with counting_bar() as show:
-        answer = pushes.replay_dataset(dataset, request, show)
+        answer = replay_dataset(dataset, request, show)
     if plot is not None:
-        pushes.draw_replay(answer, plot)
-    if as_json:
-        print_answer(True, answer.summary, list)
-    else:
-        _print_replay(answer, dataset, plot)
+        from fixel.drawing.chart import save_filled
+
+        save_filled(answer.draw, plot)
+    print_answer(as_json, answer.summary, lambda: _replay_lines(answer, dataset, plot))
 
 
-# Heading of a column over two lines, and a function that formats the value of a row.
-ReplayColumn = tuple[str, Callable[[Record], str]]
+def refuse_picture(file: Path) -> None:
+    """Raise `InvalidInput` for a file that cannot be drawn to, before the replay is computed."""
+    if file.suffix.lower() not in (".pdf", ".png", ".svg"):
+        raise InvalidInput("--plot", found=file.name, expected="a file .png, .svg or .pdf")
+    if not file.parent.is_dir():
+        raise InvalidInput("--plot", found=f"no folder {file.parent}", expected="one that exists")
 
 
-def _print_replay(answer: "Replay", dataset: Path, plot: Path | None) -> None:
-    from rich.console import Console
+# Columns of the tables: heading, name of the value in a row, and its format.
+COLUMNS: Final = {
+    "mit_push_endpoints": (
+        ("surface", "surface", ""),
+        ("shape", "shape", ""),
+        ("speed mm/s", "speed_mm_s", ".0f"),
+        ("pushes", "pushes", ""),
+        ("fixel mm", "fixel.position_mm", ".2f"),
+        ("fixel deg", "fixel.angle_deg", ".2f"),
+        ("poly4 mm", "poly4.position_mm", ".2f"),
+        ("poly4 deg", "poly4.angle_deg", ".2f"),
+        ("quad mm", "quad.position_mm", ".2f"),
+        ("quad deg", "quad.angle_deg", ".2f"),
+    ),
+    "rpi_2dgad": (
+        ("trial", "experiment_id", ""),
+        ("simulation", "model", ""),
+        ("path", "path", ""),
+        ("against", "against", ""),
+        ("frames", "frames", ""),
+        ("rms mm", "position_mm_rms", ".2f"),
+        ("rms deg", "angle_deg_rms", ".2f"),
+        ("weighted rms mm", "weighted_mm_rms", ".2f"),
+        ("E mm^2", "error_mm2", ".2f"),
+        ("final mm", "position_mm_final", ".2f"),
+        ("final deg", "angle_deg_final", ".2f"),
+        ("contact mode", "contact_mode", ""),
+        ("felt", "contact_mode_measured", ""),
+        ("status", "status", ""),
+    ),
+    "mit_timeseries": (
+        ("run", "run", ""),
+        ("windows", "windows", ""),
+        ("motion", "motion", ""),
+        ("moved mm", "moved_mm", ".1f"),
+        ("rms mm", "position_mm_rms", ".2f"),
+        ("rms deg", "angle_deg_rms", ".2f"),
+        ("final mm", "position_mm_final", ".2f"),
+        ("final deg", "angle_deg_final", ".2f"),
+    ),
+}
 
-    console = Console(soft_wrap=True, highlight=False)
+
+def _replay_lines(answer: "Replay", dataset: Path, plot: Path | None) -> list[str]:
     rows = answer.groups or answer.pushes
-    columns = {"rpi_2dgad": _trial_columns, "mit_timeseries": _window_columns}.get(
-        answer.dataset, _push_columns
-    )(rows)
-    _print_table(console, columns, rows)
-    for note in answer.notes:
-        console.print(note)
+    columns = [own for own in COLUMNS[answer.dataset] if own[1].partition(".")[0] in rows[0]]
+    cells = [[cell(row, name, form) for _, name, form in columns] for row in rows]
+    lines = table([heading for heading, _, _ in columns], cells, left=len(columns))
+    lines += answer.notes
     if answer.not_solved:
-        console.print(f"{answer.not_solved} simulations did not finish; they are in no average.")
-    console.print(_speed(answer))
+        lines.append(f"{answer.not_solved} simulations did not finish; they are in no average.")
+    lines.append(_speed(answer))
     if plot is not None:
-        console.print(f"Drawn: {plot}")
-    console.print(f"Next: {_next(answer, dataset, plot)}")
+        lines.append(f"Drawn: {plot}")
+    return [*lines, f"Next: {_next(answer, dataset, plot)}"]
 
 
-def _print_table(console: "Console", columns: list[ReplayColumn], rows: list[Record]) -> None:
-    cells = [[text(row) for _, text in columns] for row in rows]
-    if not console.is_terminal:
-        headings = [heading.replace("\n", " ") for heading, _ in columns]
-        console.print("\n".join(table(headings, cells, left=len(columns))))
-        return
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    framed = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading, _ in columns:
-        framed.add_column(heading, overflow="fold")
-    for row, line in zip(rows, cells, strict=True):
-        pooled = "all" in (row.get("run"), row.get("shape"))
-        framed.add_row(*line, style="bold" if pooled else None)
-    console.print(framed)
+def cell(row: Record, name: str, form: str = ".2f") -> str:
+    """Format a value of a row, such as `fixel.position_mm`; mean and median with a slash."""
+    value: Any = row
+    for part in name.split("."):
+        value = value[part]
+    values = (value["mean"], value["median"]) if isinstance(value, dict) else (value,)
+    return " / ".join("-" if own is None else format(own, form) for own in values)
 
 
 def _speed(answer: "Replay") -> str:
     timing = answer.timing
-    rate = timing.simulated / max(timing.simulation, 1e-9)
     return (
-        f"{timing.simulated} simulated in {timing.simulation:.2f} s ({rate:.0f} per second);"
-        f" with reading and start {timing.total:.2f} s."
+        f"{timing['simulated']} simulated in {timing['simulation_s']:.2f} s"
+        f" ({timing['per_second']:.0f} per second);"
+        f" with reading and start {timing['total_s']:.2f} s."
     )
 
 
@@ -142,80 +173,6 @@ def _next(answer: "Replay", dataset: Path, plot: Path | None) -> str:
         return command_of("replay", dataset, "--window", 0)  # complete runs
     value = "tripod_radius=0.041" if answer.dataset == "rpi_2dgad" else "mu_pusher=0.2"
     return command_of("replay", dataset, "--set", value)
-
-
-def _push_columns(rows: list[Record]) -> list[ReplayColumn]:
-    columns = [
-        _plain("surface"),
-        _plain("shape"),
-        _rounded("speed\nmm/s", "speed_mm_s", 0),
-        _plain("pushes"),
-    ]
-    for name in ("fixel", "poly4", "quad"):
-        if name in rows[0]:
-            columns += [
-                (f"{name}\nmm", _pair_of(name, "position_mm")),
-                (f"{name}\ndeg", _pair_of(name, "angle_deg")),
-            ]
-    return columns
-
-
-def _trial_columns(rows: list[Record]) -> list[ReplayColumn]:
-    return [
-        _plain("trial", "experiment_id"),
-        _plain("simulation", "model"),
-        _plain("path"),
-        _plain("against"),
-        _plain("frames"),
-        _rounded("rms\nmm", "position_mm_rms"),
-        _rounded("rms\ndeg", "angle_deg_rms"),
-        _rounded("weighted\nrms mm", "weighted_mm_rms"),
-        _rounded("E\nmm^2", "error_mm2"),
-        _rounded("final\nmm", "position_mm_final"),
-        _rounded("final\ndeg", "angle_deg_final"),
-        ("contact mode\n(felt)", _modes),
-        _plain("status"),
-    ]
-
-
-def _window_columns(rows: list[Record]) -> list[ReplayColumn]:
-    return [
-        _plain("run"),
-        _plain("windows"),
-        _plain("motion"),
-        ("moved\nmm", lambda row: _pair(row["moved_mm"], 1)),
-        _rounded("rms\nmm", "position_mm_rms"),
-        _rounded("rms\ndeg", "angle_deg_rms"),
-        ("final\nmm", lambda row: _pair(row["position_mm_final"])),
-        ("final\ndeg", lambda row: _pair(row["angle_deg_final"])),
-    ]
-
-
-def _plain(heading: str, key: str = "") -> ReplayColumn:
-    return (heading, lambda row: str(row[key or heading]))
-
-
-def _rounded(heading: str, key: str, digits: int = 2) -> ReplayColumn:
-    return (heading, lambda row: _number(row[key], digits))
-
-
-def _pair_of(name: str, what: str) -> Callable[[Record], str]:
-    return lambda row: _pair(row[name][what])
-
-
-def _pair(value: dict[str, float | None], digits: int = 2) -> str:
-    """Format mean and median."""
-    return f"{_number(value['mean'], digits)} / {_number(value['median'], digits)}"
-
-
-def _modes(row: Record) -> str:
-    if row["contact_mode"] is None:
-        return "-"
-    return f"{row['contact_mode']} ({row['contact_mode_measured']})"
-
-
-def _number(value: float | None, digits: int = 2) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
 
 
 @app.callback()
@@ -262,8 +219,14 @@ def real(
     as_json: AsJson = False,
 ) -> None:
     """Calibrate on some recorded pushes and report how far others end from where they should."""
-    from fixel.reproductions import PROTOCOLS, BenchmarkRequest, benchmark_real, joint_real
-    from fixel.reproductions.overview import REPRODUCTIONS, reproduce
+    from fixel.reproductions.run import (
+        PROTOCOLS,
+        REPRODUCTIONS,
+        BenchmarkRequest,
+        benchmark_real,
+        joint_real,
+        reproduce,
+    )
 
     if only in REPRODUCTIONS:
         with counting_bar() as show:
@@ -325,7 +288,7 @@ def _benchmark_lines(answer: "Benchmark", data: Path, out: Path | None) -> list[
 
 
 def _cells(row: Record, models: Sequence[str]) -> list[str]:
-    pairs = [_pair(row[model][what]) for model in models for what in ("position_mm", "angle_deg")]
+    pairs = [cell(row, f"{m}.{what}") for m in models for what in ("position_mm", "angle_deg")]
     return [row["protocol"], row["surface"], row["shape"], str(row["held_out"]), *pairs]
 
 

@@ -1,27 +1,21 @@
-"""Base of the importers: the plan of an import, protection from bad files, and common functions."""
+"""Base of the importers: the plan of an import, and protection from bad files."""
 
 from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import ClassVar, Final, final
+from typing import ClassVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fixel.datasets.raw.base import CsvRows
 from fixel.errors import DatasetMissing, FixelError, InvalidInput
-from fixel.model import Experiment, Flag, Provenance, Scene
-from fixel.typing import BoolArray, FloatArray
-
-# Larger numbers cannot be readings, not even microseconds since 1970. Squares of smaller ones stay
-# far inside float64.
-LARGEST_NUMBER: Final = 1e18
+from fixel.model import Experiment, Flag, Provenance, Scene, Trajectory
+from fixel.typing import FloatArray
 
 # Exceptions that a reader may raise on a file that violates its format.
 _TRIPPED = (
@@ -139,6 +133,11 @@ def guarded(source: str) -> Iterator[None]:
         ) from problem
 
 
+def trajectory_of(time: FloatArray, pose: FloatArray) -> Trajectory:
+    """Create a trajectory of poses (n, 3), with unwrapped angles."""
+    return Trajectory(time=time, pose=np.column_stack((pose[:, :2], np.unwrap(pose[:, 2]))))
+
+
 def remark(name: str, detail: str = "") -> Flag:
     """Create a flag that informs but does not exclude an experiment from use."""
     return Flag(name, detail, fault=False)
@@ -172,63 +171,3 @@ def scene_or_flag(build: Callable[[], Scene]) -> tuple[Scene | None, tuple[Flag,
         return build(), ()
     except InvalidInput as problem:
         return None, (remark("no-scene", str(problem)),)
-
-
-def whole_numbers(table: CsvRows, column: str, largest: int = 2**31) -> NDArray[np.int64]:
-    """Return one column as whole numbers (n,) from 0 to `largest`; raise for others."""
-    numbers = table.numbers(column)
-    wrong = (numbers < 0.0) | (numbers > largest) | (numbers != np.round(numbers))
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise InvalidInput(
-            f"{table.source}, row {row + 1}, column {column}",
-            found=float(numbers[row]),
-            expected=f"a whole number from 0 to {largest}",
-        )
-    return numbers.astype(np.int64)
-
-
-def refuse_giants(table: CsvRows, *columns: str) -> None:
-    """Raise `InvalidInput` for absurdly large numbers, before their squares overflow."""
-    for column in columns:
-        numbers = np.abs(table.numbers(column, blank=True))
-        if (numbers > LARGEST_NUMBER).any():
-            row = int(np.nanargmax(numbers))
-            raise InvalidInput(
-                f"{table.source}, row {row + 1}, column {column}",
-                found=table.columns[column][row],
-                expected=f"a number within {LARGEST_NUMBER:g}",
-            )
-
-
-def refuse_repeated(names: Iterable[str], source: str, column: str) -> None:
-    """Raise `InvalidInput` if a name of an experiment is repeated."""
-    seen: set[str] = set()
-    for row, name in enumerate(names):
-        if name in seen:
-            raise InvalidInput(
-                f"{source}, row {row + 1}, column {column}",
-                found=f"{name!r} again",
-                expected="every name once",
-            )
-        seen.add(name)
-
-
-def rows_of(names: NDArray[np.str_]) -> dict[str, NDArray[np.intp]]:
-    """Row numbers of each name, in the order of the table."""
-    order = np.argsort(names, kind="stable")
-    found, first = np.unique(names[order], return_index=True)
-    return dict(zip(found.tolist(), np.split(order, first[1:]), strict=True))
-
-
-def advancing(time: FloatArray) -> BoolArray:
-    """Mask (n,) of the times that are later than all previous ones."""
-    latest = np.maximum.accumulate(time)
-    return np.append(True, time[1:] > latest[:-1])[: len(time)]
-
-
-def rate_of(time: FloatArray) -> float:
-    """Readings per second [1/s], from the median interval; 0 for fewer than two."""
-    steps = np.diff(time)
-    typical = float(np.median(steps)) if len(steps) else 0.0
-    return 1.0 / typical if typical > 0.0 else 0.0

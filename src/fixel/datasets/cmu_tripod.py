@@ -10,25 +10,20 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.datasets.base import (
-    Importer,
-    ImportPlan,
-    Origin,
+from fixel.datasets.base import Importer, ImportPlan, Origin, remark
+from fixel.datasets.contact import pushed_scene
+from fixel.datasets.files import (
+    MM,
+    CsvRows,
     advancing,
+    member,
+    only_file,
     rate_of,
-    refuse_giants,
+    read_json,
+    read_table,
     refuse_repeated,
-    remark,
     rows_of,
-    scene_or_flag,
 )
-from fixel.datasets.contact import (
-    MAX_CORRECTION,
-    corrected_path,
-    correction_flag,
-    moved_to_contact,
-)
-from fixel.datasets.raw.base import MM, CsvRows, member, only_file, read_json, read_table
 from fixel.errors import InvalidInput
 from fixel.model import (
     Body,
@@ -36,10 +31,8 @@ from fixel.model import (
     Disk,
     Experiment,
     Flag,
-    PathDrive,
     Polygon,
-    Pusher,
-    Scene,
+    Provenance,
     Support,
     SupportPoints,
     Trajectory,
@@ -131,9 +124,6 @@ class _TripodData:
 def _read(folder: Path) -> _TripodData:
     table, setup = read_table(only_file(folder, PUSHES)), read_json(only_file(folder, SETUP))
     force, robot = read_table(only_file(folder, *FORCE)), read_table(only_file(folder, *ROBOT))
-    refuse_giants(table, *POSES, "tip_gap0_mm", "tip_gap1_mm")
-    refuse_giants(force, "t", "fx_on_object", "fy_on_object")
-    refuse_giants(robot, "t", "x_mm", "y_mm", "qw", "qz")
     names = table.text("push_id").tolist()
     refuse_repeated(names, table.source, "push_id")
     surface, support = table.text("surface").tolist(), table.text("support").tolist()
@@ -189,16 +179,24 @@ def _body(setup: dict[str, Any], surface: str, support: str) -> Body:
     )
 
 
-def _push(data: _TripodData, row: int, provenance: Any) -> Experiment:
+def _push(data: _TripodData, row: int, provenance: Provenance) -> Experiment:
     name = data.names[row]
     force, path = data.force[data.force_rows[name]], data.robot[data.robot_rows[name]]
     good = advancing(path[:, 0])
     path = path[good]
     path[:, 3] = np.unwrap(path[:, 3])
-    force = force[np.append(True, np.diff(np.maximum.accumulate(force[:, 0])) > 0.0)]
+    force = force[advancing(force[:, 0])]
     end = float(max(force[-1, 0], path[-1, 0]))
     pose = data.poses[row].reshape(2, 3)
-    scene, flags = _scene(data, data.bodies[data.surface[row], data.support[row]], pose[0], path)
+    scene, flags = pushed_scene(
+        replace(data.bodies[data.surface[row], data.support[row]], pose=pose[0]),
+        data.finger,
+        path,
+        friction=MU_FINGER,
+        fade=FADE,
+        pusher=FINGER,
+        words=("finger", "block"),
+    )
     return Experiment(
         dataset=DATASET,
         name=name,
@@ -232,31 +230,3 @@ def _doubts(data: _TripodData, row: int, dropped: int) -> Iterator[Flag]:
         yield remark("joined-sessions", "the log was put together from two sessions")
     if dropped:
         yield remark("repeated-times", f"{dropped} rows of the finger dropped")
-
-
-def _scene(
-    data: _TripodData, body: Body, start: FloatArray, path: FloatArray
-) -> tuple[Scene | None, tuple[Flag, ...]]:
-    deep, offset = moved_to_contact(body.shape, data.finger.radius, start[None], path[:1, 1:3])
-    gap = float(deep[0])
-    if gap < -MAX_CORRECTION:
-        return None, (remark("no-scene", f"the finger starts {-gap / MM:.3g} mm inside the block"),)
-    waypoints = corrected_path(path, offset[0], FADE)
-
-    def build() -> Scene:
-        return Scene(
-            bodies=(replace(body, pose=start),),
-            pushers=(
-                Pusher(
-                    name=FINGER,
-                    shape=data.finger,
-                    pose=waypoints[0, 1:],
-                    drive=PathDrive(waypoints=waypoints),
-                    friction=MU_FINGER,
-                ),
-            ),
-            duration=float(path[-1, 0]),
-        )
-
-    scene, flags = scene_or_flag(build)
-    return scene, (*flags, correction_flag(gap)) if scene and gap < 0.0 else flags

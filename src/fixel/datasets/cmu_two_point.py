@@ -9,21 +9,18 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.datasets.base import (
-    Importer,
-    ImportPlan,
-    Origin,
+from fixel.datasets.base import Importer, ImportPlan, Origin, remark, trajectory_of
+from fixel.datasets.files import (
+    MM,
     advancing,
+    only_file,
     rate_of,
-    refuse_giants,
+    read_table,
     refuse_repeated,
-    remark,
     rows_of,
-    whole_numbers,
 )
-from fixel.datasets.raw.base import MM, only_file, read_table
 from fixel.errors import InvalidInput
-from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
+from fixel.model import Channel, Experiment, Flag, Provenance
 from fixel.typing import FloatArray
 
 DATASET: Final = "cmu-two-point"
@@ -64,9 +61,8 @@ class CmuTwoPoint(Importer):
         refuse_repeated(names, runs.source, "run_id")
         file = only_file(source, *POSES)
         table = read_table(file)
-        refuse_giants(table, *MEASURED)
         readings = table.stacked(*MEASURED) * (1.0, MM, MM, 1.0, MM, MM, 1.0)
-        lost, action = whole_numbers(table, "obj_lost") > 0, whole_numbers(table, "action_id")
+        lost, action = table.whole_numbers("obj_lost") > 0, table.whole_numbers("action_id")
         rows = rows_of(table.text("run_id"))
         for row, name in enumerate(names):
             if len(rows.get(name, ())) < 2:
@@ -128,8 +124,8 @@ def _run(
         real=True,
         provenance=provenance,
         object_name=about["object"],
-        trajectory=_trajectory(time[seen], readings[seen, 1:4]),
-        pusher=_trajectory(time, readings[:, 4:7]),
+        trajectory=trajectory_of(time[seen], readings[seen, 1:4]),
+        pusher=trajectory_of(time, readings[:, 4:7]),
         channels=(
             Channel(
                 name="action",
@@ -153,7 +149,3 @@ def _doubts(kind: str, lost: NDArray[np.bool_]) -> Iterator[Flag]:
         yield NO_SUPPORT
     if lost.any():
         yield remark("tracking-lost", f"{int(lost.sum())} of {len(lost)} rows without the object")
-
-
-def _trajectory(time: FloatArray, pose: FloatArray) -> Trajectory:
-    return Trajectory(time=time, pose=np.column_stack((pose[:, :2], np.unwrap(pose[:, 2]))))

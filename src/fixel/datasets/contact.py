@@ -1,4 +1,4 @@
-"""Correction of measured pushers that overlap the measured object."""
+"""Scenes of pushes as measured, with pushers moved out of the object that they overlap."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Final
 import numpy as np
 
 from fixel.calibration.registration import gaps_and_normals
-from fixel.model import Flag, Shape
+from fixel.datasets.base import remark, scene_or_flag
+from fixel.datasets.files import MM
+from fixel.model import Body, Disk, Flag, PathDrive, Pusher, Scene, Shape
 from fixel.typing import FloatArray
 
 # Registration errors up to this depth are corrected by moving the pusher to contact; with larger
@@ -72,4 +74,62 @@ def corrected_path(path: FloatArray, offset: FloatArray, fade: float = math.inf)
 def correction_flag(gap: float) -> Flag:
     """Create the flag of an experiment whose pusher was moved to contact."""
     detail = f"in the scene, which it starts {-gap * 1e3:.3g} mm in"
-    return Flag("pusher-moved-to-contact", detail, fault=False)
+    return remark("pusher-moved-to-contact", detail)
+
+
+def pushed_scene(
+    body: Body,
+    tip: Disk,
+    path: FloatArray,
+    *,
+    friction: float,
+    fade: float = math.inf,
+    contact: tuple[float, FloatArray] | None = None,
+    pusher: str = "pusher",
+    words: tuple[str, str] = ("tip", "object"),
+) -> tuple[Scene | None, tuple[Flag, ...]]:
+    """Build the scene of a body pushed by a round tip along its measured path, from contact on.
+
+    Parameters
+    ----------
+    body : Body
+        Object at its start pose.
+    tip : Disk
+    path : (n, 4) float64
+        Measured path of the tip: time [s] and pose [m, m, rad].
+    friction : float
+        Friction of the tip on the body.
+    fade : float
+        Duration of the correction of a path that starts inside the body [s].
+    contact : (float, (2,) float64), optional
+        Gap [m] and shift [m] of the start by `moved_to_contact`, if they are known.
+    pusher : str
+        Name of the pusher.
+    words : (str, str)
+        Words for pusher and body in flags.
+
+    Returns
+    -------
+    scene : Scene or None
+        None if the tip starts too deep in the body, or if the scene is impossible.
+    flags : tuple of Flag
+        Reason for None, or the correction.
+    """
+    if contact is None:
+        gaps, offsets = moved_to_contact(body.shape, tip.radius, body.pose[None], path[:1, 1:3])
+        contact = float(gaps[0]), offsets[0]
+    gap, offset = contact
+    if gap < -MAX_CORRECTION:
+        detail = f"the {words[0]} starts {-gap / MM:.3g} mm inside the {words[1]}"
+        return None, (remark("no-scene", detail),)
+    waypoints = corrected_path(path, offset, fade)
+
+    def build() -> Scene:
+        drive = PathDrive(waypoints=waypoints)
+        driven = Pusher(
+            name=pusher, shape=tip, pose=waypoints[0, 1:], drive=drive, friction=friction
+        )
+        return Scene(bodies=(body,), pushers=(driven,), duration=float(waypoints[-1, 0]))
+
+    scene, flags = scene_or_flag(build)
+    return scene, (*flags, correction_flag(gap)) if scene and gap < 0.0 else flags

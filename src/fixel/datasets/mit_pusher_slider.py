@@ -1,48 +1,27 @@
-"""Importer of the pusher-slider runs of MIT's MCube laboratory: a square pushed along a line."""
+"""Importer of the pusher-slider runs of MIT's MCube laboratory: a square pushed along a line.
+
+Source: F. Hogan, A. Rodriguez (2016), Feedback control of the pusher-slider system, WAFR.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.datasets.base import (
-    Importer,
-    ImportPlan,
-    Origin,
-    rate_of,
-    refuse_giants,
-    remark,
-    scene_or_flag,
-)
-from fixel.datasets.contact import (
-    MAX_CORRECTION,
-    corrected_path,
-    correction_flag,
-    moved_to_contact,
-)
-from fixel.datasets.raw import mit_timeseries
-from fixel.datasets.raw.base import MM, CsvRows, read_table
-from fixel.datasets.raw.mit_timeseries import RUNS, SHAPES, PushRun
-from fixel.errors import DatasetMissing
-from fixel.model import (
-    Body,
-    Channel,
-    Disk,
-    Experiment,
-    Flag,
-    PathDrive,
-    Pusher,
-    Scene,
-    Trajectory,
-    UniformPressure,
-)
-from fixel.typing import FloatArray
+from fixel.datasets.base import Importer, ImportPlan, Origin, trajectory_of
+from fixel.datasets.contact import pushed_scene
+from fixel.datasets.files import MM, CsvRows, increasing, member, rate_of, read_json, read_table
+from fixel.errors import DatasetMissing, InvalidInput
+from fixel.model import Body, Channel, Disk, Experiment, Flag, Polygon, Trajectory, UniformPressure
+from fixel.typing import BoolArray, FloatArray
 
 DATASET: Final = "mit-pusher-slider"
-OBJECT, PUSHER = "slider", "pusher"
+OBJECT = "slider"
+SHAPES, RUNS = "shapes.json", "cpush_*.csv*"
+OUTLINE = "rect1"
 
 # Friction and mass as in the authors' model of their rig: nominal, not measured.
 MU_PUSHER, MU_SUPPORT = 0.3, 0.35
@@ -54,7 +33,9 @@ DROPOUT = -3e-3
 # Duration of the correction of a path that starts inside the object [s].
 FADE = 0.5
 
-MEASURED = ("t", "slider_x", "slider_y", "slider_th", "pusher_x", "pusher_y")
+# A reading repeated for longer than this is retained, since the pusher then stands still. The
+# sensors refresh every 4 to 7 ms [s].
+STANDSTILL = 0.02
 
 
 @final
@@ -71,22 +52,62 @@ class MitPusherSlider(Importer):
         return (source / SHAPES).is_file() and next(source.glob(RUNS), None) is not None
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
-        files = {path.name.split(".")[0]: path for path in sorted(source.glob(RUNS))}
-        if not files:
+        files = sorted(source.glob(RUNS))
+        if not files or not (source / SHAPES).is_file():
             raise DatasetMissing(source, f"{RUNS} and {SHAPES}")
-        runs = tuple(run for run in mit_timeseries.read(source).runs if run.name in files)
+        shapes = read_json(source / SHAPES)
+        tip = Disk(member(shapes, "pusher_radius_m", SHAPES))
+        outlines = {name: value for name, value in shapes.items() if isinstance(value, list)}
+        if OUTLINE not in outlines:
+            raise InvalidInput(
+                SHAPES, found=", ".join(outlines), expected=f"an outline of {OUTLINE}"
+            )
+        shape = Polygon(np.asarray(outlines[OUTLINE], dtype=np.float64))
+        runs = [_read(path) for path in files]
         origin = Origin()
+        return ImportPlan(
+            DATASET,
+            source,
+            _understood(runs),
+            len(runs),
+            lambda: (_experiment(run, shape, tip, origin) for run in runs),
+        )
 
-        def make() -> Iterator[Experiment]:
-            for run in runs:
-                yield _experiment(run, files[run.name], origin)
 
-        return ImportPlan(DATASET, source, _understood(runs), len(runs), make)
+class _Run(NamedTuple):
+    """Readings of one run, on the clock of its file."""
+
+    path: Path
+    table: CsvRows
+    time: FloatArray  # (n,) [s] of every row
+    object: FloatArray  # (k, 4) time and pose, one row per new reading [s, m, m, rad]
+    pusher: FloatArray  # (m, 3) time and centre of the tip, one row per new reading [s, m, m]
 
 
-def _understood(runs: tuple[PushRun, ...]) -> tuple[str, ...]:
-    readings = sum(run.readings for run in runs)
-    rates = [rate_of(run.object.time) for run in runs]
+def _read(path: Path) -> _Run:
+    table = read_table(path)
+    time = increasing(table.numbers("t"), table.source)
+    pose = np.column_stack((time, table.stacked("slider_x", "slider_y", "slider_th")))
+    tip = np.column_stack((time, table.stacked("pusher_x", "pusher_y")))
+    return _Run(path, table, time, pose[_new_readings(pose)], tip[_new_readings(tip)])
+
+
+def _new_readings(rows: FloatArray) -> BoolArray:
+    """Mask of rows with a new reading: a changed value, or the last row of a standstill.
+
+    Rows after the last change are not new: in every run the tracker stops a tenth of a second
+    before the pusher does.
+    """
+    changed = np.append(True, (np.diff(rows[:, 1:], axis=0) != 0.0).any(axis=1))
+    row = np.flatnonzero(changed)
+    # The last row of a standstill, just before a change, is new information too.
+    changed[row[1:][np.diff(rows[row, 0]) > STANDSTILL] - 1] = True
+    return changed
+
+
+def _understood(runs: list[_Run]) -> tuple[str, ...]:
+    readings = sum(len(run.time) for run in runs)
+    rates = [rate_of(run.object[:, 0]) for run in runs]
     return (
         f"{len(runs)} runs, {readings} rows; repeated readings are dropped, which leaves poses at"
         f" about {np.median(rates):.0f} Hz. How many rows there were is a condition.",
@@ -101,32 +122,34 @@ def _understood(runs: tuple[PushRun, ...]) -> tuple[str, ...]:
     )
 
 
-def _experiment(run: PushRun, path: Path, origin: Origin) -> Experiment:
-    rows = read_table(path)
-    refuse_giants(rows, *MEASURED)
-    begin = float(run.object.time[0])
-    pusher = np.column_stack(
-        (run.pusher[:, 0] - begin, run.pusher[:, 1:], np.zeros(len(run.pusher)))
+def _experiment(run: _Run, shape: Polygon, tip: Disk, origin: Origin) -> Experiment:
+    begin = run.object[0, 0]
+    track = trajectory_of(run.object[:, 0] - begin, run.object[:, 1:])
+    path = np.column_stack((run.pusher[:, 0] - begin, run.pusher[:, 1:], np.zeros(len(run.pusher))))
+    body = Body(
+        name=OBJECT,
+        shape=shape,
+        mass=DENSITY * THICKNESS * shape.area,
+        pose=track.pose[0],
+        support=UniformPressure(friction=MU_SUPPORT),
     )
-    time = run.object.time - begin
-    pose = np.column_stack((run.object.pose[:, :2], np.unwrap(run.object.pose[:, 2])))
-    scene, flags = _scene(run, pose, pusher)
+    scene, flags = pushed_scene(body, tip, path, friction=MU_PUSHER, fade=FADE)
     return Experiment(
         dataset=DATASET,
-        name=run.name,
+        name=run.path.name.split(".")[0],
         real=True,
-        provenance=origin.of(path),
+        provenance=origin.of(run.path),
         object_name=OBJECT,
-        trajectory=Trajectory(time=time, pose=pose),
-        pusher=Trajectory(time=pusher[:, 0], pose=pusher[:, 1:]),
+        trajectory=track,
+        pusher=Trajectory(time=path[:, 0], pose=path[:, 1:]),
         scene=scene,
-        channels=tuple(_channels(rows, rows.numbers("t") - begin)),
+        channels=tuple(_channels(run.table, run.time - begin)),
         conditions={
-            "surface": run.surface,
-            "shape": run.shape_name,
-            "raw_readings": float(run.readings),
+            "surface": "plywood" if "plywood" in run.path.name.lower() else "unknown",
+            "shape": OUTLINE,
+            "raw_readings": float(len(run.time)),
         },
-        flags=(*flags, *_dropouts(rows)),
+        flags=(*flags, *_dropouts(run.table)),
     )
 
 
@@ -159,39 +182,3 @@ def _dropouts(rows: CsvRows) -> Iterator[Flag]:
             f"in {lost} of {len(gap)} rows the tip is more than {-DROPOUT / MM:g} mm inside the"
             f" object, at most {-float(np.nanmin(gap)) / MM:.2g} mm",
         )
-
-
-def _scene(
-    run: PushRun, pose: FloatArray, pusher: FloatArray
-) -> tuple[Scene | None, tuple[Flag, ...]]:
-    deep, offset = moved_to_contact(run.shape, run.pusher_radius, pose[:1], pusher[:1, 1:3])
-    gap = float(deep[0])
-    if gap < -MAX_CORRECTION:
-        return None, (remark("no-scene", f"the tip starts {-gap / MM:.3g} mm inside the object"),)
-    path = corrected_path(pusher, offset[0], FADE)
-
-    def build() -> Scene:
-        return Scene(
-            bodies=(
-                Body(
-                    name=OBJECT,
-                    shape=run.shape,
-                    mass=DENSITY * THICKNESS * run.shape.area,
-                    pose=pose[0],
-                    support=UniformPressure(friction=MU_SUPPORT),
-                ),
-            ),
-            pushers=(
-                Pusher(
-                    name=PUSHER,
-                    shape=Disk(run.pusher_radius),
-                    pose=path[0, 1:],
-                    drive=PathDrive(waypoints=path),
-                    friction=MU_PUSHER,
-                ),
-            ),
-            duration=float(path[-1, 0]),
-        )
-
-    scene, flags = scene_or_flag(build)
-    return scene, (*flags, correction_flag(gap)) if scene and gap < 0.0 else flags

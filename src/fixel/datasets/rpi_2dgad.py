@@ -1,10 +1,15 @@
-"""Importer of RPI's 2dgad trials: planar grasp acquisition, with one complete trial."""
+"""Importer of RPI's 2dgad trials: planar grasp acquisition against three fixels.
+
+Source: the RPI thesis and the laboratory's public Testbed2D tree. Only experiment 141 is complete,
+with the path of the actuator and the positions of the fixels.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +18,22 @@ from fixel.datasets.base import (
     Importer,
     ImportPlan,
     Origin,
-    refuse_giants,
-    refuse_repeated,
     remark,
-    rows_of,
     scene_or_flag,
-    whole_numbers,
+    trajectory_of,
 )
-from fixel.datasets.raw import rpi_2dgad
-from fixel.datasets.raw.base import MM, CsvRows, only_file, read_json, read_table
-from fixel.datasets.raw.rpi_2dgad import EXPERIMENTS, FRAME_RATE, RpiTrial
-from fixel.errors import InvalidInput
+from fixel.datasets.files import (
+    MM,
+    CsvRows,
+    increasing,
+    member,
+    only_file,
+    read_json,
+    read_table,
+    refuse_repeated,
+    rows_of,
+)
+from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import (
     Body,
     Channel,
@@ -32,17 +42,21 @@ from fixel.model import (
     Fixel,
     Flag,
     PathDrive,
+    Polygon,
     Provenance,
     Pusher,
     Scene,
     Trajectory,
     Tripod,
 )
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
 
 DATASET: Final = "rpi-2dgad"
 OBJECT, ACTUATOR = "object", "actuator"
+EXPERIMENTS = "experiments.csv"
 TRACKS = ("object_trajectory.csv.gz", "object_trajectory.csv")
+
+FRAME_RATE: Final = 30.0  # frame rate of the overhead camera [1/s]
 
 # Maximum force of the actuator's screw drive [N].
 FORCE_LIMIT = 34.3
@@ -68,18 +82,18 @@ class Rpi2dgad(Importer):
 
     def recognised(self, source: Path) -> bool:
         """Whether a folder has experiments.csv and a table of the tracked object."""
-        return rpi_2dgad.recognised(source) and any((source / name).is_file() for name in TRACKS)
+        tracked = any((source / name).is_file() for name in TRACKS)
+        return tracked and (source / EXPERIMENTS).is_file()
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
         listed = read_table(only_file(source, EXPERIMENTS))
         tracks_file = only_file(source, *TRACKS)
         tracks = read_table(tracks_file)
-        refuse_giants(tracks, "x_mm", "y_mm", "z_mm", "theta_rad")
-        frame = whole_numbers(tracks, "frame")
+        frame = tracks.whole_numbers("frame")
         readings = tracks.stacked("x_mm", "y_mm", "theta_rad", "z_mm") * (MM, MM, 1.0, MM)
-        numbers = whole_numbers(listed, "experiment_id").tolist()
+        numbers = listed.whole_numbers("experiment_id").tolist()
         refuse_repeated(map(str, numbers), listed.source, "experiment_id")
-        rows = rows_of(whole_numbers(tracks, "experiment_id").astype(np.str_))
+        rows = rows_of(tracks.whole_numbers("experiment_id").astype(np.str_))
         for row, number in enumerate(numbers):
             if str(number) not in rows:
                 raise InvalidInput(
@@ -87,15 +101,15 @@ class Rpi2dgad(Importer):
                     found=f"experiment {number}, which {tracks.source} lacks",
                     expected="a tracked object for every experiment",
                 )
-        complete = {trial.experiment_id: trial for trial in _complete(source)}
+        complete = _complete(source)
         whole = sorted(set(complete) & set(numbers))
         origin = Origin()
 
         def make() -> Iterator[Experiment]:
             for row, number in enumerate(numbers):
                 if number in complete:
-                    frames = source / f"exp{number}_frames.csv"
-                    yield _whole(source, listed, row, complete[number], origin.of(frames))
+                    trial = complete[number]
+                    yield _whole(number, trial, listed, row, origin.of(source / trial.source))
                 else:
                     own = rows[str(number)]
                     yield _track(listed, row, frame[own], readings[own], origin.of(tracks_file))
@@ -123,10 +137,97 @@ def _understood(n: int, n_frames: int, whole: list[int]) -> tuple[str, ...]:
     )
 
 
-def _complete(folder: Path) -> tuple[RpiTrial, ...]:
-    if next(folder.glob("exp*_setup.json"), None) is None:
-        return ()
-    return rpi_2dgad.read(folder).trials
+class _Trial(NamedTuple):
+    """Files of a complete trial; n video frames, counted from 1."""
+
+    source: str  # name of the table of frames
+    setup: dict[str, Any]
+    setup_file: str
+    frame: IntArray  # (n,)
+    pose: FloatArray  # (n, 3) measured poses of the object [m, m, rad]
+    marker: FloatArray  # (n, 2) measured positions of the actuator's marker [m]
+    # The same after a constant-velocity Kalman smoother; overshoots after the actuator has stalled.
+    filtered: FloatArray
+    tactile: FloatArray  # (n, n_fixel) whether each fixel sensed the object, 0 or 1
+    fixels: FloatArray  # (n_fixel, 2) centres [m]
+
+    def value(self, path: str) -> Any:
+        """Return a value of the setup, such as `"object.mass_kg"`."""
+        return member(self.setup, path, self.setup_file)
+
+    def points(self, path: str) -> FloatArray:
+        """Return points (n, 2) of the setup [m]."""
+        return _points(self.value(path), self.setup_file)
+
+
+def _complete(folder: Path) -> dict[int, _Trial]:
+    """Load all complete trials of a folder, by their numbers."""
+    numbered = [
+        int(match[1])
+        for path in sorted(folder.glob("exp*_setup.json"))
+        if (match := re.fullmatch(r"exp(\d+)_setup\.json", path.name))
+    ]
+    return {number: _trial(folder, number) for number in numbered}
+
+
+def _trial(folder: Path, number: int) -> _Trial:
+    setup_file = f"exp{number}_setup.json"
+    setup = read_json(folder / setup_file)
+    frames = _frames(folder, number)
+    increasing(frames.numbers("time_s"), frames.source)
+    fixels = _points(member(setup, "fixel_positions_mm", setup_file), setup_file)
+    tactile = frames.stacked(*(f"tactile_{k + 1}" for k in range(len(fixels))))
+    return _Trial(
+        source=frames.source,
+        setup=setup,
+        setup_file=setup_file,
+        frame=frames.whole_numbers("frame"),
+        pose=_poses(frames, "object_x_mm", "object_y_mm", "object_theta_rad"),
+        marker=frames.stacked("actuator_marker_x_mm", "actuator_marker_y_mm") * MM,
+        filtered=frames.stacked("actuator_x_mm", "actuator_y_mm") * MM,
+        tactile=(tactile > 0.5).astype(np.float64),
+        fixels=fixels,
+    )
+
+
+def _frames(folder: Path, number: int) -> CsvRows:
+    name = f"exp{number}_frames.csv"
+    if not (folder / name).is_file():
+        raise DatasetMissing(folder, name)
+    return read_table(folder / name)
+
+
+def _poses(table: CsvRows, *columns: str) -> FloatArray:
+    return table.stacked(*columns) * (MM, MM, 1.0)
+
+
+def _points(points: object, source: str) -> FloatArray:
+    try:
+        return np.asarray(points, dtype=np.float64).reshape(-1, 2) * MM
+    except (TypeError, ValueError):
+        raise InvalidInput(source, found=points, expected="pairs of numbers [mm]") from None
+
+
+class LabSimulation(NamedTuple):
+    """Simulation of a trial by the laboratory's own simulator; not measured."""
+
+    time: FloatArray  # (n,) on the clock of the experiment [s]
+    pose: FloatArray  # (n, 3) of the object [m, m, rad]
+    actuator: FloatArray  # (n, 2) position of the driver, which was its input [m]
+
+
+def lab_simulation(folder: Path, number: int) -> LabSimulation | None:
+    """Load the laboratory's simulation of a complete trial; None if it was not stored."""
+    path = folder / f"exp{number}_author_simulation.csv"
+    if not path.is_file():
+        return None
+    first = int(_frames(folder, number).whole_numbers("frame")[0])
+    rows = read_table(path)
+    return LabSimulation(
+        _time(rows.whole_numbers("frame"), first),
+        _poses(rows, "object_x_mm", "object_y_mm", "object_theta_rad"),
+        rows.stacked("actuator_x_mm", "actuator_y_mm") * MM,
+    )
 
 
 def _track(
@@ -137,12 +238,18 @@ def _track(
     provenance: Provenance,
 ) -> Experiment:
     """Build an experiment from the tracked object alone: x, y, angle, height at frames."""
-    number, object_id = (
-        _whole_number(listed, name, row) for name in ("experiment_id", "object_id")
+    number, object_id, mode, start, end = (
+        int(listed.whole_numbers(name)[row])
+        for name in (
+            "experiment_id",
+            "object_id",
+            "final_contact_mode_experiment",
+            "start_frame",
+            "end_frame",
+        )
     )
     time = _time(frame, int(frame[0]))
-    digits, flags = _mode(_whole_number(listed, "final_contact_mode_experiment", row))
-    start, end = (_whole_number(listed, name, row) for name in ("start_frame", "end_frame"))
+    digits, flags = _mode(mode)
     if object_id == OUTLINE_UNKNOWN:
         flags = (*flags, remark("no-shape", f"the outline of object {object_id} was not recovered"))
     return Experiment(
@@ -151,7 +258,7 @@ def _track(
         real=True,
         provenance=provenance,
         object_name=OBJECT,
-        trajectory=_trajectory(time, readings[:, :3]),
+        trajectory=trajectory_of(time, readings[:, :3]),
         height=float(readings[0, 3]),
         contact_mode=digits,
         effective=_effective(frame, start, end),
@@ -165,36 +272,36 @@ def _track(
 
 
 def _whole(
-    folder: Path, listed: CsvRows, row: int, trial: RpiTrial, provenance: Provenance
+    number: int, trial: _Trial, listed: CsvRows, row: int, provenance: Provenance
 ) -> Experiment:
     """Build an experiment with actuator, fixels and tactile signals."""
-    setup = read_json(only_file(folder, f"exp{trial.experiment_id}_setup.json"))
-    digits, flags = _mode(trial.contact_mode)
-    effective = _effective(trial.frame, trial.start_frame, trial.end_frame)
-    time = _time(trial.frame, int(trial.frame[0]))
-    angle: FloatArray = np.full(len(time), trial.actuator_angle)
+    digits, flags = _mode(trial.value("final_contact_mode"))
+    first = int(trial.frame[0])
+    effective = _effective(trial.frame, trial.value("start_frame"), trial.value("end_frame"))
+    time = _time(trial.frame, first)
+    angle: FloatArray = np.full(len(time), trial.value("actuator.orientation_rad"))
     marker = np.column_stack((time, trial.marker, angle))
     scene, why_not = scene_or_flag(lambda: _scene(trial, marker, effective[1]))
     runs_on = float(np.hypot(*(trial.filtered - trial.marker).T).max())
     n_fixel = len(trial.fixels)
     return Experiment(
         dataset=DATASET,
-        name=str(trial.experiment_id),
+        name=str(number),
         real=True,
         provenance=provenance,
         object_name=OBJECT,
-        trajectory=_trajectory(time, trial.object_pose),
+        trajectory=trajectory_of(time, trial.pose),
         pusher=Trajectory(time=time, pose=marker[:, 1:]),
         scene=scene,
-        height=_height(setup["object"].get("height_mm")),
-        pusher_height=_height(setup["actuator"].get("height_mm")),
-        fixel_height=_height(setup.get("fixel_height_mm")),
+        height=_height(trial.value("object").get("height_mm")),
+        pusher_height=_height(trial.value("actuator").get("height_mm")),
+        fixel_height=_height(trial.setup.get("fixel_height_mm")),
         channels=(
             Channel(
                 name="tactile",
                 time=time,
                 columns=tuple(f"fixel_{k + 1}_bool" for k in range(n_fixel)),
-                values=trial.tactile.astype(np.float64),
+                values=trial.tactile,
             ),
             Channel(
                 name="actuator-filtered", time=time, columns=("x_m", "y_m"), values=trial.filtered
@@ -202,7 +309,7 @@ def _whole(
         ),
         contact_mode=digits if not digits or n_fixel == N_FIXEL else "",
         effective=effective,
-        conditions={"object_id": float(_whole_number(listed, "object_id", row))},
+        conditions={"object_id": float(listed.whole_numbers("object_id")[row])},
         flags=(
             *flags,
             *why_not,
@@ -214,42 +321,34 @@ def _whole(
     )
 
 
-def _scene(trial: RpiTrial, marker: FloatArray, duration: float) -> Scene:
-    parameters = trial.parameters
-    return Scene(
-        bodies=(
-            Body(
-                name=OBJECT,
-                shape=trial.object_shape,
-                mass=trial.mass,
-                inertia=trial.inertia,
-                centre_of_mass=np.zeros(2),
-                pose=trial.object_pose[0],
-                support=Tripod(
-                    radius=parameters["tripod_radius"], friction=parameters["mu_support"]
-                ),
-            ),
-        ),
-        pushers=(
-            Pusher(
-                name=ACTUATOR,
-                shape=trial.actuator_shape,
-                pose=marker[0, 1:],
-                drive=PathDrive(waypoints=marker, force_limit=FORCE_LIMIT),
-                friction=parameters["mu_pusher"],
-            ),
-        ),
-        fixels=tuple(
-            Fixel(
-                name=f"fixel-{k + 1}",
-                shape=Disk(trial.fixel_radius),
-                pose=np.append(centre, 0.0),
-                friction=parameters["mu_fixel"],
-            )
-            for k, centre in enumerate(trial.fixels)
-        ),
-        duration=duration,
+def _scene(trial: _Trial, marker: FloatArray, duration: float) -> Scene:
+    calibrated = "system_parameters_calibrated_by_authors"
+    radius, mu_support, mu_actuator, mu_fixel = (
+        trial.value(f"{calibrated}.{name}")
+        for name in ("tripod_radius_mm", "mu_support", "mu_actuator", "mu_fixel")
     )
+    fixel = Disk(trial.value("fixel_radius_mm") * MM)
+    body = Body(
+        name=OBJECT,
+        shape=Polygon(trial.points("object.vertices_mm")),
+        mass=trial.value("object.mass_kg"),
+        inertia=trial.value("object.moment_of_inertia_kg_mm2") * MM**2,
+        centre_of_mass=np.zeros(2),
+        pose=trial.pose[0],
+        support=Tripod(radius=radius * MM, friction=mu_support),
+    )
+    actuator = Pusher(
+        name=ACTUATOR,
+        shape=Polygon(trial.points("actuator.vertices_mm")),
+        pose=marker[0, 1:],
+        drive=PathDrive(waypoints=marker, force_limit=FORCE_LIMIT),
+        friction=mu_actuator,
+    )
+    fixels = tuple(
+        Fixel(name=f"fixel-{k + 1}", shape=fixel, pose=np.append(centre, 0.0), friction=mu_fixel)
+        for k, centre in enumerate(trial.fixels)
+    )
+    return Scene(bodies=(body,), pushers=(actuator,), fixels=fixels, duration=duration)
 
 
 def _mode(mode: int) -> tuple[str, tuple[Flag, ...]]:
@@ -271,13 +370,5 @@ def _effective(frame: NDArray[np.int64], start: int, end: int) -> tuple[float, f
     return float((start - frame[0]) / FRAME_RATE), float((end - frame[0]) / FRAME_RATE)
 
 
-def _trajectory(time: FloatArray, pose: FloatArray) -> Trajectory:
-    return Trajectory(time=time, pose=np.column_stack((pose[:, :2], np.unwrap(pose[:, 2]))))
-
-
 def _height(height: float | None) -> float | None:
     return None if height is None else height * MM
-
-
-def _whole_number(table: CsvRows, column: str, row: int) -> int:
-    return int(whole_numbers(table, column)[row])

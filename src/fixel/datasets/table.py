@@ -11,10 +11,10 @@ from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.datasets.base import LARGEST_NUMBER, Importer, ImportPlan, Origin, rate_of, remark
+from fixel.datasets.base import Importer, ImportPlan, Origin, remark
+from fixel.datasets.files import CsvRows, increasing, rate_of, read_table
 from fixel.datasets.own_scene import with_scene
 from fixel.datasets.plausible import refuse_implausible
-from fixel.datasets.raw.base import CsvRows, increasing, read_table
 from fixel.errors import InvalidInput
 from fixel.model import Channel, Experiment, Flag, Trajectory
 from fixel.typing import FloatArray
@@ -153,14 +153,7 @@ class _TableReading:
 
     def numbers(self, column: _TableColumn, *, blank: bool = True) -> FloatArray:
         """Return a column as numbers (n,) in its own unit; blank cells become NaN."""
-        numbers = self.table.numbers(column.title, blank=blank)
-        if (np.abs(numbers) > LARGEST_NUMBER).any():
-            raise InvalidInput(
-                f"{self.table.source}, column {column.title}",
-                found=float(np.nanmax(np.abs(numbers))),
-                expected=f"numbers within {LARGEST_NUMBER:g}",
-            )
-        return numbers
+        return self.table.numbers(column.title, blank=blank)
 
     def si(self, role: str) -> FloatArray:
         """Return the column of a role in SI units, (n,)."""

@@ -7,10 +7,9 @@ sliding, section V. The supports were machined, so the true points are known.
 from __future__ import annotations
 
 import math
-import time as clock
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
@@ -20,70 +19,63 @@ from fixel.calibration.study import box_of
 from fixel.model import SupportPoints, UniformPressure
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
-from fixel.reproductions.charts.reproductions import SupportPanel, SupportPicture
-from fixel.reproductions.reproduction import Reproduction, Row
-from fixel.reproductions.tripod_points import SupportFit, fitted_points
+from fixel.reproductions.charts.pictures import draw_supports
+from fixel.reproductions.result import Reproduction, Row, RunOptions
 from fixel.reproductions.tripod_pushes import (
     FORCE_NOISE,
     POSE_NOISE,
     STEP,
     SURFACES,
     Forces,
+    SupportFit,
     TripodPush,
     best_friction,
     comparer_of,
+    fitted_points,
     machined,
     outline_of,
     read_pushes,
     sliding_forces,
     support_of,
 )
-from fixel.typing import FloatArray, Progress
+from fixel.typing import FloatArray
 
 
-def run(folder: Path, progress: Progress, *, quick: bool = False) -> Reproduction:
+def run(options: RunOptions) -> Reproduction:
     """Estimate support points from pushes, friction from forces, and predict other pushes.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder `cmu_tripod_push`.
-    progress : callable
-    quick : bool
-        Use two starts and a third of the pushes, as a test without meaningful figures.
+    Quick: two starts and a third of the pushes.
     """
-    begun = clock.perf_counter()
-    pushes = read_pushes(folder, every=3 if quick else 1)
+    pushes = read_pushes(options.folder, every=3 if options.quick else 1)
     supports = sorted({support_of(p) for p in pushes} - {"patch"})
     parts, done = 2 * len(supports) + 2, 0
     found: list[Row] = []
-    panels: list[SupportPanel] = []
-    options = LeastSquares(
-        loss="soft_l1", width=2.0, starts=2 if quick else 4, most_iterations=15, tolerance=1e-4
+    drawn: dict[str, tuple[FloatArray, ...]] = {}
+    search = LeastSquares(
+        loss="soft_l1",
+        width=2.0,
+        starts=2 if options.quick else 4,
+        most_iterations=15,
+        tolerance=1e-4,
     )
     for support in supports:
         own = [p for p in pushes if support_of(p) == support]
         fits = {}
         for forces in (False, True):
-            fits[forces] = fitted_points(own, options, forces=forces)
-            known = fitted_points(own, options, forces=forces, known=True)
+            fits[forces] = fitted_points(own, search, forces=forces)
+            known = fitted_points(own, search, forces=forces, known=True)
             row = _distance_row(support, own, fits[forces], known, forces)
             if not forces:
-                row["distance_mm_rms_attainable"] = attainable_mm(own, known, options)
+                row["distance_mm_rms_attainable"] = attainable_mm(own, known, search)
             found.append(row)
             done += 1
-            progress(done, parts, f"{support}, {'poses and forces' if forces else 'poses'}")
-        panels.append(
-            SupportPanel(
-                support, outline_of(own[0]), machined(own[0]), fits[False].points, fits[True].points
-            )
-        )
+            options.progress(done, parts, f"{support}, {'poses and forces' if forces else 'poses'}")
+        drawn[support] = machined(own[0]), fits[False].points, fits[True].points
     friction = surface_friction(pushes)
-    progress(done + 1, parts, "friction of the surfaces")
-    transfer = [row for support in supports for row in transferred(pushes, support, options)]
-    progress(parts, parts, "prediction across supports")
+    options.progress(done + 1, parts, "friction of the surfaces")
+    transfer = [row for support in supports for row in transferred(pushes, support, search)]
+    options.progress(parts, parts, "prediction across supports")
     return Reproduction(
-        name="cmu-tripod",
         tables={"supports": found, "friction": friction, "transfer": transfer},
         conclusions=_conclusions(found, friction, transfer),
         settings={
@@ -92,11 +84,10 @@ def run(folder: Path, progress: Progress, *, quick: bool = False) -> Reproductio
             "angle_noise_deg": 1.0,
             "force_noise_n": FORCE_NOISE,
             "step_s": STEP,
-            "starts": options.starts,
-            "quick": quick,
+            "starts": search.starts,
+            "quick": options.quick,
         },
-        picture=SupportPicture(panels),
-        seconds=clock.perf_counter() - begun,
+        picture=partial(draw_supports, outline_of(pushes[0]), drawn),
     )
 
 

@@ -7,27 +7,22 @@ position and angle of the other pushes follow from these alone.
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.datasets.raw.mit_push import read
 from fixel.drawing.uncertainty import CoverageChart
-from fixel.io.result_cache import ResultCache
 from fixel.model import wrapped
 from fixel.reproductions.fitting import ARM, Belief, FittedPushes
-from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_beliefs, full_fit
+from fixel.reproductions.protocols import calibrated_bench, full_beliefs, full_fit
 from fixel.reproductions.pushes import Key, PushGroup
-from fixel.reproductions.reproduction import Reproduction, Row
-from fixel.reproductions.splits import Split
-from fixel.typing import FloatArray, IntArray, Progress
+from fixel.reproductions.residuals import Split
+from fixel.reproductions.result import Reproduction, Row, RunOptions
+from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.bands import CURVE_LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.linear import LinearPredictive, Outcomes, Spreads, fit_predictive
 
-NAME: Final = "coverage"
 # Step of the differences, in standard deviations of the priors; as in the fits.
 STEP: Final = 0.15
 # Standard deviations of the measured first pose, up to a factor estimated from the data
@@ -45,47 +40,33 @@ class HeldOutPushes(NamedTuple):
     predictive: LinearPredictive
 
 
-def run(
-    folder: Path | None, progress: Progress, *, quick: bool = False, seeds: int = 1,
-    kept: Path | None = None,
-) -> Reproduction:  # fmt: skip
+def run(options: RunOptions) -> Reproduction:
     """Measure the coverage of bounds on held-out pushes.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the dataset.
-    progress : callable
-    quick : bool
-        Use three plates with 60 pushes each, and rough fits.
-    seeds : int
-        Number of random splits.
-    kept : Path, optional
-        Folder of finished fits, such as `fits` of `fixel benchmark real --out`.
+    Quick: three plates with 60 pushes each, and rough fits.
     """
-    assert folder is not None
-    begun = clock.perf_counter()
-    request = BenchmarkRequest(protocols=("calibrated",), seeds=1 if quick else seeds, quick=quick)
-    bench = BenchmarkData(read(folder), request, ResultCache(kept), _silent)
-    total = len(bench.rows) * request.seeds
+    bench = calibrated_bench(options)
+    total = len(bench.rows) * bench.request.seeds
     held: list[HeldOutPushes] = []
     for key in bench.rows:
         group = bench.group(key)
         for k, split in enumerate(bench.splits(key)):
             held.append(predicted(group, split, full_fit(bench, group, k, split)))
-            progress(len(held), total, " ".join(key))
+            options.progress(len(held), total, " ".join(key))
     overall = [_curve(held, own) for own in (0, 1)]
     return Reproduction(
-        name=NAME,
         tables={
             "curve": _curve_rows(overall),
             "groups": _group_rows(held),
             "parts": _part_rows(held),
         },
         conclusions=_conclusions(overall, held),
-        settings={"seeds": request.seeds, "quick": quick, "pushes_held_out": overall[0].outcomes},
+        settings={
+            "seeds": bench.request.seeds,
+            "quick": options.quick,
+            "pushes_held_out": overall[0].outcomes,
+        },
         picture=_picture(overall, held),
-        seconds=clock.perf_counter() - begun,
     )
 
 
@@ -240,7 +221,3 @@ def _picture(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes]) -> 
         for k, name in enumerate(names)
     }
     return CoverageChart(dict(zip(names, curves, strict=True)), groups=groups)
-
-
-def _silent(done: int, total: int, note: str = "") -> None:
-    """Progress callback that does nothing."""

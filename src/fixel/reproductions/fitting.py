@@ -12,7 +12,7 @@ from fixel.calibration.cost import NormalPrior
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.optimiser import SearchBox
 from fixel.calibration.registration import Registration, registration_from_gaps
-from fixel.datasets.raw.mit_push import PUSHER_RADIUS
+from fixel.datasets.mit_plates import TIP
 from fixel.model import wrapped
 from fixel.reproductions.pushes import PART_NAMES, PushGroup
 from fixel.typing import FloatArray, IntArray
@@ -126,7 +126,7 @@ def gap_registration(
     """Estimate the registration from the gaps at the ends of pushes alone, without physics."""
     return registration_from_gaps(
         group.shape,
-        PUSHER_RADIUS,
+        TIP.radius,
         group.end[train],
         group.tip_end[train],
         prior=prior,

@@ -13,13 +13,31 @@ from typing import Final
 
 import numpy as np
 
-from fixel.datasets.raw.mit_push import MitPushes
+from fixel.calibration.objective import Comparer, Objective, Robust
+from fixel.calibration.optimiser import Best, SearchBox
+from fixel.calibration.pattern_search import PatternSearch
+from fixel.calibration.target import Target
 from fixel.io.result_cache import ResultCache
-from fixel.model import pose_error
+from fixel.model.space import ParameterSpace, Unknown
 from fixel.reproductions.protocols import PROTOCOLS, RUN, BenchmarkData, BenchmarkRequest, Piece
-from fixel.reproductions.pushes import usable_rows
-from fixel.reproductions.result import Benchmark, HeldOutScores, Row
-from fixel.typing import FloatArray, Progress
+from fixel.reproductions.pushes import DURATION, STEP, MitPushes, PushGroup, rows_by_key
+from fixel.reproductions.result import Benchmark, HeldOutScores, Row, errors_in_mm_and_deg
+from fixel.simulation import StewartTrinkle
+from fixel.typing import FloatArray, IntArray, Progress
+
+# Joint calibration: number of pushes, and of evaluations of the objective.
+PUSHES: Final = 1000
+EVALUATIONS: Final = 2000
+
+SPACE: Final = ParameterSpace(
+    unknowns=(
+        Unknown(name="mu_pusher", low=0.05, high=0.5, nominal=0.25),
+        Unknown(name="registration_x", low=-3e-3, high=3e-3, nominal=0.0),
+        Unknown(name="registration_y", low=-3e-3, high=3e-3, nominal=0.0),
+        Unknown(name="contact_offset", low=-5e-4, high=5e-4, nominal=0.0),
+        Unknown(name="anisotropy_xy", low=-0.3, high=0.3, nominal=0.0),
+    )
+)
 
 PUBLISHED: Final = "poly4"  # the better of the two published limit surfaces
 
@@ -37,8 +55,8 @@ def benchmark_pushes(
         Folder in which finished fits are stored.
     progress : callable
     """
-    if PUBLISHED not in data.predictions:
-        data.predictions[PUBLISHED] = np.full((len(data), 3), np.nan)
+    if PUBLISHED not in data.published:
+        data.published[PUBLISHED] = np.full((len(data), 3), np.nan)
     started = clock.perf_counter()
     bench = BenchmarkData(data, request, ResultCache(folder), progress)
     chosen = [name for name in PROTOCOLS if name in request.protocols]
@@ -69,12 +87,12 @@ def _scored(bench: BenchmarkData, protocol: str, pieces: Sequence[Piece]) -> Hel
         group, which = piece.group, piece.which
         nominal = np.where(group.nominal.good[:, None], group.nominal.end, np.nan)
         ends = {
-            "published": bench.data.predictions[PUBLISHED][group.rows[which]],
+            "published": bench.data.published[PUBLISHED][group.rows[which]],
             "uncalibrated": nominal[which],
             "calibrated": piece.end,
         }
         for model, end in ends.items():
-            models[model].append(_errors(end, group.end[which]))
+            models[model].append(np.array(errors_in_mm_and_deg(end, group.end[which])))
     if all(np.isnan(part).all() for part in models["published"]):
         del models["published"]
     tables = {model: np.concatenate(parts, axis=1) for model, parts in models.items()}
@@ -90,13 +108,6 @@ def _scored(bench: BenchmarkData, protocol: str, pieces: Sequence[Piece]) -> Hel
     )
 
 
-def _errors(predicted: FloatArray, measured: FloatArray) -> FloatArray:
-    """Errors (2, n): distances of the frames' origins [mm], absolute angles between them [deg]."""
-    position, angle = pose_error(predicted, measured)
-    missing = np.isnan(predicted).any(axis=1)
-    return np.where(missing, np.nan, np.stack((position * 1e3, np.degrees(np.abs(angle)))))
-
-
 def _settings(request: BenchmarkRequest, bench: BenchmarkData) -> Row:
     return {
         "protocols": list(request.protocols),
@@ -110,7 +121,7 @@ def _settings(request: BenchmarkRequest, bench: BenchmarkData) -> Row:
 
 
 def _notes(bench: BenchmarkData, chosen: Sequence[str]) -> tuple[str, ...]:
-    left_out = len(bench.data) - len(usable_rows(bench.data))
+    left_out = len(bench.data) - len(bench.data.usable)
     notes = [
         "Errors on held-out pushes only: of the object frame's origin, and of the angle.",
         f"{left_out} pushes that do not fit their own geometry are left out, as in fixel replay.",
@@ -124,3 +135,78 @@ def _notes(bench: BenchmarkData, chosen: Sequence[str]) -> tuple[str, ...]:
         notes.append("learned is physics and a Gaussian process: no calibration in the sense of")
         notes[-1] += " the others."
     return tuple(notes)
+
+
+# --- one calibration of many pushes ---------------------------------------------------------------
+
+
+def joint_calibration(
+    data: MitPushes,
+    progress: Progress,
+    *,
+    pushes: int = PUSHES,
+    evaluations: int = EVALUATIONS,
+    threads: int | None = None,
+) -> Row:
+    """Calibrate five parameters jointly on many real pushes of all plates and surfaces.
+
+    Pattern searches start from the nominal values, then from random points, until the given number
+    of evaluations of the objective is reached.
+
+    Returns
+    -------
+    dict
+        Times, best values, and errors at the start and at the best values.
+    """
+    rows = data.usable
+    chosen = rows[np.arange(min(pushes, len(rows))) * len(rows) // min(pushes, len(rows))]
+    targets = _targets(data, chosen, threads)
+    stepper = StewartTrinkle(step=STEP)
+    objective = Objective(Comparer(targets, SPACE, Robust(), stepper=stepper, threads=threads))
+    box = SearchBox(SPACE.low, SPACE.high, SPACE.nominal, SPACE.scale)
+    objective(SPACE.nominal[None])  # compile, or load compiled code
+    started = clock.perf_counter()
+    best, made, first = _searched(objective, box, evaluations, progress)
+    seconds = clock.perf_counter() - started
+    return {
+        "pushes": len(targets),
+        "parameters": box.n,
+        "evaluations": made,
+        "seconds": round(seconds, 1),
+        "pushes_per_second": round(made * len(targets) / seconds),
+        "error_unit": objective.comparer.error.unit,
+        "error_at_start": first,
+        "error_at_best": best.error,
+        "best": SPACE.values(best.point),
+    }
+
+
+def _searched(
+    objective: Objective, box: SearchBox, evaluations: int, progress: Progress
+) -> tuple[Best, int, float]:
+    rng = np.random.default_rng(0)
+    best, made, first = Best(box.start, np.inf), 0, np.nan
+    while made < evaluations:
+        search = PatternSearch().start(box)
+        while not search.done and made < evaluations:
+            points: FloatArray = search.ask()
+            errors = objective(points)
+            first = float(errors[0]) if made == 0 else first
+            made += len(points)
+            search.tell(errors)
+            progress(min(made, evaluations), evaluations, "joint calibration")
+        best = min(best, search.best, key=lambda own: own.error)
+        box = box._replace(start=rng.uniform(box.low, box.high))
+    return best, made, first
+
+
+def _targets(data: MitPushes, rows: IntArray, threads: int | None) -> list[Target]:
+    names = data.names
+    found = []
+    for key, own in rows_by_key(data, rows).items():
+        group = PushGroup(data, key, own, threads)
+        for k, case in enumerate(group.cases):
+            conditions: dict[str, str | float] = {"surface": key[0], "shape": key[1]}
+            found.append(Target(str(names[own[k]]), conditions, case, group.end[k : k + 1]))
+    assert all(target.case.times[-1] == DURATION for target in found)
+    return found

@@ -8,28 +8,24 @@ labels of sides dealt out at random shows how much of the error the side itself 
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from fixel.calibration.registration import gaps_and_normals
-from fixel.datasets.raw.mit_push import PUSHER_RADIUS, read
+from fixel.datasets.mit_plates import TIP
 from fixel.domain.contacts import PushedContacts, TouchedPlaces, contacts_of
 from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, min_experiments
 from fixel.domain.features import Configurations
-from fixel.io.result_cache import ResultCache
 from fixel.model import wrapped
 from fixel.reproductions.charts.promise import NewSidesChart
-from fixel.reproductions.evidence import evidence_of
 from fixel.reproductions.fitting import FittedPushes
-from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
+from fixel.reproductions.protocols import BenchmarkData, calibrated_bench, full_fit
 from fixel.reproductions.pushes import Key, PushGroup
-from fixel.reproductions.reproduction import Reproduction, Row
-from fixel.reproductions.splits import split_without
-from fixel.typing import BoolArray, FloatArray, IntArray, Progress
+from fixel.reproductions.residuals import evidence_of, split_without
+from fixel.reproductions.result import Reproduction, Row, RunOptions
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 SIDE: Final = "side"
 SPEED: Final = "speed"
@@ -65,7 +61,7 @@ def side_labels(group: PushGroup) -> IntArray:
     A side of a polygon, or a quarter of the directions of the normal of a smooth outline. Sides
     with a handful of pushes go to the largest.
     """
-    _, normal = gaps_and_normals(group.shape, PUSHER_RADIUS, group.start, group.tip_start)
+    _, normal = gaps_and_normals(group.shape, TIP.radius, group.start, group.tip_start)
     angle = wrapped(np.arctan2(normal[:, 1], normal[:, 0]) - group.start[:, 2])
     outline = getattr(group.shape, "outline", np.zeros((0, 2)))
     if 0 < len(outline) <= MAX_SIDES:
@@ -80,24 +76,12 @@ def side_labels(group: PushGroup) -> IntArray:
     return np.asarray(np.unique(side, return_inverse=True)[1], np.int64)
 
 
-def run(
-    folder: Path, progress: Progress, *, quick: bool = False, kept: Path | None = None
-) -> Reproduction:
+def run(options: RunOptions) -> Reproduction:
     """Measure coverage and sharpness on new sides and speeds, and what the side itself costs.
 
-    Parameters
-    ----------
-    folder : Path
-        `mit_push_endpoints`.
-    progress : callable
-    quick : bool
-        Three plates, few pushes.
-    kept : Path, optional
-        Folder of finished fits.
+    Quick: three plates, few pushes.
     """
-    begun = clock.perf_counter()
-    request = BenchmarkRequest(protocols=("calibrated",), seeds=1, quick=quick)
-    bench = BenchmarkData(read(folder), request, ResultCache(kept), progress)
+    bench = calibrated_bench(options)
     labels = {kind: _labels_by_plate(bench, kind) for kind in (SIDE, SPEED, RANDOM)}
     plates = sorted({key[1] for key in bench.rows})
     folds = max(int(own.max()) + 1 for own in labels[SIDE].values())
@@ -116,12 +100,10 @@ def run(
             groups += _by_group(name, kind, counted)
     transfer = _transfer(left[SIDE], left[RANDOM])
     return Reproduction(
-        name="new-sides",
         tables={"overall": overall, "groups": groups, "transfer": transfer},
         conclusions=_conclusions(overall, transfer),
-        settings={"level": LEVEL, "quick": quick},
+        settings={"level": LEVEL, "quick": options.quick},
         picture=NewSidesChart(groups=groups, level=LEVEL),
-        seconds=clock.perf_counter() - begun,
     )
 
 
@@ -156,11 +138,11 @@ def _one(bench: BenchmarkData, key: Key, kind: str, label: IntArray, side: int) 
     split = split_without(label, side, FIRST_SEED + side)
     fit = full_fit(bench, group, f"{kind}_{side}", split)
     speed = bench.data.speed[group.rows]
-    asked = Configurations(group.shape, PUSHER_RADIUS, group.start, group.tip_start, group.tip_end)
+    asked = Configurations(group.shape, TIP.radius, group.start, group.tip_start, group.tip_end)
     if kind == RANDOM:  # no bounds are made of these
         features, errors = np.zeros((len(group), 0)), _errors(group, fit)
     else:
-        found = evidence_of(group, 0, split, fit, speed)
+        found = evidence_of(group, split, fit, speed)
         features, errors = found.features.table, found.errors[:, :2]
     return LeftOut(
         key,

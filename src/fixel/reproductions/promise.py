@@ -7,21 +7,17 @@ only to shape the model of errors.
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.datasets.raw.mit_push import read
 from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, constant_bound
-from fixel.io.result_cache import ResultCache
 from fixel.reproductions.charts.promise import PromiseChart
-from fixel.reproductions.evidence import PushErrors, evidence_of
-from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
-from fixel.reproductions.reproduction import Reproduction, Row
-from fixel.typing import BoolArray, FloatArray, IntArray, Progress
+from fixel.reproductions.protocols import BenchmarkData, calibrated_bench, full_fit
+from fixel.reproductions.residuals import PushErrors, Split, evidence_of
+from fixel.reproductions.result import Reproduction, Row, RunOptions
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 LEVELS: Final = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 HALVINGS: Final = 2  # number of halvings of the held-out pushes of every fit, each used both ways
@@ -52,26 +48,14 @@ class HalfCount(NamedTuple):
     constant_of_group: FloatArray  # (m,) inf if the group has too few pushes
 
 
-def run(
-    folder: Path, progress: Progress, *, quick: bool = False, kept: Path | None = None
-) -> Reproduction:
+def run(options: RunOptions) -> Reproduction:
     """Measure coverage and sharpness of the error bounds.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder `mit_push_endpoints`.
-    progress : callable
-    quick : bool
-        Use three plates, few pushes and one split.
-    kept : Path, optional
-        Folder of finished fits of the protocol `calibrated`.
+    Quick: three plates, few pushes and one split.
     """
-    begun = clock.perf_counter()
-    request = BenchmarkRequest(protocols=("calibrated",), seeds=1 if quick else SEEDS, quick=quick)
-    bench = BenchmarkData(read(folder), request, ResultCache(kept), progress)
-    halvings = 1 if quick else HALVINGS
-    bench.total = request.seeds * (len(bench.rows) + halvings * len(WHAT))
+    bench = calibrated_bench(options, SEEDS)
+    halvings = 1 if options.quick else HALVINGS
+    bench.total = bench.request.seeds * (len(bench.rows) + halvings * len(WHAT))
     tables, features = _tables(bench)
     names = [" ".join(key) for key in bench.rows]
     counted: dict[str, list[HalfCount]] = {what: [] for what in WHAT}
@@ -86,41 +70,39 @@ def run(
     groups = [row for what in WHAT for row in _by_group(what, counted[what], names)]
     curve = [row for what in WHAT for row in _curve(what, _reported(counted[what]))]
     return Reproduction(
-        name="promise",
         tables={"overall": overall, "groups": groups, "reliability": curve},
         conclusions=_conclusions(overall, groups),
         settings={
             "level": LEVEL,
-            "seeds": request.seeds,
+            "seeds": bench.request.seeds,
             "halvings": halvings,
             "model": model,
-            "quick": quick,
+            "quick": options.quick,
             "features": list(features),
         },
         picture=_picture(counted, groups, curve),
-        seconds=clock.perf_counter() - begun,
     )
 
 
 def _tables(bench: BenchmarkData) -> tuple[list[PushTable], tuple[str, ...]]:
     """Tables of pushes, one per split, and names of the features."""
-    found: list[list[PushErrors]] = [[] for _ in range(bench.request.seeds)]
+    found: list[list[tuple[PushErrors, Split]]] = [[] for _ in range(bench.request.seeds)]
     for key in bench.rows:
         group = bench.group(key)
         speed = bench.data.speed[group.rows]
         for k, split in enumerate(bench.splits(key)):
             fit = full_fit(bench, group, k, split)
-            found[k].append(evidence_of(group, k, split, fit, speed))
+            found[k].append((evidence_of(group, split, fit, speed), split))
             bench.tell(f"features {' '.join(key)}")
-    return [_table(own) for own in found], found[0][0].features.names
+    return [_table(own) for own in found], found[0][0][0].features.names
 
 
-def _table(found: Sequence[PushErrors]) -> PushTable:
-    held = [np.isin(np.arange(len(own.errors)), own.split.held_out) for own in found]
+def _table(found: Sequence[tuple[PushErrors, Split]]) -> PushTable:
+    held = [np.isin(np.arange(len(own.errors)), split.held_out) for own, split in found]
     return PushTable(
-        np.concatenate([own.features.table for own in found]),
-        np.concatenate([own.errors for own in found]),
-        np.concatenate([np.full(len(own.errors), k) for k, own in enumerate(found)]),
+        np.concatenate([own.features.table for own, _ in found]),
+        np.concatenate([own.errors for own, _ in found]),
+        np.concatenate([np.full(len(own.errors), k) for k, (own, _) in enumerate(found)]),
         np.concatenate(held),
     )
 

@@ -9,7 +9,6 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.datasets.raw.mit_push import MitPushes
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache, listed
 from fixel.model import wrapped
@@ -27,10 +26,16 @@ from fixel.reproductions.fitting import (
     table_beliefs,
     tip_beliefs,
 )
-from fixel.reproductions.leftover import inside_ninety, learned_ends
-from fixel.reproductions.pushes import Key, PushGroup, rows_by_key, usable_rows
-from fixel.reproductions.result import Row
-from fixel.reproductions.splits import Split, few_of, folds, random_split
+from fixel.reproductions.pushes import Key, MitPushes, PushGroup, read_mit_pushes, rows_by_key
+from fixel.reproductions.residuals import (
+    Split,
+    few_of,
+    folds,
+    inside_ninety,
+    learned_ends,
+    random_split,
+)
+from fixel.reproductions.result import Row, RunOptions
 from fixel.typing import BoolArray, FloatArray, IntArray, Progress
 
 SHARE: Final = 0.6  # share of the pushes for training, if there are no folds
@@ -93,6 +98,14 @@ class BenchmarkRequest:
         return QUICK_ITERATIONS if self.quick else ITERATIONS
 
 
+def calibrated_bench(options: RunOptions, seeds: int = 1) -> BenchmarkData:
+    """Create the data for fits of the protocol `calibrated` to a number of random splits."""
+    seeds = 1 if options.quick else seeds
+    request = BenchmarkRequest(protocols=("calibrated",), seeds=seeds, quick=options.quick)
+    pushes = read_mit_pushes(options.folder)
+    return BenchmarkData(pushes, request, ResultCache(options.kept), options.progress)
+
+
 class Piece(NamedTuple):
     """Predictions for the held-out members of one group."""
 
@@ -117,9 +130,9 @@ class BenchmarkData:
     ) -> None:
         self.data, self.request, self.finished = data, request, finished
         self._progress = progress
-        rows = rows_by_key(data, usable_rows(data))
+        rows = rows_by_key(data, data.usable)
         self.rows = _quick(rows) if request.quick else rows
-        self.names = data.table.text("push_id")
+        self.names = data.names
         self._groups: dict[Key, PushGroup] = {}
         self._done, self.total = 0, 0
 

@@ -7,28 +7,24 @@ shares of the motion.
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.target import target_of
-from fixel.datasets.raw import mit_push, read_dataset
-from fixel.datasets.raw.mit_timeseries import PushRuns
 from fixel.errors import DatasetMissing
-from fixel.io.result_cache import ResultCache
 from fixel.model import Disk, Shape, pose_error
 from fixel.reproductions import cmu_tripod, rpi_141
 from fixel.reproductions.charts.promise import RatesChart
-from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
+from fixel.reproductions.protocols import calibrated_bench, full_fit
 from fixel.reproductions.replay import ReplayRequest, replay_dataset
-from fixel.reproductions.reproduction import Reproduction, Row
-from fixel.reproductions.rpi_141_hypotheses import hypotheses
+from fixel.reproductions.replay.runs import read_runs
+from fixel.reproductions.result import Reproduction, Row, RunOptions
 from fixel.reproductions.tripod_pushes import TripodPush, comparer_of, read_pushes, support_of
-from fixel.typing import FloatArray, Progress
+from fixel.typing import FloatArray
 
 PAPER_RMS, PAPER_MOTION = 20e-6, 600e-6  # [m]
 PAPER_RATE: Final = PAPER_RMS / PAPER_MOTION
@@ -54,41 +50,29 @@ class RateErrors(NamedTuple):
     size: float  # mean of the largest extent of the object [m]
 
 
-def run(
-    folder: Path, progress: Progress, *, quick: bool = False, kept: Path | None = None
-) -> Reproduction:
+def run(options: RunOptions) -> Reproduction:
     """Compute errors on each dataset in the folder, as shares of motion and size.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the datasets; missing ones are reported as left out.
-    progress : callable
-    quick : bool
-        Use few pushes of each dataset.
-    kept : Path, optional
-        Folder of finished fits to the MIT pushes.
+    Missing datasets are reported as left out. Quick: few pushes of each dataset.
     """
-    begun = clock.perf_counter()
     rows: list[Row] = []
     missing = []
     for k, (name, errors_of) in enumerate(DATASETS.items()):
-        if (folder / name).is_dir():
-            rows += [_row(own) for own in errors_of(folder / name, quick, kept)]
+        own = replace(options, folder=options.folder / name)
+        if own.folder.is_dir():
+            rows += [_row(errors) for errors in errors_of(own)]
         else:
             missing.append(name)
-        progress(k + 1, len(DATASETS), name)
+        options.progress(k + 1, len(DATASETS), name)
     if not rows:
-        raise DatasetMissing(folder, " or ".join(DATASETS))
+        raise DatasetMissing(options.folder, " or ".join(DATASETS))
     left_out = [{"dataset": name, "reason": "not in the folder"} for name in missing]
     left_out += [{"dataset": name, "reason": why} for name, why in NOT_SIMULATED.items()]
     return Reproduction(
-        name="rates",
         tables={"rates": rows, "left_out": left_out},
         conclusions=_conclusions(rows, left_out),
-        settings={"quick": quick, "paper_rms_over_motion": PAPER_RATE},
+        settings={"quick": options.quick, "paper_rms_over_motion": PAPER_RATE},
         picture=RatesChart(rows=rows, paper=PAPER_RATE, paper_angle=PAPER_ANGLE),
-        seconds=clock.perf_counter() - begun,
     )
 
 
@@ -123,9 +107,8 @@ def extent(shape: Shape) -> float:
 # --- datasets -----------------------------------------------------------------------------------
 
 
-def _mit(folder: Path, quick: bool, kept: Path | None) -> Iterator[RateErrors]:
-    request = BenchmarkRequest(protocols=("calibrated",), seeds=1 if quick else 3, quick=quick)
-    bench = BenchmarkData(mit_push.read(folder), request, ResultCache(kept), lambda *_: None)
+def _mit(options: RunOptions) -> Iterator[RateErrors]:
+    bench = calibrated_bench(options, 3)
     parts: dict[str, list[tuple[FloatArray, FloatArray]]] = {NOTHING: [], "calibrated": []}
     motion, size = [], []
     for key in bench.rows:
@@ -148,12 +131,16 @@ def _mit(folder: Path, quick: bool, kept: Path | None) -> Iterator[RateErrors]:
         )  # fmt: skip
 
 
-def _timeseries(folder: Path, quick: bool, kept: Path | None) -> Iterator[RateErrors]:
-    choice = ReplayRequest(select={}, settings={}, limit=4 if quick else None)
-    data = read_dataset(folder)
-    assert isinstance(data, PushRuns)
-    size = {run.name: extent(run.shape) for run in data.runs}
-    pushes = [row for row in replay_dataset(folder, choice).pushes if row["status"] == "converged"]
+def _timeseries(options: RunOptions) -> Iterator[RateErrors]:
+    choice = ReplayRequest(limit=4 if options.quick else None)
+    pushes = [
+        row for row in replay_dataset(options.folder, choice).pushes if row["status"] == "converged"
+    ]
+    size = {
+        run.name: extent(run.scene.bodies[0].shape)
+        for run in read_runs(options.folder)
+        if run.scene
+    }
     yield RateErrors(
         "mit_timeseries", NOTHING, "RMS of 2 s windows, each from its measured start",
         1e-3 * np.array([row["position_mm_rms"] for row in pushes]),
@@ -163,13 +150,15 @@ def _timeseries(folder: Path, quick: bool, kept: Path | None) -> Iterator[RateEr
     )  # fmt: skip
 
 
-def _tripod(folder: Path, quick: bool, kept: Path | None) -> Iterator[RateErrors]:
-    pushes = [p for p in read_pushes(folder, 6 if quick else 1) if "3pts" in support_of(p)]
+def _tripod(options: RunOptions) -> Iterator[RateErrors]:
+    pushes = [
+        p for p in read_pushes(options.folder, 6 if options.quick else 1) if "3pts" in support_of(p)
+    ]
     train, test = pushes[::2], pushes[1::2]
     nominal = cmu_tripod.shared_space().nominal
-    options = LeastSquares(starts=1, most_iterations=5 if quick else 20)
+    search = LeastSquares(starts=1, most_iterations=5 if options.quick else 20)
     yield _of_tripod(test, nominal, f"{NOTHING}, machined supports known")
-    point = cmu_tripod.fit_shared(train, options)
+    point = cmu_tripod.fit_shared(train, search)
     yield _of_tripod(test, point, "calibrated, machined supports known")
 
 
@@ -187,9 +176,9 @@ def _of_tripod(pushes: Sequence[TripodPush], point: FloatArray, simulator: str) 
     )  # fmt: skip
 
 
-def _rpi(folder: Path, quick: bool, kept: Path | None) -> Iterator[RateErrors]:
-    experiment = rpi_141.experiment_141(folder)
-    for hypothesis in hypotheses():
+def _rpi(options: RunOptions) -> Iterator[RateErrors]:
+    experiment = rpi_141.experiment_141(options.folder)
+    for hypothesis in rpi_141.HYPOTHESES:
         if hypothesis.name not in RPI_SHOWN:
             continue
         own = experiment
@@ -197,7 +186,7 @@ def _rpi(folder: Path, quick: bool, kept: Path | None) -> Iterator[RateErrors]:
             own = change(own)
         target = target_of(own)
         every = np.ones(len(target.pose), bool)
-        found = rpi_141.fitted(target, hypothesis, every, 1 if quick else 3)
+        found = rpi_141.fitted(target, hypothesis, every, 1 if options.quick else 3)
         body = target.case.scene.bodies[0]
         steps = np.diff(np.vstack((body.pose, target.pose))[:, :2], axis=0)
         fitted = "calibrated to this very run" if hypothesis.fitted else "recorded parameters"
@@ -209,7 +198,7 @@ def _rpi(folder: Path, quick: bool, kept: Path | None) -> Iterator[RateErrors]:
         )  # fmt: skip
 
 
-DATASETS: Final[dict[str, Callable[[Path, bool, Path | None], Iterator[RateErrors]]]] = {
+DATASETS: Final[dict[str, Callable[[RunOptions], Iterator[RateErrors]]]] = {
     "mit_push_endpoints": _mit,
     "mit_timeseries": _timeseries,
     "cmu_tripod_push": _tripod,

@@ -7,23 +7,35 @@ nearly equal starts.
 from __future__ import annotations
 
 import math
-import time as clock
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from fixel.datasets.rpi_2dgad import Rpi2dgad
-from fixel.errors import DatasetMissing
+from fixel.drawing import palette
+from fixel.drawing.chart import clean, legend_below, log_scale
 from fixel.model.trajectory import wrapped
-from fixel.reproductions.alike_starts import HEAD_PLACE, alike_group
-from fixel.reproductions.charts.repeats import RepeatPicture, RepeatPoint
-from fixel.reproductions.reproduction import Reproduction, Row
-from fixel.reproductions.two_point_groups import RepeatGroup, group_scene, read_groups, rig_noise
+from fixel.reproductions.charts.pictures import WIDE
+from fixel.reproductions.repeat_groups import (
+    HEAD_PLACE,
+    RepeatGroup,
+    alike_group,
+    group_scene,
+    read_groups,
+    rig_noise,
+)
+from fixel.reproductions.result import Reproduction, Row, RunOptions
 from fixel.simulation import StewartTrinkle
-from fixel.typing import FloatArray, Progress
+from fixel.typing import FloatArray
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import StartError, even_points
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 RANGES: Final = {
     # Unknown parameters of a rig, equal in all runs of a group: friction of steel or aluminium
@@ -62,33 +74,23 @@ class GroupPrediction(NamedTuple):
         return bool((self.end <= self.limit).all())
 
 
-def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Reproduction:
+def run(options: RunOptions) -> Reproduction:
     """Predict the spread of every group from the starts of other groups, and compare.
 
-    Parameters
-    ----------
-    folder : Path or None
-        Folder of the two-finger pushes; RPI's trials are searched next to it.
-    progress : callable
-    quick : bool
-        Draw few rigs.
+    RPI's trials are searched next to the folder. Quick: few rigs.
     """
-    begun = clock.perf_counter()
-    if folder is None:
-        raise DatasetMissing(Path("cmu_two_point_push"), "cmu_two_point_push")
-    worlds = 20 if quick else WORLDS
-    groups = read_groups(folder)
+    worlds = 20 if options.quick else WORLDS
+    groups = read_groups(options.folder)
     noise = rig_noise(groups)
     judged = []
     for k, group in enumerate(groups):
         judged.append(_two_point(group, groups, worlds))
-        progress(k + 1, len(groups) + 1, group.name)
-    beside = folder.parent / "rpi_2dgad"
+        options.progress(k + 1, len(groups) + 1, group.name)
+    beside = options.folder.parent / "rpi_2dgad"
     if Rpi2dgad().recognised(beside):
         judged.append(_alike(beside, worlds))
-    progress(len(groups) + 1, len(groups) + 1, "trials that start alike")
+    options.progress(len(groups) + 1, len(groups) + 1, "trials that start alike")
     return Reproduction(
-        name="repeats",
         tables={"groups": [_row(one) for one in judged]},
         conclusions=_conclusions(judged, noise),
         settings={
@@ -99,12 +101,9 @@ def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Repr
             "noise_mm": round(1e3 * float(noise[0]), 3),
             "noise_deg": round(math.degrees(float(noise[1])), 3),
             "head_place_m": list(HEAD_PLACE),
-            "quick": quick,
+            "quick": options.quick,
         },
-        picture=RepeatPicture(
-            [RepeatPoint(j.name, j.kind, j.end, j.median, j.least, j.limit) for j in judged]
-        ),
-        seconds=clock.perf_counter() - begun,
+        picture=partial(draw_repeats, judged),
     )
 
 
@@ -231,3 +230,43 @@ def _conclusions(judged: list[GroupPrediction], noise: FloatArray) -> list[str]:
 
 def _size(pair: FloatArray) -> str:
     return f"{1e3 * pair[0]:.2f} mm and {math.degrees(pair[1]):.2f} deg"
+
+
+# --- figure -------------------------------------------------------------------------------------
+
+
+def draw_repeats(groups: Sequence[GroupPrediction], figure: Figure) -> None:
+    """Draw predicted ranges and measured spreads of repeated pushes, one row per group."""
+    figure.set_size_inches(WIDE, 0.7 + 0.145 * len(groups))
+    left, right = figure.subplots(1, 2, sharey=True)
+    for axes, k, label, factor in (
+        (left, 0, "spread of end positions [mm]", 1e3),
+        (right, 1, "spread of end angles [deg]", math.degrees(1.0)),
+    ):
+        _spreads(axes, groups, k, factor)
+        axes.set_xlabel(label)
+    left.set_yticks(range(len(groups)), [group.name for group in groups])
+    left.invert_yaxis()
+    legend_below(figure, [left])
+
+
+def _spreads(axes: Axes, groups: Sequence[GroupPrediction], k: int, factor: float) -> None:
+    place = np.arange(len(groups))
+    least, median, limit, measured = (
+        factor * np.array([getattr(group, name)[k] for group in groups])
+        for name in ("least", "median", "limit", "end")
+    )
+    inside = measured <= limit
+    bar = "predicted, 95 %"
+    axes.hlines(place, least, limit, color=palette.TRAIL, linewidth=4.0, alpha=0.6, label=bar)
+    axes.plot(median, place, "|", color=palette.BODY, markersize=6.0, label="its median")
+    axes.plot(
+        measured[inside], place[inside], "o", color=palette.INK, markersize=3.5, label="measured"
+    )
+    if not inside.all():
+        axes.plot(
+            measured[~inside], place[~inside], "X", color=palette.FORCE, markersize=5.0,
+            label="measured, wider than predicted",
+        )  # fmt: skip
+    log_scale(axes, "x", np.concatenate((least, limit, measured)))
+    clean(axes)

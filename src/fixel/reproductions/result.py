@@ -1,28 +1,107 @@
-"""Result of a benchmark: errors of every scored record, and aggregates.
-
-All benchmarks on real data use it. Each scores records with several protocols, and compares with
-published predictions and with the uncalibrated simulator.
-"""
+"""Results of reproductions and benchmarks: tables, conclusions and figures."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fixel.io.atomic import written_whole
-from fixel.reproductions.replay.report import mean_and_median
-from fixel.typing import FloatArray
+from fixel.model import pose_error
+from fixel.typing import FloatArray, Progress
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from fixel.drawing.chart import AbstractChart
 
 Row = dict[str, Any]
 
 # Value of a group's column in rows that aggregate over all groups.
 ALL: Final = "all"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOptions:
+    """Options of a reproduction.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of its dataset, or of all datasets if it needs several; unused if its data are
+        generated.
+    progress : callable
+        Called with the numbers of finished parts and of all, and the name of the part.
+    quick : bool
+        Test run without meaningful figures.
+    kept : Path, optional
+        Folder of finished fits, such as `fits` of `fixel benchmark real --out`.
+    """
+
+    folder: Path
+    progress: Progress
+    quick: bool = False
+    kept: Path | None = None
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reproduction:
+    """Tables of plain numbers, with units in the names, and conclusions from them.
+
+    Attributes
+    ----------
+    tables : mapping of str to list of dict
+        Tables as rows of plain values.
+    conclusions : sequence of str
+        Conclusions from the tables, in sentences.
+    settings : dict
+        Settings, sufficient to repeat the reproduction.
+    picture : AbstractChart or callable
+        Chart, or function that draws in an empty figure.
+    name : str
+    seconds : float
+        Wall time [s]; like the name, set by `reproduce`.
+    """
+
+    tables: Mapping[str, list[Row]]
+    conclusions: Sequence[str]
+    settings: Row
+    picture: AbstractChart | Callable[[Figure], None]
+    name: str = ""
+    seconds: float = 0.0
+
+    def summary(self) -> Row:
+        """Return all results as plain values, for `--json`."""
+        return {
+            "name": self.name,
+            "settings": self.settings,
+            **self.tables,
+            "conclusions": list(self.conclusions),
+            "seconds": round(self.seconds, 1),
+        }
+
+    def write(self, out: Path) -> None:
+        """Write `<name>.json`, a `<name>_<table>.csv` for each table, and `<name>.png`."""
+        from fixel.drawing.chart import AbstractChart, draw_chart, save_filled
+
+        out.mkdir(parents=True, exist_ok=True)
+        with written_whole(out / f"{self.name}.json") as beside:
+            beside.write_text(json.dumps(self.summary(), indent=1), encoding="utf-8")
+        for name, rows in self.tables.items():
+            write_table(out / f"{self.name}_{name}.csv", rows)
+        picture = out / f"{self.name}.png"
+        if isinstance(self.picture, AbstractChart):
+            draw_chart(self.picture, picture)
+        else:
+            save_filled(self.picture, picture)
 
 
 @final
@@ -138,8 +217,8 @@ def flat(row: Row) -> Row:
 def write_tables(answer: Benchmark, folder: Path) -> list[Path]:
     """Write `<part>_rows.csv` with aggregates and `<part>_pushes.csv` with every record."""
     files = [folder / f"{answer.part}_rows.csv", folder / f"{answer.part}_pushes.csv"]
-    _write(files[0], [flat(row) for row in answer.rows])
-    _write(files[1], [row for scored in answer.scored for row in _records(scored)])
+    write_table(files[0], [flat(row) for row in answer.rows])
+    write_table(files[1], [row for scored in answer.scored for row in _records(scored)])
     return files
 
 
@@ -162,7 +241,8 @@ def _records(scored: HeldOutScores) -> list[Row]:
     ]
 
 
-def _write(path: Path, rows: Sequence[Row]) -> None:
+def write_table(path: Path, rows: Sequence[Row]) -> None:
+    """Write rows to a CSV file, with a column for every name that occurs."""
     columns = list(dict.fromkeys(name for row in rows for name in row))
     with (
         written_whole(path) as beside,
@@ -171,3 +251,29 @@ def _write(path: Path, rows: Sequence[Row]) -> None:
         writer = csv.DictWriter(stream, columns, restval="")
         writer.writeheader()
         writer.writerows(rows)
+
+
+def errors_in_mm_and_deg(
+    predicted: FloatArray, measured: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Distances of the frames' origins [mm] and absolute angles between them [deg]."""
+    position, angle = pose_error(predicted, measured)
+    missing = np.isnan(predicted).any(axis=1)
+    return (
+        np.where(missing, np.nan, position * 1e3),
+        np.where(missing, np.nan, np.degrees(np.abs(angle))),
+    )
+
+
+def mean_and_median(values: ArrayLike) -> Row:
+    """Mean and median of the finite numbers; None if there are none."""
+    numbers = np.asarray(values, dtype=np.float64)
+    numbers = numbers[np.isfinite(numbers)]
+    if not numbers.size:
+        return {"mean": None, "median": None}
+    return {"mean": float(numbers.mean()), "median": float(np.median(numbers))}
+
+
+def rms(values: ArrayLike) -> float:
+    """Root mean square of numbers."""
+    return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))

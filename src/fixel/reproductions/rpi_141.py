@@ -7,10 +7,11 @@ latter fit, on the contact with fixel 2.
 
 from __future__ import annotations
 
-import time as clock
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -18,20 +19,26 @@ from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.objective import ANGLE_SCALE, Comparer
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target, target_of
-from fixel.datasets.raw import rpi_2dgad as trials
-from fixel.datasets.raw.base import MM, read_table
-from fixel.datasets.rpi_2dgad import Rpi2dgad
+from fixel.datasets.files import MM, read_table
+from fixel.datasets.rpi_2dgad import FRAME_RATE, Rpi2dgad, lab_simulation
 from fixel.errors import InvalidInput
-from fixel.model import Experiment
+from fixel.model import (
+    Body,
+    Experiment,
+    PathDrive,
+    Scene,
+    Support,
+    SupportPoints,
+    UniformPressure,
+)
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.reproductions.charts.reproductions import PathCurve, PathPicture
-from fixel.reproductions.reproduction import Reproduction, Row
-from fixel.reproductions.rpi_141_hypotheses import BOUNDS, CORNERS, Hypothesis, hypotheses, scene_of
+from fixel.reproductions.charts.pictures import draw_paths
+from fixel.reproductions.result import Reproduction, Row, RunOptions
 from fixel.simulation import StewartTrinkle
-from fixel.typing import FloatArray, Progress
+from fixel.simulation.motion import AbstractMotionModel, Dynamic, QuasiStatic
+from fixel.typing import FloatArray
 
 EXPERIMENT: Final = "141"
-RATE: Final = 30.0  # video frames per second
 
 # Frame at which the square meets fixel 2 (its tactile signal comes on at 115).
 FREE_UNTIL: Final = 112
@@ -42,6 +49,51 @@ STEP: Final = 1.0 / 60.0
 
 SCALE: Final = np.array([1e3, 1e3, 1e3 * ANGLE_SCALE])  # [mm/m, mm/m, mm/rad]
 
+# Hypotheses in the figure, with their labels.
+DRAWN: Final = {
+    "as recorded": "before: the laboratory's parameters",
+    "push above the plane, friction": "even pressure, push above the plane, friction",
+    "support points, friction": "three support points fitted, friction",
+}
+
+# (low, high, nominal) of parameters that can be fitted; nominal values are the laboratory's.
+BOUNDS: Final[Mapping[str, tuple[float, float, float]]] = {
+    "mu_pusher": (0.0, 1.0, 0.3622),
+    "mu_support": (0.02, 1.0, 0.4616),
+    "mu_fixel": (0.0, 1.5, 0.4209),
+    "tripod_radius": (1e-3, 60e-3, 37.2621e-3),
+    "registration_x": (-20e-3, 20e-3, 0.0),
+    "registration_y": (-5e-3, 5e-3, 0.0),
+    "registration_theta": (-0.1, 0.1, 0.0),
+    "friction_centre_x": (-30e-3, 30e-3, 0.0),
+    "friction_centre_y": (-30e-3, 30e-3, 0.0),
+    "anisotropy_xy": (-0.9, 0.9, 0.0),
+    "anisotropy_diagonal": (-0.9, 0.9, 0.0),
+    "outline_x": (-20e-3, 20e-3, 0.0),
+    "outline_y": (-20e-3, 20e-3, 0.0),
+    "outline_theta": (-0.1, 0.1, 0.0),
+    "start_x": (-3e-3, 3e-3, 0.0),
+    "start_y": (-3e-3, 3e-3, 0.0),
+    "start_theta": (-0.05, 0.05, 0.0),
+    "support_1_x": (-53e-3, 53e-3, 0.0),
+    "support_1_y": (-53e-3, 53e-3, 30e-3),
+    "support_2_x": (-53e-3, 53e-3, -30e-3),
+    "support_2_y": (-53e-3, 53e-3, -20e-3),
+    "support_3_x": (-53e-3, 53e-3, 30e-3),
+    "support_3_y": (-53e-3, 53e-3, -20e-3),
+}
+CORNERS: Final = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy")
+NET: Final = SupportPoints(
+    points=np.array([[0.0, 30e-3], [-30e-3, -20e-3], [30e-3, -20e-3]]), friction=0.4616
+)
+EVEN: Final = UniformPressure(friction=0.4616)
+
+# Largest forward shift of the centre of pressure by the push of a head 29.8 mm high: friction of
+# the plane, 0.46, times that height [m]. It is along the body's x axis, the direction of the push.
+TILT: Final = 13.7e-3
+
+Change = Callable[[Experiment], Experiment]
+
 
 class HypothesisFit(NamedTuple):
     """Fit of a hypothesis to some frames."""
@@ -51,41 +103,39 @@ class HypothesisFit(NamedTuple):
     pose: FloatArray  # (n_frame, 3)
 
 
-def run(folder: Path, progress: Progress, *, quick: bool = False) -> Reproduction:
+def run(options: RunOptions) -> Reproduction:
     """Fit and score every hypothesis.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder `rpi_2dgad`.
-    progress : callable
-    quick : bool
-        Use one start for each fit.
+    Quick: one start for each fit.
     """
-    begun = clock.perf_counter()
-    experiment = experiment_141(folder)
+    experiment = experiment_141(options.folder)
     rows: list[Row] = []
     kept: dict[str, HypothesisFit] = {}
-    known = hypotheses()
+    known = HYPOTHESES
     for k, hypothesis in enumerate(known):
-        starts = 1 if quick else 12 if set(CORNERS) <= set(hypothesis.fitted) else 3
+        starts = 1 if options.quick else 12 if set(CORNERS) <= set(hypothesis.fitted) else 3
         row, kept[hypothesis.name] = judged(experiment, hypothesis, starts)
         rows.append(row)
-        progress(k + 1, len(known), hypothesis.name)
-    laboratory = _laboratory(folder)
-    others = lateral_misses(folder)
+        options.progress(k + 1, len(known), hypothesis.name)
+    laboratory = _laboratory(options.folder)
+    others = lateral_misses(options.folder)
+    target, pusher = target_of(experiment), experiment.pusher
+    assert pusher is not None
+    curves = {label: kept[name].pose for name, label in DRAWN.items()}
+    draw = partial(
+        draw_paths, scene_of(experiment), target.case.times, target.pose, curves,
+        pusher.pose[[0, -1]],
+    )  # fmt: skip
     return Reproduction(
-        name="rpi-141",
         tables={"laboratory": [laboratory], "hypotheses": rows, "other_trials": others},
         conclusions=_conclusions(laboratory, rows, others),
         settings={
             "angle_scale_mm_per_rad": 1e3 * ANGLE_SCALE,
             "frames_free": FREE_UNTIL,
             "step_s": STEP,
-            "quick": quick,
+            "quick": options.quick,
         },
-        picture=_picture(experiment, kept),
-        seconds=clock.perf_counter() - begun,
+        picture=draw,
     )
 
 
@@ -107,7 +157,7 @@ def judged(
     for change in hypothesis.changes:
         experiment = change(experiment)
     target = target_of(experiment)
-    free = _frames(target) <= FREE_UNTIL
+    free = _frames(target.case.times) <= FREE_UNTIL
     whole = fitted(target, hypothesis, np.ones(len(free), bool), starts)
     before = fitted(target, hypothesis, free, starts) if hypothesis.fitted else whole
     row: Row = {
@@ -126,9 +176,9 @@ def judged(
     return row, whole
 
 
-def _frames(target: Target) -> FloatArray:
+def _frames(time: FloatArray) -> FloatArray:
     """Numbers of the video frames, counted from 1 at 0 s."""
-    return np.asarray(np.rint(target.case.times * RATE) + 1.0)
+    return np.asarray(np.rint(time * FRAME_RATE) + 1.0)
 
 
 def fitted(target: Target, hypothesis: Hypothesis, use: np.ndarray, starts: int) -> HypothesisFit:
@@ -187,12 +237,14 @@ def at_bound(values: Mapping[str, float]) -> list[str]:
 
 
 def _laboratory(folder: Path) -> Row:
-    trial = next(t for t in trials.read(folder).trials if str(t.experiment_id) == EXPERIMENT)
-    assert trial.lab is not None
-    use = np.isin(trial.frame, trial.lab.frame)
-    useful = (trial.lab.frame >= trial.start_frame) & (trial.lab.frame <= trial.end_frame)
-    difference = trial.lab.object_pose - trial.object_pose[use]
-    free = useful & (trial.lab.frame <= FREE_UNTIL)
+    experiment, lab = experiment_141(folder), lab_simulation(folder, int(EXPERIMENT))
+    if lab is None or experiment.effective is None:
+        raise InvalidInput(str(folder), found="no stored simulation", expected="the laboratory's")
+    start, end = experiment.effective
+    useful = (lab.time >= start) & (lab.time <= end)
+    track = experiment.trajectory
+    difference = lab.pose - track.pose[np.isin(track.time, lab.time)]
+    free = useful & (_frames(lab.time) <= FREE_UNTIL)
     return {
         "rms_mm": rms_mm(difference[useful]),
         "position_mm_rms": _position_mm(difference[useful]),
@@ -282,26 +334,160 @@ def _sideways_slope(rows: Sequence[Row]) -> float:
     return float(measured @ simulated / max(simulated @ simulated, 1e-30))
 
 
-def _picture(experiment: Experiment, kept: Mapping[str, HypothesisFit]) -> PathPicture:
-    target = target_of(experiment)
+# --- hypotheses on data, registration and model ---------------------------------------------------
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hypothesis:
+    """Hypothesis on an error of the simulation, or a combination of several.
+
+    Parameters
+    ----------
+    name : str
+    fitted : tuple of str
+        Names of fitted parameters; the others have the laboratory's values.
+    changes : tuple of callables
+        Changes that it applies to the experiment.
+    motion : AbstractMotionModel
+    together : bool
+        Whether the hypothesis is a combination of several.
+    verdict : str
+        Further evidence for or against it.
+    """
+
+    name: str
+    fitted: tuple[str, ...] = ()
+    changes: tuple[Change, ...] = ()
+    motion: AbstractMotionModel = field(default_factory=QuasiStatic)
+    together: bool = False
+    verdict: str = ""
+
+
+def _both(name: str, fitted: tuple[str, ...], *changes: Change) -> Hypothesis:
+    return Hypothesis(name=name, fitted=fitted, changes=changes, together=True)
+
+
+def scene_of(experiment: Experiment) -> Scene:
+    """Scene of an experiment that is known to have one."""
+    assert experiment.scene is not None
+    return experiment.scene
+
+
+def _with_body(change: Callable[[Body], Body]) -> Change:
+    def changed(experiment: Experiment) -> Experiment:
+        scene = scene_of(experiment)
+        return replace(experiment, scene=replace(scene, bodies=(change(scene.bodies[0]),)))
+
+    return changed
+
+
+def _standing(support: Support) -> Change:
+    return _with_body(lambda body: replace(body, support=support))
+
+
+def _leaning(forward: float) -> Change:
+    """Shift the centre of pressure along the body's x axis by a linear tilt of the pressure.
+    Without inertia, the centre of mass has no other effect."""
+    return _with_body(lambda body: replace(body, centre_of_mass=np.array([forward, 0.0])))
+
+
+def _light(experiment: Experiment) -> Experiment:
+    """Set gravity to 9.810 mm/s^2, as in the laboratory's code."""
+    return replace(experiment, scene=replace(scene_of(experiment), gravity=9.81e-3))
+
+
+def _on_path(experiment: Experiment, waypoints: FloatArray) -> Experiment:
     scene = scene_of(experiment)
-    pusher = experiment.pusher
-    assert pusher is not None
-    drawn = (
-        ("as recorded", "before: the laboratory's parameters"),
-        ("push above the plane, friction", "even pressure, push above the plane, friction"),
-        ("support points, friction", "three support points fitted, friction"),
-    )
-    curves = [PathCurve("measured", target.pose, np.zeros(0))]
-    for name, label in drawn:
-        d = kept[name].difference
-        curves.append(PathCurve(label, kept[name].pose, np.hypot(d[:, 0], d[:, 1])))
-    return PathPicture(
-        outline=scene.bodies[0].shape.outline,
-        time=target.case.times,
-        curves=curves,
-        fixels=np.array([fixel.pose[:2] for fixel in scene.fixels]),
-        fixel_radius=scene.fixels[0].shape.radius,
-        actuator_outline=scene.pushers[0].shape.outline,
-        actuator=pusher.pose[[0, -1]],
-    )
+    pusher = scene.pushers[0]
+    drive = PathDrive(waypoints=waypoints, force_limit=pusher.drive.force_limit)
+    pusher = replace(pusher, pose=waypoints[0, 1:], drive=drive)
+    return replace(experiment, scene=replace(scene, pushers=(pusher,)))
+
+
+def _waypoints(experiment: Experiment) -> FloatArray:
+    drive = scene_of(experiment).pushers[0].drive
+    assert isinstance(drive, PathDrive)
+    return np.array(drive.waypoints)
+
+
+def _smoothed(experiment: Experiment) -> Experiment:
+    """Move the actuator along the path of the laboratory's filter."""
+    path = _waypoints(experiment)
+    path[:, 1:3] = next(c for c in experiment.channels if c.name == "actuator-filtered").values
+    return _on_path(experiment, path)
+
+
+def _faster(experiment: Experiment) -> Experiment:
+    """Increase the actuator's travel by 10 % in the same time."""
+    path = _waypoints(experiment)
+    path[:, 1:3] = path[0, 1:3] + 1.1 * (path[:, 1:3] - path[0, 1:3])
+    return _on_path(experiment, path)
+
+
+_FRICTION: Final = ("mu_pusher",)
+_PLACE: Final = ("registration_x", "registration_y")
+_CENTRE: Final = ("friction_centre_x", "friction_centre_y")
+_PLANE: Final = ("anisotropy_xy", "anisotropy_diagonal")
+_STANDS: Final = _standing(NET)
+_EVEN, _TILTED = _standing(EVEN), _leaning(TILT)
+
+# All hypotheses, from possible faults of the data to those of the model.
+HYPOTHESES: Final = (
+    Hypothesis(name="as recorded", verdict="the start of this table"),
+    Hypothesis(name="inertia", motion=Dynamic(), verdict="slow push: inertia is nothing"),
+    Hypothesis(
+        name="smoothed actuator path",
+        changes=(_smoothed,),
+        verdict="runs on after the stall; no difference before it",
+    ),
+    Hypothesis(
+        name="gravity as in the laboratory's code",
+        changes=(_light,),
+        motion=Dynamic(),
+        verdict="a slip of units: the square coasts",
+    ),
+    Hypothesis(name="speed of the actuator", changes=(_faster,), verdict="10 % faster"),
+    Hypothesis(name="friction of the fixels", fitted=("mu_fixel",), verdict="not felt"),
+    Hypothesis(
+        name="friction of the plane",
+        fitted=("mu_support",),
+        motion=Dynamic(),
+        verdict="not felt but by inertia",
+    ),
+    Hypothesis(name="tripod radius", fitted=("tripod_radius",)),
+    Hypothesis(name="friction of the actuator", fitted=_FRICTION),
+    Hypothesis(
+        name="registration",
+        fitted=_PLACE,
+        verdict="the gap to the corner is a steady 0.3 mm: centimetres are not there",
+    ),
+    Hypothesis(name="registration, turned", fitted=("registration_theta",)),
+    Hypothesis(
+        name="start pose",
+        fitted=("start_x", "start_y", "start_theta"),
+        verdict="noise of the pose is 0.05 mm",
+    ),
+    Hypothesis(name="stickers off the centre", fitted=("outline_x", "outline_y", "outline_theta")),
+    Hypothesis(name="even pressure", changes=(_EVEN,)),
+    Hypothesis(
+        name="push above the plane",
+        changes=(_EVEN, _TILTED),
+        verdict="a force at a height h moves the centre of pressure by mu h, 13.7 mm at most",
+    ),
+    Hypothesis(name="centre of friction", fitted=_CENTRE),
+    Hypothesis(name="support points anywhere", fitted=CORNERS, changes=(_STANDS,)),
+    Hypothesis(
+        name="plane with a grain",
+        fitted=_PLANE,
+        verdict="would show in every trial of the rig",
+    ),
+    _both("the laboratory's four parameters", ("mu_pusher", "tripod_radius", "mu_fixel")),
+    _both("four parameters, registration", ("mu_pusher", "tripod_radius", *_PLACE)),
+    _both("even pressure, friction", _FRICTION, _EVEN),
+    _both("push above the plane, friction", _FRICTION, _EVEN, _TILTED),
+    _both("push above the plane, friction, registration", (*_FRICTION, *_PLACE), _EVEN, _TILTED),
+    _both("centre of friction, friction", (*_FRICTION, *_CENTRE), _EVEN),
+    _both("support points, friction", (*_FRICTION, *CORNERS), _STANDS),
+    _both("plane with a grain, friction", (*_FRICTION, *_PLANE), _EVEN),
+)

@@ -1,29 +1,37 @@
-"""Replay of recorded pushes: build their scenes, drive the measured paths, and compare."""
+"""Replay of recorded pushes: simulation of imported experiments along their measured paths."""
 
 from __future__ import annotations
 
 import time as clock
+from dataclasses import replace
 from pathlib import Path
 
-from fixel.datasets.raw import MitPushes, RpiTrials, read_dataset
-from fixel.reproductions.replay.choose import ReplayRequest, columns_and_values, names_and_numbers
-from fixel.reproductions.replay.mit_push import replay_pushes
-from fixel.reproductions.replay.mit_timeseries import replay_runs
-from fixel.reproductions.replay.report import Replay, Timing
-from fixel.reproductions.replay.rpi_2dgad import replay_trials
+from fixel.datasets import importer_for
+from fixel.datasets.mit_push import has_pushes
+from fixel.errors import DatasetMissing
+from fixel.reproductions.replay.pushes import PushReplay
+from fixel.reproductions.replay.request import ReplayRequest
+from fixel.reproductions.replay.result import AbstractReplay, Replay
+from fixel.reproductions.replay.runs import RunReplay
+from fixel.reproductions.replay.trials import TrialReplay
 from fixel.typing import Progress
+
+EXPECTED = (
+    "pushes.csv.gz and shapes.json (mit_push_endpoints), experiments.csv and exp<number>_setup.json"
+    " (rpi_2dgad), or cpush_*.csv.gz and shapes.json (mit_timeseries)"
+)
 
 
 def replay_dataset(
-    folder: str | Path, choice: ReplayRequest | None = None, progress: Progress | None = None
+    folder: str | Path, request: ReplayRequest | None = None, progress: Progress | None = None
 ) -> Replay:
     """Replay the pushes of a folder.
 
     Parameters
     ----------
     folder : str or Path
-        Folder of a dataset that `fixel.datasets.raw` can read.
-    choice : ReplayRequest, optional
+        Folder of a dataset that can be replayed.
+    request : ReplayRequest, optional
         Selection of records and values; by default all records with nominal values.
     progress : callable, optional
         Called after each part with the numbers of finished records and of all, and its name.
@@ -35,43 +43,52 @@ def replay_dataset(
     InvalidInput
         Invalid files, selection or value.
     """
-    choice = choice or ReplayRequest(select={}, settings={})
-    progress = progress or _silent
+    begun = clock.perf_counter()
+    folder = Path(folder)
+    replay = _replay_of(folder)(folder, request or ReplayRequest())
+    parts = replay.parts
+    total = sum(part.n for part in parts)
+
+    read = clock.perf_counter()
+    replay.simulate(parts[0].item)  # compile, or load compiled code
     started = clock.perf_counter()
-    data = read_dataset(Path(folder))
-    reading = clock.perf_counter() - started
-    if isinstance(data, MitPushes):
-        return replay_pushes(data, choice, progress, reading)
-    if isinstance(data, RpiTrials):
-        return replay_trials(data, choice, progress, reading)
-    return replay_runs(data, choice, progress, reading)
+    outcomes, done = [], 0
+    for part in parts:
+        outcomes.append(replay.simulate(part.item))
+        done += part.n
+        if progress is not None:
+            progress(done, total, part.name)
+    ended = clock.perf_counter()
+
+    answer = replay.result(outcomes)
+    n = len(answer.pushes)
+    seconds = clock.perf_counter() - begun
+    timing = {
+        "reading_s": read - begun,
+        "compiling_s": started - read,
+        "simulation_s": ended - started,
+        "total_s": seconds,
+        "simulated": n,
+        "per_second": n / (ended - started),
+        "per_second_end_to_end": n / seconds,
+    }
+    return replace(answer, timing=timing)
 
 
-def draw_replay(replay: Replay, file: Path) -> None:
-    """Draw a replay to a file: .png, .svg or .pdf."""
-    from fixel.reproductions.charts.replay import draw
-
-    draw(replay.picture, file)
-
-
-def refuse_picture(file: Path) -> None:
-    """Raise `InvalidInput` for a file that cannot be drawn to, before the replay is computed."""
-    from fixel.reproductions.charts.replay import refuse_file
-
-    refuse_file(file)
-
-
-def _silent(done: int, total: int, note: str = "") -> None:
-    """Progress callback that does nothing."""
+def _replay_of(folder: Path) -> type[AbstractReplay]:
+    """Kind of replay for a folder, by the importer that recognises it."""
+    hint = None
+    try:
+        name = importer_for(folder).name
+    except DatasetMissing as problem:
+        name, hint = "", problem.hint
+    if name == "mit-push" and has_pushes(folder):
+        return PushReplay
+    if name in KINDS:
+        return KINDS[name]
+    raise DatasetMissing(folder, EXPECTED, hint)
 
 
-__all__ = [
-    "Replay",
-    "ReplayRequest",
-    "Timing",
-    "columns_and_values",
-    "draw_replay",
-    "names_and_numbers",
-    "refuse_picture",
-    "replay_dataset",
-]
+KINDS = {"rpi-2dgad": TrialReplay, "mit-pusher-slider": RunReplay}
+
+__all__ = ["Replay", "ReplayRequest", "replay_dataset"]

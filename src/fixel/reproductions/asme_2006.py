@@ -1,25 +1,31 @@
-"""Table 1 of the ASME paper: supports of a part, found by searches from random starts.
+"""Table 1 and figure 11 of the ASME paper: supports of a part, found by random searches.
 
 Trajectories are generated from the first column, p1*, with the camera's error, so that the true
 parameters are known. A set of parameters counts as good as p1* if its trajectories of the two
 identification tests are within one pixel of those of p1*.
 
-Source: ASME 2006 paper on meso-scale manipulation, eqs. 3-4 and table 1.
+Figure 11 is the convergence of two searches from random vertices on the paper's tests 3 and 4. Its
+table has the best vertex after each step, its error, and the size of the simplex, which the paper
+uses as uncertainty. The figure is not legible in the copy at hand; its title is "Convergence of
+Support Points".
+
+Source: ASME 2006 paper on meso-scale manipulation, eqs. 3-4, table 1, figure 11 and "Parameter
+estimation".
 """
 
 from __future__ import annotations
 
 import math
-import time as clock
 from collections.abc import Sequence
-from pathlib import Path
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from fixel.calibration import MultiStart, NelderMead
+from fixel.calibration.nelder_mead import NelderMeadSearch
 from fixel.calibration.objective import Comparer, Objective, RootMeanSquare
-from fixel.calibration.optimiser import MultiStartSearch
+from fixel.calibration.optimiser import MultiStartSearch, feasible_points
 from fixel.calibration.solutions import (
     Solution,
     SupportFeatures,
@@ -30,16 +36,19 @@ from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
-from fixel.reproductions.charts.reproductions import ClusterPicture, TriangleCluster
-from fixel.reproductions.reproduction import Reproduction, Row
+from fixel.reproductions.charts.convergence import BestSoFar, ConvergenceChart
+from fixel.reproductions.charts.pictures import draw_clusters
+from fixel.reproductions.result import Reproduction, Row, RunOptions
 from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.testing.scenes import box, micro_push
-from fixel.typing import FloatArray, Progress
+from fixel.typing import FloatArray
 
 # Column p1* of table 1 with decimal points restored: friction of probe and plane, support points.
 P1: Final = (0.666, 0.757, 411.3e-6, -563.3e-6, -409.1e-6, 605.9e-6, -273.2e-6, -102.1e-6)
 P2: Final = (0.536, 0.013, -412.4e-6, 794.0e-6, -217.8e-6, 774.5e-6, 278.8e-6, -538.8e-6)
+TRUTH: Final = np.array(P1[2:]).reshape(3, 2)
+OUTLINE: Final = box(PART_WIDTH, PART_LENGTH).outline
 CORNERS: Final = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy")
 
 IDENTIFICATION: Final = (3, 4)
@@ -66,36 +75,28 @@ class Sets(NamedTuple):
     features: SupportFeatures
 
 
-def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Reproduction:
+def run_table_1(options: RunOptions) -> Reproduction:
     """Search from random starts, cluster sets as good as p1*, and vary the plane's friction.
 
-    Parameters
-    ----------
-    folder : Path or None
-        Unused, since the data are generated.
-    progress : callable
-    quick : bool
-        Run four short searches.
+    Quick: four short searches.
     """
-    begun = clock.perf_counter()
-    starts, evaluations, wide = (4, 600, 0) if quick else (24, 3000, 6)
+    starts, evaluations, wide = (4, 600, 0) if options.quick else (24, 3000, 6)
     noisy, exact = made_targets(seed=1), made_targets(seed=None)
-    progress(1, 5, "trajectories from p1*")
+    options.progress(1, 5, "trajectories from p1*")
     search = searched(objective(noisy, IDENTIFICATION), starts, evaluations)
-    progress(2, 5, f"{starts} searches, {search.evaluations} evaluations")
+    options.progress(2, 5, f"{starts} searches, {search.evaluations} evaluations")
     sets = judged(search, noisy, exact)
     floor = float(objective(noisy, IDENTIFICATION)(np.array([P1]))[0])
     good = sets.apart <= 1e3 * PIXEL
     clusters = clustered(sets, good)
-    progress(3, 5, f"{int(good.sum())} sets as good as p1*, {len(clusters)} clusters")
+    options.progress(3, 5, f"{int(good.sum())} sets as good as p1*, {len(clusters)} clusters")
     plane = plane_friction(exact)
-    progress(4, 5, "friction of the plane")
+    options.progress(4, 5, "friction of the plane")
     from_all = _from_all(noisy, exact, wide, evaluations)
-    progress(5, 5, "all eight tests for identification")
+    options.progress(5, 5, "all eight tests for identification")
     rows = [_set_row(sets, k, bool(good[k])) for k in range(len(sets.error))]
     told = [_cluster_row(cluster, sets, np.flatnonzero(good)) for cluster in clusters]
     return Reproduction(
-        name="asme-table-1",
         tables={
             "table_1": _table_1(exact),
             "sets": rows,
@@ -113,10 +114,11 @@ def run(folder: Path | None, progress: Progress, *, quick: bool = False) -> Repr
             "angle_error_rad": ANGLE_ERROR,
             "length_um": 1e6 * LENGTH,
             "error_of_p1_um": 1e3 * floor,
-            "quick": quick,
+            "quick": options.quick,
         },
-        picture=_picture(clusters, sets, np.flatnonzero(good)),
-        seconds=clock.perf_counter() - begun,
+        picture=partial(
+            draw_clusters, OUTLINE, TRUTH, _clusters(clusters, sets, np.flatnonzero(good))
+        ),
     )
 
 
@@ -325,18 +327,97 @@ def _conclusions(
     return said
 
 
-def _picture(clusters: Sequence[Solution], sets: Sets, rows: np.ndarray) -> ClusterPicture:
-    drawn = []
+def _clusters(
+    clusters: Sequence[Solution], sets: Sets, rows: np.ndarray
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Points and shares of the first clusters, by their labels in the figure."""
+    drawn = {}
     for number, cluster in enumerate(clusters[:5], 1):
         own = rows[cluster.members]
         radius = 1e6 * sets.features.mean_radius[own].mean()
-        drawn.append(
-            TriangleCluster(
-                f"{number}: {cluster.size} found, {radius:.0f} µm",
-                sets.point[own, 2:].reshape(-1, 3, 2),
-                sets.features.share[own],
-            )
+        label = f"{number}: {cluster.size} found, {radius:.0f} µm"
+        drawn[label] = sets.point[own, 2:].reshape(-1, 3, 2), sets.features.share[own]
+    return drawn
+
+
+# --- figure 11 ------------------------------------------------------------------------------
+
+SEARCHES: Final = 2  # number of searches in the figure
+SEED: Final = 3
+
+
+def run_figure_11(options: RunOptions) -> Reproduction:
+    """Run two searches from random vertices until their simplex is small.
+
+    Quick: short searches.
+    """
+    evaluations = 300 if options.quick else 3000
+    targets = made_targets(seed=1)
+    wanted = objective(targets, IDENTIFICATION)
+    feasible = wanted.comparer.feasible
+    region = box_of(space())
+    starts = feasible_points(region, SEARCHES, SEED, feasible)
+    descents = []
+    for k, start in enumerate(starts):
+        descent = NelderMead(random_simplex=True, size=1e-3, max_evaluations=evaluations)
+        search = descent.start(region._replace(start=start), SEED + k, feasible)
+        steps: list[tuple[int, float, float, tuple[float, ...]]] = []
+        while not search.done:
+            search.tell(wanted(search.ask()))
+            point, error = search.best
+            steps.append((search.evaluations, error, search.size, tuple(point.tolist())))
+        descents.append(_descent(k + 1, steps, search))
+        options.progress(k + 1, SEARCHES, f"search {k + 1}: {search.reason}")
+    return Reproduction(
+        tables={"convergence": [row for one in descents for row in _rows(one)]},
+        conclusions=[_sentence(one) for one in descents],
+        settings={
+            "searches": SEARCHES,
+            "seed": SEED,
+            "evaluations": [int(one.evaluations[-1]) for one in descents],
+            "identification_tests": list(IDENTIFICATION),
+            "quick": options.quick,
+        },
+        picture=ConvergenceChart(OUTLINE, TRUTH, descents),
+    )
+
+
+def _descent(
+    number: int,
+    steps: list[tuple[int, float, float, tuple[float, ...]]],
+    search: NelderMeadSearch,
+) -> BestSoFar:
+    evaluations, errors, sizes, points = zip(*steps, strict=True)
+    return BestSoFar(
+        f"search {number}",
+        np.array(evaluations),
+        np.array(errors),
+        np.array(sizes),
+        np.array(points)[:, 2:].reshape(-1, 3, 2),
+        np.array(search.best.point[:2]),
+    )
+
+
+def _rows(one: BestSoFar) -> list[Row]:
+    return [
+        {
+            "search": one.label,
+            "evaluations": int(evaluations),
+            "f_um": float(1e3 * error),
+            "simplex_size": float(size),
+            "points_um": np.round(1e6 * points, 1).tolist(),
+        }
+        for evaluations, error, size, points in zip(
+            one.evaluations, one.error, one.size, one.points, strict=True
         )
-    return ClusterPicture(
-        box(PART_WIDTH, PART_LENGTH).outline, np.array(P1[2:]).reshape(3, 2), drawn
+    ]
+
+
+def _sentence(one: BestSoFar) -> str:
+    ends = ", ".join(f"({x:.0f}, {y:.0f})" for x, y in 1e6 * one.points[-1])
+    return (
+        f"{one.label}: F {1e3 * one.error[0]:.1f} -> {1e3 * one.error[-1]:.2f} um in"
+        f" {one.evaluations[-1]} evaluations, the simplex {one.size[0]:.2g} -> {one.size[-1]:.2g}"
+        f" scales; support points {ends} um, mu_pusher {one.friction[0]:.3f}, mu_support"
+        f" {one.friction[1]:.3f}."
     )

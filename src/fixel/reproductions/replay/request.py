@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -35,9 +35,9 @@ class ReplayRequest:
         Length of the windows of long runs [s]; 0 for whole runs.
     """
 
-    select: Mapping[str, tuple[str, ...]]
+    select: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     limit: int | None = None
-    settings: Mapping[str, float]
+    settings: Mapping[str, float] = field(default_factory=dict)
     motion: str | None = None
     everything: bool = False
     window: float = 2.0

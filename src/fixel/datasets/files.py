@@ -1,4 +1,4 @@
-"""Common functions of the readers of recorded pushes: files, and tables with named columns."""
+"""Files of datasets: CSV tables with named columns, and JSON objects."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO, final
+from typing import Any, Final, TextIO, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import DatasetMissing, InvalidInput
-from fixel.model import Disk, Polygon, Shape
-from fixel.typing import FloatArray
+from fixel.typing import BoolArray, FloatArray
 
-# Corners of the polygon that approximates an ellipse: at most 0.02 mm inside one of 65 mm.
-ELLIPSE_CORNERS = 128
+MM: Final = 1e-3
 
-MM = 1e-3
+# Larger numbers cannot be readings, not even microseconds since 1970. Squares of smaller ones stay
+# far inside float64.
+LARGEST_NUMBER: Final = 1e18
 
 # Maximum length of an unpacked file and of one line [characters]: a few kilobytes of gzip can
 # unpack to more than fits in memory.
@@ -66,6 +66,19 @@ class CsvRows:
             dtype=np.float64,
         )
 
+    def whole_numbers(self, name: str, largest: int = 2**31) -> NDArray[np.int64]:
+        """Return one column as whole numbers (n,) from 0 to `largest`; raise for others."""
+        numbers = self.numbers(name)
+        wrong = (numbers < 0.0) | (numbers > largest) | (numbers != np.round(numbers))
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InvalidInput(
+                self._place(name, row),
+                found=float(numbers[row]),
+                expected=f"a whole number from 0 to {largest}",
+            )
+        return numbers.astype(np.int64)
+
     def stacked(self, *names: str, blank: bool = False) -> FloatArray:
         """Return several columns as numbers, (n, n_name)."""
         return np.column_stack([self.numbers(name, blank=blank) for name in names])
@@ -80,14 +93,21 @@ class CsvRows:
                     expected=f"a column {name}",
                 )
 
+    def _place(self, name: str, row: int) -> str:
+        return f"{self.source}, row {row + 1}, column {name}"
+
     def _number(self, name: str, row: int, cell: str) -> float:
         try:
             value = float(cell)
         except ValueError:
             value = math.nan
-        if not math.isfinite(value):
-            where = f"{self.source}, row {row + 1}, column {name}"
-            raise InvalidInput(where, found=repr(cell), expected="a finite number")
+        if not abs(value) <= LARGEST_NUMBER:
+            giant = math.isfinite(value)
+            raise InvalidInput(
+                self._place(name, row),
+                found=repr(cell),
+                expected=f"a number within {LARGEST_NUMBER:g}" if giant else "a finite number",
+            )
         return value
 
 
@@ -191,9 +211,34 @@ def increasing(time: FloatArray, source: str) -> FloatArray:
     return time
 
 
-def ellipse(semi_axis_x: float, semi_axis_y: float) -> Shape:
-    """Build an ellipse about the origin [m]: a disk, or a polygon with corners on the curve."""
-    if semi_axis_x == semi_axis_y:
-        return Disk(semi_axis_x)
-    angle = np.arange(ELLIPSE_CORNERS) * (2.0 * math.pi / ELLIPSE_CORNERS)
-    return Polygon(np.column_stack((semi_axis_x * np.cos(angle), semi_axis_y * np.sin(angle))))
+def refuse_repeated(names: Iterable[str], source: str, column: str) -> None:
+    """Raise `InvalidInput` if a name of an experiment is repeated."""
+    seen: set[str] = set()
+    for row, name in enumerate(names):
+        if name in seen:
+            raise InvalidInput(
+                f"{source}, row {row + 1}, column {column}",
+                found=f"{name!r} again",
+                expected="every name once",
+            )
+        seen.add(name)
+
+
+def rows_of(names: NDArray[np.str_]) -> dict[str, NDArray[np.intp]]:
+    """Row numbers of each name, in the order of the table."""
+    order = np.argsort(names, kind="stable")
+    found, first = np.unique(names[order], return_index=True)
+    return dict(zip(found.tolist(), np.split(order, first[1:]), strict=True))
+
+
+def advancing(time: FloatArray) -> BoolArray:
+    """Mask (n,) of the times that are later than all previous ones."""
+    latest = np.maximum.accumulate(time)
+    return np.append(True, time[1:] > latest[:-1])[: len(time)]
+
+
+def rate_of(time: FloatArray) -> float:
+    """Readings per second [1/s], from the median interval; 0 for fewer than two."""
+    steps = np.diff(time)
+    typical = float(np.median(steps)) if len(steps) else 0.0
+    return 1.0 / typical if typical > 0.0 else 0.0

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from fixel.errors import DatasetMissing, InvalidInput
-from fixel.reproductions import asme_table_1 as asme
-from fixel.reproductions.overview import reproduce
-from fixel.reproductions.reproduction import Reproduction
-from fixel.reproductions.rpi_141 import at_bound, rms_mm
-from fixel.reproductions.rpi_141_hypotheses import BOUNDS, hypotheses
+from fixel.reproductions import asme_2006 as asme
+from fixel.reproductions.result import Reproduction
+from fixel.reproductions.rpi_141 import BOUNDS, HYPOTHESES, at_bound, rms_mm
+from fixel.reproductions.run import reproduce
 
 
 @pytest.fixture(scope="module")
@@ -64,10 +63,9 @@ def test_unknown_names_and_missing_folders_are_refused(tmp_path: Path) -> None:
 
 
 def test_hypotheses_have_one_name_each_and_fit_only_what_has_bounds() -> None:
-    known = hypotheses()
-    names = [hypothesis.name for hypothesis in known]
+    names = [hypothesis.name for hypothesis in HYPOTHESES]
     assert len(set(names)) == len(names)
-    for hypothesis in known:
+    for hypothesis in HYPOTHESES:
         assert set(hypothesis.fitted) <= set(BOUNDS)
 
 

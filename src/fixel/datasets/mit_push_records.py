@@ -1,0 +1,266 @@
+"""Single pushes of MIT's "more than a million ways to be pushed", one file each.
+
+The published data set has one HDF5 file per push, named after its conditions; the few in public
+repositories are JSON with the same keys.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fixel.datasets.base import ImportPlan, Origin, remark
+from fixel.datasets.contact import pushed_scene
+from fixel.datasets.files import LARGEST_NUMBER, MM, advancing, read_json, refuse_repeated
+from fixel.datasets.mit_plates import (
+    DATASET,
+    MU_PUSHER,
+    MU_SUPPORT,
+    OBJECT,
+    SHAPES,
+    TIP,
+    known_doubts,
+    plate,
+    shapes_of,
+)
+from fixel.errors import DatasetMissing, InvalidInput
+from fixel.model import Channel, Experiment, Flag, Polygon, Scene, Shape, Trajectory
+from fixel.typing import FloatArray
+
+RECORDS = ("motion_surface=*.h5", "motion_surface=*.json", "push_*.json", "push_*.h5")
+# Glob masks of published files in a folder and two levels below: surface and shape.
+PUBLISHED = tuple(f"{folder}{name}" for folder in ("", "*/", "*/*/") for name in RECORDS[:2])
+
+# Duration of the correction of a path that starts inside the object [s].
+FADE = 0.05
+
+MAX_BYTES = 50_000_000  # maximum size of one table of a push, which lasts seconds
+
+# Conditions in the name of a published file.
+_IN_NAME = re.compile(
+    r"motion_surface=(?P<surface>[^_]+)_shape=(?P<shape>[^_]+)_a=(?P<a>[-\d.]+)_v=(?P<v>[-\d.]+)"
+    r"(?:_i=(?P<i>[-\d.]+?))?(?:_s=(?P<s>[-\d.]+?))?(?:_t=(?P<t>[-\d.]+?))?$"
+)
+# Condition, its name in a file and in a file name, and its unit.
+_NUMBERS = (
+    ("speed_m_s", "speed_mm_s", "v", MM),
+    ("acceleration_m_s2", "acceleration", "a", 1.0),
+    ("edge", "edge_index_i", "i", 1.0),
+    ("edge_position", "edge_param_s", "s", 1.0),
+    ("push_angle_rad", "push_angle_t_rad", "t", 1.0),
+)
+
+_KEYS = {"object_pose": 4, "tip_pose": 3, "ft_wrench": 4}  # key -> minimum number of columns
+
+
+class _PushRecord(NamedTuple):
+    """Content of the file of one push; times are on its own clock."""
+
+    conditions: dict[str, str | float]
+    object_pose: FloatArray  # (n, 4) [s, m, m, rad]
+    tip_pose: FloatArray  # (n, 3 or 4) [s, m, m, rad]
+    ft_wrench: FloatArray  # (n, 4) [s, N, N, N m]
+
+
+def plan_of_records(source: Path, shapes_file: Path | None) -> ImportPlan:
+    """Plan the import of files of one push each: a file, or all in a folder."""
+    files = _record_files(source)
+    if not files:
+        raise DatasetMissing(
+            source, "pushes.csv.gz and shapes.json, or files " + " or ".join(RECORDS)
+        )
+    if any(path.suffix == ".h5" for path in files):
+        _h5py(files[0])
+    refuse_repeated((_stem(path) for path in files), source.name, "file name")
+    shapes = _shapes_near(files[0], shapes_file)
+    origin = Origin()
+    known = "outlines from shapes.json" if shapes else "no shapes.json found: no scenes (no-shape)"
+    return ImportPlan(
+        DATASET,
+        source,
+        (
+            f"Files of one push each: {len(files)}; object_pose, tip_pose and ft_wrench, about"
+            " 250 Hz each on times of its own.",
+            "Times are re-based to the first pose of the object; m, rad, N and N m as they stand,"
+            " forces in the axes they were logged in.",
+            f"Scenes: {known}; nominal friction {MU_PUSHER:g} at the tip, {MU_SUPPORT:g} on the"
+            " plane.",
+            "Rows whose time does not advance are dropped, with a flag (repeated-times).",
+        ),
+        len(files),
+        lambda: (_experiment_of(path, shapes, origin) for path in files),
+    )
+
+
+def _record_files(source: Path) -> list[Path]:
+    if source.is_file():
+        return [source] if source.suffix in (".h5", ".json") else []
+    masks = [f"{folder}{name}" for folder in ("", "*/", "*/*/") for name in RECORDS]
+    return sorted({path for mask in masks for path in source.glob(mask)})
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(path.suffix)
+
+
+def _shapes_near(path: Path, given: Path | None) -> dict[str, Shape]:
+    """Load outlines from a given file, or from a shapes.json in the folder or up to three above."""
+    if given is not None and not given.is_file():
+        raise DatasetMissing(given, "a file with outlines")
+    near = [folder / SHAPES for folder in path.resolve().parents[:4]]
+    found = given or next((file for file in near if file.is_file()), None)
+    if found is None:
+        return {}
+    content = read_json(found)
+    shapes = shapes_of({k: v for k, v in content.items() if isinstance(v, dict)})
+    for name, corners in content.items():
+        if isinstance(corners, list):
+            shapes[name] = Polygon(np.array(corners, dtype=np.float64))
+    return shapes
+
+
+def _experiment_of(path: Path, shapes: dict[str, Shape], origin: Origin) -> Experiment:
+    record = _hdf5(path) if path.suffix == ".h5" else _json(path)
+    (pose, tip, wrench), flags = _on_one_clock(record)
+    scene, body_flags = _scene(record, pose, tip, shapes)
+    surface, shape = str(record.conditions["surface"]), str(record.conditions["shape"])
+    speed = float(record.conditions.get("speed_m_s", 0.0))
+    return Experiment(
+        dataset=DATASET,
+        name=_stem(path),
+        real=True,
+        provenance=origin.of(path),
+        object_name=OBJECT,
+        trajectory=Trajectory(time=pose[:, 0], pose=pose[:, 1:]),
+        pusher=Trajectory(time=tip[:, 0], pose=tip[:, 1:]),
+        scene=scene,
+        channels=(
+            Channel(
+                name="force",
+                time=wrench[:, 0],
+                columns=("fx_n", "fy_n", "torque_nm"),
+                values=wrench[:, 1:],
+            ),
+        ),
+        conditions=record.conditions,
+        flags=(*flags, *body_flags, *known_doubts(surface, shape, speed)),
+    )
+
+
+def _on_one_clock(record: _PushRecord) -> tuple[list[FloatArray], list[Flag]]:
+    """Tables of object, tip and wrench, with times counted from the first pose of the object."""
+    tip = record.tip_pose
+    if tip.shape[1] == 3:
+        tip = np.column_stack((tip, np.zeros(len(tip))))
+    begin, tables, flags = record.object_pose[0, 0], [], []
+    for rows in (record.object_pose, tip, record.ft_wrench):
+        good = advancing(rows[:, 0])
+        kept = rows[good]
+        kept[:, 0] -= begin
+        tables.append(kept)
+        if not good.all():
+            flags.append(remark("repeated-times", f"{int((~good).sum())} rows dropped"))
+    for rows in tables[:2]:
+        rows[:, 3] = np.unwrap(rows[:, 3])
+    return tables, flags
+
+
+def _scene(
+    record: _PushRecord, pose: FloatArray, tip: FloatArray, shapes: dict[str, Shape]
+) -> tuple[Scene | None, tuple[Flag, ...]]:
+    name = str(record.conditions["shape"])
+    if name not in shapes:
+        return None, (remark("no-shape", f"no outline of {name}"),)
+    path = np.column_stack((tip[:, :3], np.zeros(len(tip))))
+    path = path[path[:, 0] >= 0.0]
+    if not len(path) or path[-1, 0] <= 0.0:
+        return None, (remark("no-scene", "the tip was not seen after the object"),)
+    body = plate(name, shapes[name], pose[0, 1:])
+    return pushed_scene(body, TIP, path, friction=MU_PUSHER, fade=FADE)
+
+
+def _json(path: Path) -> _PushRecord:
+    content = read_json(path)
+    return _record(path, {key: content.get(key) for key in _KEYS}, content)
+
+
+def _hdf5(path: Path) -> _PushRecord:
+    h5py = _h5py(path)
+    try:
+        with h5py.File(path, "r") as file:
+            return _record(path, {key: _dataset(h5py, file, key) for key in _KEYS}, {})
+    except OSError as problem:
+        raise InvalidInput(path.name, found=str(problem), expected="an HDF5 file") from None
+
+
+def _dataset(h5py: Any, file: Any, key: str) -> Any:
+    """Load a small numeric table; None for anything else, such as a link to another file."""
+    if not isinstance(file.get(key, getlink=True), h5py.HardLink):
+        return None
+    table = file[key]
+    small = isinstance(table, h5py.Dataset) and table.nbytes <= MAX_BYTES
+    return table[()] if small and table.dtype.kind in "iuf" else None
+
+
+def _h5py(path: Path) -> Any:
+    try:
+        import h5py  # type: ignore[import-not-found,import-untyped,unused-ignore]
+    except ImportError:
+        raise InvalidInput(
+            path.name,
+            found="an HDF5 file, and no h5py to read it with",
+            expected="h5py to be installed",
+            hint="pip install h5py, or convert the file to JSON with the same keys",
+        ) from None
+    return h5py
+
+
+def _record(path: Path, tables: Mapping[str, Any], about: Mapping[str, Any]) -> _PushRecord:
+    rows = {key: _rows(path, key, tables[key]) for key in _KEYS}
+    return _PushRecord(_conditions(path, about), **rows)
+
+
+def _rows(path: Path, key: str, given: Any) -> FloatArray:
+    try:
+        rows = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        rows = np.zeros(0)
+    width = _KEYS[key]
+    if rows.ndim != 2 or not len(rows) or not width <= rows.shape[1] <= 4:
+        raise InvalidInput(
+            f"{path.name}: {key}",
+            found="nothing" if given is None else f"shape {rows.shape}",
+            expected=f"rows of {width} numbers, time first",
+        )
+    if not np.isfinite(rows).all() or np.abs(rows).max() > LARGEST_NUMBER:
+        raise InvalidInput(f"{path.name}: {key}", found="wild numbers", expected="finite readings")
+    return rows
+
+
+def _conditions(path: Path, about: Mapping[str, Any]) -> dict[str, str | float]:
+    """Conditions of a push from its file, or else from the file name."""
+    match = _IN_NAME.match(_stem(path))
+    named = {key: value for key, value in (match.groupdict() if match else {}).items() if value}
+    surface, shape = about.get("surface", named.get("surface")), about.get("shape")
+    shape = shape or named.get("shape")
+    if not isinstance(surface, str) or not isinstance(shape, str):
+        raise InvalidInput(
+            path.name,
+            found="no surface and shape",
+            expected="both in the file, or in its name: motion_surface=..._shape=..._a=..._v=...",
+        )
+    conditions: dict[str, str | float] = {"surface": surface, "shape": shape}
+    for target, key, short, scale in _NUMBERS:
+        value = about.get(key, named.get(short))
+        # A negative speed marks an accelerated push.
+        if value is None or (short == "v" and float(value) < 0.0):
+            continue
+        if not math.isfinite(float(value)):
+            raise InvalidInput(f"{path.name}: {key}", found=value, expected="a finite number")
+        conditions[target] = float(value) * scale
+    return conditions

@@ -1,0 +1,200 @@
+"""Replay of straight pushes with known start and end (`mit_push_endpoints`), group by group."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from fixel.datasets.mit_plates import TIP
+from fixel.datasets.mit_push import STROKE
+from fixel.errors import InvalidInput
+from fixel.kernels.codes import CONVERGED, STATUS_NAMES
+from fixel.model import Scene
+from fixel.reproductions.pushes import NOMINAL, read_mit_pushes
+from fixel.reproductions.replay.charts import draw_pushes
+from fixel.reproductions.replay.request import (
+    ReplayRequest,
+    matching,
+    motion_named,
+    settings_from,
+    spread,
+)
+from fixel.reproductions.replay.result import AbstractReplay, Replay, ReplayPart, template
+from fixel.reproductions.result import Row, errors_in_mm_and_deg, mean_and_median
+from fixel.simulation import BatchResult, simulate_batch
+from fixel.typing import FloatArray, IntArray
+
+# Quantiles of the error at which pushes are drawn as examples.
+EXAMPLES_AT = (0.25, 0.5, 0.75, 0.9)
+
+Group = tuple[str, str, float]  # surface, shape, speed [mm/s]
+Errors = dict[str, tuple[FloatArray, FloatArray]]  # model -> position [mm], angle [deg]
+
+
+@final
+class PushReplay(AbstractReplay):
+    """Pushes from their measured start along their measured stroke, in one batch per group."""
+
+    def __init__(self, folder: Path, request: ReplayRequest) -> None:
+        self.data = read_mit_pushes(folder)
+        self.everything = request.everything
+        self.settings = settings_from(NOMINAL, request.settings)
+        self.motion = motion_named(request.motion or "quasistatic")
+        self.chosen, self.left_out = self._usable(request)
+        self.groups = self._groups()
+        self.parts = [
+            ReplayPart(
+                f"{surface} {shape} {speed:g} mm/s", len(rows), (rows, self._scene(shape, speed))
+            )
+            for (surface, shape, speed), rows in self.groups.items()
+        ]
+
+    def simulate(self, item: tuple[IntArray, Scene]) -> BatchResult:
+        """Simulate pushes that share a scene, in one compiled call."""
+        rows, scene = item
+        waypoints = np.zeros((len(rows), 2, 4))
+        waypoints[:, 1, 0] = scene.duration
+        waypoints[:, 0, 1:3] = self.data.tip_start[rows]
+        waypoints[:, 1, 1:3] = self.data.tip_end[rows]
+        result = simulate_batch(
+            scene, start=self.data.start[rows], waypoints=waypoints, motion=self.motion
+        )
+        assert isinstance(result, BatchResult)
+        return result
+
+    def result(self, outcomes: list[BatchResult]) -> Replay:
+        """Compare simulated and published ends with the measured ones."""
+        data, chosen = self.data, self.chosen
+        end = np.full((len(data), 3), np.nan)
+        status = np.zeros(len(data), dtype=np.int64)
+        for rows, outcome in zip(self.groups.values(), outcomes, strict=True):
+            end[rows] = np.where(outcome.converged[:, None], outcome.final[:, 0], np.nan)
+            status[rows] = outcome.status
+        ends = {"fixel": end, **data.published}
+        errors = {name: errors_in_mm_and_deg(own, data.end) for name, own in ends.items()}
+        return Replay(
+            dataset="mit_push_endpoints",
+            pushes=self._rows(status, end, errors),
+            groups=self._aggregates(errors),
+            left_out=self.left_out,
+            not_solved=int((status[chosen] != CONVERGED).sum()),
+            settings={
+                **self.settings,
+                "motion": self.motion.name,
+                "pusher_radius_m": TIP.radius,
+            },
+            notes=self._notes(),
+            draw=partial(draw_pushes, data, chosen, self._examples(errors), ends, errors),
+        )
+
+    def _usable(self, request: ReplayRequest) -> tuple[IntArray, dict[str, int]]:
+        """Rows to replay, and numbers of rows left out by reason."""
+        data = self.data
+        columns: dict[str, Sequence[object]] = {
+            "push_id": data.names.tolist(),
+            "surface": data.surface.tolist(),
+            "shape": data.shape.tolist(),
+            "speed_mm_s": [f"{speed:g}" for speed in (data.speed * 1e3).tolist()],
+        }
+        fits = matching(columns, request.select, len(data))
+        reasons = {
+            "gap at the start beyond 3 mm or at the end below -3 mm": data.astray,
+            "stroke off 50 mm by more than 1 mm": data.short,
+        }
+        left_out = {}
+        if not request.everything:
+            left_out = {reason: int((fits & bad).sum()) for reason, bad in reasons.items()}
+            fits &= ~data.astray & ~data.short
+        rows = np.flatnonzero(fits)
+        if not len(rows):
+            raise InvalidInput(
+                "--select",
+                found="only pushes of doubtful quality",
+                expected="others",
+                hint="try --all",
+            )
+        return rows[spread(len(rows), request.limit)], {k: n for k, n in left_out.items() if n}
+
+    def _groups(self) -> dict[Group, IntArray]:
+        data = self.data
+        speeds = np.round(data.speed * 1e3, 6)
+        keys = list(zip(data.surface.tolist(), data.shape.tolist(), speeds.tolist(), strict=True))
+        return {
+            key: np.array([row for row in self.chosen.tolist() if keys[row] == key], dtype=np.intp)
+            for key in sorted({keys[row] for row in self.chosen.tolist()})
+        }
+
+    def _scene(self, shape: str, speed: float) -> Scene:
+        """Template scene of one shape and speed [mm/s]; starts and strokes vary."""
+        body = self.data.bodies[shape]
+        return template(body, TIP, self.settings, speed * 1e-3, STROKE / (speed * 1e-3))
+
+    def _rows(self, status: IntArray, end: FloatArray, errors: Errors) -> list[Row]:
+        data = self.data
+        return [
+            {
+                "push_id": str(data.names[row]),
+                "surface": str(data.surface[row]),
+                "shape": str(data.shape[row]),
+                "speed_mm_s": round(float(data.speed[row]) * 1e3, 6),
+                "status": STATUS_NAMES[int(status[row])],
+                "end": end[row].tolist(),
+                **{
+                    f"{name}_{what}": float(values[row])
+                    for name, pair in errors.items()
+                    for what, values in zip(("position_mm", "angle_deg"), pair, strict=True)
+                },
+            }
+            for row in self.chosen.tolist()
+        ]
+
+    def _aggregates(self, errors: Errors) -> list[Row]:
+        groups: list[tuple[tuple[str, str, float | None], IntArray]] = [*self.groups.items()]
+        if len(groups) > 1:
+            groups.append((("all", "all", None), self.chosen))
+        return [
+            {"surface": surface, "shape": shape, "speed_mm_s": speed, **_aggregate(own, errors)}
+            for (surface, shape, speed), own in groups
+        ]
+
+    def _notes(self) -> list[str]:
+        notes = ["Errors are mean / median, on the pushes that every model has an answer to."]
+        if self.left_out:
+            reasons = "; ".join(f"{n} with {reason}" for reason, n in self.left_out.items())
+            notes.append(f"Left out: {reasons} (--all keeps them).")
+        if self.everything:
+            notes.append("Nothing was left out, pushes of doubtful quality included.")
+        gap = self.data.gap_start[self.chosen]
+        notes.append(
+            f"{int((gap < 0.0).sum())} pushes start with tip and object overlapping in the"
+            f" measurement, by {max(0.0, -1e3 * float(gap.min())):.2f} mm at most;"
+            " the first step pushes the object out."
+        )
+        return notes
+
+    def _examples(self, errors: Errors) -> list[int]:
+        """Rows of the pushes at `EXAMPLES_AT`."""
+        own = errors["fixel"][0][self.chosen]
+        order = self.chosen[np.argsort(np.where(np.isfinite(own), own, np.inf))]
+        n = int(np.isfinite(own).sum())
+        picked = [int(order[min(int(share * n), n - 1)]) for share in EXAMPLES_AT if n]
+        return list(dict.fromkeys(picked))
+
+
+def _aggregate(rows: IntArray, errors: Errors) -> Row:
+    """Aggregate the errors of every model, on the rows that all models can predict."""
+    common = rows[np.all([np.isfinite(pair[0][rows]) for pair in errors.values()], axis=0)]
+    return {
+        "pushes": len(common),
+        **{
+            name: {
+                "position_mm": mean_and_median(position[common]),
+                "angle_deg": mean_and_median(angle[common]),
+            }
+            for name, (position, angle) in errors.items()
+        },
+    }

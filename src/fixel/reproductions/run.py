@@ -1,0 +1,187 @@
+"""Reproductions of published work and benchmarks on real data, by name."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+from fixel.datasets.mit_push import has_pushes
+from fixel.drawing.chart import save_filled
+from fixel.errors import DatasetMissing, InvalidInput, os_reason
+from fixel.reproductions import (
+    asme_2006,
+    cmu_tripod,
+    coverage,
+    mit_push,
+    new_sides,
+    promise,
+    rates,
+    repeats,
+    rpi_141,
+)
+from fixel.reproductions.charts.pictures import draw_benchmark
+from fixel.reproductions.protocols import PROTOCOLS, BenchmarkRequest
+from fixel.reproductions.pushes import read_mit_pushes
+from fixel.reproductions.result import Benchmark, Reproduction, Row, RunOptions, write_tables
+from fixel.typing import Progress
+
+PARTS: Final = ("mit",)  # parts of the benchmark
+MIT_PUSHES: Final = "mit_push_endpoints"  # its folder in the data folder
+
+
+class Part(NamedTuple):
+    """Reproduction: folder of its data and function that runs it."""
+
+    folder: str | None  # folder of its dataset; empty for the folder of all datasets, None for none
+    run: Callable[[RunOptions], Reproduction]
+
+
+REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
+    {
+        "cmu-tripod": Part("cmu_tripod_push", cmu_tripod.run),
+        "rpi-141": Part("rpi_2dgad", rpi_141.run),
+        "asme-table-1": Part(None, asme_2006.run_table_1),
+        "asme-figure-11": Part(None, asme_2006.run_figure_11),
+        "repeats": Part("cmu_two_point_push", repeats.run),
+        "promise": Part(MIT_PUSHES, promise.run),
+        "new-sides": Part(MIT_PUSHES, new_sides.run),
+        "coverage": Part(MIT_PUSHES, coverage.run),
+        "rates": Part("", rates.run),
+    }
+)
+
+
+def reproduce(
+    name: str,
+    data: Path | None = None,
+    *,
+    out: Path | None = None,
+    progress: Progress | None = None,
+    quick: bool = False,
+) -> Reproduction:
+    """Run one reproduction, and write its tables and figure to a folder.
+
+    Parameters
+    ----------
+    name : str
+        Name of the reproduction, one of `REPRODUCTIONS`.
+    data : Path, optional
+        Folder of all datasets, or of the required one.
+    out : Path, optional
+        Folder for `<name>.json`, a `<name>_<table>.csv` for each table, and `<name>.png`; also for
+        finished fits in `fits`, if there are any.
+    progress : callable, optional
+    quick : bool
+        Test run without meaningful figures.
+    """
+    if name not in REPRODUCTIONS:
+        raise InvalidInput(
+            "reproduction", found=repr(name), expected="one of " + ", ".join(REPRODUCTIONS)
+        )
+    begun = clock.perf_counter()
+    part = REPRODUCTIONS[name]
+    options = RunOptions(
+        folder=Path() if part.folder is None else _folder(data, part.folder),
+        progress=progress or _silent,
+        quick=quick,
+        kept=None if out is None else out / "fits",
+    )
+    answer = replace(part.run(options), name=name, seconds=clock.perf_counter() - begun)
+    if out is not None:
+        answer.write(out)
+    return answer
+
+
+def benchmark_real(
+    data: Path,
+    request: BenchmarkRequest | None = None,
+    *,
+    part: str = "mit",
+    out: Path | None = None,
+    progress: Progress | None = None,
+) -> Benchmark:
+    """Run a benchmark on real data.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of all datasets, or of this one.
+    request : BenchmarkRequest, optional
+        Protocols, splits and settings; all protocols by default.
+    part : str
+        Part of the benchmark, one of `PARTS`.
+    out : Path, optional
+        Folder for tables, a figure, and finished fits, from which the same request continues.
+    progress : callable, optional
+        Called with the numbers of finished parts and of all, and the name of the part.
+
+    Raises
+    ------
+    DatasetMissing
+        The dataset is not in the folder.
+    InvalidInput
+        An invalid request or folder.
+    """
+    pushes = read_mit_pushes(folder_of(data, part))
+    kept = None
+    if out is not None:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as problem:
+            reason = os_reason(problem)
+            raise InvalidInput(str(out), found=reason, expected="a folder to write to") from None
+        kept = out / "fits"
+    answer = mit_push.benchmark_pushes(
+        pushes, request or BenchmarkRequest(), kept, progress or _silent
+    )
+    if out is not None:
+        write_tables(answer, out)
+        draw = partial(draw_benchmark, answer.scored, answer.rows)
+        save_filled(draw, out / f"{part}.png")
+    return answer
+
+
+def joint_real(data: Path, part: str = "mit", progress: Progress | None = None) -> Row:
+    """Run and time a joint calibration of many pushes; see `joint_calibration`."""
+    pushes = read_mit_pushes(folder_of(data, part))
+    return mit_push.joint_calibration(pushes, progress or _silent)
+
+
+def folder_of(data: Path, part: str) -> Path:
+    """Return the folder of a part's dataset; raise `DatasetMissing` if there is none."""
+    if part not in PARTS:
+        raise InvalidInput("--only", found=repr(part), expected="one of " + ", ".join(PARTS))
+    for folder in (data / MIT_PUSHES, data):
+        if has_pushes(folder):
+            return folder
+    raise DatasetMissing(data, f"{MIT_PUSHES} with pushes.csv.gz and shapes.json")
+
+
+def _folder(data: Path | None, name: str) -> Path:
+    if data is not None and not name:
+        return data
+    for folder in () if data is None else (data / name, data):
+        if folder.name == name and folder.is_dir():
+            return folder
+    raise DatasetMissing(data or Path(name), name or "any dataset")
+
+
+def _silent(done: int, total: int, note: str = "") -> None:
+    """Progress callback that does nothing."""
+
+
+__all__ = [
+    "PARTS",
+    "PROTOCOLS",
+    "REPRODUCTIONS",
+    "BenchmarkRequest",
+    "benchmark_real",
+    "folder_of",
+    "joint_real",
+    "reproduce",
+]
