@@ -43,7 +43,7 @@ class Column:
 
     def text(self, value: Value) -> str:
         """Format a value of this column for people; `-` for a missing one."""
-        if value is None or (isinstance(value, float) and math.isnan(value)):
+        if value is None:
             return MISSING
         return str(value) if isinstance(value, str) else format(value, self.format)
 
@@ -57,7 +57,8 @@ class Table:
     columns : sequence of Column or str
         A text is a column without unit and format.
     rows : iterable of sequences of str, float, int or None
-        One value for each column; None for a missing one.
+        One value for each column, also as NumPy scalars. None is for a missing one, and numbers
+        that are not finite become None.
     title : str
     left : int
         Number of first columns that plain text aligns to the left; the others to the right.
@@ -87,13 +88,13 @@ class Table:
     def __init__(
         self,
         columns: Sequence[Column | str],
-        rows: Iterable[Sequence[Value]],
+        rows: Iterable[Sequence[Any]],
         *,
         title: str = "",
         left: int = 1,
     ) -> None:
         self.columns = tuple(c if isinstance(c, Column) else Column(c) for c in columns)
-        self.rows = [tuple(row) for row in rows]
+        self.rows = [tuple(map(_plain, row)) for row in rows]
         self.title = title
         self.left = left
         if any(len(row) != len(self.columns) for row in self.rows):
@@ -101,13 +102,8 @@ class Table:
 
     @classmethod
     def from_columns(cls, columns: Mapping[str, Iterable[Any]]) -> Table:
-        """Make a table of columns of equal length: arrays or sequences, by name.
-
-        Numbers that are not finite are missing.
-        """
-        lists = [c.tolist() if isinstance(c, np.ndarray) else list(c) for c in columns.values()]
-        rows = zip(*lists, strict=True)
-        return cls(tuple(columns), ([_finite(value) for value in row] for row in rows))
+        """Make a table of columns of equal length: arrays or sequences, by name."""
+        return cls(tuple(columns), zip(*columns.values(), strict=True))
 
     @property
     def head(self) -> tuple[str, ...]:
@@ -164,12 +160,13 @@ class Table:
     def records(self) -> list[dict[str, Value]]:
         """Return one object of values by column name for each row, as JSON can hold them."""
         names = [column.name for column in self.columns]
-        return [dict(zip(names, map(_finite, row), strict=True)) for row in self.rows]
+        return [dict(zip(names, row, strict=True)) for row in self.rows]
 
     def text(self) -> dict[str, Any]:
         """Return title, head and rows as texts for people, as JSON can hold them."""
         return {"title": self.title, "head": list(self.head), "rows": [list(c) for c in self.cells]}
 
 
-def _finite(value: Value) -> Value:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def _plain(value: Any) -> Value:
+    own: Value = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(own, float) and not math.isfinite(own) else own

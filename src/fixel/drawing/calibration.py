@@ -18,7 +18,6 @@ from fixel.drawing.chart import (
     column,
     legend_below,
     log_scale,
-    plain,
     positive,
     sheet,
     shortened,
@@ -79,7 +78,7 @@ class ErrorsChart(AbstractChart):
     def table(self) -> Table:
         unit = column(self.unit)
         columns = ("experiment", *(f"{_column_name(name)}_{unit}" for name in self.series))
-        values = [plain(errors) for errors in self.series.values()]
+        values = self.series.values()
         return Table(columns, [(self.keys[k], *(own[k] for own in values)) for k in self.order])
 
 
@@ -190,6 +189,6 @@ class SecondsChart(AbstractChart):
         return f"{seconds / 3600.0:.3g} h" if seconds >= 7200.0 else f"{seconds:.3g} s"
 
     def table(self) -> Table:
-        columns = ("experiment", "seconds", "evaluations")
-        rows = zip(self.keys, self.seconds.tolist(), self.evaluations, strict=True)
-        return Table(columns, list(rows))
+        return Table.from_columns(
+            {"experiment": self.keys, "seconds": self.seconds, "evaluations": self.evaluations}
+        )

@@ -47,18 +47,14 @@ class CameraErrorChart(AbstractChart):
 
     def table(self) -> Table:
         e = self.errors
-        rows: list[tuple[Any, ...]] = [
-            (*pixel, *place, e.height, camera, whole)
-            for pixel, place, camera, whole in zip(
-                e.pixels.reshape(-1, 2).tolist(),
-                e.places.reshape(-1, 2).tolist(),
-                e.camera.ravel().tolist(),
-                e.whole.ravel().tolist(),
-                strict=True,
-            )
-        ]
-        return Table(
-            ("u_px", "v_px", "x_m", "y_m", "height_m", "camera_95_m", "with_noise_95_m"), rows
+        return Table.from_columns(
+            {
+                **{name: e.pixels[..., k].ravel() for k, name in enumerate(("u_px", "v_px"))},
+                **{name: e.places[..., k].ravel() for k, name in enumerate(("x_m", "y_m"))},
+                "height_m": np.full(e.camera.size, e.height),
+                "camera_95_m": e.camera.ravel(),
+                "with_noise_95_m": e.whole.ravel(),
+            }
         )
 
     def _errors(self, figure: Figure, axes: Axes) -> None:

@@ -245,6 +245,11 @@ def column(unit: str) -> str:
     return unit.replace("^", "")
 
 
+def broken(label: str) -> str:
+    """Break a label before a bracket into two lines."""
+    return label.replace("[", "\n[", 1)
+
+
 def cut_short(text: str, most: int = 44) -> str:
     """Cut a text to at most `most` characters, with an ellipsis."""
     return text if len(text) <= most else text[: most - 1] + "…"

@@ -22,7 +22,7 @@ from fixel.drawing.chart import (
     sheet,
     shortened,
 )
-from fixel.table import Table, Value
+from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -166,13 +166,13 @@ class MapChart(AbstractChart):
         domain, inside = self.domain, self.domain.domains(self.claim)
         error = domain.statistic(self.claim.level)
         head = ("group", "cell", "members", "error", "confidence", "colour", "in_domain", "reason")
-        rows: list[tuple[Value, ...]] = [
+        rows = [
             (
                 group,
                 domain.cells.text(c),
-                int(domain.counts[g, c]),
-                float(error[g, c]) if np.isfinite(error[g, c]) else None,
-                None if np.isnan(verdict.confidence) else verdict.confidence,
+                domain.counts[g, c],
+                error[g, c],
+                verdict.confidence,
                 verdict.colour,
                 int(c in inside[g]),
                 verdict.reason,

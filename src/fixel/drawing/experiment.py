@@ -15,7 +15,7 @@ from fixel.drawing.top_view import (
     FEW_POSES,
     MM,
     PANEL,
-    Page,
+    ColumnPage,
     add_fixels,
     add_outlines,
     add_start_and_end,
@@ -259,7 +259,7 @@ def _draw_touches(
         )
 
 
-def _set_time(page: Page, experiment: Experiment) -> None:
+def _set_time(page: ColumnPage, experiment: Experiment) -> None:
     """Set the time axes of all panels, and shade what is outside the useful data."""
     left, right = time_axes(page.against_time, experiment.trajectory.time)
     margin = experiment.trajectory.time[0] - left

@@ -21,14 +21,13 @@ from fixel.drawing.chart import (
     column,
     legend_below,
     log_scale,
-    plain,
     positive,
     readable,
     sheet,
     whole_numbers,
     written,
 )
-from fixel.table import Table, Value
+from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -104,7 +103,7 @@ class GrowthMatrix(AbstractChart):
         unit = column(self.unit)
         head = ("group", *(f"step_{k}_{unit}" for k in range(self.errors.shape[1])))
         rows = zip(self.groups, self.errors, strict=True)
-        return Table(head, [(name, *plain(errors)) for name, errors in rows])
+        return Table(head, [(name, *errors) for name, errors in rows])
 
 
 @final
@@ -158,10 +157,10 @@ class GrowthSteps(AbstractChart):
 
     def table(self) -> Table:
         head = ("shape", "layout", "step", f"largest_error_{column(self.unit)}")
-        rows: list[tuple[Value, ...]] = [
+        rows = [
             (shape, layout, step, value)
             for shape, layout, errors in zip(self.shapes, self.layouts, self.errors, strict=True)
-            for step, value in enumerate(plain(errors))
+            for step, value in enumerate(errors)
         ]
         return Table(head, rows)
 
@@ -241,14 +240,14 @@ class AxisChart(AbstractChart):
         unit = column(self.unit)
         head = ("shape", "axis", "size", "interval_first", "interval_last", "layout", "step",
                 f"error_{unit}", f"own_error_{unit}", f"relative_error_{unit}")  # fmt: skip
-        rows: list[tuple[Value, ...]] = []
+        rows: list[tuple[Any, ...]] = []
         for study in self.studies:
             begin = (study.shape, study.axis, study.size, *study.interval)
             averages = (study.average, study.own_average, study.average_excess)
             per_layout = zip(study.error, study.own, study.excess, strict=True)
             for name, values in [*zip(study.layouts, per_layout, strict=True),
                                  ("average", averages)]:  # fmt: skip
-                columns = zip(study.steps.tolist(), *map(plain, values), strict=True)
+                columns = zip(study.steps, *values, strict=True)
                 rows += [(*begin, name, *entry) for entry in columns]
         return Table(head, rows)
 

@@ -12,14 +12,14 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
+    broken,
     clean,
     log_scale,
-    plain,
     positive,
     readable,
     sheet,
 )
-from fixel.table import Table, Value
+from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class OffsetsChart(AbstractChart):
             for axes, axis in zip(row, self.columns, strict=False):
                 self._draw(axes, axis, quantity)
             _draw_histogram(row[-1], quantity)
-            row[0].set_ylabel(readable(quantity.unit).on(_broken(quantity.label)))
+            row[0].set_ylabel(readable(quantity.unit).on(broken(quantity.label)))
         for axes, axis in zip(grid[-1], self.columns, strict=False):
             text = f"offset in {axis.name.replace('theta', 'θ')}" if self.axes else axis.name
             axes.set_xlabel(readable(axis.unit or "-").on(text))
@@ -138,17 +138,13 @@ class OffsetsChart(AbstractChart):
     def table(self) -> Table:
         columns = ("experiment", "group", "axis", "offset", "offset_unit",
                    *(f"{q.label} [{q.unit}]" for q in self.quantities))  # fmt: skip
-        values = [plain(quantity.values) for quantity in self.quantities]
-        rows: list[tuple[Value, ...]] = [
+        values = [quantity.values for quantity in self.quantities]
+        rows = [
             (self.keys[m], self.groups[m], axis.name, offset, axis.unit, *(v[m] for v in values))
             for axis in self.columns
-            for m, offset in zip(axis.members.tolist(), axis.offsets.tolist(), strict=True)
+            for m, offset in zip(axis.members, axis.offsets, strict=True)
         ]
         return Table(columns, rows)
-
-
-def _broken(label: str) -> str:
-    return label.replace("[", "\n[", 1)
 
 
 def _scale(axes: Axes, quantity: Quantity) -> None:

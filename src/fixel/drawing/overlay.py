@@ -14,7 +14,7 @@ from fixel.drawing.top_view import FEW_POSES, MAX_OUTLINES, MM, closed, frame_ax
 from fixel.drawing.view import Rectangle
 from fixel.model import placed
 from fixel.model.trajectory import wrapped
-from fixel.table import Table, Value
+from fixel.table import Table
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -104,10 +104,10 @@ class OverlayChart(AbstractChart):
 
     def table(self) -> Table:
         columns = ("curve", "time_s", "x_m", "y_m", "theta_rad")
-        rows: list[tuple[Value, ...]] = [
+        rows = [
             (name, time, *pose)
             for name, track, _ in self.tracks
-            for time, pose in zip(track.time.tolist(), track.pose.tolist(), strict=True)
+            for time, pose in zip(track.time, track.pose, strict=True)
         ]
         return Table(columns, rows)
 

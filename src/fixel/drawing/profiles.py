@@ -9,9 +9,18 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Style, clean, plain, readable, sheet, shortened
+from fixel.drawing.chart import (
+    WIDE,
+    AbstractChart,
+    Style,
+    broken,
+    clean,
+    readable,
+    sheet,
+    shortened,
+)
 from fixel.model.records import Estimate
-from fixel.table import Table, Value
+from fixel.table import Table
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -66,7 +75,7 @@ class ParametersChart(AbstractChart):
         words.set_xlim(0.0, width)
         axes.set_ylim(n - 0.4, -0.6)
         axes.set_xlim(-0.03, 1.03)
-        names = [_broken(row.label) for row in self.rows]
+        names = [broken(row.label) for row in self.rows]
         axes.set_yticks(range(n), names)
         axes.set_xticks([])
         axes.tick_params(axis="y", length=0.0)
@@ -105,16 +114,12 @@ class ParametersChart(AbstractChart):
         columns = ("parameter", "unit", "bound_low", "bound_high", "before", "value",
                    "interval_low", "interval_high", "best_fit", "verdict",
                    *self.others)  # fmt: skip
-        rows: list[tuple[Value, ...]] = [
+        rows = [
             (row.label, row.unit, *_bounds(row), row.before, row.value, row.low, row.high,
              row.best_fit, row.verdict, *(own[k] for own in self.others.values()))
             for k, row in enumerate(self.rows)
         ]  # fmt: skip
         return Table(columns, rows)
-
-
-def _broken(label: str) -> str:
-    return label.replace("[", "\n[", 1)
 
 
 def _dot(colour: str, marker: str, hollow: bool = False) -> Style:
@@ -258,16 +263,15 @@ class ProfilesChart(AbstractChart):
     def table(self) -> Table:
         columns = ("parameter", "unit", "curve", "value", "rise", "threshold",
                    "interval_low", "interval_high")  # fmt: skip
-        rows: list[tuple[Value, ...]] = []
-        for p in self.panels:
+        rows = [
+            (p.label, p.unit, name, value, rise, p.threshold, p.low, p.high)
+            for p in self.panels
             for name, values, rises in (
                 ("profile", p.values, p.rises),
                 ("slice", p.slice_values, p.slice_rises),
-            ):
-                rows += [
-                    (p.label, p.unit, name, value, rise, p.threshold, p.low, p.high)
-                    for value, rise in zip(values.tolist(), plain(rises), strict=True)
-                ]
+            )
+            for value, rise in zip(values, rises, strict=True)
+        ]
         return Table(columns, rows)
 
 

@@ -14,11 +14,11 @@ from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
     Style,
+    broken,
     clean,
     column,
     legend_below,
     log_scale,
-    plain,
     positive,
     readable,
     room_above,
@@ -27,7 +27,7 @@ from fixel.drawing.chart import (
     whole_numbers,
     written,
 )
-from fixel.table import Table, Value
+from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -87,11 +87,11 @@ class SearchChart(AbstractChart):
     def table(self) -> Table:
         unit = column(self.unit)
         columns = ("search", "evaluation", "iteration", f"error_{unit}", f"best_{unit}")
-        rows: list[tuple[Value, ...]] = [
-            (panel.title.replace("\n", " "), k + 1, None if i < 0 else i, error, best)
+        rows = [
+            (panel.title.replace("\n", " "), k, None if i < 0 else i, error, best)
             for panel in self.panels
             for k, (i, error, best) in enumerate(
-                zip(panel.iteration.tolist(), plain(panel.errors), plain(panel.best), strict=True)
+                zip(panel.iteration, panel.errors, panel.best, strict=True), 1
             )
         ]
         return Table(columns, rows)
@@ -226,15 +226,13 @@ class StartsChart(AbstractChart):
 
     def table(self) -> Table:
         first = ("rank", "start", f"error_{column(self.unit)}", "nearly_as_good", "evaluations")
-        names = tuple(
-            f"{label} [{unit}]" for label, unit in zip(self.labels, self.units, strict=True)
-        )
-        errors = plain(self.errors)
+        units = [f"[{unit}]" for unit in self.units]
+        names = [" ".join(pair) for pair in zip(self.labels, units, strict=True)]
+        good = ["true" if good else "false" for good in self.good]
         rows = [
-            (rank, k + 1, errors[k], str(self.good[k]).lower(), self.evaluations[k],
-             *self.points[k].tolist())
+            (rank, k + 1, self.errors[k], good[k], self.evaluations[k], *self.points[k])
             for rank, k in enumerate(self.order, 1)
-        ]  # fmt: skip
+        ]
         return Table((*first, *names), rows)
 
 
@@ -296,7 +294,7 @@ def _draw_ends(axes: Axes, chart: StartsChart) -> None:
     ):
         own = readable(unit)
         ends = f"{own.text(low)} … {own.text(high)} {own.name}".rstrip()
-        names.append(f"{_broken(label)}\n{ends}")
+        names.append(f"{broken(label)}\n{ends}")
     axes.set_xticks(place, names)
     if len(names) > 6:
         axes.tick_params(axis="x", rotation=60, labelsize=palette.FONT_SIZE - 1.5)
@@ -304,8 +302,3 @@ def _draw_ends(axes: Axes, chart: StartsChart) -> None:
     axes.set_ylim(-0.04, 1.04)
     axes.set_ylabel("place between the bounds")
     clean(axes)
-
-
-def _broken(label: str) -> str:
-    """Break a label before a bracket into two lines."""
-    return label.replace("[", "\n[", 1)

@@ -165,7 +165,7 @@ def add_start_and_end(
 # --- pages of one column ------------------------------------------------------------------------
 
 
-class Page(NamedTuple):
+class ColumnPage(NamedTuple):
     """Axes of a page of one column, from top to bottom."""
 
     figure: Figure
@@ -185,7 +185,7 @@ def column_page(
     fixels: Sequence[str] = (),
     row: float = STRIP_ROW,
     unit: LengthUnit = MM,
-) -> Page:
+) -> ColumnPage:
     """Create a page of one column: a top view, panels against time, a strip for fixels.
 
     Parameters
@@ -220,11 +220,14 @@ def column_page(
         strip.set_ylim(len(fixels) - 0.5, -0.5)
         strip.tick_params(axis="y", labelsize=palette.FONT_SIZE - 1.5, length=0.0)
     figure.align_ylabels(others[: len(labels)])
-    return Page(figure, view, list(others[: len(labels)]), strip)
+    return ColumnPage(figure, view, list(others[: len(labels)]), strip)
 
 
 def finish_page(
-    page: Page, handles: Sequence[Artist], title: str = "", experiment: Experiment | None = None
+    page: ColumnPage,
+    handles: Sequence[Artist],
+    title: str = "",
+    experiment: Experiment | None = None,
 ) -> Figure:
     """Add a legend at the bottom, a title, and a banner over a simulated experiment."""
     width, height = page.figure.get_size_inches()

@@ -21,7 +21,7 @@ from fixel.drawing.chart import (
 )
 from fixel.drawing.top_view import closed
 from fixel.model import placed
-from fixel.table import Table, Value
+from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.bands import Band, CoverageCurve, EndBounds
 from fixel.uncertainty.discrepancy import LABEL
@@ -365,8 +365,8 @@ class CoverageChart(AbstractChart):
 
     def table(self) -> Table:
         names = ("bounds", "promised", "held", "true_levels_from", "true_levels_to", "outcomes")
-        rows: list[tuple[Value, ...]] = [
-            (name, *map(float, row), curve.outcomes)
+        rows = [
+            (name, *row, curve.outcomes)
             for name, curve in self._curves.items()
             for row in zip(curve.levels, curve.held, curve.low, curve.high, strict=True)
         ]
