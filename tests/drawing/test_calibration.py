@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 
 from fixel.drawing import palette
-from fixel.drawing.calibration import ErrorsChart, SecondsChart
+from fixel.drawing.calibration import (
+    ErrorsChart,
+    OffsetsChart,
+    OffsetSeries,
+    Quantity,
+    SecondsChart,
+)
 from fixel.drawing.chart import draw_chart, log_scale, positive, readable
-from fixel.drawing.offsets import OffsetsChart, OffsetSeries, Quantity
 from fixel.drawing.overlay import OverlayChart, Track
 from fixel.drawing.profiles import ParametersChart, ProfilePanel, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import refuse_ending, tint
+from fixel.drawing.chart import Style, refuse_ending, tint
 from fixel.drawing.picture import force_text
-from fixel.drawing.top_view import frame_axes
+from fixel.drawing.top_view import DASHED, add_outlines, frame_axes
 from fixel.drawing.view import (
     LengthUnit,
     Rectangle,
@@ -47,8 +47,6 @@ PIXELS = (960, 720)  # maximum width and height, even as the video format requir
 DPI = 160
 THICKNESS = 0.012  # thickness of force arrows, as a share of the larger side of the picture
 SHORTEST, LONGEST = 2.0, 30.0  # [s] of animation; other durations are scaled to these
-
-Style = dict[str, Any]
 
 
 def animate_simulation(
@@ -125,28 +123,14 @@ class _Stage:
         self.background = self.canvas.copy_from_bbox(figure.bbox)  # type: ignore[no-untyped-call]
 
     def _draw_fixed(self) -> None:
-        from matplotlib.collections import PolyCollection
-
-        scene, scale = self.simulation.scene, self.unit.per_metre
-        fixels = [placed(f.shape.outline, f.pose) * scale for f in scene.fixels]
-        style: Style = {
-            "facecolor": palette.FIXEL,
-            "edgecolor": palette.INK,
-            "linewidth": 0.5,
-        }
-        self.axes.add_collection(PolyCollection(fixels, zorder=3, **style), autolim=False)
-        starts = [
-            placed(b.shape.outline, self.simulation.pose[b.name][0]) * scale for b in scene.bodies
-        ]
-        dashed: Style = {
-            "facecolor": "none",
-            "edgecolor": palette.BODY,
-            "alpha": 0.5,
-            "linewidth": 0.6,
-        }
-        self.axes.add_collection(
-            PolyCollection(starts, zorder=1, linestyle=(0, (3, 2)), **dashed), autolim=False
-        )
+        scene, pose = self.simulation.scene, self.simulation.pose
+        fixels = [placed(f.shape.outline, f.pose) for f in scene.fixels]
+        style: Style = {"facecolor": palette.FIXEL, "edgecolor": palette.INK, "linewidth": 0.5}
+        add_outlines(self.axes, fixels, self.unit, zorder=3, **style)
+        starts = [placed(b.shape.outline, pose[b.name][0]) for b in scene.bodies]
+        dashed: Style = {"facecolor": "none", "edgecolor": palette.BODY, "linewidth": 0.6}
+        dashed |= {"alpha": 0.5, "linestyle": DASHED}
+        add_outlines(self.axes, starts, self.unit, zorder=1, **dashed)
 
     def _prepare_moving(self) -> None:
         from matplotlib.collections import LineCollection, PolyCollection

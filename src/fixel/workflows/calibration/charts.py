@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 
 from fixel.calibration.target import Target
-from fixel.drawing.calibration import BEFORE, ErrorsChart, SecondsChart
-from fixel.drawing.offsets import OffsetsChart, Quantity
+from fixel.drawing.calibration import BEFORE, ErrorsChart, OffsetsChart, Quantity, SecondsChart
 from fixel.drawing.overlay import OverlayChart, Track
 from fixel.drawing.profiles import ParametersChart, ProfilePanel, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart

@@ -13,7 +13,7 @@ from fixel.calibration.study import NOMINAL
 from fixel.calibration.target import Target
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
-from fixel.drawing.offsets import OffsetSeries
+from fixel.drawing.calibration import OffsetSeries
 from fixel.model.records import Estimate
 from fixel.model.space import ParameterSpace
 from fixel.typing import FloatArray
