@@ -273,7 +273,8 @@ class OffsetsChart(AbstractChart):
                 axes.tick_params(labelbottom=False)
         grid[-1, -1].set_xlabel("experiments")
         figure.align_ylabels(grid[:, 0])
-        self._legend(figure, grid[0, 0])
+        if len(grid[0, 0].get_legend_handles_labels()[1]) > 1:
+            legend_below(figure, grid[0, :1], 2)
         return figure
 
     def _draw(self, axes: Axes, axis: OffsetSeries, quantity: Quantity) -> None:
@@ -301,11 +302,6 @@ class OffsetsChart(AbstractChart):
             offsets, means = _means(axis.offsets, values[axis.members], quantity.log)
             axes.plot(unit.factor * offsets, scale * means, color=palette.BODY, linewidth=1.4,
                       label="mean over layouts")  # fmt: skip
-
-    def _legend(self, figure: Figure, axes: Axes) -> None:
-        handles, labels = axes.get_legend_handles_labels()
-        if len(labels) > 1:
-            figure.legend(handles, labels, frameon=False, ncols=2, loc="outside lower center")
 
     def table(self) -> Table:
         columns = ("experiment", "group", "axis", "offset", "offset_unit",

@@ -202,8 +202,8 @@ def legend_of(figure: Figure, handles: Sequence[Any], columns: int = 0, **style:
     """Draw a legend below everything, by default in two or three columns; return its rows."""
     columns = columns or (3 if max(len(str(h.get_label())) for h in handles) < 18 else 2)
     look: Style = {"frameon": False, "handlelength": 1.7, "columnspacing": 1.2, "borderpad": 0.0}
-    look |= {"labelspacing": 0.3, "handletextpad": 0.5, **style}
-    figure.legend(handles=list(handles), loc="outside lower center", ncols=columns, **look)
+    look |= {"labelspacing": 0.3, "handletextpad": 0.5, "loc": "outside lower center", **style}
+    figure.legend(handles=list(handles), ncols=columns, **look)
     return -(-len(handles) // columns)
 
 

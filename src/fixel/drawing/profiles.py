@@ -15,6 +15,8 @@ from fixel.drawing.chart import (
     Style,
     broken,
     clean,
+    legend_below,
+    legend_of,
     readable,
     sheet,
     shortened,
@@ -103,12 +105,8 @@ class ParametersChart(AbstractChart):
         for name, style in zip(self.others, OTHERS, strict=False):
             dot = _dot(style["color"], style["marker"], hollow=True)
             entries.append(Line2D([], [], label=name, **dot))
-        figure.legend(
-            handles=entries,
-            frameon=False,
-            ncols=len(entries) if len(entries) < 5 else 3,
-            loc="outside lower left",
-        )
+        columns = len(entries) if len(entries) < 5 else 3
+        legend_of(figure, entries, columns, loc="outside lower left")
 
     def table(self) -> Table:
         columns = ("parameter", "unit", "bound_low", "bound_high", "before", "value",
@@ -252,12 +250,7 @@ class ProfilesChart(AbstractChart):
             axes.axis("off")
         for row in grid:
             row[0].set_ylabel("rise of the deviance\nover its threshold")
-        figure.legend(
-            *grid[0, 0].get_legend_handles_labels(),
-            frameon=False,
-            ncols=4 if columns > 2 else 2,
-            loc="outside lower center",
-        )
+        legend_below(figure, grid[0, :1], 4 if columns > 2 else 2)
         return figure
 
     def table(self) -> Table:

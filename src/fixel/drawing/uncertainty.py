@@ -210,9 +210,7 @@ class BandsChart(AbstractChart):
             panels[1, k].set_ylabel(f"{label}, less likeliest")
             panels[1, k].set_xlabel("time [s]")
         figure.align_ylabels()
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, frameon=False, ncols=len(labels),
-                      loc="outside lower center")  # fmt: skip
+        legend_below(figure, panels[0, :1])
         return figure
 
     def _path(self, axes: Axes, k: int, factor: float, off: FloatArray) -> None:
@@ -274,11 +272,8 @@ class FinalPoseChart(AbstractChart):
         self._whole(whole)
         self._near(near)
         self._turned(turned)
-        handles, labels = near.get_legend_handles_labels()
-        more, names = whole.get_legend_handles_labels()
-        legend = figure.legend(handles + more, labels + names, frameon=False, ncols=6,
-                               loc="outside lower center")  # fmt: skip
-        legend.get_lines()[0].set_markersize(6.0)  # a draw is a speck
+        legend_below(figure, (near, whole), 6)
+        figure.legends[0].get_lines()[0].set_markersize(6.0)  # a draw is a speck
         return figure
 
     def _whole(self, axes: Axes) -> None:
