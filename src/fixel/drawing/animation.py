@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import Style, refuse_ending, tint
+from fixel.drawing.chart import DisplayUnit, Style, refuse_ending, tint
 from fixel.drawing.picture import force_text
 from fixel.drawing.top_view import DASHED, add_outlines, frame_axes
 from fixel.drawing.view import (
-    LengthUnit,
     Rectangle,
     arrow_length_per_newton,
     carried,
@@ -137,9 +136,7 @@ class _Stage:
 
         run = self.simulation
         self.shapes = shapes_of(run)
-        self.trail_points = [
-            centre_path(run, b.name) * self.unit.per_metre for b in run.scene.bodies
-        ]
+        self.trail_points = [centre_path(run, b.name) * self.unit.factor for b in run.scene.bodies]
         thin = 0.5 if len(run.scene.bodies) > 8 else 1.0
         body: Style = {"facecolor": tint(palette.BODY, 0.3), "edgecolor": palette.BODY}
         driven: Style = {"facecolor": palette.PUSHER, "edgecolor": palette.INK}
@@ -163,11 +160,11 @@ class _Stage:
         sizes = np.hypot(*forces(known).T) if len(known) else np.zeros(1)
         largest = float(np.quantile(sizes, 0.98))
         self.largest = largest
-        self.per_newton = arrow_length_per_newton(largest, self.box.size) * self.unit.per_metre
+        self.per_newton = arrow_length_per_newton(largest, self.box.size) * self.unit.factor
 
     def frame(self, time: float) -> Any:
         """Draw the frame at a time [s]: (height, width, 4) uint8."""
-        run, scale = self.simulation, self.unit.per_metre
+        run, scale = self.simulation, self.unit.factor
         poses = {name: pose_at(run.time, p, time) for name, p in run.pose.items()}
         outlines = {n: placed(self.shapes[n].outline, p) * scale for n, p in poses.items()}
         self.bodies.set_verts([outlines[b.name] for b in run.scene.bodies])
@@ -190,7 +187,7 @@ class _Stage:
         return self.simulation.contacts[low:high]
 
     def _set_forces(self, time: float) -> None:
-        run, scale = self.simulation, self.unit.per_metre
+        run, scale = self.simulation, self.unit.factor
         thick = THICKNESS * self.box.size * scale
         # The contact table has the forces of a step at its end.
         sample = min(int(np.searchsorted(run.time, time)), len(run.time) - 1)
@@ -216,7 +213,7 @@ class _Stage:
         self.touched.set_verts([placed(f.shape.outline, f.pose) * scale for f in fixels])
 
 
-def _figure(box: Rectangle, unit: LengthUnit) -> tuple[Figure, Any]:
+def _figure(box: Rectangle, unit: DisplayUnit) -> tuple[Figure, Any]:
     from matplotlib.figure import Figure
 
     left, right, bottom, top = 0.55, 0.12, 0.42, 0.28

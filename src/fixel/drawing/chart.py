@@ -214,7 +214,7 @@ def positive(values: FloatArray) -> FloatArray:
     return np.where(np.isfinite(values), np.maximum(values, least), np.nan)
 
 
-class Readable(NamedTuple):
+class DisplayUnit(NamedTuple):
     """Display unit and its factor from SI."""
 
     name: str  # empty for no unit
@@ -229,10 +229,10 @@ class Readable(NamedTuple):
         return f"{self.factor * value:.3g}"
 
 
-def readable(unit: str) -> Readable:
+def readable(unit: str) -> DisplayUnit:
     """Return the display unit: millimetres and degrees instead of metres and radians."""
-    known = {"m": Readable("mm", 1e3), "rad": Readable("deg", math.degrees(1.0))}
-    return known.get(unit, Readable("" if unit == "-" else written(unit), 1.0))
+    known = {"m": DisplayUnit("mm", 1e3), "rad": DisplayUnit("deg", math.degrees(1.0))}
+    return known.get(unit, DisplayUnit("" if unit == "-" else written(unit), 1.0))
 
 
 def written(unit: str) -> str:

@@ -89,7 +89,7 @@ def experiment_figure(experiment: Experiment) -> Figure:
     page = column_page(_extent(experiment, track), labels, [PANEL] * 3, tuple(felt))
     handles = add_fixels(page.view, experiment.scene, experiment.contact_mode)
     handles += _draw_pusher(page.view, experiment) + _draw_object(page.view, experiment)
-    columns = (*(track.pose[:, :2].T * MM.per_metre), np.degrees(np.unwrap(track.pose[:, 2])))
+    columns = (*(track.pose[:, :2].T * MM.factor), np.degrees(np.unwrap(track.pose[:, 2])))
     for axes, values in zip(page.panels, columns, strict=True):
         axes.plot(track.time, values, color=palette.BODY, linewidth=1.0, **_joined(track))
     _draw_touches(page.strip, felt, palette.TOUCHED)
@@ -179,7 +179,7 @@ def _draw_object(axes: Axes, experiment: Experiment) -> list[Artist]:
         for row, fill, label in ((0, "white", "start"), (-1, palette.BODY, "end")):
             dot: Style = {"marker": "o", "markersize": 4.0, "linestyle": "none"}
             dot |= {"color": palette.BODY, "markerfacecolor": fill, "zorder": 3.6}
-            place = track.pose[row : row + 1 or None, :2].T * MM.per_metre
+            place = track.pose[row : row + 1 or None, :2].T * MM.factor
             handles += axes.plot(*place, label=f"{name}, {label}", **dot)
     return handles
 
@@ -229,7 +229,7 @@ def _joined(track: Trajectory) -> Style:
 
 def _path(axes: Axes, track: Trajectory, name: str, **style: Any) -> Artist:
     label = f"{name}, {'path' if len(track.time) > FEW_POSES else 'poses'}"
-    place = track.pose[:, :2].T * MM.per_metre
+    place = track.pose[:, :2].T * MM.factor
     (line,) = axes.plot(*place, label=label, **style, **_joined(track))
     return line
 
@@ -240,7 +240,7 @@ def _path(axes: Axes, track: Trajectory, name: str, **style: Any) -> Artist:
 def _draw_errors(panels: Sequence[Axes], measured: Trajectory, simulated: Trajectory) -> None:
     position, angle = pose_error(simulated.at(measured.time), measured.pose)
     style: Style = {"color": palette.BODY, "linewidth": 1.0, **_joined(measured)}
-    panels[0].plot(measured.time, position * MM.per_metre, **style)
+    panels[0].plot(measured.time, position * MM.factor, **style)
     panels[0].set_ylim(bottom=0.0)
     panels[1].plot(measured.time, np.degrees(angle), **style)
     panels[1].axhline(0.0, color=palette.FIXEL, linewidth=0.4, zorder=0.5)

@@ -123,7 +123,7 @@ def _draw_view(axes: Axes, experiment: Experiment, estimates: FilterEstimates) -
     what = "measured" if experiment.real else "recorded"
     handles += _outlines(axes, shape, measured, estimates, what)
     (line,) = axes.plot(
-        *(measured.pose[:, :2].T * MM.per_metre),
+        *(measured.pose[:, :2].T * MM.factor),
         color=palette.INK,
         linewidth=1.0,
         label=f"{what}, path",
@@ -156,7 +156,7 @@ def _outlines(
 
 
 def _estimated_path(axes: Axes, estimates: FilterEstimates) -> list[Artist]:
-    way = estimates.pose[:, :2] * MM.per_metre
+    way = estimates.pose[:, :2] * MM.factor
     (seen,) = axes.plot(
         *way.T, color=palette.BODY, linewidth=1.0, label="estimated, path", zorder=3.5
     )
@@ -181,7 +181,7 @@ def _draw_poses(panels: Sequence[Axes], measured: Trajectory, estimates: FilterE
     shift = estimates.pose[0, 2] - angle[0]
     angle = angle + shift - wrapped(shift)
     columns = (measured.pose[:, 0], measured.pose[:, 1], angle)
-    factors = (MM.per_metre, MM.per_metre, 180.0 / np.pi)
+    factors = (MM.factor, MM.factor, 180.0 / np.pi)
     for k, (axes, column, factor) in enumerate(zip(panels, columns, factors, strict=True)):
         middle, half = estimates.pose[:, k], NINETY * deviation[:, k]
         _band(axes, estimates.time, factor * (middle - half), factor * (middle + half))

@@ -129,7 +129,7 @@ def _draw_view(axes: Axes, chart: OverlayChart) -> None:
         axes.plot(*closed(last), label=label, zorder=4, **style)
         if len(track.time) > FEW_POSES:
             thin = style | {"linewidth": 0.6 * style["linewidth"]}
-            axes.plot(*(track.pose[:, :2].T * MM.per_metre), zorder=3, **thin)
+            axes.plot(*(track.pose[:, :2].T * MM.factor), zorder=3, **thin)
     for k, outline in enumerate(chart.fixels):
         axes.fill(*closed(outline), color=palette.INK, zorder=5, linewidth=0.0,
                   label="" if k else "fixel")  # fmt: skip
@@ -155,7 +155,7 @@ def _extent(chart: OverlayChart) -> Rectangle:
 def _draw_poses(panels: Sequence[Axes], chart: OverlayChart) -> None:
     for _, track, style in chart.tracks:
         turned = np.degrees(np.unwrap(track.pose[:, 2]))
-        for axes, values in zip(panels, (*track.pose[:, :2].T * MM.per_metre, turned), strict=True):
+        for axes, values in zip(panels, (*track.pose[:, :2].T * MM.factor, turned), strict=True):
             axes.plot(track.time, values, **style | _dots(track))
     for axes, label in zip(panels, ("x [mm]", "y [mm]", "θ [deg]"), strict=True):
         axes.set_ylabel(label, labelpad=1.0)
@@ -187,7 +187,7 @@ def _difference(track: Track, measured: Track) -> tuple[FloatArray, FloatArray]:
         ]
     )
     off = own - pose
-    return time, np.column_stack((MM.per_metre * off[:, :2], np.degrees(wrapped(off[:, 2]))))
+    return time, np.column_stack((MM.factor * off[:, :2], np.degrees(wrapped(off[:, 2]))))
 
 
 def _dots(track: Track) -> Style:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import Style, save_figure, tint
+from fixel.drawing.chart import DisplayUnit, Style, save_figure, tint
 from fixel.drawing.top_view import (
     DASHED,
     DOTTED,
@@ -23,7 +23,6 @@ from fixel.drawing.top_view import (
     frame_axes,
 )
 from fixel.drawing.view import (
-    LengthUnit,
     Rectangle,
     arrow_length_per_newton,
     carried,
@@ -87,7 +86,7 @@ def _figure(simulation: Simulation) -> Figure:
     return finish_page(page, _draw(simulation, page.view, box, unit))
 
 
-def _draw(simulation: Simulation, axes: Axes, box: Rectangle, unit: LengthUnit) -> list[Artist]:
+def _draw(simulation: Simulation, axes: Axes, box: Rectangle, unit: DisplayUnit) -> list[Artist]:
     many = len(simulation.scene.bodies) >= MANY
     handles: list[Artist] = []
     handles += _fixels(simulation, axes, unit)
@@ -107,7 +106,7 @@ def _entry(**style: Any) -> Artist:
     return Line2D([], [], **style)
 
 
-def _fixels(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artist]:
+def _fixels(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> list[Artist]:
     handles: list[Artist] = []
     touched = ever_touched(simulation)
     fixels = simulation.scene.fixels
@@ -151,11 +150,11 @@ def _with_names(simulation: Simulation, box: Rectangle, width: float) -> Rectang
     return Rectangle((left, right), box.y)
 
 
-def _fixel_names(simulation: Simulation, axes: Axes, unit: LengthUnit) -> None:
+def _fixel_names(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> None:
     """Draw the name of each fixel next to it."""
     for fixel, away in _named_fixels(simulation):
         outline = placed(fixel.shape.outline, fixel.pose)
-        edge = outline[np.argmax(outline @ away)] * unit.per_metre
+        edge = outline[np.argmax(outline @ away)] * unit.factor
         if away[0] == 0.0:
             side: Style = {"ha": "center", "va": "bottom" if away[1] > 0 else "top"}
         else:
@@ -163,7 +162,7 @@ def _fixel_names(simulation: Simulation, axes: Axes, unit: LengthUnit) -> None:
         add_name(axes, fixel.name, edge.tolist(), xytext=(3.0 * np.sign(away)).tolist(), **side)
 
 
-def _pushers(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artist]:
+def _pushers(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> list[Artist]:
     pushers = simulation.scene.pushers
     names = ", ".join(p.name for p in pushers) if len(pushers) <= 2 else "pushers"
     style: Style = {"facecolor": palette.PUSHER, "edgecolor": palette.INK, "linewidth": 0.5}
@@ -176,12 +175,12 @@ def _pushers(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artis
         handles = add_outlines(axes, [last], unit, names, zorder=3, **style)
         start, end = poses[[0, -1], :2]
         if np.hypot(*(end - start)) > 0.3 * float(np.ptp(first, axis=0).max()):
-            ends = (start * unit.per_metre, end * unit.per_metre)
+            ends = (start * unit.factor, end * unit.factor)
             add_arrow(axes, *ends, color=palette.INK, linewidth=0.7, zorder=4)
     return handles
 
 
-def _bodies(simulation: Simulation, axes: Axes, unit: LengthUnit, many: bool) -> list[Artist]:
+def _bodies(simulation: Simulation, axes: Axes, unit: DisplayUnit, many: bool) -> list[Artist]:
     from matplotlib.collections import LineCollection
 
     bodies = simulation.scene.bodies
@@ -201,7 +200,7 @@ def _bodies(simulation: Simulation, axes: Axes, unit: LengthUnit, many: bool) ->
         for pose, strength in zip(between, np.linspace(*RAMP, max(len(between), 2)), strict=False):
             outlines = [placed(body.shape.outline, pose)]
             add_outlines(axes, outlines, unit, alpha=float(strength), zorder=1.2, **thin)
-    trails = [centre_path(simulation, b.name) * unit.per_metre for b in bodies]
+    trails = [centre_path(simulation, b.name) * unit.factor for b in bodies]
     trail: Style = {"color": palette.BODY, "linewidth": 0.5 if many else 0.9, "linestyle": DOTTED}
     axes.add_collection(LineCollection(trails, zorder=3.5, **trail), autolim=False)
     handles.append(_entry(label="centre of mass", **trail))
@@ -210,7 +209,7 @@ def _bodies(simulation: Simulation, axes: Axes, unit: LengthUnit, many: bool) ->
     return handles
 
 
-def _supports(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artist]:
+def _supports(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> list[Artist]:
     points = []
     for body in simulation.scene.bodies:
         at, _, _ = support_points(
@@ -220,7 +219,7 @@ def _supports(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Arti
             points.append(placed(at + body.com, simulation.final[body.name]))
     if not points:
         return []
-    place = np.concatenate(points) * unit.per_metre
+    place = np.concatenate(points) * unit.factor
     few = len(place) <= 12 * len(points)
     style: Style = {"marker": "o", "linestyle": "none", "color": palette.BODY}
     style |= {"markersize": 2.6 if few else 1.0, "markeredgewidth": 0.0}
@@ -229,7 +228,7 @@ def _supports(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Arti
 
 
 def _forces(
-    simulation: Simulation, axes: Axes, unit: LengthUnit, box: Rectangle, many: bool
+    simulation: Simulation, axes: Axes, unit: DisplayUnit, box: Rectangle, many: bool
 ) -> list[Artist]:
     end = float(simulation.time[-1])
     rows = contacts_at(simulation, end)
@@ -238,8 +237,8 @@ def _forces(
     largest = largest_force(force)
     if not largest > 0.0 or not np.isfinite(largest):
         return []
-    points = contacts.point * unit.per_metre
-    per_newton = arrow_length_per_newton(largest, box.size) * unit.per_metre
+    points = contacts.point * unit.factor
+    per_newton = arrow_length_per_newton(largest, box.size) * unit.factor
     if many:
         return _force_chains(axes, points, force, largest)
     handles = _cones(
@@ -323,7 +322,7 @@ def _force_chains(
     return [_entry(label=label, color=palette.FORCE, linewidth=2.0)]
 
 
-def _stop(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artist]:
+def _stop(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> list[Artist]:
     """Draw crosses at the bodies where a simulation stopped early."""
     if simulation.converged:
         return []
@@ -335,5 +334,5 @@ def _stop(simulation: Simulation, axes: Axes, unit: LengthUnit) -> list[Artist]:
         "markersize": 6.0,
     }
     style |= {"markeredgecolor": "white", "markeredgewidth": 0.6}
-    axes.plot(*(np.array(places) * unit.per_metre).T, zorder=8, **style)
+    axes.plot(*(np.array(places) * unit.factor).T, zorder=8, **style)
     return [_entry(label="stopped here", **style)]

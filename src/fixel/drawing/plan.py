@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, Style, legend_of, save_figure, sheet, tint
+from fixel.drawing.chart import WIDE, DisplayUnit, Style, legend_of, save_figure, sheet, tint
 from fixel.drawing.top_view import DASHED, add_arrow, add_outlines, frame_axes
-from fixel.drawing.view import LengthUnit, Rectangle, unit_for
+from fixel.drawing.view import Rectangle, unit_for
 from fixel.model import Disk, SupportPoints, placed
 from fixel.sampling import FixelLayout, Offset, Plan, PlannedShape
 from fixel.sampling.plan import object_pose
@@ -124,7 +124,7 @@ def _draw_panel(plan: Plan, panel: Panel, axes: Axes, box: Rectangle) -> list[Ar
     return [*add_outlines(axes, [_zone(plan, shape)], unit, "fixel zone", **zone), *handles, dot]
 
 
-def _draw_head(plan: Plan, axes: Axes, unit: LengthUnit) -> list[Artist]:
+def _draw_head(plan: Plan, axes: Axes, unit: DisplayUnit) -> list[Artist]:
     first, last = (_head_outline(plan, way) for way in (0.0, plan.rig.travel))
     start: Style = {"facecolor": palette.PUSHER, "edgecolor": palette.INK, "linewidth": 0.4}
     end: Style = {"facecolor": "none", "edgecolor": palette.PUSHER, "linewidth": 0.7}
@@ -132,12 +132,12 @@ def _draw_head(plan: Plan, axes: Axes, unit: LengthUnit) -> list[Artist]:
     handles += add_outlines(
         axes, [last], unit, "head, end of travel", zorder=4, linestyle=DASHED, **end
     )
-    way = np.array([[0.0, 0.0], [plan.rig.travel * unit.per_metre, 0.0]])
+    way = np.array([[0.0, 0.0], [plan.rig.travel * unit.factor, 0.0]])
     add_arrow(axes, way[0], way[1], head=0.3, color=palette.INK, linewidth=0.6, zorder=5)
     return handles
 
 
-def _draw_object(plan: Plan, shape: PlannedShape, axes: Axes, unit: LengthUnit) -> list[Artist]:
+def _draw_object(plan: Plan, shape: PlannedShape, axes: Axes, unit: DisplayUnit) -> list[Artist]:
     offset: Style = {"facecolor": "none", "edgecolor": tint(palette.BODY, 0.45), "linewidth": 0.3}
     nominal: Style = {"edgecolor": palette.BODY, "linewidth": 0.9}
     nominal |= {"facecolor": (*tint(palette.BODY, 0.25), 0.55)}
@@ -148,7 +148,7 @@ def _draw_object(plan: Plan, shape: PlannedShape, axes: Axes, unit: LengthUnit) 
     if isinstance(shape.support, SupportPoints):
         pose = object_pose(plan.rig, shape, at_nominal)
         handles += axes.plot(
-            *(placed(shape.support.points, pose).T * unit.per_metre),
+            *(placed(shape.support.points, pose).T * unit.factor),
             marker="^",
             linestyle="none",
             color=palette.INK,

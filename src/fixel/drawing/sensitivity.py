@@ -85,10 +85,10 @@ class EnsembleChart(AbstractChart):
             unit = unit_for(float(np.abs(cloud[:, :2]).max()))
             axes = panels[name]
             for k in range(len(self.share)):
-                own = cloud[::every][self.outcome[::every] == k] * unit.per_metre
+                own = cloud[::every][self.outcome[::every] == k] * unit.factor
                 axes.plot(own[:, 0], own[:, 1], ".", color=_colour(k), markersize=1.6)
             axes.set(xlabel=f"{label}, x [{unit.name}]", ylabel=f"y [{unit.name}]")
-            _no_narrower(axes, float(np.ptp(cloud[:, :2], axis=0).max()) * unit.per_metre)
+            _no_narrower(axes, float(np.ptp(cloud[:, :2], axis=0).max()) * unit.factor)
             clean(axes)
             _few_numbers(axes)
         _angles(panels["angles"], self)

@@ -9,6 +9,7 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.chart import (
+    DisplayUnit,
     Style,
     add_banner,
     clean,
@@ -17,7 +18,7 @@ from fixel.drawing.chart import (
     sheet,
     tint,
 )
-from fixel.drawing.view import UNITS, LengthUnit, Rectangle
+from fixel.drawing.view import UNITS, Rectangle
 from fixel.model import Channel, Experiment, Fixel, Scene, Shape, placed
 from fixel.typing import BoolArray, FloatArray
 
@@ -42,10 +43,10 @@ TALLEST, LOWEST = 3.4, 1.1  # of the view
 PANEL, STRIP_ROW, LABELS = 0.72, 0.14, 0.42
 
 
-def frame_axes(axes: Axes, box: Rectangle, unit: LengthUnit = MM) -> None:
+def frame_axes(axes: Axes, box: Rectangle, unit: DisplayUnit = MM) -> None:
     """Set limits and labels of a top view."""
-    axes.set_xlim(box.x[0] * unit.per_metre, box.x[1] * unit.per_metre)
-    axes.set_ylim(box.y[0] * unit.per_metre, box.y[1] * unit.per_metre)
+    axes.set_xlim(box.x[0] * unit.factor, box.x[1] * unit.factor)
+    axes.set_ylim(box.y[0] * unit.factor, box.y[1] * unit.factor)
     axes.set_aspect("equal", adjustable="box")
     axes.set_xlabel(f"x [{unit.name}]", labelpad=1.5)
     axes.set_ylabel(f"y [{unit.name}]", labelpad=1.5)
@@ -55,20 +56,24 @@ def frame_axes(axes: Axes, box: Rectangle, unit: LengthUnit = MM) -> None:
 
 
 def add_outlines(
-    axes: Axes, outlines: Sequence[FloatArray], unit: LengthUnit = MM, label: str = "", **style: Any
+    axes: Axes,
+    outlines: Sequence[FloatArray],
+    unit: DisplayUnit = MM,
+    label: str = "",
+    **style: Any,
 ) -> list[Artist]:
     """Draw filled outlines [m]; return their entry for a legend, if they have a label."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
-    scaled = [outline * unit.per_metre for outline in outlines]
+    scaled = [outline * unit.factor for outline in outlines]
     axes.add_collection(PolyCollection(scaled, **style), autolim=False)
     return [Patch(label=label, **style)] if label else []
 
 
-def closed(outline: FloatArray, unit: LengthUnit = MM) -> FloatArray:
+def closed(outline: FloatArray, unit: DisplayUnit = MM) -> FloatArray:
     """Return the corners of a closed line (2, n + 1) about an outline [m], in a unit."""
-    return np.vstack((outline, outline[:1])).T * unit.per_metre
+    return np.vstack((outline, outline[:1])).T * unit.factor
 
 
 def add_arrow(
@@ -143,8 +148,8 @@ def add_fixels(axes: Axes, scene: Scene | None, touched: str = "") -> list[Artis
             outlines = [placed(f.shape.outline, f.pose) for f in some]
             handles += add_outlines(axes, outlines, label=label, zorder=4, **style)
     for fixel in fixels[:MAX_NAMES]:
-        edge = placed(fixel.shape.outline, fixel.pose).max(axis=0) * MM.per_metre
-        add_name(axes, fixel.name, (float(edge[0]), float(fixel.pose[1]) * MM.per_metre))
+        edge = placed(fixel.shape.outline, fixel.pose).max(axis=0) * MM.factor
+        add_name(axes, fixel.name, (float(edge[0]), float(fixel.pose[1]) * MM.factor))
     return handles
 
 
@@ -184,7 +189,7 @@ def column_page(
     heights: Sequence[float] = (),
     fixels: Sequence[str] = (),
     row: float = STRIP_ROW,
-    unit: LengthUnit = MM,
+    unit: DisplayUnit = MM,
 ) -> ColumnPage:
     """Create a page of one column: a top view, panels against time, a strip for fixels.
 
@@ -198,7 +203,7 @@ def column_page(
         Names of the rows of the strip; without any there is none.
     row : float
         Height of these rows [inch].
-    unit : LengthUnit
+    unit : DisplayUnit
         Unit of the view.
     """
     height = WIDTH * (box.y[1] - box.y[0]) / (box.x[1] - box.x[0])

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from fixel.drawing.chart import DisplayUnit
 from fixel.model import Body, Fixel, Pusher, Shape, placed
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray
@@ -17,17 +18,10 @@ MARGIN = 0.06  # share of the larger side, around all that is drawn
 MAX_ARROW = 0.22  # length of the longest arrow, as a share of the larger side
 
 
-class LengthUnit(NamedTuple):
-    """Unit of length for the axes."""
-
-    name: str
-    per_metre: float
+UNITS = (DisplayUnit("µm", 1e6), DisplayUnit("mm", 1e3), DisplayUnit("m", 1.0))
 
 
-UNITS = (LengthUnit("µm", 1e6), LengthUnit("mm", 1e3), LengthUnit("m", 1.0))
-
-
-def unit_for(size: float) -> LengthUnit:
+def unit_for(size: float) -> DisplayUnit:
     """Select the unit in which a size [m] has about one to four digits before the point."""
     if size < 5e-3:
         return UNITS[0]
