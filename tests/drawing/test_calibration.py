@@ -20,6 +20,7 @@ from fixel.drawing.profiles import ParametersChart, ProfilePanel, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate
+from fixel.model.space import Unknown
 
 NONE = np.zeros(0, np.int64)
 LOST = np.array([np.inf, np.inf])
@@ -38,10 +39,10 @@ def starts(errors):
         unit="mm^2",
         errors=np.asarray(errors, float),
         points=np.linspace((0.1, 0.01), (0.9, 0.05), k),
-        labels=("mu_pusher", "tripod_radius"),
-        units=("-", "m"),
-        low=np.array([0.0, 0.001]),
-        high=np.array([1.0, 0.07]),
+        unknowns=(
+            Unknown(name="mu_pusher", low=0.0, high=1.0, nominal=0.3),
+            Unknown(name="tripod_radius", low=0.001, high=0.07, nominal=0.03),
+        ),
         evaluations=[10] * k,
     )
 

@@ -19,6 +19,7 @@ from fixel.drawing.chart import (
     column,
     legend_below,
     log_scale,
+    mark_missing,
     positive,
     readable,
     sheet,
@@ -110,7 +111,8 @@ def _draw_errors(axes: Axes, chart: ErrorsChart, named: bool) -> None:
         pair = (row, place) if named else (place, row)
         axes.plot(*pair, linestyle="none", markersize=size, markeredgewidth=0.8, label=label,
                   zorder=3, **style)  # fmt: skip
-        _draw_missing(axes, place[~np.isfinite(row)], style, named)
+        missing, which = place[~np.isfinite(row)], "y" if named else "x"
+        mark_missing(axes, missing, 0.995, which, color=style["color"], clip_on=False)
     text = f"error [{written(chart.unit)}]"
     clean(axes)
     if named:
@@ -123,17 +125,6 @@ def _draw_errors(axes: Axes, chart: ErrorsChart, named: bool) -> None:
     else:
         axes.set_xlim(0.0, n + 1.0)
         axes.set(xlabel=f"experiment, worst of {n} first", ylabel=text)
-
-
-def _draw_missing(axes: Axes, place: FloatArray, style: Style, named: bool) -> None:
-    """Mark experiments without a simulation at the far end of the error axis."""
-    if not len(place):
-        return
-    far = np.full(len(place), 0.995)
-    pair = (far, place) if named else (place, far)
-    transform = axes.get_yaxis_transform() if named else axes.get_xaxis_transform()
-    axes.plot(*pair, linestyle="none", marker="x", markersize=4.0, color=style["color"],
-              transform=transform, clip_on=False)  # fmt: skip
 
 
 def _with_mean(name: str, errors: FloatArray, unit: str) -> str:

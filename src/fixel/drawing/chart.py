@@ -176,6 +176,21 @@ def room_above(axes: Axes, wanted: bool) -> None:
         axes.set_ylim(low, high * (high / low) ** 0.06)
 
 
+def mark_missing(axes: Axes, places: Any, share: float, which: str = "x", **style: Any) -> None:
+    """Draw crosses for what could not be simulated, at a share of the other axis; none if empty.
+
+    `which` is the axis that the places belong to.
+    """
+    if not len(places):
+        return
+    look: Style = {"marker": "x", "color": palette.FORCE, "markersize": 4.0, "linestyle": "none"}
+    far = np.full(len(places), share)
+    if which == "x":
+        axes.plot(places, far, transform=axes.get_xaxis_transform(), **(look | style))
+    else:
+        axes.plot(far, places, transform=axes.get_yaxis_transform(), **(look | style))
+
+
 def whole_numbers(axes: Axes) -> None:
     from matplotlib.ticker import MaxNLocator
 

@@ -19,6 +19,7 @@ from fixel.drawing.chart import (
     column,
     legend_below,
     log_scale,
+    mark_missing,
     positive,
     readable,
     room_above,
@@ -27,6 +28,7 @@ from fixel.drawing.chart import (
     whole_numbers,
     written,
 )
+from fixel.model.space import Unknown
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
 
@@ -101,31 +103,14 @@ def _draw_search(axes: Axes, panel: SearchPanel, letters: int) -> None:
     number = np.arange(1, len(panel.errors) + 1)
     failed = ~np.isfinite(panel.errors)
     shown = positive(panel.errors)
-    axes.plot(
-        number,
-        shown,
-        linestyle="none",
-        marker="o",
-        markersize=3.0 if len(number) < 30 else 1.8,
-        color=palette.TRAIL,
-        markeredgewidth=0.0,
-        label="evaluation",
-    )
+    dot: Style = {"marker": "o", "color": palette.TRAIL, "markeredgewidth": 0.0}
+    axes.plot(number, shown, linestyle="none", markersize=3.0 if len(number) < 30 else 1.8,
+              label="evaluation", **dot)  # fmt: skip
     # Compute the best from the values shown, which are positive on the logarithmic axis.
     best = np.fmin.accumulate(shown) if len(shown) else shown
     axes.step(number, best, where="post", color=palette.BODY, linewidth=1.2, label="best so far")
-    if failed.any():
-        axes.plot(
-            number[failed],
-            np.full(failed.sum(), 0.975),
-            linestyle="none",
-            marker="x",
-            markersize=3.5,
-            markeredgewidth=0.7,
-            color=palette.FORCE,
-            transform=axes.get_xaxis_transform(),
-            label="no simulation",
-        )
+    crosses: Style = {"markersize": 3.5, "markeredgewidth": 0.7, "label": "no simulation"}
+    mark_missing(axes, number[failed], 0.975, **crosses)
     log_scale(axes, "y", shown)
     room_above(axes, bool(failed.any()))
     margin = max(0.6, 0.02 * len(number))
@@ -179,10 +164,8 @@ class StartsChart(AbstractChart):
         Final errors; inf if a search found nothing.
     points : (k, n) float64
         End points of the searches.
-    labels, units : sequences of str
-        Labels and units of the parameters.
-    low, high : (n,) float64
-        Bounds of the parameters.
+    unknowns : sequence of Unknown
+        Parameters, with their bounds.
     evaluations : sequence of int
         Number of evaluations of each search.
     nearly : float
@@ -195,10 +178,7 @@ class StartsChart(AbstractChart):
     unit: str
     errors: FloatArray
     points: FloatArray
-    labels: Sequence[str]
-    units: Sequence[str]
-    low: FloatArray
-    high: FloatArray
+    unknowns: Sequence[Unknown]
     evaluations: Sequence[int]
     nearly: float = 0.02
     what: str = "error"
@@ -217,7 +197,7 @@ class StartsChart(AbstractChart):
     def figure(self) -> Figure:
         figure = sheet(WIDE, 2.7, self.title)
         # More than two parameters get a wider panel.
-        share = max(1.0, 0.35 * len(self.labels))
+        share = max(1.0, 0.35 * len(self.unknowns))
         left, right = figure.subplots(1, 2, width_ratios=(1.0, share))
         _draw_waterfall(left, self)
         _draw_ends(right, self)
@@ -226,8 +206,7 @@ class StartsChart(AbstractChart):
 
     def table(self) -> Table:
         first = ("rank", "start", f"error_{column(self.unit)}", "nearly_as_good", "evaluations")
-        units = [f"[{unit}]" for unit in self.units]
-        names = [" ".join(pair) for pair in zip(self.labels, units, strict=True)]
+        names = [f"{unknown.label} [{unknown.unit}]" for unknown in self.unknowns]
         good = ["true" if good else "false" for good in self.good]
         rows = [
             (rank, k + 1, self.errors[k], good[k], self.evaluations[k], *self.points[k])
@@ -247,10 +226,7 @@ def _draw_waterfall(axes: Axes, chart: StartsChart) -> None:
             axes.plot(rank[which], shown[which], linestyle="none", markersize=4 if few else 2.5,
                       **style)  # fmt: skip
     none = ~np.isfinite(ordered)
-    if none.any():
-        axes.plot(rank[none], np.full(none.sum(), 0.96), linestyle="none", marker="x",
-                  markersize=4.0, color=palette.FORCE, label="found nothing",
-                  transform=axes.get_xaxis_transform())  # fmt: skip
+    mark_missing(axes, rank[none], 0.96, label="found nothing")
     log_scale(axes, "y", shown)
     room_above(axes, bool(none.any()))
     axes.set_xlim(0.4, len(rank) + 0.6)
@@ -273,28 +249,21 @@ def _other() -> Style:
 
 def _draw_ends(axes: Axes, chart: StartsChart) -> None:
     """Draw each end point as a line across the parameters, as shares of their ranges."""
-    place = np.arange(len(chart.labels))
-    shares = (chart.points - chart.low) / (chart.high - chart.low)
+    place = np.arange(len(chart.unknowns))
+    low, high = np.array([(unknown.low, unknown.high) for unknown in chart.unknowns]).T
+    shares = (chart.points - low) / (high - low)
     for k in reversed(chart.order):
         if math.isfinite(chart.errors[k]):
             style = _good(chart) if chart.good[k] else _other()
-            axes.plot(
-                place,
-                shares[k],
-                color=style["color"],
-                marker=style["marker"],
-                markersize=2.8,
-                linewidth=1.0 if chart.good[k] else 0.5,
-                alpha=0.9 if chart.good[k] else 0.6,
-                zorder=3 if chart.good[k] else 2,
-            )
+            line = {"linewidth": 1.0, "alpha": 0.9, "zorder": 3}
+            if not chart.good[k]:
+                line = {"linewidth": 0.5, "alpha": 0.6, "zorder": 2}
+            axes.plot(place, shares[k], markersize=2.8, **style | line | {"label": ""})
     names = []
-    for label, unit, low, high in zip(
-        chart.labels, chart.units, chart.low.tolist(), chart.high.tolist(), strict=True
-    ):
-        own = readable(unit)
-        ends = f"{own.text(low)} … {own.text(high)} {own.name}".rstrip()
-        names.append(f"{broken(label)}\n{ends}")
+    for unknown in chart.unknowns:
+        own = readable(unknown.unit)
+        ends = f"{own.text(unknown.low)} … {own.text(unknown.high)} {own.name}".rstrip()
+        names.append(f"{broken(unknown.label)}\n{ends}")
     axes.set_xticks(place, names)
     if len(names) > 6:
         axes.tick_params(axis="x", rotation=60, labelsize=palette.FONT_SIZE - 1.5)

@@ -234,16 +234,12 @@ def _starts(desk: CalibrationReportData, name: str, one: ParameterSet) -> Pictur
     ends = one.trace.ends()
     if len(ends) < 2:
         return
-    space = desk.space
     chart = StartsChart(
         title=f"{len(ends)} starts: {title_of(desk, one)}",
         unit="mm",
         errors=desk.lengths(np.array([end.error for end in ends]), len(one.members)),
         points=np.array([end.point for end in ends]),
-        labels=space.labels,
-        units=[unknown.unit for unknown in space.free],
-        low=space.low,
-        high=space.high,
+        unknowns=desk.space.free,
         evaluations=np.bincount(one.trace.starts).tolist(),
         nearly=NEARLY if desk.unit == "mm" else 0.5 * NEARLY,
         what=_what(desk, one),
