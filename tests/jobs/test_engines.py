@@ -9,13 +9,13 @@ import sys
 import time
 
 import pytest
+from fixel.jobs.remote import OTHER_VERSION, run_chunk
 from tests.jobs.helpers import await_true, kill, processes
 
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import link
 from fixel.jobs.engine import LocalEngine
 from fixel.jobs.pool import LocalPool, worker_command
-from fixel.jobs.remote import OTHER_VERSION, run_chunk
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import Chunk, Failure, unframed
 from fixel.testing import toy_work
@@ -261,7 +261,7 @@ def test_interfaces_are_named_ones():
 def test_without_the_packages_it_says_what_to_install(monkeypatch):
     monkeypatch.setattr(link, "find_spec", lambda name: None)
     with pytest.raises(JobRefused, match=r'pip install "fixel\[cluster\]"'):
-        link.refuse_without_dask()
+        link.require_dask()
 
 
 def test_a_pool_of_none_is_refused(folder):

@@ -13,7 +13,7 @@ from tests.jobs.kinds import QUICK, THESIS, Toy, assert_as_undisturbed
 from fixel.jobs import folder as files
 from fixel.jobs.folder import RunSettings
 from fixel.jobs.site import Site
-from fixel.jobs.slurm import cancel, listed
+from fixel.jobs.slurm import cancel, listed_jobs
 from fixel.workflows import jobs
 
 pytestmark = pytest.mark.cluster
@@ -57,7 +57,7 @@ def label(folder):
 
 
 def on_slurm(folder):
-    return sorted(int(job.id) for job in listed(label(folder)) if job.active)
+    return sorted(int(job.id) for job in listed_jobs(label(folder)) if job.active)
 
 
 def two_at_work(folder, coordinator):
@@ -97,7 +97,7 @@ def test_workers_outlive_the_coordinator_and_are_taken_over(slurm, tmp_path):
         time.sleep(1.0)
         assert on_slurm(folder) == before
         assert jobs.run_here(folder).state == "done"
-        assert sorted(int(job.id) for job in listed(label(folder))) == before
+        assert sorted(int(job.id) for job in listed_jobs(label(folder))) == before
         LONGER.assert_as_undisturbed(folder)
 
 
@@ -106,7 +106,7 @@ def test_a_worker_cancelled_from_outside_is_replaced(slurm, tmp_path):
         coordinator = start(folder)
         subprocess.run(["scancel", str(two_at_work(folder, coordinator)[0])], check=True)
         assert coordinator.wait(120) == 0
-        assert len(listed(label(folder))) == 3
+        assert len(listed_jobs(label(folder))) == 3
         LONGER.assert_as_undisturbed(folder)
 
 

@@ -10,7 +10,7 @@ from tests.jobs.fake_slurm import VARIABLE, FakeSlurm
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import link, slurm
 from fixel.jobs.site import Site
-from fixel.jobs.slurm import SlurmPool, refuse_without_slurm
+from fixel.jobs.slurm import SlurmPool, require_slurm
 
 if find_spec("dask_jobqueue") is None:  # importing it would change what Ctrl-C does
     pytest.skip("dask-jobqueue is not installed", allow_module_level=True)
@@ -63,7 +63,7 @@ def steps(pool, n=3):
 
 
 def join(folder, number):
-    link.say_joined(folder, f"slurm-{number}", "node")
+    link.record_joined(folder, f"slurm-{number}", "node")
 
 
 def test_as_many_as_wanted_and_no_more(fake, pool):
@@ -242,7 +242,7 @@ def test_numbers_are_found_in_what_sites_add(fake, pool, words):
 
 
 def test_a_job_that_is_not_listed_yet_counts(fake, pool, monkeypatch):
-    monkeypatch.setattr(slurm, "listed", lambda name: [])
+    monkeypatch.setattr(slurm, "listed_jobs", lambda name: [])
     steps(pool, 5)
     assert fake.active() == [101, 102]
     monkeypatch.setattr(slurm, "UNSEEN_S", 0.0)
@@ -275,13 +275,13 @@ def test_an_end_that_cannot_cancel_says_so(fake, pool, said):
 def test_without_slurm_it_says_where_to_run(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(InvalidInput, match="found no command sbatch"):
-        refuse_without_slurm()
-    with pytest.raises(slurm.SlurmTrouble, match="sbatch is not there"):
+        require_slurm()
+    with pytest.raises(slurm.SlurmError, match="sbatch is not there"):
         slurm.submit(tmp_path / "script")
 
 
 def test_a_command_that_hangs_is_given_up(fake, folder, monkeypatch):
     (fake.folder / "squeue").write_text("#!/bin/sh\nexec sleep 60\n")
     monkeypatch.setattr(slurm, "COMMAND_S", 0.1)
-    with pytest.raises(slurm.SlurmTrouble, match="timed out"):
-        slurm.listed(NAME)
+    with pytest.raises(slurm.SlurmError, match="timed out"):
+        slurm.listed_jobs(NAME)

@@ -8,7 +8,7 @@ from tests.jobs.kinds import toy_undisturbed
 from fixel.errors import InvalidInput
 from fixel.io.journal import Journal
 from fixel.jobs.engine import LocalEngine, answer_of
-from fixel.jobs.functions import THREADS, chunk_function, current_name, named_function, threads
+from fixel.jobs.functions import THREADS, chunk_function, named_function, threads
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import (
     Chunk,
@@ -143,6 +143,7 @@ def test_what_a_chunk_function_may_answer(inputs):
         "fixel.workflows.project.importing:new_project",
         "fixel.jobs.folder:prepare",
         "fixel.cli.main:run",
+        "fixel.workflows.domain.work:domain_work",
         "fixel.io.atomic:refuse_unwritable",
         "",
     ],
@@ -150,11 +151,6 @@ def test_what_a_chunk_function_may_answer(inputs):
 def test_only_functions_marked_for_jobs_are_called_by_name(name):
     with pytest.raises(InvalidInput, match="function of a job"):
         named_function(name)
-
-
-def test_folders_with_the_path_of_a_module_are_still_read():
-    assert current_name("fixel.workflows.domain.work:domain_work") == "domain:domain_work"
-    assert current_name("toy:evaluate") == "toy:evaluate"
 
 
 def test_a_chunk_function_by_name(inputs):

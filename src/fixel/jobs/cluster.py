@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 
 from fixel.jobs import link
-from fixel.jobs.remote import OTHER_VERSION, run_chunk
+from fixel.jobs.engine import OTHER_VERSION, run_chunk
 from fixel.jobs.scheduler import CONFIG
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import Answer, unframed
@@ -113,7 +113,7 @@ class Cluster:
         ------
         ClusterLost
         """
-        self._refuse_dead()
+        self._check_alive()
         try:
             # `nthreads()` has no time limit: it would never return if the scheduler hangs.
             cores = self._client.sync(
@@ -157,7 +157,7 @@ class Cluster:
             while True:
                 happened.append(self._events.get_nowait())
         if not happened:
-            self._refuse_dead()
+            self._check_alive()
         return happened
 
     def fetch(self, landed: ChunkReturn) -> None:
@@ -243,7 +243,7 @@ class Cluster:
             raise ClusterLost("the scheduler did not start; its words are in workers/scheduler.log")
         return address
 
-    def _refuse_dead(self) -> None:
+    def _check_alive(self) -> None:
         code = self.process.poll()
         if code is not None:
             raise ClusterLost(f"the scheduler has ended with code {code}")

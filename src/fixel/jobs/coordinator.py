@@ -58,7 +58,7 @@ def coordinate(
         state = _StateWriter(folder, progress, notify)
         try:
             state.enter("preparing")
-            _refuse_changed(folder, job, run)
+            _check_unchanged(folder, job, run)
             _report_damage(journal, state.notify)
             result = _run(folder, job, run, journal, state)
             state.enter("collecting")
@@ -85,10 +85,13 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a job in the background; messages go to its log and its state."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--then", metavar="KIND:FUNCTION", help="called once it is done")
     given = parser.parse_args(arguments)
     interrupt_on_termination()
     try:
-        coordinate(given.folder)
+        ended = coordinate(given.folder)
+        if given.then and ended.state == "done":
+            named_function(given.then)(given.folder)
     except FixelError as problem:
         files.log(given.folder, str(problem))
         return 1
@@ -123,11 +126,11 @@ def _engine(folder: Path, job: Job, run: RunSettings, notify: Notify) -> Abstrac
     if run.workers == 0:
         return LocalEngine()
     from fixel.jobs.dask_engine import DaskEngine
-    from fixel.jobs.link import refuse_without_dask
+    from fixel.jobs.link import require_dask
     from fixel.jobs.pool import AbstractPool, LocalPool
     from fixel.jobs.slurm import SlurmPool
 
-    refuse_without_dask()
+    require_dask()
     pool: AbstractPool
     if run.site is None:
         pool = LocalPool(folder, run.workers)
@@ -136,7 +139,7 @@ def _engine(folder: Path, job: Job, run: RunSettings, notify: Notify) -> Abstrac
     return DaskEngine(folder, pool, notify=notify, lease_s=run.lease_s, max_deaths=run.max_deaths)
 
 
-def _refuse_changed(folder: Path, job: Job, run: RunSettings) -> None:
+def _check_unchanged(folder: Path, job: Job, run: RunSettings) -> None:
     allowed = run.stamp or job.stamp
     if allowed != stamp():
         raise JobRefused(

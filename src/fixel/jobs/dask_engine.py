@@ -64,7 +64,7 @@ class DaskEngine(AbstractEngine):
         lease_s: float = 300.0,
         max_deaths: int = 5,
     ) -> None:
-        link.refuse_without_dask()
+        link.require_dask()
         self._folder = folder
         self._pool = pool
         self._say = notify
@@ -165,11 +165,11 @@ class DaskEngine(AbstractEngine):
         if now < self._next_tick:
             return
         self._next_tick = now + TICK_S
-        self._refuse_strangers()
+        self._check_refusals()
         self._pool.keep()
         self.workers = cluster.capacity()
 
-    def _refuse_strangers(self) -> None:
+    def _check_refusals(self) -> None:
         reasons = link.refusals(self._folder)
         if len(reasons) >= MAX_REFUSALS or (reasons and not self._answered and not self.workers):
             raise _other_version(reasons[-1])

@@ -33,7 +33,7 @@ from fixel.io.atomic import written_whole
 from fixel.io.document import read_document
 from fixel.io.journal import writer_of
 from fixel.io.lock import Owner
-from fixel.jobs.functions import current_name, named_function
+from fixel.jobs.functions import named_function
 from fixel.jobs.site import Site
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import JobProgress
@@ -158,7 +158,7 @@ def read_job(folder: Path) -> Job:
     if not (folder / "job.json").is_file():
         raise InvalidInput(str(folder), found="no job", expected="a folder with a job.json")
     job: Job = _read(folder / "job.json", Job)
-    return job.model_copy(update={"maker": current_name(job.maker)})
+    return job
 
 
 def made_by(folder: Path, maker: str) -> bool:

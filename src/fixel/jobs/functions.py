@@ -22,13 +22,9 @@ THREADS: Final = "FIXEL_THREADS"  # environment variable with the number of core
 
 _MODULES: Final = {
     "calibration": "fixel.workflows.calibration.job",
+    "calibration-result": "fixel.workflows.calibration.run",
     "domain": "fixel.workflows.domain.job",
     "toy": "fixel.testing.toy_work",
-}
-# Older folders contain the module instead of the kind.
-_FORMER: Final = {
-    "fixel.workflows.calibration.work": "calibration",
-    "fixel.workflows.domain.work": "domain",
 }
 _ALLOWED: set[tuple[str, str]] = set()  # module and name
 
@@ -43,12 +39,6 @@ def chunk_function(name: str) -> ChunkFunction:
     """Return the function `(inputs, payload) -> bytes` of a name like `"calibration:evaluate"`."""
     function: ChunkFunction = named_function(name)
     return function
-
-
-def current_name(name: str) -> str:
-    """Return the name of a function as it is stored now; older folders contain module paths."""
-    kind, colon, attribute = name.partition(":")
-    return _FORMER.get(kind, kind) + colon + attribute
 
 
 def named_function(name: str) -> Any:

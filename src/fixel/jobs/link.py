@@ -48,7 +48,7 @@ class Late(NamedTuple):
     path: Path
 
 
-def refuse_without_dask() -> None:
+def require_dask() -> None:
     """Raise `JobRefused` if the packages for several workers are not installed."""
     if sys.platform == "win32":
         raise JobRefused("several workers need Linux or macOS", hint="leave --workers out")
@@ -105,7 +105,7 @@ def forget_address(folder: Path) -> None:
 # --- workers ------------------------------------------------------------------------------------
 
 
-def say_joined(folder: Path, name: str, host: str) -> None:
+def record_joined(folder: Path, name: str, host: str) -> None:
     """Record that the scheduler has accepted a worker."""
     with written_whole(folder / "workers" / f"{name}.json") as path:
         path.write_text(json.dumps({"host": host, "pid": os.getpid()}))
@@ -120,7 +120,7 @@ def joined(folder: Path, name: str) -> WorkerLink | None:
         return None
 
 
-def say_refused(folder: Path, name: str, reason: str) -> None:
+def record_refusal(folder: Path, name: str, reason: str) -> None:
     """Record that a worker does not take part, and the reason."""
     with written_whole(folder / "workers" / f"{name}.refused") as path:
         path.write_text(reason)

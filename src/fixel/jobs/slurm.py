@@ -64,7 +64,7 @@ class SlurmJob(NamedTuple):
         return self.state in _ACTIVE
 
 
-class SlurmTrouble(Exception):
+class SlurmError(Exception):
     """Exception raised when a SLURM command fails; `hopeless` if it always will."""
 
     def __init__(self, said: str, hopeless: bool = False) -> None:
@@ -72,7 +72,7 @@ class SlurmTrouble(Exception):
         super().__init__(said)
 
 
-def refuse_without_slurm() -> None:
+def require_slurm() -> None:
     """Raise `InvalidInput` if the commands of SLURM are missing."""
     for command in ("sbatch", "squeue", "scancel"):
         if shutil.which(command) is None:
@@ -89,11 +89,11 @@ def submit(script: Path) -> str:
     said = _call("sbatch", "--parsable", str(script)).strip()
     number = said.splitlines()[-1].split(";")[0] if said else ""
     if not number.isdecimal():
-        raise SlurmTrouble(f"sbatch answered {said!r}")
+        raise SlurmError(f"sbatch answered {said!r}")
     return number
 
 
-def listed(name: str) -> list[SlurmJob]:
+def listed_jobs(name: str) -> list[SlurmJob]:
     """Return the user's jobs of a name, also ended ones that SLURM still lists."""
     answer = _call(
         "squeue", "--noheader", "--states=all",
@@ -114,12 +114,12 @@ def _call(*command: str) -> str:
             command, capture_output=True, text=True, timeout=COMMAND_S, stdin=subprocess.DEVNULL
         )
     except FileNotFoundError:
-        raise SlurmTrouble(f"{command[0]} is not there", hopeless=True) from None
+        raise SlurmError(f"{command[0]} is not there", hopeless=True) from None
     except (OSError, subprocess.TimeoutExpired) as problem:
-        raise SlurmTrouble(f"{command[0]}: {problem}") from None
+        raise SlurmError(f"{command[0]}: {problem}") from None
     if done.returncode != 0:
         said = " ".join((done.stderr or done.stdout).split()) or f"exit code {done.returncode}"
-        raise SlurmTrouble(said, any(words in said.lower() for words in _HOPELESS))
+        raise SlurmError(said, any(words in said.lower() for words in _HOPELESS))
     return done.stdout
 
 
@@ -196,7 +196,7 @@ class SlurmPool(AbstractPool):
         back_off_s: float = 1.0,
         patience_s: float = 120.0,
     ) -> None:
-        refuse_without_slurm()
+        require_slurm()
         self.size = min(size, site.max_jobs)
         self.interface = site.interface
         self._folder = folder
@@ -234,14 +234,14 @@ class SlurmPool(AbstractPool):
     def close(self) -> None:
         try:
             cancel(self._name)
-        except SlurmTrouble as trouble:
+        except SlurmError as trouble:
             self._say(f"the workers could not be cancelled, and end by themselves: {trouble}")
 
     def _look(self, now: float) -> bool:
         """Update the jobs from SLURM; return False if it does not answer."""
         try:
-            jobs = listed(self._name)
-        except SlurmTrouble as trouble:
+            jobs = listed_jobs(self._name)
+        except SlurmError as trouble:
             self._note_trouble(f"squeue: {trouble}")
             return False
         if self._first:
@@ -265,7 +265,7 @@ class SlurmPool(AbstractPool):
         ):
             try:
                 number = submit(self._script())
-            except SlurmTrouble as trouble:
+            except SlurmError as trouble:
                 self._submit_failed(trouble, now)
                 return
             self._trouble = ""
@@ -276,7 +276,7 @@ class SlurmPool(AbstractPool):
             self._next_submit = time.monotonic() + self._site.submit_interval_s
             self._next_look = min(self._next_look, self._next_submit)
 
-    def _submit_failed(self, trouble: SlurmTrouble, now: float) -> None:
+    def _submit_failed(self, trouble: SlurmError, now: float) -> None:
         if trouble.hopeless:
             raise JobRefused(
                 f"sbatch refuses the worker: {trouble}", hint="correct the site template"

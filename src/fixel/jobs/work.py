@@ -228,17 +228,17 @@ def _answered(
     tally.begin(turn, answers)
     missing = [chunk for chunk in turn.chunks if chunk.name not in answers]
     if missing:
-        _refuse_stop(stop)
+        _check_stop(stop)
         for batch in engine.results(turn.function, inputs, missing):
             fresh = {name: answer for name, answer in batch if name not in answers}
             journal.append((names[name], framed(answer)) for name, answer in fresh.items())
             answers |= fresh
             tally.add(fresh)
-            _refuse_stop(stop)
+            _check_stop(stop)
     return {chunk.name: answers[chunk.name] for chunk in turn.chunks}
 
 
-def _refuse_stop(stop: Stop | None) -> None:
+def _check_stop(stop: Stop | None) -> None:
     if stop is not None and stop():
         raise StopRequest
 

@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from fixel.jobs import link, remote
+from fixel.jobs import engine, link
 from fixel.jobs.functions import THREADS
 from fixel.jobs.scheduler import CONFIG, end_with_parent
 from fixel.jobs.stamp import stamp
@@ -75,7 +75,7 @@ def _refuse(given: argparse.Namespace) -> int:
         f"expected fixel {given.stamp}"
     )
     print(reason, flush=True)
-    link.say_refused(given.folder, given.name, reason)
+    link.record_refusal(given.folder, given.name, reason)
     return REFUSED
 
 
@@ -96,8 +96,8 @@ async def _serve(given: argparse.Namespace, address: str, until: float) -> tuple
     finally:
         if worker.status.name != "running":
             timer.cancel()
-    link.say_joined(given.folder, given.name, socket.gethostname())
-    remote.lost.clear()
+    link.record_joined(given.folder, given.name, socket.gethostname())
+    engine.lost.clear()
     ending = asyncio.ensure_future(asked.wait())
     finished = asyncio.ensure_future(worker.finished())
     watching = asyncio.ensure_future(_watch(worker))
@@ -115,7 +115,7 @@ async def _watch(worker: Any) -> None:
     """Notice the loss of the scheduler at once: closing waits for the running chunk."""
     while worker.status.name in ("running", "paused", "closing_gracefully"):
         await asyncio.sleep(0.05)
-    remote.lost.set()
+    engine.lost.set()
 
 
 async def _end_gracefully(worker: Any) -> None:
@@ -124,7 +124,7 @@ async def _end_gracefully(worker: Any) -> None:
 
     worker.status = Status.paused
     deadline = time.monotonic() + GRACE_S
-    while remote.running.is_set() and time.monotonic() < deadline:
+    while engine.running.is_set() and time.monotonic() < deadline:
         await asyncio.sleep(0.05)
     await asyncio.sleep(0.2)  # for the answer to be sent
     await worker.close_gracefully()
@@ -157,8 +157,8 @@ def _worker(given: argparse.Namespace, address: str) -> Any:
 
 def _await_chunk(until: float) -> None:
     """Wait for the running chunk, whose answer is stored in the folder."""
-    remote.lost.set()
-    while remote.running.is_set() and time.monotonic() < until:
+    engine.lost.set()
+    while engine.running.is_set() and time.monotonic() < until:
         time.sleep(0.05)
 
 

@@ -111,9 +111,9 @@ def create_app(
             app.include_router(page.router, prefix=page.path)
     if api is not None:
         app.mount(API, api)
-    _tell_problems(app, render)
+    _answer_errors(app, render)
 
-    app.add_middleware(Unforeseen)  # innermost
+    app.add_middleware(InternalErrorHandler)  # innermost
     app.add_middleware(BodyLimit)
     app.add_middleware(Guard, gate=gate)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(hosts), www_redirect=False)
@@ -121,7 +121,7 @@ def create_app(
     return app
 
 
-class Unforeseen:
+class InternalErrorHandler:
     """Log unexpected exceptions, and answer with a one-sentence 500."""
 
     def __init__(self, app: ASGIApp) -> None:
@@ -174,7 +174,7 @@ def _shown(page: Page, render: Any) -> Any:
     return show
 
 
-def _tell_problems(app: FastAPI, render: Any) -> None:
+def _answer_errors(app: FastAPI, render: Any) -> None:
     """Answer errors with a page that explains them."""
     page = Page(path="", title="Not here", template="problem.html", listed=False)
 

@@ -63,7 +63,7 @@ def problem_of(error: FixelError) -> Refusal:
             return Refusal(status=UNPROCESSABLE, sentence=sentence)
 
 
-def tell_problems(api: FastAPI) -> None:
+def answer_errors(api: FastAPI) -> None:
     """Answer every failure of an API with a `Refusal`."""
 
     @api.exception_handler(FixelError)

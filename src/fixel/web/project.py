@@ -25,7 +25,7 @@ from fixel.web.api import (
 )
 from fixel.web.context import ProjectContext
 from fixel.web.pages.site import project_pages
-from fixel.web.problems import Refusal, tell_problems
+from fixel.web.problems import Refusal, answer_errors
 from fixel.web.serve import HERE_ONLY, WebServer
 from fixel.web.views.live_comparison import warm_up
 
@@ -61,7 +61,7 @@ def project_api(context: ProjectContext) -> FastAPI:
     api.state.context = context
     for router in ROUTERS:
         api.include_router(router)
-    tell_problems(api)
+    answer_errors(api)
     threading.Thread(target=warm_up, name="fixel-warm-up", daemon=True).start()
     return api
 

@@ -39,7 +39,6 @@ END_S: Final = 60.0  # [s] within which a coordinator ends when requested to
 LOST: Final = "lost"  # the state of a job whose coordinator died: `resume` continues it
 UNREADABLE: Final = "unreadable"  # the state of a folder that another program wrote into
 JOBS: Final = "jobs"  # folder of the jobs in a project
-COORDINATOR: Final = "fixel.jobs.coordinator"
 # Contents of a packed job: nothing that is secret or specific to one machine.
 _PACKED: Final = ("job.json", "run.json", "state.json", "journal", "log.txt", "result")
 _MAX_BYTES: Final = 50_000_000_000
@@ -142,7 +141,7 @@ def arrange(
         The job is running, or something that it needs is missing here.
     """
     files.read_job(folder)
-    _refuse_running(folder)
+    _check_idle(folder)
     changes: dict[str, Any] = {"workers": workers, "site": site, "lease_s": lease_s}
     if site is not None and workers is None:
         changes["workers"] = site.max_jobs
@@ -150,7 +149,7 @@ def arrange(
         changes["stamp"] = stamp()
     kept = {name: value for name, value in changes.items() if value is not None}
     run = files.read_run(folder).model_copy(update=kept)
-    _refuse_impossible(run)
+    _check_settings(run)
     files.write_run(folder, run)
     (folder / files.CANCEL).unlink(missing_ok=True)
     return run
@@ -162,18 +161,19 @@ def run_here(folder: Path, progress: Show | None = None, notify: Notify | None =
     return status_of(folder)
 
 
-def run_detached(folder: Path, module: str = COORDINATOR) -> JobStatus:
+def run_detached(folder: Path, then: str = "") -> JobStatus:
     """Run or continue a job in its own process, which outlives this one.
 
     Parameters
     ----------
     folder : Path
-    module : str
-        Module that is run with the folder as its argument and has to call the coordinator.
+    then : str
+        `"KIND:FUNCTION"`, called with the folder in that process once the job is done.
     """
     with (folder / files.LOG).open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", module, str(folder.resolve())],
+            [sys.executable, "-m", "fixel.jobs.coordinator", str(folder.resolve())]
+            + (["--then", then] if then else []),
             stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
         )  # fmt: skip
     deadline = time.monotonic() + START_S
@@ -183,22 +183,22 @@ def run_detached(folder: Path, module: str = COORDINATOR) -> JobStatus:
             break
         time.sleep(0.05)
     # The process outlives this one; if it ends first, it must be waited for.
-    threading.Thread(target=_see_off, args=(process.pid,), daemon=True).start()
+    threading.Thread(target=_wait_for, args=(process.pid,), daemon=True).start()
     process.returncode = process.returncode or 0
     return status_of(folder)
 
 
-def _see_off(pid: int) -> None:
+def _wait_for(pid: int) -> None:
     with suppress(ChildProcessError):
         os.waitpid(pid, 0)
 
 
 def run_on_slurm(folder: Path) -> str:
     """Run or continue a job with a coordinator that is a SLURM job itself; return its number."""
-    from fixel.jobs.link import refuse_without_dask
-    from fixel.jobs.slurm import SlurmTrouble, job_script, submit
+    from fixel.jobs.link import require_dask
+    from fixel.jobs.slurm import SlurmError, job_script, submit
 
-    refuse_without_dask()
+    require_dask()
     run, job = files.read_run(folder), files.read_job(folder)
     if run.site is None:
         raise InvalidInput("coordinator", found="slurm", expected="a site template with it")
@@ -210,7 +210,7 @@ def run_on_slurm(folder: Path) -> str:
     script.write_text(job_script(alone, f"{job.label}-c", command, workers.resolve()))
     try:
         number = submit(script)
-    except SlurmTrouble as trouble:
+    except SlurmError as trouble:
         raise JobRefused(f"sbatch refuses the coordinator: {trouble}") from None
     files.write_status(folder, JobState(reason=f"the coordinator waits in the queue as {number}"))
     files.log(folder, f"submitted the coordinator as {number}")
@@ -270,7 +270,7 @@ def cancel(folder: Path) -> JobStatus:
             # It may be another user's, or gone: the file requests the end, too.
             with suppress(ProcessLookupError, PermissionError):
                 os.kill(owner.pid, signal.SIGTERM)
-        _await_end(folder)
+        _wait_for_end(folder)
     if run.site is not None:
         _cancel_on_slurm(job.label)
     after = status_of(folder)
@@ -301,7 +301,7 @@ def log_lines(folder: Path, follow: bool = False) -> Iterator[str]:
 def pack(folder: Path, file: Path) -> int:
     """Write a job into one file, to be copied by hand; return its size in bytes."""
     files.read_job(folder)
-    _refuse_running(folder)
+    _check_idle(folder)
     names = [folder / name for name in _PACKED] + sorted((folder / "inputs").iterdir())
     with (
         written_whole(file) as temporary,
@@ -320,7 +320,7 @@ def unpack(file: Path, folder: Path) -> JobStatus:
     try:
         with zipfile.ZipFile(file) as archive:
             members = [m for m in archive.infolist() if not m.is_dir()]
-            _refuse_strange(file, members)
+            _check_members(file, members)
             (folder / "inputs").mkdir(parents=True)
             # `job.json` last, since it makes the folder a job.
             for member in sorted(members, key=lambda m: m.filename == "job.json"):
@@ -331,7 +331,7 @@ def unpack(file: Path, folder: Path) -> JobStatus:
     return status_of(folder)
 
 
-def _refuse_strange(file: Path, members: list[zipfile.ZipInfo]) -> None:
+def _check_members(file: Path, members: list[zipfile.ZipInfo]) -> None:
     names = [member.filename for member in members]
     for name in names:
         path = PurePosixPath(name)
@@ -344,7 +344,7 @@ def _refuse_strange(file: Path, members: list[zipfile.ZipInfo]) -> None:
         raise InvalidInput(str(file), found="too much", expected=f"at most {_MAX_BYTES} bytes")
 
 
-def _refuse_running(folder: Path) -> None:
+def _check_idle(folder: Path) -> None:
     owner = files.coordinator_of(folder)
     if owner is not None:
         raise JobRefused(
@@ -353,20 +353,20 @@ def _refuse_running(folder: Path) -> None:
         )
 
 
-def _refuse_impossible(run: RunSettings) -> None:
+def _check_settings(run: RunSettings) -> None:
     if run.workers:
-        from fixel.jobs.link import listening, refuse_without_dask
+        from fixel.jobs.link import listening, require_dask
 
-        refuse_without_dask()
+        require_dask()
         if run.site is not None:
             listening(run.site.interface)
     if run.site is not None:
-        from fixel.jobs.slurm import refuse_without_slurm
+        from fixel.jobs.slurm import require_slurm
 
-        refuse_without_slurm()
+        require_slurm()
 
 
-def _await_end(folder: Path) -> None:
+def _wait_for_end(folder: Path) -> None:
     deadline = time.monotonic() + END_S
     while files.coordinator_of(folder) is not None:
         if time.monotonic() > deadline:
@@ -377,10 +377,10 @@ def _await_end(folder: Path) -> None:
 
 
 def _cancel_on_slurm(label: str) -> None:
-    from fixel.jobs.slurm import SlurmTrouble, cancel
+    from fixel.jobs.slurm import SlurmError, cancel
 
     try:
         cancel(label)
         cancel(f"{label}-c")
-    except SlurmTrouble as trouble:
+    except SlurmError as trouble:
         raise JobRefused(f"the SLURM jobs {label} could not be cancelled: {trouble}") from None

@@ -9,7 +9,7 @@ from fixel.database.project import Project
 from fixel.formats.rig_file import rig_of, save_rig
 from fixel.model import Experiment, Provenance, Trajectory
 from fixel.testing.scenes import grasp
-from fixel.web.views.video_outlines import MAX_OUTLINES, rig_named, seen_in_video
+from fixel.web.views.video_outlines import MAX_OUTLINES, outlines_in_video, rig_named
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def experiment(rig="thesis-tags", n=3):
 
 def test_the_middle_of_the_outline_is_that_of_the_part(project):
     known = experiment()
-    seen = seen_in_video(project, known)
+    seen = outlines_in_video(project, known)
     camera = rig_of("thesis-tags").camera
     assert seen.size == camera.lens.image_size
     np.testing.assert_array_equal(seen.time, known.trajectory.time)
@@ -51,15 +51,15 @@ def test_the_middle_of_the_outline_is_that_of_the_part(project):
 
 
 def test_long_ones_are_thinned(project):
-    seen = seen_in_video(project, experiment(n=2000))
+    seen = outlines_in_video(project, experiment(n=2000))
     assert len(seen.time) == len(seen.outline) == MAX_OUTLINES
     assert (seen.time[0], seen.time[-1]) == (0.0, 1999.0)
 
 
 def test_without_a_rig_nothing_is_drawn(project):
-    assert seen_in_video(project, experiment(rig="another bench")) is None
-    assert seen_in_video(project, replace(experiment(), conditions={})) is None
-    assert seen_in_video(project, replace(experiment(), scene=None)) is None
+    assert outlines_in_video(project, experiment(rig="another bench")) is None
+    assert outlines_in_video(project, replace(experiment(), conditions={})) is None
+    assert outlines_in_video(project, replace(experiment(), scene=None)) is None
 
 
 def test_a_rig_of_the_project_beside_a_broken_one(project):
@@ -74,4 +74,4 @@ def test_a_rig_of_the_project_beside_a_broken_one(project):
 def test_from_where_the_rig_has_no_camera_nothing_is_drawn(project):
     known = experiment()
     moved = replace(known, conditions={**known.conditions, "camera": "registered anew"})
-    assert seen_in_video(project, moved) is None
+    assert outlines_in_video(project, moved) is None

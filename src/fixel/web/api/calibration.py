@@ -123,7 +123,7 @@ def start(context: Context, form: CalibrationForm) -> CalibrationJob:
     request = form.request()
     request.check()
     chosen = form.selection(context.store)
-    with job_list.room(context.project.folder):
+    with job_list.job_slot(context.project.folder):
         folder = calibration_form.begin(context.project, chosen, request)
     progress = context.calibrations.look(folder)
     return CalibrationJob(
@@ -150,7 +150,7 @@ def stop(context: Context, name: str) -> CalibrationJob:
 @router.post("/jobs/{name}/resume", summary="Go on with one that was stopped or lost")
 def resume(context: Context, name: str) -> CalibrationJob:
     folder = context.calibrations.folder(name)
-    with job_list.room(context.project.folder):
+    with job_list.job_slot(context.project.folder):
         return CalibrationJob(name=name, state=calibration_form.go_on(folder).state)
 
 

@@ -114,7 +114,7 @@ def maps(context: Context) -> MapList:
 @router.post("", summary="Make a map, in a process of its own")
 def begin(context: Context, wanted: MapForm) -> DomainJob:
     request = DomainRequest(by=tuple(wanted.by))
-    with job_list.room(context.project.folder):
+    with job_list.job_slot(context.project.folder):
         folder = job.begin(context.project, request, _first_command(context, wanted.by))
     return _job(jobs.status_of(folder))
 

@@ -14,8 +14,8 @@ from fixel.io.document import plain_numbers
 from fixel.model import Flag
 from fixel.web.context import Context, ProjectContext
 from fixel.web.values import MAX_ID, Answer, Array, Number
-from fixel.web.views.browser_video import watchable
-from fixel.web.views.video_outlines import VideoOutlines, seen_in_video
+from fixel.web.views.browser_video import browser_video
+from fixel.web.views.video_outlines import VideoOutlines, outlines_in_video
 from fixel.workflows.project.compare import summary
 from fixel.workflows.project.filters import Coverage, Vocabulary, coverage, view_of, vocabulary
 from fixel.workflows.project.suggestions import meant_filter
@@ -285,7 +285,7 @@ def video(context: Context, number: Number) -> Response:
     path = context.store.video(number)
     if path is None or not path.is_file():
         raise NotStored(f"video of experiment {number}", hint="it was recorded without one")
-    found = watchable(context.project, path)
+    found = browser_video(context.project, path)
     # The address stays when a correction brings another video, so it is validated each time.
     headers = {"cache-control": "private, no-cache"}
     return FileResponse(found.path, media_type=found.media_type, headers=headers)
@@ -294,7 +294,7 @@ def video(context: Context, number: Number) -> Response:
 @router.get("/experiments/{number}/outlines", summary="Where the object appears in its video")
 def outlines(context: Context, number: Number) -> ExperimentOutlines:
     one = context.store.experiment(number)
-    return ExperimentOutlines(outlines=seen_in_video(context.project, one))
+    return ExperimentOutlines(outlines=outlines_in_video(context.project, one))
 
 
 def _table_row(row: ExperimentRow, details: ExperimentDetails) -> TableRow:

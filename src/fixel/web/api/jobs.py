@@ -59,6 +59,6 @@ def cancel(context: Context, name: JobName) -> JobDetail:
 
 @router.post("/{name}/resume", summary="Go on with it, in a process of its own")
 def resume(context: Context, name: JobName) -> JobDetail:
-    with job_list.room(context.project.folder):
+    with job_list.job_slot(context.project.folder):
         job_list.resume(job_list.job_named(context.project.folder, name))
     return one(context, name)

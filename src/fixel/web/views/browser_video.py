@@ -17,14 +17,14 @@ PLAYED: Final = ("h264", "vp8", "vp9", "av1")  # codecs
 _one_at_a_time: Final = Lock()
 
 
-class Watchable(NamedTuple):
+class BrowserVideo(NamedTuple):
     """Video file that a browser can play."""
 
     path: Path
     media_type: str
 
 
-def watchable(project: Project, video: Path) -> Watchable:
+def browser_video(project: Project, video: Path) -> BrowserVideo:
     """Return the video itself if a browser plays it, else a smaller copy in the project's cache.
 
     The copy has the times of the video. Writing it takes about as long as the video lasts.
@@ -37,13 +37,13 @@ def watchable(project: Project, video: Path) -> Watchable:
     with video.open("rb") as stream:
         container = _container(stream.read(16))
     if container is not None and open_video(video).codec in PLAYED:
-        return Watchable(video, container)
+        return BrowserVideo(video, container)
     copy = project.folder / CACHE / f"video-{video.stem[:32]}.mp4"
     if not copy.is_file():  # checked first: a finished copy need not wait for others being written
         with _one_at_a_time:
             if not copy.is_file():
                 _write(video, copy)
-    return Watchable(copy, "video/mp4")
+    return BrowserVideo(copy, "video/mp4")
 
 
 def _container(start: bytes) -> str | None:

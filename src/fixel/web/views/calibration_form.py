@@ -18,7 +18,7 @@ from fixel.web.values import Answer, FilterText, Id, RequestBody, Text
 from fixel.workflows import jobs
 from fixel.workflows.calibration.parameter_options import default_unknowns, usual
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.run import MODULE, ExperimentSelection, prepare, sampled
+from fixel.workflows.calibration.run import STORE_RESULT, ExperimentSelection, prepare, sampled
 from fixel.workflows.project.filters import view_of
 
 LOOKED_AT: Final = 12  # experiments from which the offer is made
@@ -203,7 +203,7 @@ def go_on(folder: Path) -> jobs.JobStatus:
         It is running.
     """
     jobs.arrange(folder)
-    return jobs.run_detached(folder, MODULE)
+    return jobs.run_detached(folder, STORE_RESULT)
 
 
 def _matching(store: Store, filter: str, ids: Sequence[int]) -> tuple[list[int], int]:

@@ -100,7 +100,7 @@ def resume(job: JobStatus) -> None:
 
 
 @contextmanager
-def room(project: Path) -> Iterator[None]:
+def job_slot(project: Path) -> Iterator[None]:
     """Allow one job to be started within: each takes a core or more, and a click costs nothing.
 
     Raises

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shlex
 import threading
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Final, Literal, final
 
@@ -95,36 +95,38 @@ class LiveComparison:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._lock = threading.Lock()
         self._keeping = threading.Lock()
-        self._known: OrderedDict[int, Experiment] = OrderedDict()
-        self._sliders: dict[int, list[ParameterSlider]] = {}
+        self.experiment = lru_cache(MAX_KEPT)(store.experiment)  # an experiment never changes
+        self.sliders = lru_cache(MAX_KEPT)(self._sliders)
 
-    def experiment(self, number: int) -> Experiment:
-        """Return an experiment; it never changes, so the last few stay in memory."""
-        with self._lock:
-            if number in self._known:
-                self._known.move_to_end(number)
-                return self._known[number]
-        experiment = self._store.experiment(number)
-        with self._lock:
-            self._known[number] = experiment
-            while len(self._known) > MAX_KEPT:
-                gone, _ = self._known.popitem(last=False)
-                self._sliders.pop(gone, None)
-        return experiment
-
-    def sliders(self, number: int) -> list[ParameterSlider]:
+    def _sliders(self, experiment_id: int) -> list[ParameterSlider]:
         """Return every parameter that has a meaning in the experiment's scene, with its usual
         bounds, starting at the scene's own value; those usually calibrated come first."""
-        if number not in self._sliders:
-            self._sliders[number] = _sliders(self.experiment(number))
-        return self._sliders[number]
+        scene = scene_of(self.experiment(experiment_id))
+        first = [unknown.name for unknown in default_unknowns([scene])]
+        found = []
+        for name in dict.fromkeys((*first, *KNOWN_PARAMETERS)):
+            try:
+                unknown = usual(name, scene)
+                simulate(scene, Parameters({name: unknown.nominal}), duration=INSTANT)
+            except InvalidInput:
+                continue  # the name has no meaning in this scene
+            found.append(
+                ParameterSlider(
+                    name=name,
+                    unit=unknown.unit,
+                    meaning=info_of(name).meaning,
+                    low=unknown.low,
+                    high=unknown.high,
+                    nominal=unknown.nominal,
+                )
+            )
+        return found
 
-    def sets(self, number: int) -> list[StoredSet]:
+    def sets(self, experiment_id: int) -> list[StoredSet]:
         """Return the sets for comparison: the scene's own values, those of calibrations, and those
         of stored simulations."""
-        experiment = self.experiment(number)
+        experiment = self.experiment(experiment_id)
         scene_of(experiment)
         found = [
             StoredSet(
@@ -138,16 +140,16 @@ class LiveComparison:
         ]
         for id_, record in reversed(self._store.calibration_summaries().items()):
             if record.method.get("how") != GROWTH and len(found) <= MAX_SETS:
-                found.append(_calibrated_set(id_, record, experiment, number))
-        for id_ in reversed(self._store.simulations(number)[-MAX_SETS:]):
+                found.append(_calibrated_set(id_, record, experiment, experiment_id))
+        for id_ in reversed(self._store.simulations(experiment_id)[-MAX_SETS:]):
             found.append(_simulated_set(id_, self._store.simulation(id_)))
         return found
 
     def compared(
-        self, number: int, parameters: Mapping[str, float], motion: str, folder: Path
+        self, experiment_id: int, parameters: Mapping[str, float], motion: str, folder: Path
     ) -> ComparedSimulation:
         """Simulate an experiment of the project in a folder; compare it with the measurement."""
-        answer = self._comparison(number, parameters, motion)
+        answer = self._comparison(experiment_id, parameters, motion)
         return ComparedSimulation(
             motion=compared_motion(answer, "simulated", id="simulated"),
             position_rms=answer.position_rms,
@@ -159,18 +161,20 @@ class LiveComparison:
             **_repeated(answer.experiment, folder, answer.parameters, motion),
         )
 
-    def _comparison(self, number: int, parameters: Mapping[str, float], motion: str) -> Comparison:
+    def _comparison(
+        self, experiment_id: int, parameters: Mapping[str, float], motion: str
+    ) -> Comparison:
         return comparison(
-            self.experiment(number),
+            self.experiment(experiment_id),
             Parameters(parameters),
             motion_model(motion),
             Adaptive(max_steps=MAX_STEPS),
         )
 
-    def stored(self, number: int, simulation: int, folder: Path) -> ComparedSimulation:
+    def stored(self, experiment_id: int, simulation: int, folder: Path) -> ComparedSimulation:
         """Return a stored simulation of an experiment, with the errors stored with it."""
-        record = self._record(number, simulation)
-        motion = self.simulated(number, simulation)
+        record = self._record(experiment_id, simulation)
+        motion = self.simulated(experiment_id, simulation)
         errors = None if record.error_mm2 is None else motion.errors
         model = str(record.method.get("motion", DYNAMIC))
         return ComparedSimulation(
@@ -181,48 +185,48 @@ class LiveComparison:
             error_mm2=record.error_mm2,
             contact_mode=record.contact_mode,
             wall_time_s=None,
-            **_repeated(self.experiment(number), folder, record.parameters, model),
+            **_repeated(self.experiment(experiment_id), folder, record.parameters, model),
         )
 
-    def simulated(self, number: int, simulation: int) -> MotionView:
+    def simulated(self, experiment_id: int, simulation: int) -> MotionView:
         """Return the motion of a stored simulation of an experiment."""
-        record = self._record(number, simulation)
+        record = self._record(experiment_id, simulation)
         label, name = f"simulation {simulation}", f"simulation-{simulation}"
-        return stored_motion(self.experiment(number), record, label, id=name)
+        return stored_motion(self.experiment(experiment_id), record, label, id=name)
 
-    def _record(self, number: int, simulation: int) -> SimulationRecord:
+    def _record(self, experiment_id: int, simulation: int) -> SimulationRecord:
         record = self._store.simulation(simulation)
-        if record.experiment_id != number:
+        if record.experiment_id != experiment_id:
             raise InvalidInput(
                 "simulation",
                 found=f"{simulation}, which is one of experiment {record.experiment_id}",
-                expected=f"a simulation of experiment {number}",
+                expected=f"a simulation of experiment {experiment_id}",
             )
         return record
 
-    def keep(self, number: int, parameters: Mapping[str, float], motion: str, folder: Path) -> int:
+    def keep(
+        self, experiment_id: int, parameters: Mapping[str, float], motion: str, folder: Path
+    ) -> int:
         """Store a simulation with these parameters; return its id."""
-        command = f"{command_of(self.experiment(number), folder, parameters, motion)} --save"
-        answer = self._comparison(number, parameters, motion)
-        return self._store.add_simulation(answer.record(number, command))
+        command = f"{command_of(self.experiment(experiment_id), folder, parameters, motion)} --save"
+        answer = self._comparison(experiment_id, parameters, motion)
+        return self._store.add_simulation(answer.record(experiment_id, command))
 
-    def keep_nominal(self, numbers: Sequence[int], folder: Path) -> NewSimulations:
+    def keep_nominal(self, ids: Sequence[int], folder: Path) -> NewSimulations:
         """Store simulations with nominal values of those experiments that have none yet."""
         stored: list[int] = []
         refused: dict[int, str] = {}
         with self._keeping:  # or two pages would do the same twice
-            wanted = set(
-                self._store.unsimulated_ids(ExperimentQuery(include_faulty=True))
-            ).intersection(numbers)
-            for number in sorted(wanted):
+            missing = self._store.unsimulated_ids(ExperimentQuery(include_faulty=True))
+            for experiment_id in sorted({*missing}.intersection(ids)):
                 try:
-                    experiment = self._store.experiment(number)
+                    experiment = self._store.experiment(experiment_id)
                     command = f"{command_of(experiment, folder, {}, DYNAMIC)} --save"
                     answer = comparison(experiment, stepper=Adaptive(max_steps=MAX_STEPS))
-                    self._store.add_simulation(answer.record(number, command))
-                    stored.append(number)
+                    self._store.add_simulation(answer.record(experiment_id, command))
+                    stored.append(experiment_id)
                 except InvalidInput as problem:
-                    refused[number] = str(problem)
+                    refused[experiment_id] = str(problem)
         return NewSimulations(stored=stored, refused=refused)
 
 
@@ -314,26 +318,3 @@ def _simulated_set(number: int, record: SimulationRecord) -> StoredSet:
         motion=str(record.method.get("motion", DYNAMIC)),
         error_mm2=record.error_mm2,
     )
-
-
-def _sliders(experiment: Experiment) -> list[ParameterSlider]:
-    scene = scene_of(experiment)
-    first = [unknown.name for unknown in default_unknowns([scene])]
-    found = []
-    for name in dict.fromkeys((*first, *KNOWN_PARAMETERS)):
-        try:
-            unknown = usual(name, scene)
-            simulate(scene, Parameters({name: unknown.nominal}), duration=INSTANT)
-        except InvalidInput:
-            continue  # the name has no meaning in this scene
-        found.append(
-            ParameterSlider(
-                name=name,
-                unit=unknown.unit,
-                meaning=info_of(name).meaning,
-                low=unknown.low,
-                high=unknown.high,
-                nominal=unknown.nominal,
-            )
-        )
-    return found

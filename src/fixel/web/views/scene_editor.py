@@ -92,7 +92,7 @@ def check_scene(content: Any) -> SceneFile:
     """Return the scene of these keys, or raise the first error in it."""
     found = scene_file_from_dict(content)
     motion_model(found.motion)
-    _refuse_large(found)
+    _check_size(found)
     return found
 
 
@@ -138,7 +138,7 @@ def get_ready() -> None:
         beside().start()
 
 
-def _refuse_large(file: SceneFile) -> None:
+def _check_size(file: SceneFile) -> None:
     scene = file.scene
     steps = 0.0 if file.step is None else scene.duration / file.step
     for where, found, most, unit in (

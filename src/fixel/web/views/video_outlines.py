@@ -43,7 +43,7 @@ def rig_named(project: Project, name: str) -> Rig | None:
     return next((rig for rig in map(rig_of, EXAMPLES) if rig.name == name), None)
 
 
-def seen_in_video(project: Project, experiment: Experiment) -> VideoOutlines | None:
+def outlines_in_video(project: Project, experiment: Experiment) -> VideoOutlines | None:
     """Return outlines of the measured object in its video; None without rig, scene or height, or
     if the camera was not where the rig places it."""
     rig = rig_named(project, str(experiment.conditions.get("rig", "")))

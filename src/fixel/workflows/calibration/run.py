@@ -1,9 +1,4 @@
-"""Calibrate stored experiments, and store the results in their project.
-
-`python -m fixel.workflows.calibration.run FOLDER` runs the job of a calibration in the background
-and stores its result. The process may be killed at any moment: the next process that resumes or
-inspects the job does the rest.
-"""
+"""Calibrate stored experiments, and store the results in their project."""
 
 from __future__ import annotations
 
@@ -11,7 +6,6 @@ import hashlib
 import json
 import math
 import shlex
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -25,12 +19,12 @@ from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
-from fixel.errors import FixelError, InvalidInput
+from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
 from fixel.io.lock import FileLock
-from fixel.jobs import coordinator
 from fixel.jobs import folder as files
+from fixel.jobs.functions import callable_by_jobs
 from fixel.jobs.site import Site
 from fixel.jobs.work import JobProgress
 from fixel.model import Parameters, Provenance
@@ -44,7 +38,7 @@ from fixel.workflows.calibration.result import SEARCHED, CalibrationResult, Para
 from fixel.workflows.project.suggestions import refuse_mistyped
 
 MAKER: Final = "calibration:calibration_work"
-MODULE: Final = "fixel.workflows.calibration.run"
+STORE_RESULT: Final = "calibration-result:store_result"  # what follows a job in the background
 EXPERIMENTS: Final = "experiments.json"  # ids of the targets in the project
 STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
 MEMBERS_A_GROUP: Final = 5  # experiments for each value of a condition that a sample is spread over
@@ -305,6 +299,28 @@ def collect(
     )
 
 
+def collected(project: Project, folder: Path) -> list[int]:
+    """Return the ids of the stored calibrations of a finished job; store them if necessary.
+
+    Raises
+    ------
+    JobRefused
+        Another process is storing them.
+    """
+    request, ids = request_of(folder), experiments_of(folder)
+    command = command_of(project.folder.resolve(), request, [str(number) for number in ids])
+    return collect(project, folder, command, {}).ids
+
+
+@callable_by_jobs
+def store_result(folder: Path) -> None:
+    """Store the result of a finished job in the project that contains its folder.
+
+    The process may be killed at any moment: the next one that inspects the job does the rest.
+    """
+    collected(Project.open(folder.resolve().parents[1]), folder)
+
+
 def reopened(project: Project, record: CalibrationRecord) -> Calibration | None:
     """The calibration that a stored set of parameters came from; none where its job is gone."""
     folder = project.folder / jobs.JOBS / str(record.method.get("job", ""))
@@ -432,35 +448,3 @@ def _method(
         **({"misfit_ratio": one.misfit_ratio} if math.isfinite(one.misfit_ratio) else {}),
         **{k: v if isinstance(v, str | float | int) else str(v) for k, v in options.items()},
     }
-
-
-def collected(project: Project, folder: Path) -> list[int]:
-    """Return the ids of the stored calibrations of a finished job; store them if necessary.
-
-    Raises
-    ------
-    JobRefused
-        Another process is storing them.
-    """
-    request, ids = request_of(folder), experiments_of(folder)
-    command = command_of(project.folder.resolve(), request, [str(number) for number in ids])
-    return collect(project, folder, command, {}).ids
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the job, then store its result."""
-    given = sys.argv[1:] if arguments is None else arguments
-    folder = Path(given[0])
-    status = coordinator.main(given)
-    if status or files.read_status(folder).state != "done":
-        return status
-    try:
-        collected(Project.open(folder.resolve().parents[1]), folder)
-    except FixelError as problem:
-        files.log(folder, str(problem))
-        return 1
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
