@@ -9,12 +9,11 @@ import sys
 import time
 
 import pytest
-from fixel.jobs.remote import OTHER_VERSION, run_chunk
 from tests.jobs.helpers import await_true, kill, processes
 
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import link
-from fixel.jobs.engine import LocalEngine
+from fixel.jobs.engine import OTHER_VERSION, LocalEngine, run_chunk
 from fixel.jobs.pool import LocalPool, worker_command
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import Chunk, Failure, unframed
