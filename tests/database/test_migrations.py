@@ -1,4 +1,4 @@
-"""One line of versions, from nothing and from every released version to the tables of today."""
+"""One line of versions, from nothing and from every known version to the tables of today."""
 
 import importlib.util
 import shutil
@@ -16,12 +16,11 @@ from fixel.database.migrations import freezing
 from fixel.database.store import Store
 from fixel.database.tables import METADATA
 from fixel.errors import StoreRefused
-from fixel.model import Parameters, Provenance
-from fixel.model.records import CalibrationRecord, Member
 
 ASSETS = Path(__file__).with_name("assets")
 # A file with a few records of every version that was ever released; `make_asset` wrote the newest.
 KEPT = sorted(ASSETS.glob("schema-*.db"))
+OLD = [file for file in KEPT if file.stem < f"schema-{schema.versions()[0]}"]
 
 
 def importing():
@@ -105,10 +104,23 @@ def test_what_is_written_once_is_frozen(store):
 
 
 def test_every_version_has_a_file():
-    assert [file.stem for file in KEPT] == [f"schema-{version}" for version in schema.versions()]
+    known = schema.versions()
+    assert [file.stem for file in KEPT if file not in OLD] == [f"schema-{v}" for v in known]
 
 
-@pytest.mark.parametrize("file", KEPT, ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", OLD, ids=lambda file: file.stem)
+def test_a_file_from_before_the_first_release_is_refused(file, tmp_path):
+    copy = tmp_path / "experiments.db"
+    shutil.copyfile(file, copy)
+    with Store(f"sqlite:///{copy}", tmp_path / "media") as store:
+        for call in (store.check_version, store.upgrade):
+            with pytest.raises(StoreRefused, match="from before the first release") as refused:
+                call()
+            assert "import the experiments again" in refused.value.hint
+        assert tables_of(store) >= {"experiment", "flag"}
+
+
+@pytest.mark.parametrize("file", [f for f in KEPT if f not in OLD], ids=lambda file: file.stem)
 def test_a_file_of_every_version_upgrades_and_reads_back(file, tmp_path):
     copy = tmp_path / "experiments.db"
     shutil.copyfile(file, copy)
@@ -190,32 +202,3 @@ def test_a_later_version_that_fails_leaves_the_one_before(store, tmp_path, monke
     assert left_to_do(store) == []
     store.check_version()
     assert store.experiment(number) == importing().experiment(0, 1)
-
-
-def test_errors_kept_as_lengths_become_the_squares_that_their_columns_are_named_for(url, tmp_path):
-    origin = Provenance(version="0")
-    with Store(url, tmp_path) as store:
-        store.upgrade("0003")
-        first = store.add_experiment(importing().experiment(0, 1)).id
-        second = store.add_experiment(importing().experiment(0, 2)).id
-        for unit in ("mm", "mm^2"):
-            store.add_calibration(  # as it was written then: a length under the name of a square
-                CalibrationRecord(
-                    name=unit,
-                    parameters=Parameters({"mu_support": 0.3}),
-                    members=(Member(first, 1.0, 3.0), Member(second, 1.0, 5.0)),
-                    provenance=origin,
-                    method={"error_unit": unit},
-                )
-            )
-        store.upgrade()
-        length, square = store.calibration(1), store.calibration(2)
-        with reading(store._engine) as connection:
-            told = connection.execute(
-                sa.text("SELECT mean_error_mm2, sum_error_mm2, max_error_mm2 FROM calibration")
-            ).all()
-        assert sorted(map(tuple, told)) == [(4.0, 8.0, 5.0), (17.0, 34.0, 25.0)]
-        assert length.errors == square.errors == (3.0, 5.0)
-        assert [m.error_mm2 for m in length.members] == [9.0, 25.0]
-        expected = {f"{table}_{how}" for table in METADATA.tables for how in ("frozen", "kept")}
-        assert triggers(store) == expected

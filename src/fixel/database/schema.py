@@ -55,7 +55,7 @@ def upgrade(connection: sa.Connection, version: str = "head") -> None:
     StoreRefused
         The database is newer than this program, or belongs to another program.
     """
-    refuse_newer(connection)
+    check_known(connection)
     if version_of(connection) is None and sa.inspect(connection).get_table_names():
         raise StoreRefused(
             "the database holds tables that are not fixel's", hint="name an empty database"
@@ -63,9 +63,15 @@ def upgrade(connection: sa.Connection, version: str = "head") -> None:
     command.upgrade(_config(connection), version)
 
 
-def refuse_newer(connection: sa.Connection) -> None:
+def check_known(connection: sa.Connection) -> None:
     """Raise `StoreRefused` for a database whose version this program does not know."""
     found = version_of(connection)
+    if found is not None and found < versions()[0]:
+        raise StoreRefused(
+            f"the database has schema {found}, from before the first release, which this fixel"
+            " cannot upgrade",
+            hint="make a new project with: fixel new; then import the experiments again",
+        )
     if found is not None and found not in versions():
         raise StoreRefused(
             f"the database has schema {found}, and this fixel knows {newest()} at most",
@@ -73,9 +79,9 @@ def refuse_newer(connection: sa.Connection) -> None:
         )
 
 
-def refuse_old(connection: sa.Connection, command: str = "fixel db upgrade") -> None:
+def check_newest(connection: sa.Connection, command: str = "fixel db upgrade") -> None:
     """Raise `StoreRefused` for a database that must be upgraded first; `command` is the hint."""
-    refuse_newer(connection)
+    check_known(connection)
     found = version_of(connection)
     if found != newest():
         what = "is empty" if found is None else f"has schema {found}"

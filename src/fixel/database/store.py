@@ -119,7 +119,7 @@ class Store:
     def check_version(self, command: str = "fixel db upgrade") -> None:
         """Raise `StoreRefused` if the tables have another version; `command` is the hint."""
         with reading(self._engine) as connection:
-            schema.refuse_old(connection, command)
+            schema.check_newest(connection, command)
 
     # --- experiments ----------------------------------------------------------------------------
 

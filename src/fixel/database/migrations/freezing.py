@@ -20,13 +20,6 @@ def freeze(table: str) -> None:
         _freeze_in_postgresql(table, frozen)
 
 
-def thaw(table: str) -> None:
-    """Drop the triggers of a table, for a migration that creates them again."""
-    on = f' ON "{table}"' if op.get_bind().dialect.name == "postgresql" else ""
-    for how in ("frozen", "kept"):
-        op.execute(f'DROP TRIGGER "{table}_{how}"{on}')
-
-
 def _freeze_in_sqlite(table: str, frozen: str) -> None:
     refuse = f"BEGIN SELECT RAISE(ABORT, '{SENTENCE}'); END"
     op.execute(f'CREATE TRIGGER "{table}_frozen" BEFORE UPDATE OF {frozen} ON "{table}" {refuse}')

@@ -201,7 +201,7 @@ def _checked(engine: sa.Engine, project: Project) -> CheckResult:
     try:
         with reading(engine) as connection:
             troubles += _damage(connection)
-            schema.refuse_old(connection, project.upgrade_command)
+            schema.check_newest(connection, project.upgrade_command)
             version = schema.version_of(connection)
             lacking = list(schema_troubles(connection))
             troubles += lacking
