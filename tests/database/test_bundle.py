@@ -1,12 +1,11 @@
 """What a bundle promises: nothing lost on the way, and nothing believed unseen."""
 
 import hashlib
-import io
-import json
 import math
-import pickle
+import sqlite3
 import stat
 import zipfile
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,7 @@ import pytest
 
 from fixel.database import arrays
 from fixel.database.bundle import export_bundle, import_bundle
-from fixel.database.bundle_file import LIMITS, read_npy
+from fixel.database.bundle_file import LIMITS
 from fixel.database.query import ALL_EXPERIMENTS, ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
@@ -144,15 +143,19 @@ def write(path, members, packing=zipfile.ZIP_DEFLATED):
             archive.writestr(name, data)
 
 
-def sealed(members):
-    """The same members under a manifest that vouches for them."""
-    manifest = json.loads(members["manifest.json"])
-    manifest["members"] = {
-        name: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
-        for name, data in members.items()
-        if name != "manifest.json"
-    }
-    return members | {"manifest.json": json.dumps(manifest).encode()}
+def edited(path, *statements):
+    """The members of a bundle, after statements on its database without triggers."""
+    members = members_of(path)
+    file = path.with_name("edited.db")
+    file.write_bytes(members["experiments.db"])
+    with closing(sqlite3.connect(file)) as raw:
+        names = raw.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall()
+        for (name,) in names:
+            raw.execute(f'DROP TRIGGER "{name}"')
+        for statement in statements:
+            raw.execute(statement)
+        raw.commit()
+    return members | {"experiments.db": file.read_bytes()}
 
 
 def refused(path, store, words, **more):
@@ -291,18 +294,25 @@ def test_numbers_that_pack_too_well_are_stored(store, tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    ["../evil", "/etc/passwd", "C:\\evil", "series/../../x", "setup.py", "series/a.npy", "x/"],
+    [
+        "../evil",
+        "/etc/passwd",
+        "C:\\evil",
+        "media/../../x",
+        "setup.py",
+        f"media/00/{'1' * 64}",
+        "x/",
+    ],
 )
 def test_names_that_are_no_members(bundle, name):
     path, store = bundle
-    write(path, sealed(members_of(path) | {name: b"x"}))
+    write(path, members_of(path) | {name: b"x"})
     refused(path, store, "only members of a bundle")
 
 
 def test_a_link(bundle):
     path, store = bundle
-    members = members_of(path)
-    name = next(n for n in members if n.startswith("series/"))
+    members, name = members_of(path), "experiments.db"
     with zipfile.ZipFile(path, "w") as archive:
         for each, data in members.items():
             info = zipfile.ZipInfo(each)
@@ -316,7 +326,7 @@ def test_a_link(bundle):
 def test_a_member_twice(bundle):
     path, store = bundle
     with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr("experiments.jsonl", b"")
+        archive.writestr("experiments.db", b"")
     refused(path, store, "a member twice")
 
 
@@ -324,12 +334,11 @@ def test_bombs(bundle):
     path, store = bundle
     members = members_of(path)
     refused(path, store, "too much", limits=replace(LIMITS, total=1000))
-    refused(path, store, "members", limits=replace(LIMITS, members=3))
-    refused(path, store, "fits in memory", limits=replace(LIMITS, in_memory=100))
-    refused(path, store, "too long", limits=replace(LIMITS, line=100))
+    refused(path, store, "members", limits=replace(LIMITS, members=0))
+    refused(path, store, "fit in memory", limits=replace(LIMITS, in_memory=100))
     zeros = bytes(5_000_000)
-    name = f"media/{hashlib.sha256(zeros).hexdigest()}"
-    write(path, sealed(members | {name: zeros}))
+    digest = hashlib.sha256(zeros).hexdigest()
+    write(path, members | {f"media/{digest[:2]}/{digest}": zeros})
     refused(path, store, "packed to less than")
 
 
@@ -337,8 +346,8 @@ def test_a_size_that_lies(bundle):
     path, store = bundle
     data = bytearray(path.read_bytes())
     with zipfile.ZipFile(path) as archive:
-        size = archive.getinfo("experiments.jsonl").file_size
-    at = data.rindex(b"experiments.jsonl") - 46 + 24  # of the central directory
+        size = archive.getinfo("experiments.db").file_size
+    at = data.rindex(b"experiments.db") - 46 + 24  # of the central directory
     assert int.from_bytes(data[at : at + 4], "little") == size
     data[at : at + 4] = (size // 2).to_bytes(4, "little")
     path.write_bytes(data)
@@ -354,12 +363,16 @@ def test_damage(bundle):
         refused(path, store, "found")
     path.write_bytes(whole[:200] + bytes([whole[200] ^ 1]) + whole[201:])
     refused(path, store, "damaged|changed")
-    write(path, members | {"experiments.jsonl": members["experiments.jsonl"] + b"\n"})
-    refused(path, store, "experiments.jsonl changed")
-    write(path, {n: d for n, d in members.items() if n != "simulations.jsonl"})
-    refused(path, store, "simulations.jsonl missing")
-    write(path, members | {f"media/{'0' * 64}": b"x"})
-    refused(path, store, "unlisted")
+    write(path, {n: d for n, d in members.items() if n != "experiments.db"})
+    refused(path, store, "no experiments.db|no central directory|found")
+    write(path, members | {f"media/00/{'0' * 64}": b"x"})
+    refused(path, store, "changed")
+    pages = bytearray(members["experiments.db"])
+    pages[4096 * 3 : 4096 * 6] = bytes(4096 * 3)
+    write(path, members | {"experiments.db": bytes(pages)})
+    refused(path, store, "found")
+    write(path, members | {"experiments.db": b"no database" * 1000})
+    refused(path, store, "no SQLite database")
     write(path, {"a": b""})
     refused(path, store, "only members")
     path.unlink()
@@ -368,66 +381,52 @@ def test_damage(bundle):
 
 def test_another_version(bundle):
     path, store = bundle
-    members = members_of(path)
-    manifest = json.loads(members["manifest.json"]) | {"version": 2}
-    write(path, members | {"manifest.json": json.dumps(manifest).encode()})
-    refused(path, store, "format version 2.*newer")
+    write(path, edited(path, "UPDATE alembic_version SET version_num = '9999'"))
+    refused(path, store, "schema 9999.*newer")
+    write(path, {"manifest.json": b"{}", "experiments.jsonl": b""})
+    refused(path, store, "from before the first release.*write it again")
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        {"series": []},
-        {"is_real": False},
-        {"n": 1},
-        {"contact_mode": "x"},
-        {"scene": {"bodies": []}},
-        {"conditions": {"a": [1]}},
-        {"seed": 2**70},
-        {"video_sha256": "../../x"},
-        {"video_sha256": "0" * 64},
-        {"name": ""},
-        {"effective_start_s": 2.0},
+        "DELETE FROM series",
+        "UPDATE series SET n_row = n_row + 1",
+        "UPDATE series SET columns = '[1]'",
+        "UPDATE series SET media_sha256 = '../../x', data = NULL",
+        f"UPDATE series SET media_sha256 = '{'0' * 64}', data = NULL",
+        "UPDATE experiment SET is_real = 0",
+        "UPDATE experiment SET is_real = 7",
+        "UPDATE experiment SET contact_mode = 'x'",
+        """UPDATE experiment SET scene = '{"bodies": []}'""",
+        """UPDATE experiment SET conditions = '{"a": [1]}'""",
+        f"UPDATE experiment SET conditions = '{'[' * 100_000}'",
+        f"UPDATE experiment SET seed = {2**70}",
+        "UPDATE experiment SET video_sha256 = '../../x'",
+        f"UPDATE experiment SET video_sha256 = '{'0' * 64}'",
+        "UPDATE experiment SET name = ''",
+        f"UPDATE experiment SET name = '{'x' * 500}'",
+        "UPDATE experiment SET duration_s = 'long'",
+        "UPDATE experiment SET effective_start_s = 2.0",
+        "ALTER TABLE experiment ADD COLUMN n TEXT",
+        "ALTER TABLE experiment DROP COLUMN n_frame",
+        "ALTER TABLE experiment ADD COLUMN n AS (1)",
+        "DROP TABLE filter_run",
+        "CREATE VIEW evil AS SELECT 1",
+        "CREATE VIRTUAL TABLE evil USING fts5(a)",
+        "INSERT INTO flag VALUES (1, 1, 'Not a name', '', 0, '2026', NULL)",
+        "INSERT INTO flag VALUES (1, 7, 'late', '', 0, '2026', NULL)",
     ],
 )
 def test_records_that_cannot_be(bundle, change):
     path, store = bundle
-    members = members_of(path)
-    line = json.loads(members["experiments.jsonl"]) | change
-    write(path, sealed(members | {"experiments.jsonl": json.dumps(line).encode()}))
+    write(path, edited(path, "PRAGMA foreign_keys = OFF", change))
     refused(path, store, "found")
+    assert list(path.parent.glob(".bundle-*")) == []
 
 
-def test_a_reference_to_nothing(bundle):
+def test_triggers_of_a_bundle_do_nothing(bundle):
     path, store = bundle
-    line = {
-        "experiment": 7, "parameters": 0, "method": {}, "status": "", "contact_mode": "",
-        "error_mm2": None, "series": [], "created_at_utc": "", "fixel_version": "", "command": "",
-        "source_file": "", "source_sha256": "", "seed": None,
-    }  # fmt: skip
-    write(path, sealed(members_of(path) | {"simulations.jsonl": json.dumps(line).encode()}))
-    with pytest.raises(InvalidInput, match="place 7"):
-        import_bundle(path, store)
-
-
-def npy(values, **more):
-    stream = io.BytesIO()
-    np.save(stream, values, **more)
-    return stream.getvalue()
-
-
-def test_npy_files_that_mean_harm():
-    huge = npy(np.zeros((2, 2))).replace(b"(2, 2), }    ", b"(2, 2222), } ")
-    for data in (
-        npy(np.array([[print]], dtype=object), allow_pickle=True),
-        pickle.dumps([1]),
-        npy(np.zeros(3)),
-        npy(np.zeros((2, 2), dtype=np.float32)),
-        npy(np.zeros((2, 2)))[:-1],
-        huge,
-        b"",
-        b"\x93NUMPY\x01\x00\x10\x00__import__('os')",
-    ):
-        with pytest.raises(InvalidInput, match="table of little-endian"):
-            read_npy(data, "x")
-    assert read_npy(npy(np.zeros((0, 4))), "x").shape == (0, 4)
+    trigger = "CREATE TRIGGER evil AFTER INSERT ON experiment BEGIN DELETE FROM flag; END"
+    write(path, edited(path, trigger))
+    assert import_bundle(path, store)["experiments"] == 1

@@ -375,14 +375,14 @@ server:/home /home nfs4 rw 0 0
     ("path", "kind"), [("/home/me/e.db", "nfs4"), ("/mnt/the lab/e.db", "cifs")]
 )
 def test_a_network_file_system(path, kind):
-    reason, hint = refusal(engine.refuse_network, Path(path), MOUNTS)
+    reason, hint = refusal(engine.check_local, Path(path), MOUNTS)
     assert f"network file system ({kind})" in reason
     assert "local disk" in hint
 
 
 @pytest.mark.parametrize("path", ["/e.db", "/homes/e.db", "/home/local/e.db", "/mnt/the/e.db"])
 def test_a_local_file_system(path):
-    engine.refuse_network(Path(path), MOUNTS)
+    engine.check_local(Path(path), MOUNTS)
 
 
 @pytest.mark.parametrize("url", ["no url", "oracle+nothing://x"])

@@ -111,14 +111,17 @@ def fetch(digest: str, media: Path) -> bytes:
     try:
         data = path.read_bytes()
     except OSError:
-        raise StoreRefused(
-            f"the file {path} is missing", hint="restore it from a backup of the media folder"
-        ) from None
+        raise lost(path, "is missing") from None
     if hashlib.sha256(data).hexdigest() != digest:
-        raise StoreRefused(
-            f"the file {path} has changed", hint="restore it from a backup of the media folder"
-        )
+        raise lost(path, "has changed")
     return data
+
+
+def lost(path: Path, how: str) -> StoreRefused:
+    """Return the error for a media file that `is missing` or `has changed`."""
+    return StoreRefused(
+        f"the file {path} {how}", hint="restore it from a backup of the media folder"
+    )
 
 
 def media_path(digest: str, media: Path) -> Path:

@@ -1,45 +1,37 @@
-"""Zip file of a bundle, possibly malicious: all members are checked before any is used.
+"""Zip file of a bundle, possibly malicious: all of it is checked before any record is used.
 
-Nothing is unpacked under a name from the file. Members are named ``manifest.json``, as in `FILES`,
-``series/SHA256.npy`` and ``media/SHA256``; any other is rejected.
+A bundle is a project folder in a zip: ``experiments.db``, a SQLite database with the tables of a
+project, and its media, ``media/AB/SHA256``; any other member is rejected.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
 import re
 import stat
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final, TypeVar, final
+from tempfile import TemporaryDirectory
+from typing import Any, Final, final
 
-import numpy as np
-from pydantic import ValidationError
+import sqlalchemy as sa
+from pydantic import TypeAdapter, ValidationError
 
-from fixel.database.bundle_lines import Line, Manifest, SeriesLine
-from fixel.database.rows import Measured
-from fixel.errors import InvalidInput
-from fixel.io.document import parse_json
-from fixel.typing import FloatArray
+from fixel.database import tables
+from fixel.database.arrays import media_path
+from fixel.database.engine import reading
+from fixel.database.project import DATABASE, MEDIA
+from fixel.database.store import Store
+from fixel.errors import InvalidInput, StoreRefused
+from fixel.model.records import Estimate
 
-FORMAT: Final = "fixel-bundle"
-VERSION: Final = 1
-MANIFEST: Final = "manifest.json"
-FILES: Final = (
-    "experiments.jsonl",
-    "parameters.jsonl",
-    "simulations.jsonl",
-    "calibrations.jsonl",
-    "filter_parameters.jsonl",
-    "filter_runs.jsonl",
-)
 CHUNK: Final = 1 << 20  # [bytes]
-_CONTENT = re.compile(r"series/[0-9a-f]{64}\.npy|media/[0-9a-f]{64}")
-_Kind = TypeVar("_Kind", bound=Line)
+_MEMBER = re.compile(rf"{re.escape(DATABASE)}|{MEDIA}/(?P<ab>[0-9a-f]{{2}})/(?P=ab)[0-9a-f]{{62}}")
+_OLD_MANIFEST = "manifest.json"  # of bundles that fixel wrote before the first release
 
 
 @final
@@ -49,8 +41,7 @@ class BundleLimits:
 
     members: int = 1_000_000
     total: int = 200_000_000_000  # [bytes], unpacked
-    in_memory: int = 1_000_000_000  # [bytes], member that is read at once
-    line: int = 10_000_000  # [bytes]
+    in_memory: int = 1_000_000_000  # [bytes], series that is read at once
     ratio: int = 100  # unpacked to packed size, for members larger than `small`
     small: int = 1_000_000  # [bytes]
 
@@ -58,209 +49,227 @@ class BundleLimits:
 LIMITS: Final = BundleLimits()
 
 
-@final
-class BundleFile:
-    """Bundle whose members are complete and match the checksums of its manifest.
+def private_url(file: Path) -> str:
+    """URL of a SQLite file that only this process uses, for `Store`."""
+    return f"sqlite:///{file.resolve().as_uri()}?uri=true"
+
+
+@contextmanager
+def opened_bundle(path: Path, folder: Path, limits: BundleLimits = LIMITS) -> Iterator[Store]:
+    """Unpack and check a bundle; yield a store of its records, to read from.
+
+    Parameters
+    ----------
+    path : Path
+    folder : Path
+        Folder for the unpacked files while the bundle is open.
+    limits : BundleLimits
 
     Raises
     ------
     InvalidInput
-        From the constructor and every method: no bundle, or a damaged or malicious one.
+        The file is no bundle, is damaged, or is malicious.
     """
+    with TemporaryDirectory(prefix=".bundle-", dir=folder) as name:
+        _unpack(path, Path(name), limits)
+        with Store(private_url(Path(name, DATABASE)), Path(name, MEDIA)) as store:
+            with damage_refused(path):
+                _check_pages(store)
+            _check_version(path, store)
+            with damage_refused(path):
+                _check_values(store, limits)
+            yield store
 
-    def __init__(self, path: Path, limits: BundleLimits = LIMITS) -> None:
-        self.path = path
-        self._limits = limits
-        try:
-            self._zip = zipfile.ZipFile(path)
-        except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as problem:
-            raise self._refused(str(problem) or "no zip file", "a whole bundle") from None
-        try:
-            self._infos = self._listed()
-            self.manifest = self._read_manifest()
-            self._check_members()
-        except BaseException:
-            self._zip.close()
-            raise
 
-    def __enter__(self) -> BundleFile:
-        return self
+_UNREADABLE = (ValueError, TypeError, LookupError, RecursionError, sa.exc.SQLAlchemyError)
 
-    def __exit__(self, *_: object) -> None:
-        self._zip.close()
 
-    # --- reading --------------------------------------------------------------------------------
+@contextmanager
+def damage_refused(path: Path) -> Iterator[None]:
+    """Raise any error of reading a bundle's records as `InvalidInput`."""
+    try:
+        yield
+    except StoreRefused as problem:
+        raise _refused(path, problem.reason, "the whole records of a project") from None
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        LookupError,
+        RecursionError,
+        sa.exc.SQLAlchemyError,
+    ) as p:
+        found = " ".join(str(p).split())[:200] or type(p).__name__
+        raise _refused(path, found, "the whole records of a project") from None
 
-    def chunks(self, name: str) -> Iterator[bytes]:
-        """Read a member piece by piece; raise if it is longer than its announced size."""
-        if name not in self._infos:
-            raise self._refused(f"no member {name}", "all that its records name")
-        left = self._infos[name].file_size
-        try:
-            with self._zip.open(name) as stream:
-                while data := stream.read(CHUNK):
-                    left -= len(data)
-                    if left < 0:
-                        raise self._refused(f"more in {name} than announced", "its announced size")
-                    yield data
-        except (OSError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError) as problem:
-            raise self._refused(f"{name} damaged: {problem}", "a whole bundle") from None
 
-    def lines(self, name: str, kind: type[_Kind]) -> Iterator[tuple[str, _Kind]]:
-        """Read the lines of a member; yield the place of each, for errors, and its record."""
-        with self._zip.open(name) as stream:
-            for number, text in enumerate(self._raw_lines(stream, name), start=1):
-                where = f"{self.path}: {name}, line {number}"
-                yield where, parsed(text, where, kind)
+def _refused(path: Path, found: str, expected: str, hint: str | None = None) -> InvalidInput:
+    return InvalidInput(str(path), found=found, expected=expected, hint=hint)
 
-    def series(self, lines: list[SeriesLine]) -> list[Measured]:
-        """Load the series that a record refers to: name, columns and values."""
-        return [(s.name, tuple(s.columns), self._array(s)) for s in lines]
 
-    def _raw_lines(self, stream: IO[bytes], name: str) -> Iterator[bytes]:
-        while text := stream.readline(self._limits.line + 1):
-            if len(text) > self._limits.line:
-                raise self._refused(f"a line too long in {name}", "a record a line")
-            yield text
+# --- the zip ------------------------------------------------------------------------------------
 
-    def _whole(self, name: str) -> bytes:
-        info = self._infos.get(name)
-        if info is not None and info.file_size > self._limits.in_memory:
-            raise self._refused(f"{info.file_size} bytes in {name}", "a member that fits in memory")
-        return b"".join(self.chunks(name))
 
-    def _array(self, line: SeriesLine) -> FloatArray:
-        name = f"series/{line.sha256}.npy"
-        values = read_npy(self._whole(name), f"{self.path}: {name}")
-        if values.shape[1] != len(line.columns):
-            raise self._refused(
-                f"{values.shape[1]} columns in {name}", f"{len(line.columns)}, as its record says"
-            )
-        return values
-
-    # --- checks ---------------------------------------------------------------------------------
-
-    def _listed(self) -> dict[str, zipfile.ZipInfo]:
-        infos = self._zip.infolist()
-        if len(infos) > self._limits.members:
-            raise self._refused(f"{len(infos)} members", f"at most {self._limits.members}")
+def _unpack(path: Path, folder: Path, limits: BundleLimits) -> None:
+    """Unpack a bundle; media must match the checksums that are their names."""
+    try:
+        archive = zipfile.ZipFile(path)
+    except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as problem:
+        raise _refused(path, str(problem) or "no zip file", "a whole bundle") from None
+    with archive:
+        infos = archive.infolist()
+        _check_members(path, infos, limits)
         for info in infos:
-            self._check_info(info)
-        if sum(info.file_size for info in infos) > self._limits.total:
-            raise self._refused("too much to unpack", f"at most {self._limits.total} bytes")
-        names = {info.filename: info for info in infos}
-        if len(names) < len(infos):
-            raise self._refused("a member twice", "each member once")
-        return names
-
-    def _check_info(self, info: zipfile.ZipInfo) -> None:
-        name, limits = info.filename, self._limits
-        # `orig_filename` is the name in the file; Python cuts `filename` at a null byte.
-        if info.orig_filename != name or not _is_member(name):
-            raise self._refused(f"the member {name!r}", "only members of a bundle")
-        if stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG):
-            raise self._refused(f"{name} as a link or a device", "plain files")
-        if info.flag_bits & 1 or info.compress_type not in (
-            zipfile.ZIP_STORED,
-            zipfile.ZIP_DEFLATED,
-        ):
-            raise self._refused(f"{name} encrypted or packed otherwise", "stored or deflated")
-        if info.file_size > max(limits.small, limits.ratio * info.compress_size):
-            raise self._refused(
-                f"{name} packed to less than 1/{limits.ratio}", "a bundle as fixel export writes it"
-            )
-
-    def _read_manifest(self) -> Manifest:
-        where = f"{self.path}: {MANIFEST}"
-        if MANIFEST not in self._infos:
-            raise self._refused(f"no {MANIFEST}", "a bundle", "make one with: fixel export")
-        content = decoded(self._whole(MANIFEST), where)
-        version = content.get("version") if isinstance(content, dict) else None
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise self._refused("another kind of zip", "a bundle", "make one with: fixel export")
-        if version != VERSION:
-            raise InvalidInput(
-                where,
-                found=f"format version {version!r}",
-                expected=str(VERSION),
-                hint="import it with the version of fixel that wrote it, or a newer one",
-            )
-        return validated(content, where, Manifest)
-
-    def _check_members(self) -> None:
-        listed, there = set(self.manifest.members), set(self._infos) - {MANIFEST}
-        for name in sorted(listed ^ there | (set(FILES) - listed)):
-            how = "unlisted" if name in there else "missing"
-            raise self._refused(f"{name} {how}", "exactly the members of its manifest")
-        for name, check in self.manifest.members.items():
-            total, size = hashlib.sha256(), 0
-            for data in self.chunks(name):
-                total.update(data)
-                size += len(data)
-            if (size, total.hexdigest()) != (check.bytes, check.sha256):
-                raise self._refused(f"{name} changed", "the checksum of its manifest")
-            content = re.search(r"[0-9a-f]{64}", name)
-            if content is not None and content[0] != check.sha256:
-                raise self._refused(f"{name} with other content", "a name that is its checksum")
-
-    def _refused(self, found: str, expected: str, hint: str | None = None) -> InvalidInput:
-        return InvalidInput(str(self.path), found=found, expected=expected, hint=hint)
+            file = folder / info.filename
+            file.parent.mkdir(parents=True, exist_ok=True)
+            total = hashlib.sha256()
+            with file.open("wb") as stream:
+                for data in _chunks(path, archive, info):
+                    stream.write(data)
+                    total.update(data)
+            if info.filename != DATABASE and total.hexdigest() != file.name:
+                raise _refused(path, f"{info.filename} changed", "content with its checksum")
 
 
-def _is_member(name: str) -> bool:
-    return name in (MANIFEST, *FILES) or _CONTENT.fullmatch(name) is not None
+def _check_members(path: Path, infos: list[zipfile.ZipInfo], limits: BundleLimits) -> None:
+    names = {info.filename for info in infos}
+    if _OLD_MANIFEST in names:
+        raise _refused(
+            path,
+            "a bundle from before the first release",
+            f"one with {DATABASE}",
+            "write it again with this version of fixel export",
+        )
+    if len(infos) > limits.members:
+        raise _refused(path, f"{len(infos)} members", f"at most {limits.members}")
+    for info in infos:
+        _check_member(path, info, limits)
+    if sum(info.file_size for info in infos) > limits.total:
+        raise _refused(path, "too much to unpack", f"at most {limits.total} bytes")
+    if len(names) < len(infos):
+        raise _refused(path, "a member twice", "each member once")
+    if DATABASE not in names:
+        raise _refused(path, f"no {DATABASE}", "a bundle", "make one with: fixel export")
 
 
-def decoded(data: bytes, where: str) -> Any:
-    """Parse JSON in UTF-8; `where` names it in errors."""
+def _check_member(path: Path, info: zipfile.ZipInfo, limits: BundleLimits) -> None:
+    name = info.filename
+    # `orig_filename` is the name in the file; Python cuts `filename` at a null byte.
+    if info.orig_filename != name or not _MEMBER.fullmatch(name):
+        raise _refused(path, f"the member {name!r}", "only members of a bundle")
+    if stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG):
+        raise _refused(path, f"{name} as a link or a device", "plain files")
+    if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise _refused(path, f"{name} encrypted or packed otherwise", "stored or deflated")
+    if info.file_size > max(limits.small, limits.ratio * info.compress_size):
+        raise _refused(
+            path,
+            f"{name} packed to less than 1/{limits.ratio}",
+            "a bundle as fixel export writes it",
+        )
+
+
+def _chunks(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iterator[bytes]:
+    """Read a member piece by piece; raise if it is longer than its announced size."""
+    left = info.file_size
     try:
-        return parse_json(data.decode("utf-8"), where)
-    except UnicodeDecodeError:
-        raise InvalidInput(where, found="bytes that are no UTF-8", expected="JSON") from None
+        stream = archive.open(info)
+        while data := stream.read(CHUNK):
+            left -= len(data)
+            if left < 0:
+                raise _refused(path, f"more in {info.filename} than announced", "its size")
+            yield data
+    except (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError) as problem:
+        raise _refused(path, f"{info.filename} damaged: {problem}", "a whole bundle") from None
 
 
-def parsed(data: bytes, where: str, kind: type[_Kind]) -> _Kind:
-    """Parse and validate one JSON line of a bundle."""
-    return validated(decoded(data, where), where, kind)
+# --- the database -------------------------------------------------------------------------------
+
+_STORED_AS: Final[dict[type[Any], tuple[str, ...]]] = {
+    sa.Boolean: ("integer",),
+    sa.Integer: ("integer",),
+    sa.BigInteger: ("integer",),
+    sa.Float: ("real", "integer"),
+    sa.String: ("text",),
+    sa.Text: ("text",),
+    sa.JSON: ("text",),
+    sa.LargeBinary: ("blob",),
+}
+# Integers stay integers: the checksum of an experiment distinguishes 5 from 5.0.
+_PLAIN: Final = TypeAdapter(dict[str, str | bool | int | float])
+_CONTENT: Final[dict[str, TypeAdapter[Any]]] = {
+    "conditions": _PLAIN,
+    "method": _PLAIN,
+    "options": _PLAIN,
+    "others": TypeAdapter(dict[str, float]),
+    "reasons": TypeAdapter(dict[str, str]),
+    "columns": TypeAdapter(list[str]),
+    "estimates": TypeAdapter(list[Estimate] | None),
+}
 
 
-def validated(content: Any, where: str, kind: type[_Kind]) -> _Kind:
-    """Validate parsed JSON as a line of a kind."""
+def _check_pages(store: Store) -> None:
+    """Raise for damaged pages, and for what is no table of data."""
+    with reading(store._engine) as connection:
+        for check in ("integrity_check", "foreign_key_check"):
+            found = [str(row[0]) for row in connection.exec_driver_sql(f"PRAGMA {check}")]
+            if found not in ([], ["ok"]):
+                raise ValueError(f"{check}: {found[0]}")
+        master = connection.exec_driver_sql("SELECT type, name, sql FROM sqlite_master").all()
+    known = {"alembic_version", *tables.METADATA.tables}
+    for kind, name, sql in master:
+        plain = name in known and str(sql).startswith("CREATE TABLE")
+        if kind == "view" or (kind == "table" and not plain):
+            raise ValueError(f"the {kind} {name!r}, which no project has")
+
+
+def _check_version(path: Path, store: Store) -> None:
     try:
-        return kind.model_validate(content)
+        store.check_version("fixel export, with this version, to write the bundle again")
+    except StoreRefused as problem:
+        raise _refused(path, problem.reason, "a bundle of this version", problem.hint) from None
+
+
+def _check_values(store: Store, limits: BundleLimits) -> None:
+    """Raise unless each table has the columns of a project's, and values as a project writes."""
+    with reading(store._engine) as connection:
+        for table in tables.METADATA.tables.values():
+            info = connection.exec_driver_sql(f'PRAGMA table_xinfo("{table.name}")').all()
+            if {(row[1], row[6]) for row in info} != {(c.name, 0) for c in table.columns}:
+                raise ValueError(f"other columns in the table {table.name}")
+            for column in table.columns:
+                _check_column(connection, column)
+                if column.name in _CONTENT:
+                    _check_content(connection, column)
+        series = tables.series.c
+        largest = connection.scalar(sa.select(sa.func.max(sa.func.length(series.data)))) or 0
+        files = connection.scalars(sa.select(series.media_sha256).distinct()).all()
+    for file in (media_path(digest, store._media) for digest in files if digest is not None):
+        largest = max(largest, file.stat().st_size if file.is_file() else 0)
+    if largest > limits.in_memory:
+        raise ValueError(f"{largest} bytes in a series, which must fit in memory")
+
+
+def _check_column(connection: sa.Connection, column: sa.Column[Any]) -> None:
+    """Raise if a column has a value of another type, a longer text, or no checksum."""
+    kinds = _STORED_AS[type(column.type)] + (("null",) if column.nullable else ())
+    wrong: Any = sa.func.typeof(column).not_in(kinds)
+    if isinstance(column.type, sa.Boolean):
+        wrong = sa.or_(wrong, sa.cast(column, sa.Integer).not_in((0, 1)))
+    length = getattr(column.type, "length", None)
+    if length is not None:
+        wrong = sa.or_(wrong, sa.func.length(column) > length)
+    if column.name in ("media_sha256", "video_sha256"):
+        other = sa.or_(sa.func.length(column) != 64, column.bool_op("GLOB")("*[^0-9a-f]*"))
+        wrong = sa.or_(wrong, sa.and_(column != "", other))
+    if connection.scalar(sa.select(sa.func.count()).select_from(column.table).where(wrong)):
+        raise ValueError(f"a value of {column.table.name}.{column.name} that no project has")
+
+
+def _check_content(connection: sa.Connection, column: sa.Column[Any]) -> None:
+    try:
+        for content in connection.scalars(sa.select(column).distinct()):
+            _CONTENT[column.name].validate_python(content, strict=column.name != "estimates")
     except ValidationError as problem:
-        raise first_of(problem, where) from None
-
-
-def first_of(problem: ValidationError, where: str) -> InvalidInput:
-    """First error of a validation, as `InvalidInput`."""
-    first = problem.errors()[0]
-    place = ".".join(map(str, first["loc"]))
-    return InvalidInput(f"{where}: {place}", found=first["msg"].lower(), expected="a fixel record")
-
-
-def npy_of(values: FloatArray) -> bytes:
-    """Return (n, k) numbers as an npy file; equal numbers always give equal bytes."""
-    stream = io.BytesIO()
-    np.save(stream, np.ascontiguousarray(values, dtype="<f8"), allow_pickle=False)
-    return stream.getvalue()
-
-
-def read_npy(data: bytes, where: str) -> FloatArray:
-    """Inverse of `npy_of`: accepts only a 2-D float64 array of exactly the size in its header."""
-    # np.load would allocate the size given in the header before it checks the size of the data.
-    stream = io.BytesIO(data)
-    expected = "a table of little-endian float64"
-    try:
-        if np.lib.format.read_magic(stream) != (1, 0):
-            raise ValueError("another version of npy")
-        shape, by_column, dtype = np.lib.format.read_array_header_1_0(stream)
-    except Exception as problem:  # a header is Python text, whose parser raises various errors
-        raise InvalidInput(where, found=str(problem), expected=expected) from None
-    if dtype.hasobject or dtype.str != "<f8" or by_column or len(shape) != 2:
-        raise InvalidInput(where, found=f"{dtype} of shape {shape}", expected=expected)
-    n_row, n_column = shape
-    body = data[stream.tell() :]
-    if min(shape) < 0 or len(body) != 8 * n_row * n_column:
-        raise InvalidInput(where, found=f"{len(body)} bytes for {shape}", expected=expected)
-    return np.frombuffer(body, dtype="<f8").reshape(n_row, n_column).astype(np.float64)
+        first = problem.errors()[0]["msg"].lower()
+        raise ValueError(f"{column.table.name}.{column.name}: {first}") from None

@@ -50,8 +50,10 @@ def open_engine(url: str) -> sa.Engine:
 
 
 def _sqlite(url: sa.URL) -> sa.Engine:
-    if url.database and url.database != ":memory:":
-        refuse_network(Path(url.database))
+    # The file of a bundle: only this process uses it, and it may be malicious.
+    is_private = "uri" in url.query
+    if url.database and url.database != ":memory:" and not is_private:
+        check_local(Path(url.database))
     engine = sa.create_engine(_on_read_only_media(url), connect_args={"timeout": WAIT_S})
 
     @event.listens_for(engine, "connect")
@@ -59,7 +61,9 @@ def _sqlite(url: sa.URL) -> sa.Engine:
         # `begin` below starts the transactions; the driver would start them late.
         connection.isolation_level = None
         connection.execute("PRAGMA foreign_keys = ON")
-        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute(f"PRAGMA synchronous = {'OFF' if is_private else 'FULL'}")
+        if is_private:
+            connection.execute("PRAGMA trusted_schema = OFF")
 
     @event.listens_for(engine, "begin")
     def begin(connection: sa.Connection) -> None:
@@ -197,8 +201,8 @@ def _reason(place: str, said: str) -> tuple[str, str | None]:
     return f"{place}: {said}", None
 
 
-def refuse_network(path: Path, mounts: str | None = None) -> None:
-    """Reject a file on a network file system, where two machines would overwrite each other.
+def check_local(path: Path, mounts: str | None = None) -> None:
+    """Raise for a file on a network file system, where two machines would overwrite each other.
 
     Parameters
     ----------

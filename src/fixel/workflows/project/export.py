@@ -11,8 +11,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.database.browsing import ExperimentRow
-from fixel.database.bundle import export_bundle, import_bundle
-from fixel.database.bundle_file import LIMITS, BundleFile
+from fixel.database.bundle import export_bundle, import_bundle, record_counts
+from fixel.database.bundle_file import opened_bundle
 from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
@@ -75,8 +75,8 @@ def import_zip(
     With `dry_run`, return how many there are, and add nothing.
     """
     if dry_run:
-        with BundleFile(path, LIMITS) as bundle:
-            return dict(bundle.manifest.counts)
+        with opened_bundle(path, project.folder) as bundle:
+            return record_counts(bundle)
     with project.store() as store:
         return import_bundle(path, store, progress=progress)
 
