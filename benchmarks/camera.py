@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.board_pictures import Studio
 from benchmarks.figures import Figure, Size, at_least, at_most
 from fixel.formats.rig_file import rig_of
-from fixel.testing.board_pictures import Studio
 from fixel.typing import FloatArray
 from fixel.vision.boards import board_of
 from fixel.vision.calibrate_lens import calibrate_lens, find_boards

@@ -20,9 +20,9 @@ from pathlib import Path
 from statistics import median
 
 from fixel.testbed import emergency
+from fixel.testbed.emulators import mega as emulated_mega
+from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.tactile import DEADLINE, TactileReader
-from fixel.testing import emulated_mega
-from fixel.testing.emulated_grbl import EmulatedGrbl
 
 PROGRAM = """
 import sys, time

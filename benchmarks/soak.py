@@ -2,7 +2,7 @@
 
     python -m benchmarks.soak --n 1000000 --seed 0
 
-Every problem is a function of its seed (`fixel.testing.random_problems`): a failure can be had
+Every problem is a function of its seed (`benchmarks.random_problems`): a failure can be had
 again.
 """
 
@@ -15,8 +15,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
+from benchmarks.random_problems import solve_many
 from fixel.kernels import codes
-from fixel.testing.random_problems import solve_many
 
 CHUNK = 2_000
 SHOWN = 20  # failures named

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from fixel.testing.emulated_grbl import EmulatedGrbl
+from fixel.testbed.emulators.grbl import EmulatedGrbl
 
 from .shell import fixel
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from benchmarks.board_pictures import Studio, seen_corners, spread
 from tests.cli.shell import fixel
 from tests.formats.test_camera_import import CALIB_RESULTS, ROS
 
 from fixel.cli.camera_text import view_lines
 from fixel.formats.camera_file import load_camera
-from fixel.testing.board_pictures import Studio, seen_corners, spread
 from fixel.vision.boards import Corners, board_of
 from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import Camera

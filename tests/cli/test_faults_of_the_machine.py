@@ -124,7 +124,7 @@ def test_a_project_on_a_disk_that_cannot_be_written(small_disk, laboratory, caps
     with Project.open(lab).store() as store:
         assert store.experiment(1).trajectory.time.size > 1
         with pytest.raises(StoreRefused, match="read-only"):
-            store.delete(1)
+            store.delete([1])
 
 
 def test_changes_that_only_a_writer_can_bring_in_are_not_left_out(small_disk, laboratory, capsys):

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from fixel.testing import emulated_mega
-from fixel.testing.emulated_grbl import EmulatedGrbl
+from fixel.testbed.emulators import mega as emulated_mega
+from fixel.testbed.emulators.grbl import EmulatedGrbl
 
 from .shell import fixel
 

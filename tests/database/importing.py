@@ -49,7 +49,7 @@ def main(url, media, batch):
     with Store(url, Path(media)) as store:
         store.check_version()
         print("ready", flush=True)
-        for k, added in enumerate(store.add_experiments(experiments)):
+        for k, added in enumerate(map(store.add_experiment, experiments)):
             assert added.new
             print(k, flush=True)
     sys.stdin.read()  # until killed, or told to end

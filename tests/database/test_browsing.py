@@ -32,7 +32,7 @@ def pushes(store):
     surfaces = ("abs", "plywood", "abs", 3.0, "plywood")
     for k, surface in enumerate(surfaces, 1):
         store.add_experiment(experiment(k, surface=surface, speed_m_s=0.01 * k))
-    store.flag(3, Flag("late", "by 0.2 s"))
+    store.flag([3], Flag("late", "by 0.2 s"))
     track = Trajectory(time=[0.0, 1.0], pose=np.zeros((2, 3)))
     for number, parameters, error in ((1, {}, 9.0), (1, {}, 4.0), (1, {"mu_support": 0.3}, 1.0)):
         store.add_simulation(
@@ -100,12 +100,12 @@ def test_pages_and_counts(pushes):
 
 
 def test_marks_tell_what_changed(pushes):
-    assert pushes.flag_all([2, 3, 3], Flag("late")) == [2]
-    assert pushes.unflag_all([1, 2, 3], "late") == [2, 3]
-    assert pushes.delete_all([1, 2]) == [1, 2]
-    assert pushes.delete_all([2, 3]) == [3]
+    assert pushes.flag([2, 3, 3], Flag("late")) == [2]
+    assert pushes.unflag([1, 2, 3], "late") == [2, 3]
+    assert pushes.delete([1, 2]) == [1, 2]
+    assert pushes.delete([2, 3]) == [3]
     assert pushes.experiment_ids(view_of("is:deleted")) == [1, 2, 3]
-    assert pushes.delete_all([1, 2, 3, 4], back=True) == [1, 2, 3]
+    assert pushes.delete([1, 2, 3, 4], back=True) == [1, 2, 3]
     made = pushes.annotate([4, 1], "slipped")
     assert [note.text for note in pushes.notes(4)] == ["slipped"]
     assert pushes.experiment_ids(view_of("is:noted slip")) == [1, 4]
@@ -116,8 +116,8 @@ def test_marks_tell_what_changed(pushes):
 
 def test_an_act_is_done_whole_or_not_at_all(pushes):
     for act in (
-        lambda: pushes.flag_all([1, 99], Flag("odd")),
-        lambda: pushes.delete_all([1, 99]),
+        lambda: pushes.flag([1, 99], Flag("odd")),
+        lambda: pushes.delete([1, 99]),
         lambda: pushes.annotate([1, 99], "text"),
     ):
         with pytest.raises(NotStored, match="experiment 99"):

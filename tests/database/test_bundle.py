@@ -81,11 +81,11 @@ def fill(store):
     )  # fmt: skip
     c = store.add_experiment(bare).id
     long = store.add_experiment(experiment("long", trajectory=path(40_000))).id
-    store.flag(b, Flag("by-hand", "odd"))
-    store.unflag(a, "late")
-    store.flag(a, Flag("late", "by 3 s", fault=False))
+    store.flag([b], Flag("by-hand", "odd"))
+    store.unflag([a], "late")
+    store.flag([a], Flag("late", "by 3 s", fault=False))
     gone = store.add_experiment(experiment("gone")).id
-    store.delete(gone)
+    store.delete([gone])
     p = Parameters(mu_support=0.3, tripod_radius=0.02)
     for number in (a, long):
         store.add_simulation(
@@ -224,7 +224,8 @@ def test_what_is_newer_here_stays_on_top(store, tmp_path):
     newer = experiment(contact_mode="110")
     with Store(f"sqlite:///{tmp_path}/o.db", tmp_path / "o") as other:
         other.upgrade()
-        list(other.add_experiments([experiment(), newer]))
+        for each in (experiment(), newer):
+            other.add_experiment(each)
         export_bundle(other, tmp_path / "a.zip")
     here = store.add_experiment(newer).id
     counts = import_bundle(tmp_path / "a.zip", store)
@@ -252,7 +253,7 @@ def test_notes_come_along_once_and_stay_deleted(store, tmp_path):
 def test_a_flag_found_elsewhere_comes_along_once(store, tmp_path):
     with Store(f"sqlite:///{tmp_path}/o.db", tmp_path / "o") as other:
         other.upgrade()
-        other.flag(other.add_experiment(experiment()).id, Flag("late"))
+        other.flag([other.add_experiment(experiment()).id], Flag("late"))
         export_bundle(other, tmp_path / "a.zip")
     store.add_experiment(experiment())
     assert import_bundle(tmp_path / "a.zip", store)["flags"] == 1

@@ -45,8 +45,8 @@ def spoil(store, table, statement):
         " WHERE NOT tgisinternal AND tgrelid = CAST(:t AS regclass)",
     }
     with writing(store._engine) as connection:
-        on = "" if store.engine_name == "sqlite" else f" ON {table}"
-        text = sa.text(definitions[store.engine_name])
+        on = "" if store._engine.dialect.name == "sqlite" else f" ON {table}"
+        text = sa.text(definitions[store._engine.dialect.name])
         triggers = connection.execute(text, {"t": table}).all()
         for name, _ in triggers:
             connection.execute(sa.text(f"DROP TRIGGER {name}{on}"))
@@ -63,7 +63,7 @@ def only_trouble(folder):
 def test_nothing_wrong(store, folder):
     found = maintenance.check(folder)
     assert found.troubles == ()
-    assert (found.engine, found.version) == (store.engine_name, "0004")
+    assert (found.engine, found.version) == (store._engine.dialect.name, "0004")
     assert (found.counts["experiment"], found.counts["series"], found.counts["flag"]) == (3, 6, 3)
     assert (found.media_files, found.unused_files) == (1, 0)
 
@@ -137,7 +137,7 @@ def test_a_video_that_is_gone(store, folder):
 
 
 def test_a_row_without_what_it_names(store, folder):
-    if store.engine_name != "sqlite":
+    if store._engine.dialect.name != "sqlite":
         pytest.skip("PostgreSQL refuses it, whoever asks")
     with writing(store._engine) as connection:
         connection.exec_driver_sql("PRAGMA defer_foreign_keys = ON")
@@ -157,7 +157,7 @@ def test_upgrade_says_both_versions(folder):
 
 
 def test_a_server_makes_its_own_backups(store, folder):
-    if store.engine_name == "sqlite":
+    if store._engine.dialect.name == "sqlite":
         assert maintenance.backup(folder, folder / "b.db").size > 0
         return
     with pytest.raises(StoreRefused, match=r"run: pg_dump --format=custom --file=\S+b\.db"):

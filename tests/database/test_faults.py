@@ -74,7 +74,7 @@ def whole(store, batch):
 
 
 def add_all(store, batch):
-    return list(store.add_experiments(importing.experiment(batch, k) for k in range(importing.N)))
+    return [store.add_experiment(importing.experiment(batch, k)) for k in range(importing.N)]
 
 
 def killed_often(store, url, media, n, seed=1):
@@ -272,7 +272,7 @@ def test_locked_by_another_process(filled, monkeypatch):
 
 
 def test_a_server_locked_by_another_process(store, monkeypatch):
-    if store.engine_name != "postgresql":
+    if store._engine.dialect.name != "postgresql":
         pytest.skip("of PostgreSQL")
     monkeypatch.setattr(engine, "WAIT_S", 0.05)
     with engine.writing(store._engine):

@@ -40,7 +40,7 @@ def make_asset():
         store.upgrade()
         for k in (1, 2):
             store.add_experiment(importing().experiment(0, k))
-        store.delete(2)
+        store.delete([2])
         with writing(store._engine) as connection:
             connection.execute(sa.text("UPDATE flag SET deleted_at_utc = '2026' WHERE id = 2"))
     with sa.create_engine(f"sqlite:///{file}").connect() as connection:
@@ -59,7 +59,7 @@ def left_to_do(store):
 def triggers(store):
     question = (
         "SELECT name FROM sqlite_master WHERE type = 'trigger'"
-        if store.engine_name == "sqlite"
+        if store._engine.dialect.name == "sqlite"
         else "SELECT tgname FROM pg_trigger WHERE NOT tgisinternal"
     )
     with reading(store._engine) as connection:

@@ -59,7 +59,7 @@ def experiment(name="1", **more):
 
 
 def stored(store, *experiments):
-    return [added.id for added in store.add_experiments(experiments)]
+    return [store.add_experiment(each).id for each in experiments]
 
 
 def same_but_for_time(a, b):
@@ -97,7 +97,7 @@ def test_a_correction_takes_the_place(store):
     assert [s.id for s in store.experiments().rows] == [new]
     assert store.experiments(ExperimentQuery(marks=("replaced",))).total == 2
     assert store.experiment(old).contact_mode == "010"
-    store.delete(new)
+    store.delete([new])
     assert [s.id for s in store.experiments().rows] == [old]
 
 
@@ -109,19 +109,19 @@ def test_flagged_rows_are_left_out_and_counted(store):
     assert store.experiments(ExperimentQuery(include_faulty=True)).total == 2
     assert store.experiment_ids(ExperimentQuery(flags=("misregistered",))) == [bad]
     assert store.flags() == {"misregistered": 1}
-    store.unflag(bad, "misregistered")
+    store.unflag([bad], "misregistered")
     assert store.experiments().total == 2
-    store.flag(good, Flag("by-hand", "looked odd"))
+    store.flag([good], Flag("by-hand", "looked odd"))
     assert [s.id for s in store.experiments().rows] == [bad]
     assert store.experiment(good).flags == (Flag("by-hand", "looked odd"),)
 
 
 def test_deletion_is_soft(store):
     (number,) = stored(store, experiment())
-    store.delete(number)
+    store.delete([number])
     assert store.experiments().total == 0
     assert store.experiments(ExperimentQuery(marks=("deleted",))).total == 1
-    store.undelete(number)
+    store.delete([number], back=True)
     assert store.experiments().total == 1
 
 
@@ -233,8 +233,6 @@ def test_simulations_calibrations_and_filters(store):
     number = store.add_simulation(simulation)
     assert same_but_for_time(simulation, store.simulation(number))
     assert store.simulations(one) == [number]
-    assert store.add_parameters({"mu_support": 0.3, "tripod_radius": 0.04}) == 1
-    assert store.parameters(1) == Parameters(mu_support=0.3, tripod_radius=0.04)
 
     tried = Evaluations(
         names=("mu_support", "tripod_radius"),

@@ -1,13 +1,13 @@
 """Whatever the step problem, the chain solves it: 10,000 random ones, degenerate ones among them.
 
-The million is `make soak`. Problems and why each has a solution: fixel.testing.random_problems.
+The million is `make soak`. Problems and why each has a solution: benchmarks.random_problems.
 """
 
 import numpy as np
+from benchmarks.random_problems import solve_many
 
 from fixel.kernels import codes
 from fixel.kernels.solve import TOLERANCE
-from fixel.testing.random_problems import solve_many
 
 
 def test_ten_thousand_random_steps_are_solved() -> None:

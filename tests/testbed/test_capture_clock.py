@@ -12,7 +12,7 @@ import pytest
 from tests.testbed.films import film
 from tests.testbed.test_frame_source import Webcam
 
-from fixel.testbed.capture_clock import CaptureClock
+from fixel.testbed.clocks import CaptureClock
 from fixel.testbed.device_source import DeviceSource
 from fixel.testbed.loopback import LoopbackCamera
 from fixel.testbed.url_source import UrlSource

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fixel.testbed.device_clock import DeviceClock
+from fixel.testbed.clocks import DeviceClock
 
 
 def exchanges(duration: float, drift: float, seed: int = 1):

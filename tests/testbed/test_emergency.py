@@ -19,8 +19,8 @@ from tests.processes import line_of
 
 from fixel.errors import DeviceFailed
 from fixel.testbed import emergency
+from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.motion_grbl import GrblActuator
-from fixel.testing.emulated_grbl import EmulatedGrbl
 from fixel.workflows.acquisition.actuator_stop import stop_actuators
 
 PROGRAM = """

@@ -5,7 +5,7 @@ import subprocess
 import pytest
 import serial
 
-from fixel.testbed import tactile_frames as frames
+from fixel.testbed import tactile_protocol as frames
 
 IDENTITY_REPLY_BYTES = 4 + 25 + 2
 

@@ -4,9 +4,9 @@ import pytest
 
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.testbed import grbl_lines as grbl
+from fixel.testbed.emulators import grbl as emulated_grbl
+from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.motion_grbl import GrblActuator
-from fixel.testing import emulated_grbl
-from fixel.testing.emulated_grbl import EmulatedGrbl
 
 from .boards import stranger
 
@@ -279,7 +279,7 @@ def test_whoever_finds_a_drive_moving_stops_it_first(controller):
     ],
 )
 def test_a_port_of_something_else_is_refused_with_what_it_said(says, found, monkeypatch):
-    monkeypatch.setattr("fixel.testbed.grbl_handshake.PATIENCE", 0.03)
+    monkeypatch.setattr("fixel.testbed.grbl_link.PATIENCE", 0.03)
     with stranger(says) as port, pytest.raises(InvalidInput, match=found):
         GrblActuator(port).connect()
 

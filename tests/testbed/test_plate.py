@@ -16,7 +16,12 @@ from fixel.model import (
     UniformPressure,
 )
 from fixel.model.chance import stream
-from fixel.testbed.plate import nominal_friction, planned_support, rough_plane, uneven_support
+from fixel.testbed.imperfections import (
+    nominal_friction,
+    planned_support,
+    rough_plane,
+    uneven_support,
+)
 from fixel.testing.scenes import box
 
 GRAIN = 0.06  # [m]

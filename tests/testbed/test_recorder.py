@@ -19,7 +19,6 @@ from fixel.errors import InvalidInput
 from fixel.formats.jpeg import jpeg_of
 from fixel.formats.recording import open_recording
 from fixel.testbed import recorder as recorder_module
-from fixel.testbed import room
 from fixel.testbed.frame_queue import CATCHING_UP, FrameQueue
 from fixel.testbed.frame_source import CameraPicture, FrameSource
 from fixel.testbed.recorder import Recorder, RecordingStatus, RecordingSummary
@@ -207,7 +206,7 @@ def test_gaps_are_told(tmp_path: Path) -> None:
 
 
 def test_a_minute_must_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(room, "free_space", lambda folder: 40_000_000)
+    monkeypatch.setattr(recorder_module, "free_space", lambda folder: 40_000_000)
     with pytest.raises(InvalidInput, match="40 MB free on its disk, expected"):
         record(Pictures(9), tmp_path / "r")
     assert not (tmp_path / "r").exists()

@@ -25,7 +25,7 @@ from fixel.model import (
 from fixel.model.experiment import unit_of
 from fixel.simulation import simulate
 from fixel.simulation.geometry import gap
-from fixel.testbed.sensors import touching
+from fixel.testbed.imperfections import touching
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import grasp
 

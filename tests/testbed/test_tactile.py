@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.testbed import tactile_frames as frames
-from fixel.testbed.tactile import TactileReader
-from fixel.testbed.tactile_bits import FIXELS, contact_mode, contacts, fixels_of
+from fixel.testbed import tactile_protocol as frames
+from fixel.testbed.tactile import TactileReader, contact_mode, fixels_of
 
 from .boards import stranger
 
@@ -261,13 +260,13 @@ def test_an_old_board_that_says_too_much_is_noticed():
     ],
 )
 def test_a_port_of_something_else_is_refused_with_what_it_said(says, found, monkeypatch):
-    monkeypatch.setattr("fixel.testbed.tactile_handshake.PATIENCE", 0.03)
+    monkeypatch.setattr("fixel.testbed.tactile_protocol.PATIENCE", 0.03)
     with stranger(says) as port, pytest.raises(InvalidInput, match=found):
         TactileReader(port).connect()
 
 
 def test_a_board_of_the_future_is_refused():
-    from fixel.testbed import tactile_frames as frames
+    from fixel.testbed import tactile_protocol as frames
 
     def answer(heard: bytes) -> bytes:
         content = frames._IDENTITY.pack(3, 3, 900, 900, 900, 1, b"fixel-tactile")
@@ -321,9 +320,3 @@ def test_another_wiring():
     assert contact_mode(0b001, ("blue", "red", "green")) == "100"
     with pytest.raises(InvalidInput, match="each once"):
         contact_mode(1, ("blue", "blue", "green"))
-
-
-def test_contacts_of_many_readings():
-    found = contacts([4, 2, 1, 7, -1], FIXELS)
-
-    assert found.astype(int).tolist() == [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [0, 0, 0]]

@@ -7,9 +7,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from benchmarks.board_pictures import Studio, seen_corners, spread
 
 from fixel.errors import InvalidInput
-from fixel.testing.board_pictures import Studio, seen_corners, spread
 from fixel.vision.boards import Board, Corners, board_of
 from fixel.vision.bundle import lens_with, values_of
 from fixel.vision.calibrate_lens import BoardView, SkippedPicture, calibrate_lens, find_boards

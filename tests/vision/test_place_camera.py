@@ -7,10 +7,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from benchmarks.board_pictures import Studio, seen_corners
 
 from fixel.errors import InvalidInput
 from fixel.formats.rig_file import rig_of
-from fixel.testing.board_pictures import Studio, seen_corners
 from fixel.typing import FloatArray
 from fixel.vision.boards import board_of
 from fixel.vision.calibrate_lens import calibrate_lens

@@ -35,8 +35,8 @@ def laboratory(tmp_path_factory) -> Path:
     with project.store() as store:
         for experiment in SimulatedTestbed(seed=1).run(planned):
             store.add_experiment(experiment)
-        store.flag(3, Flag("misregistered", "starts 4.2 mm inside the pusher"))
-        store.flag(5, Flag("late", "by 0.2 s", fault=False))
+        store.flag([3], Flag("misregistered", "starts 4.2 mm inside the pusher"))
+        store.flag([5], Flag("late", "by 0.2 s", fault=False))
         _simulate(store, [1, 2, 3])
     return folder
 

@@ -271,7 +271,7 @@ def test_a_video_by_ranges(bench, tmp_path, ending, codec):
             "What lay on the plate is not known" in bench.client.get(f"/experiments/{number}").text
         )
     finally:
-        bench.store.delete(number)
+        bench.store.delete([number])
 
 
 def gone(bench):

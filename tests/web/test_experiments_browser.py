@@ -258,7 +258,7 @@ def test_only_what_is_seen_is_drawn(table, server):
         table.evaluate("document.getElementById('scroll').scrollTop = 64 * 200")
         table.wait_for_selector("text=0203")
     finally:
-        store.delete_all(made)
+        store.delete(made)
 
 
 # --- one experiment -----------------------------------------------------------------------------
@@ -341,7 +341,7 @@ def test_names_are_never_markup(browser_page, server):
             browser_page.wait_for_load_state("networkidle")
             assert browser_page.evaluate("window.hacked") is None
     finally:
-        store.delete(made)
+        store.delete([made])
 
 
 def test_on_a_phone_nothing_is_wider_than_the_screen(chromium, server):

@@ -116,7 +116,7 @@ def test_nominal_simulations_are_kept_once(bench):
     assert record.error_mm2 == pytest.approx(comparison(store.experiment(8)).error_mm2)
     row = bench.get("/experiments?filter=before>0&limit=1&sort=id").json()
     assert row["experiments"][0]["before_mm"] > 0
-    store.delete_all([bare, stuck])
+    store.delete([bare, stuck])
 
 
 @pytest.mark.parametrize(

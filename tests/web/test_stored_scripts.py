@@ -62,7 +62,7 @@ def poisoned(folder):
                 flags=(),
             )  # fmt: skip
             stored = store.add_experiment(bad).id
-            store.flag(stored, Flag(f"evil-{number}", evil))
+            store.flag([stored], Flag(f"evil-{number}", evil))
             store.annotate([stored], ALL)
             _keep_simulation(store, stored, evil)
             made = store.calibration(1)

@@ -12,7 +12,7 @@ from fixel.cli.screen import notify, print_answer, progress_bar, seconds, table
 if TYPE_CHECKING:
     from fixel.testbed.serial_port import PortSeen
     from fixel.testbed.tactile import TactileReader
-    from fixel.testbed.tactile_reading import TactileReading
+    from fixel.testbed.tactile import TactileReading
     from fixel.workflows.acquisition.actuator import ActuatorAnswer
     from fixel.workflows.acquisition.tactile import TactileCheck
 
@@ -130,7 +130,7 @@ def watch(
 
 
 def _line(reader: "TactileReader", reading: "TactileReading") -> str:
-    from fixel.testbed.tactile_bits import COLOURS, FIXELS, contact_mode
+    from fixel.testbed.tactile import COLOURS, FIXELS, contact_mode
 
     counts = reader.statistics
     if reading.bits is None:

@@ -26,32 +26,32 @@ class Note(NamedTuple):
     created: str  # as ISO 8601 in UTC
 
 
-def flag_all(connection: sa.Connection, numbers: Iterable[int], flag: Flag) -> list[int]:
+def flag(connection: sa.Connection, experiment_ids: Iterable[int], flag: Flag) -> list[int]:
     """Add a flag to experiments that do not have it; return their ids."""
-    wanted = _known(connection, tables.experiment, numbers, "experiment")
+    wanted = _known(connection, tables.experiment, experiment_ids, "experiment")
     had = set(_carrying(connection, wanted, flag.name))
-    new = [number for number in wanted if number not in had]
+    new = [experiment_id for experiment_id in wanted if experiment_id not in had]
     if new:
         instant = rows.now()
         connection.execute(
             sa.insert(tables.flag),
             [
                 {
-                    "experiment_id": number,
+                    "experiment_id": experiment_id,
                     "name": flag.name,
                     "detail": flag.detail,
                     "is_fault": flag.fault,
                     "created_at_utc": instant,
                 }
-                for number in new
+                for experiment_id in new
             ],
         )
     return new
 
 
-def unflag_all(connection: sa.Connection, numbers: Iterable[int], name: str) -> list[int]:
+def unflag(connection: sa.Connection, experiment_ids: Iterable[int], name: str) -> list[int]:
     """Remove a flag from experiments; return the ids of those that had it."""
-    wanted = _known(connection, tables.experiment, numbers, "experiment")
+    wanted = _known(connection, tables.experiment, experiment_ids, "experiment")
     had = _carrying(connection, wanted, name)
     flag = tables.flag
     connection.execute(
@@ -62,13 +62,15 @@ def unflag_all(connection: sa.Connection, numbers: Iterable[int], name: str) -> 
     return had
 
 
-def delete_all(connection: sa.Connection, numbers: Iterable[int], instant: str | None) -> list[int]:
+def delete(
+    connection: sa.Connection, experiment_ids: Iterable[int], instant: str | None
+) -> list[int]:
     """Mark experiments as deleted at an instant, or restore them with None; return changed ids."""
-    wanted = _known(connection, tables.experiment, numbers, "experiment")
+    wanted = _known(connection, tables.experiment, experiment_ids, "experiment")
     return _mark(connection, tables.experiment, wanted, instant)
 
 
-def annotate(connection: sa.Connection, numbers: Iterable[int], text: str) -> list[int]:
+def annotate(connection: sa.Connection, experiment_ids: Iterable[int], text: str) -> list[int]:
     """Attach a note to each experiment; return the ids of the notes."""
     text = text.strip()
     if not text or len(text) > MAX_TEXT:
@@ -77,11 +79,11 @@ def annotate(connection: sa.Connection, numbers: Iterable[int], text: str) -> li
             found=f"{len(text)} characters",
             expected=f"1 to {MAX_TEXT} characters",
         )
-    wanted = _known(connection, tables.experiment, numbers, "experiment")
+    wanted = _known(connection, tables.experiment, experiment_ids, "experiment")
     instant = rows.now()
     made = []
-    for number in wanted:
-        row = {"experiment_id": number, "text": text, "created_at_utc": instant}
+    for experiment_id in wanted:
+        row = {"experiment_id": experiment_id, "text": text, "created_at_utc": instant}
         key = connection.execute(sa.insert(tables.note), row).inserted_primary_key
         assert key is not None
         made.append(int(key[0]))
@@ -94,12 +96,12 @@ def delete_notes(connection: sa.Connection, notes: Iterable[int], instant: str |
     return _mark(connection, tables.note, wanted, instant)
 
 
-def notes_of(connection: sa.Connection, number: int) -> list[Note]:
+def notes_of(connection: sa.Connection, experiment_id: int) -> list[Note]:
     """Notes of an experiment, oldest first."""
     note = tables.note
     wanted = (
         sa.select(note.c.id, note.c.text, note.c.created_at_utc)
-        .where(note.c.experiment_id == number, note.c.deleted_at_utc.is_(None))
+        .where(note.c.experiment_id == experiment_id, note.c.deleted_at_utc.is_(None))
         .order_by(note.c.id)
     )
     return [Note(*row) for row in connection.execute(wanted)]
@@ -118,12 +120,14 @@ def _mark(
     return changed
 
 
-def _carrying(connection: sa.Connection, numbers: list[int], name: str) -> list[int]:
+def _carrying(connection: sa.Connection, experiment_ids: list[int], name: str) -> list[int]:
     flag = tables.flag
     found = connection.scalars(
         sa.select(flag.c.experiment_id)
         .where(
-            flag.c.experiment_id.in_(numbers), flag.c.name == name, flag.c.deleted_at_utc.is_(None)
+            flag.c.experiment_id.in_(experiment_ids),
+            flag.c.name == name,
+            flag.c.deleted_at_utc.is_(None),
         )
         .distinct()
     )

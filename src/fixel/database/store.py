@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import functools
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar, final
 
@@ -18,7 +18,7 @@ from fixel.database.engine import open_engine, reading, set_journal, writing
 from fixel.database.marks import Note
 from fixel.database.query import LIVE, ExperimentQuery
 from fixel.errors import InvalidInput, NotStored, StoreRefused, os_reason
-from fixel.model import Experiment, Flag, Parameters
+from fixel.model import Experiment, Flag
 from fixel.model.records import (
     CalibrationRecord,
     FilterParameters,
@@ -103,11 +103,6 @@ class Store:
 
     # --- the schema -----------------------------------------------------------------------------
 
-    @property
-    def engine_name(self) -> str:
-        """Name of the database engine: `sqlite` or `postgresql`."""
-        return self._engine.dialect.name
-
     def upgrade(self, version: str = "head") -> tuple[str | None, str | None]:
         """Upgrade the tables to a schema version; return the versions before and after."""
         set_journal(self._engine)
@@ -139,11 +134,6 @@ class Store:
                 return AddResult(known, False)
             return AddResult(self._insert(connection, experiment, row, measured), True)
 
-    def add_experiments(self, experiments: Iterable[Experiment]) -> Iterator[AddResult]:
-        """Store experiments one by one, lazily: each when its result is requested."""
-        for experiment in experiments:
-            yield self.add_experiment(experiment)
-
     def _known(self, connection: sa.Connection, content: str) -> int | None:
         table = tables.experiment
         found: int | None = connection.scalar(
@@ -167,7 +157,7 @@ class Store:
                 table.c.deleted_at_utc.is_(None),
             )
         )
-        number = _insert_one(
+        experiment_id = _insert_one(
             connection,
             table,
             row
@@ -177,28 +167,28 @@ class Store:
                 "replaces_id": replaced,
             },
         )
-        connection.execute(sa.insert(tables.series), [s | {"owner_id": number} for s in measured])
+        connection.execute(
+            sa.insert(tables.series), [s | {"owner_id": experiment_id} for s in measured]
+        )
         if experiment.flags:
             connection.execute(
                 sa.insert(tables.flag),
-                [_flag_row(number, flag) for flag in experiment.flags],
+                [_flag_row(experiment_id, flag) for flag in experiment.flags],
             )
-        return number
+        return experiment_id
 
     @_damage_named("experiment")
-    def experiment(self, number: int) -> Experiment:
+    def experiment(self, experiment_id: int) -> Experiment:
         """Load an experiment by its id."""
-        table = tables.experiment
+        flag = tables.flag
         with reading(self._engine) as connection:
-            row = connection.execute(sa.select(table).where(table.c.id == number)).one_or_none()
-            if row is None:
-                raise _absent(f"experiment {number}")
+            row = _row(connection, tables.experiment, experiment_id, "experiment")
             flags = connection.execute(
-                sa.select(tables.flag.c.name, tables.flag.c.detail, tables.flag.c.is_fault).where(
-                    tables.flag.c.experiment_id == number, tables.flag.c.deleted_at_utc.is_(None)
+                sa.select(flag.c.name, flag.c.detail, flag.c.is_fault).where(
+                    flag.c.experiment_id == experiment_id, flag.c.deleted_at_utc.is_(None)
                 )
             )
-            measured = arrays.read_all(connection, "experiment", number, self._media)
+            measured = arrays.read_all(connection, "experiment", experiment_id, self._media)
             return rows.experiment_of(row, tuple(Flag(*f) for f in flags), measured)
 
     def find(self, key: str) -> int:
@@ -248,10 +238,13 @@ class Store:
             return None
         return f"did you mean {known[close[0]]!r}? fixel list shows what there is"
 
-    def _has(self, number: int) -> bool:
+    def _has(self, experiment_id: int) -> bool:
         with reading(self._engine) as connection:
             table = tables.experiment
-            return connection.scalar(sa.select(table.c.id).where(table.c.id == number)) is not None
+            return (
+                connection.scalar(sa.select(table.c.id).where(table.c.id == experiment_id))
+                is not None
+            )
 
     def experiments(
         self, query: ExperimentQuery | None = None, *, details: bool = False
@@ -280,13 +273,13 @@ class Store:
         with reading(self._engine) as connection:
             return browsing.conditions(connection)
 
-    def checksum(self, numbers: Iterable[int]) -> str:
+    def checksum(self, experiment_ids: Iterable[int]) -> str:
         """SHA-256 of the content of experiments, independent of their order."""
         table = tables.experiment
-        wanted = set(numbers)
+        wanted = set(experiment_ids)
         with reading(self._engine) as connection:
             listed = connection.execute(sa.select(table.c.id, table.c.content_sha256))
-            sums = sorted(content for number, content in listed if number in wanted)
+            sums = sorted(content for experiment_id, content in listed if experiment_id in wanted)
         return hashlib.sha256("".join(sums).encode()).hexdigest()
 
     def datasets(self) -> dict[str, int]:
@@ -314,87 +307,51 @@ class Store:
         with reading(self._engine) as connection:
             return {name: n for name, n in connection.execute(counted)}
 
-    def flag(self, number: int, flag: Flag) -> None:
-        """Add a flag to an experiment; listings omit experiments with a fault by default."""
-        self._require(number)
-        with writing(self._engine) as connection:
-            connection.execute(sa.insert(tables.flag), _flag_row(number, flag))
-
-    def unflag(self, number: int, name: str) -> None:
-        """Remove a flag from an experiment."""
-        flag = tables.flag
-        with writing(self._engine) as connection:
-            connection.execute(
-                sa.update(flag)
-                .where(
-                    flag.c.experiment_id == number,
-                    flag.c.name == name,
-                    flag.c.deleted_at_utc.is_(None),
-                )
-                .values(deleted_at_utc=rows.now())
-            )
-
-    def flag_all(self, numbers: Iterable[int], flag: Flag) -> list[int]:
+    def flag(self, experiment_ids: Iterable[int], flag: Flag) -> list[int]:
         """Add a flag to experiments that do not have it, in one transaction; return their ids."""
         with writing(self._engine) as connection:
-            return marks.flag_all(connection, numbers, flag)
+            return marks.flag(connection, experiment_ids, flag)
 
-    def unflag_all(self, numbers: Iterable[int], name: str) -> list[int]:
+    def unflag(self, experiment_ids: Iterable[int], name: str) -> list[int]:
         """Remove a flag from experiments, in one transaction; return the ids that had it."""
         with writing(self._engine) as connection:
-            return marks.unflag_all(connection, numbers, name)
+            return marks.unflag(connection, experiment_ids, name)
 
-    def delete_all(self, numbers: Iterable[int], *, back: bool = False) -> list[int]:
+    def delete(self, experiment_ids: Iterable[int], *, back: bool = False) -> list[int]:
         """Delete experiments, or restore them, in one transaction; return the changed ids."""
         with writing(self._engine) as connection:
-            return marks.delete_all(connection, numbers, None if back else rows.now())
+            return marks.delete(connection, experiment_ids, None if back else rows.now())
 
-    def annotate(self, numbers: Iterable[int], text: str) -> list[int]:
+    def annotate(self, experiment_ids: Iterable[int], text: str) -> list[int]:
         """Attach a note to each experiment, in one transaction; return the ids of the notes."""
         with writing(self._engine) as connection:
-            return marks.annotate(connection, numbers, text)
+            return marks.annotate(connection, experiment_ids, text)
 
     def delete_notes(self, notes: Iterable[int], *, back: bool = False) -> list[int]:
         """Delete notes by their ids, or restore them; return the changed ids."""
         with writing(self._engine) as connection:
             return marks.delete_notes(connection, notes, None if back else rows.now())
 
-    def notes(self, number: int) -> list[Note]:
+    def notes(self, experiment_id: int) -> list[Note]:
         """Notes of an experiment, oldest first."""
         with reading(self._engine) as connection:
-            return marks.notes_of(connection, number)
+            return marks.notes_of(connection, experiment_id)
 
-    def content(self, number: int) -> str:
+    def content(self, experiment_id: int) -> str:
         """Checksum of an experiment's content; equal only for equal experiments."""
         with reading(self._engine) as connection:
-            row = _row(connection, tables.experiment, number, "experiment")
+            row = _row(connection, tables.experiment, experiment_id, "experiment")
         return str(row.content_sha256)
 
-    def deleted(self, number: int) -> bool:
+    def deleted(self, experiment_id: int) -> bool:
         """Whether an experiment is deleted."""
         with reading(self._engine) as connection:
-            row = _row(connection, tables.experiment, number, "experiment")
+            row = _row(connection, tables.experiment, experiment_id, "experiment")
         return row.deleted_at_utc is not None
 
-    def delete(self, number: int) -> None:
-        """Hide an experiment from listings and computations, until `undelete`."""
-        self._mark(number, rows.now())
-
-    def undelete(self, number: int) -> None:
-        """Restore a deleted experiment."""
-        self._mark(number, None)
-
-    def _mark(self, number: int, instant: str | None) -> None:
-        self._require(number)
-        table = tables.experiment
-        with writing(self._engine) as connection:
-            connection.execute(
-                sa.update(table).where(table.c.id == number).values(deleted_at_utc=instant)
-            )
-
-    def _require(self, number: int) -> None:
-        if not self._has(number):
-            raise _absent(f"experiment {number}")
+    def _require(self, experiment_id: int) -> None:
+        if not self._has(experiment_id):
+            raise _absent(f"experiment {experiment_id}")
 
     # --- videos ---------------------------------------------------------------------------------
 
@@ -406,24 +363,13 @@ class Store:
             reason = os_reason(problem)
             raise InvalidInput(str(file), found=reason, expected="a file to read") from None
 
-    def video(self, number: int) -> Path | None:
+    def video(self, experiment_id: int) -> Path | None:
         """Path of an experiment's video; None if it has none."""
         with reading(self._engine) as connection:
-            row = _row(connection, tables.experiment, number, "experiment")
+            row = _row(connection, tables.experiment, experiment_id, "experiment")
         return arrays.media_path(row.video_sha256, self._media) if row.video_sha256 else None
 
     # --- results --------------------------------------------------------------------------------
-
-    def add_parameters(self, parameters: Mapping[str, float]) -> int:
-        """Store a set of parameters if it is new; return its id."""
-        with writing(self._engine) as connection:
-            return _parameters_id(connection, parameters)
-
-    def parameters(self, number: int) -> Parameters:
-        """Load a set of parameters by its id."""
-        table = tables.system_parameters
-        with reading(self._engine) as connection:
-            return rows.parameters_of(_row(connection, table, number, "parameters"))
 
     def add_simulation(self, record: SimulationRecord) -> int:
         """Store a simulation of an experiment; return its id."""
@@ -447,11 +393,11 @@ class Store:
         return number
 
     @_damage_named("simulation")
-    def simulation(self, number: int) -> SimulationRecord:
+    def simulation(self, simulation_id: int) -> SimulationRecord:
         """Load a simulation by its id."""
         with reading(self._engine) as connection:
-            row = _row(connection, tables.simulation, number, "simulation")
-            series = arrays.read_all(connection, "simulation", number, self._media)
+            row = _row(connection, tables.simulation, simulation_id, "simulation")
+            series = arrays.read_all(connection, "simulation", simulation_id, self._media)
             parameters = _row(
                 connection, tables.system_parameters, row.system_parameters_id, "parameters"
             )
@@ -517,20 +463,20 @@ class Store:
         return number
 
     @_damage_named("calibration")
-    def calibration(self, number: int) -> CalibrationRecord:
+    def calibration(self, calibration_id: int) -> CalibrationRecord:
         """Load a calibration by its id."""
         member = tables.calibration_member
         with reading(self._engine) as connection:
-            row = _row(connection, tables.calibration, number, "calibration")
+            row = _row(connection, tables.calibration, calibration_id, "calibration")
             parameters = _row(
                 connection, tables.system_parameters, row.system_parameters_id, "parameters"
             )
             members = connection.execute(
                 sa.select(member.c.experiment_id, member.c.weight, member.c.error_mm2)
-                .where(member.c.calibration_id == number)
+                .where(member.c.calibration_id == calibration_id)
                 .order_by(member.c.place)
             ).all()
-            series = arrays.read_all(connection, "calibration", number, self._media)
+            series = arrays.read_all(connection, "calibration", calibration_id, self._media)
         return CalibrationRecord(
             name=row.name,
             parameters=rows.parameters_of(parameters),
@@ -597,10 +543,12 @@ class Store:
                 },
             )
 
-    def filter_parameters(self, number: int) -> FilterParameters:
+    def filter_parameters(self, filter_parameters_id: int) -> FilterParameters:
         """Load settings of a filter by their id."""
         with reading(self._engine) as connection:
-            row = _row(connection, tables.filter_parameters, number, "filter parameters")
+            row = _row(
+                connection, tables.filter_parameters, filter_parameters_id, "filter parameters"
+            )
         return FilterParameters(
             name=row.name,
             is_particle_filter=row.is_particle_filter,
@@ -630,11 +578,11 @@ class Store:
         return number
 
     @_damage_named("filter run")
-    def filter_run(self, number: int) -> FilterRun:
+    def filter_run(self, filter_run_id: int) -> FilterRun:
         """Load a filter run by its id."""
         with reading(self._engine) as connection:
-            row = _row(connection, tables.filter_run, number, "filter run")
-            series = arrays.read_all(connection, "filter_run", number, self._media)
+            row = _row(connection, tables.filter_run, filter_run_id, "filter run")
+            series = arrays.read_all(connection, "filter_run", filter_run_id, self._media)
         found = {name: (columns, values) for name, columns, values in series}
         names, estimates = found.get("estimates", ((), np.zeros((0, 0))))
         hidden = (row.occlusion_start_s, row.occlusion_end_s)
@@ -691,9 +639,9 @@ def _row(connection: sa.Connection, table: sa.Table, number: int, what: str) -> 
     return row
 
 
-def _flag_row(number: int, flag: Flag) -> dict[str, Any]:
+def _flag_row(experiment_id: int, flag: Flag) -> dict[str, Any]:
     return {
-        "experiment_id": number,
+        "experiment_id": experiment_id,
         "name": flag.name,
         "detail": flag.detail,
         "is_fault": flag.fault,

@@ -14,7 +14,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.formats.jpeg import END
-from fixel.testbed.capture_clock import CaptureClock
+from fixel.testbed.clocks import CaptureClock
 from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stream
 from fixel.vision.frame import Picture
 from fixel.vision.opencv import opencv

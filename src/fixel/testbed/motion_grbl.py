@@ -12,9 +12,8 @@ from fixel.errors import DeviceFailed, InvalidInput
 from fixel.model.fields import optional_positive
 from fixel.testbed import grbl_lines as grbl
 from fixel.testbed.emergency import StopGuard
-from fixel.testbed.grbl_handshake import greet
 from fixel.testbed.grbl_lines import AxisSettings
-from fixel.testbed.grbl_link import ASKING, GrblLink
+from fixel.testbed.grbl_link import ASKING, GrblLink, greet
 from fixel.testbed.motion import DRIVE_REACH, NEAR, AbstractActuator, checked_reach
 from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
 

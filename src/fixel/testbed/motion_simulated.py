@@ -12,8 +12,8 @@ import numpy as np
 
 from fixel.errors import DeviceFailed
 from fixel.model.fields import fraction, non_negative, positive
+from fixel.testbed.imperfections import uneven_time
 from fixel.testbed.motion import DRIVE_REACH, AbstractActuator, checked_reach
-from fixel.testbed.uneven_drive import uneven_time
 
 
 @final

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -15,8 +16,6 @@ from fixel.errors import FixelError, InvalidInput, os_reason
 from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.testbed.frame_queue import FrameQueue
 from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stream
-from fixel.testbed.pace import FrameRate
-from fixel.testbed.room import SPARE, free_space, refuse_full_disk
 from fixel.testbed.seating import Seating
 from fixel.vision.frame import Frame
 
@@ -25,6 +24,14 @@ POLL: Final = 0.1  # [s] between two checks of the stop key while no picture com
 WATCH: Final = 0.1  # [s] between two calls of `watch`
 BEHIND: Final = 0.1  # [s] after which a reading does not belong to its frame
 BREATH: Final = 2e-6  # [s] smallest difference between the times of two frames
+Stop = Callable[[], str]
+LATE: Final = 2.5  # intervals this many times the mean one are gaps
+WINDOW: Final = 61  # frames over which the rate is computed
+MIN_TIME: Final = 60.0  # [s] of recording that must fit on the disk
+SPARE: Final = 32 * 1024 * 1024  # [bytes] of the disk that stay free
+USUAL_RATE: Final = 30.0  # [frames/s] assumed for a camera that does not report its rate
+# Bytes per pixel for pictures of a testbed with noise, with a margin.
+ROOM: Final = {"as-it-comes": 0.45, "near": 0.45, "exact": 2.0}
 
 
 class TouchReading(Protocol):
@@ -73,7 +80,55 @@ class RecordingStatus(NamedTuple):
 
 
 Watch = Callable[[CameraPicture, RecordingStatus], None]
-Stop = Callable[[], str]
+
+
+@final
+class FrameRate:
+    """Running measurement of the rate of frames and of gaps between them.
+
+    Attributes
+    ----------
+    gaps : int
+        Number of intervals much longer than usual, in which frames were lost before arrival.
+    longest : float
+        Longest gap [s].
+    longest_at : float
+        Beginning of the longest gap [s].
+    """
+
+    def __init__(self) -> None:
+        self.gaps = 0
+        self.longest = 0.0
+        self.longest_at = 0.0
+        self._times: deque[float] = deque(maxlen=WINDOW)
+
+    def tick(self, time: float) -> None:
+        """Record the time of a frame [s]."""
+        times = self._times
+        if len(times) > WINDOW // 4:
+            step, usual = time - times[-1], (times[-1] - times[0]) / (len(times) - 1)
+            if step > LATE * usual:
+                self.gaps += 1
+                if step > self.longest:
+                    self.longest, self.longest_at = step, times[-1]
+        times.append(time)
+
+    @property
+    def rate(self) -> float:
+        """Mean rate of the last frames [frames/s]; 0 before the second frame."""
+        times = self._times
+        span = times[-1] - times[0] if len(times) > 1 else 0.0
+        return (len(times) - 1) / span if span > 0.0 else 0.0
+
+    def sentence(self) -> str:
+        """Return a sentence about the gaps; empty without gaps."""
+        if not self.gaps:
+            return ""
+        plural = "" if self.gaps == 1 else "s"
+        return (
+            f"{self.gaps} gap{plural} between frames; the longest is {self.longest * 1e3:.0f} ms, "
+            f"after t = {self.longest_at:.3f} s"
+        )
 
 
 @final
@@ -176,7 +231,7 @@ class Recorder:
         InvalidInput
             The folder cannot be created, there is no space for a minute, or no picture came.
         """
-        refuse_full_disk(self.folder, self.stream, self.codec, self.limit)
+        check_disk_space(self.folder, self.stream, self.codec, self.limit)
         queue = FrameQueue(self.source, live=self.stream.live)
         queue.start()
         try:
@@ -351,3 +406,33 @@ def _utc(instant: float) -> str:
     """Convert an instant of `time.monotonic` [s] to ISO 8601 in UTC."""
     ago = timedelta(seconds=time.monotonic() - instant)
     return (datetime.now(UTC) - ago).isoformat(timespec="milliseconds")
+
+
+def free_space(folder: Path) -> int:
+    """Free space [bytes] on the disk of a folder, which need not exist yet."""
+    place = folder.absolute()
+    while not place.exists():
+        place = place.parent
+    return shutil.disk_usage(place).free
+
+
+def bytes_a_second(stream: Stream, codec: str) -> float:
+    """Approximate growth of a recording [bytes/s]."""
+    width, height = stream.size
+    return width * height * ROOM[codec] * (stream.rate or USUAL_RATE)
+
+
+def check_disk_space(folder: Path, stream: Stream, codec: str, limit: float | None) -> None:
+    """Raise if a minute of recording, or the shorter limit, does not fit on the disk."""
+    duration = MIN_TIME if limit is None else min(limit, MIN_TIME)
+    needed = bytes_a_second(stream, codec) * duration + SPARE
+    free = free_space(folder)
+    if free < needed:
+        raise InvalidInput(
+            str(folder),
+            found=f"{free / 1e6:.0f} MB free on its disk",
+            expected=f"{needed / 1e6:.0f} MB, for {duration:.0f} s of {codec}",
+            hint="make space, record elsewhere, or choose --codec near"
+            if codec == "exact"
+            else "make space, or record elsewhere",
+        )

@@ -40,9 +40,18 @@ from fixel.model.fields import (
     vector,
 )
 from fixel.simulation import Simulation, simulate
-from fixel.testbed.plate import planned_support, rough_plane, uneven_support
-from fixel.testbed.sensors import frames_kept, frames_of, seen, tactile_channel, touching
-from fixel.testbed.uneven_drive import driven_unevenly, with_stall_force
+from fixel.testbed.imperfections import (
+    driven_unevenly,
+    frames_kept,
+    frames_of,
+    planned_support,
+    rough_plane,
+    seen,
+    tactile_channel,
+    touching,
+    uneven_support,
+    with_stall_force,
+)
 from fixel.typing import BoolArray, FloatArray, Progress
 
 TRUTH = "truth_"  # prefix of conditions that a real laboratory could not know

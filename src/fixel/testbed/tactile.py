@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final, Self, final
+from dataclasses import dataclass, field
+from statistics import median
+from typing import TYPE_CHECKING, Any, Final, Self, final
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import positive
-from fixel.testbed import tactile_frames as frames
-from fixel.testbed.device_clock import DeviceClock
+from fixel.testbed import tactile_protocol as frames
+from fixel.testbed.clocks import DeviceClock
 from fixel.testbed.serial_port import chosen_port, closed_on_failure, open_port
-from fixel.testbed.tactile_handshake import shake_hands
-from fixel.testbed.tactile_reading import Statistics, TactileReading
+from fixel.testbed.tactile_protocol import shake_hands
 
 if TYPE_CHECKING:
     from serial import Serial
 
+
 DEADLINE: Final = 0.015  # [s] less than half the interval at 30 frames/s
 QUIET: Final = 0.003  # [s] of silence after which a late answer is complete
+KEPT: Final = 4096  # round trips stored in the statistics
+COLOURS: Final = ("blue", "red", "green")  # bits 0, 1, 2
+# The laboratory stored its readings in the order green, red, blue, and its contact mode is
+# 4 f1 + 2 f2 + f3: in this order the byte equals the mode.
+FIXELS: Final = ("green", "red", "blue")  # fixels 1, 2, 3
 
 
 @final
@@ -316,3 +324,96 @@ def _checked(thresholds: Sequence[object]) -> tuple[int, int, int]:
     if len(thresholds) != frames.SENSORS or len(found) != frames.SENSORS:
         raise InvalidInput("thresholds", found=thresholds, expected="three numbers from 0 to 1023")
     return found[0], found[1], found[2]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TactileReading:
+    """One reading of the fixels.
+
+    Attributes
+    ----------
+    bits : int, optional
+        Bit 0 blue, bit 1 red, bit 2 green, set where touched; None without an answer.
+    time : float
+        Time of the reading, on `time.monotonic` [s].
+    device_time : float, optional
+        The same on the board's clock [s]; None for protocol 1.
+    values : (int, int, int), optional
+        Converter values of bits 0, 1, 2 [-], 1023 at 5 V; None for protocol 1.
+    problem : str
+        Why there are no bits, or why they are doubtful; empty otherwise.
+    """
+
+    bits: int | None
+    time: float
+    device_time: float | None = None
+    values: tuple[int, int, int] | None = None
+    problem: str = ""
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Statistics:
+    """Statistics of the communication with the board.
+
+    Attributes
+    ----------
+    asked, answered : int
+        Number of requests, and of those answered in time and undamaged.
+    missing : int
+        Number of requests without an answer until the deadline.
+    late : int
+        Number of answers after their deadline.
+    garbled : int
+        Number of requests with an unreadable answer.
+    stray_bytes : int
+        Number of bytes that belonged to no answer.
+    restarts : int
+        Number of restarts of the board.
+    round_trips : deque of float
+        Last round-trip times [s].
+    """
+
+    asked: int = 0
+    answered: int = 0
+    missing: int = 0
+    late: int = 0
+    garbled: int = 0
+    stray_bytes: int = 0
+    restarts: int = 0
+    round_trips: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+
+    def summary(self) -> dict[str, Any]:
+        """Return the statistics as plain values."""
+        counts = ("asked", "answered", "missing", "late", "garbled", "stray_bytes", "restarts")
+        trips = self.round_trips
+        return {name: getattr(self, name) for name in counts} | {
+            "round_trip_median_s": median(trips) if trips else None,
+            "round_trip_max_s": max(trips) if trips else None,
+        }
+
+
+def fixels_of(bits: int, order: tuple[str, str, str] = FIXELS) -> tuple[bool, bool, bool]:
+    """Return whether fixels 1, 2, 3 are touched.
+
+    Parameters
+    ----------
+    bits : int
+        Bits of a reading.
+    order : (str, str, str)
+        Colours of fixels 1, 2, 3; by default in the order of the thesis.
+    """
+    one, two, three = (COLOURS.index(colour) for colour in _checked_order(order))
+    return bool(bits >> one & 1), bool(bits >> two & 1), bool(bits >> three & 1)
+
+
+def contact_mode(bits: int, order: tuple[str, str, str] = FIXELS) -> str:
+    """Return one digit per fixel, as experiments store it: `"100"` if only fixel 1 is touched."""
+    return "".join("1" if touched else "0" for touched in fixels_of(bits, order))
+
+
+def _checked_order(order: tuple[str, str, str]) -> tuple[str, str, str]:
+    if sorted(order) != sorted(COLOURS):
+        raise InvalidInput("order", found=order, expected="blue, red and green, each once")
+    return order

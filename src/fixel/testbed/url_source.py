@@ -14,7 +14,7 @@ from urllib.parse import SplitResult, unquote, urlsplit
 
 from fixel.errors import InvalidInput
 from fixel.formats.jpeg import END
-from fixel.testbed.capture_clock import CaptureClock
+from fixel.testbed.clocks import CaptureClock
 from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stream
 from fixel.testbed.loopback import SIMULATED, STAMP
 

@@ -17,9 +17,8 @@ from fixel.sampling import thesis_plan
 from fixel.simulation import simulate
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import grasp, micro_push
-from fixel.workflows.acquisition.film import Shooting, film
+from fixel.workflows.acquisition.film import ABOUT, ARRAYS, Shooting, film
 from fixel.workflows.acquisition.film_shots import SAMPLE
-from fixel.workflows.acquisition.film_truth import ABOUT, ARRAYS
 from fixel.workflows.project.importing import new_project, run_testbed
 
 

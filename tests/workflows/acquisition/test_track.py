@@ -31,8 +31,7 @@ from fixel.vision.frame import Frame
 from fixel.vision.marks import Tag
 from fixel.vision.tracking import FilmTracks, FoundFixel, Sighting
 from fixel.vision.tracking.judge import judged
-from fixel.workflows.acquisition.track import track_film
-from fixel.workflows.acquisition.track_charts import drawn
+from fixel.workflows.acquisition.track import drawn, track_film
 from fixel.workflows.acquisition.tracked_experiment import experiment_of
 
 N = 8

@@ -89,22 +89,22 @@ class TableResult(Answer):
 @router.post("/experiments/flag", summary="Add a flag to experiments", tags=["marks"])
 def flag(context: Context, wanted: FlagRequest) -> ChangedRecords:
     made = Flag(wanted.name, wanted.detail, wanted.fault)
-    return ChangedRecords(changed=context.store.flag_all(wanted.ids, made))
+    return ChangedRecords(changed=context.store.flag(wanted.ids, made))
 
 
 @router.post("/experiments/unflag", summary="Take a flag off experiments", tags=["marks"])
 def unflag(context: Context, wanted: UnflagRequest) -> ChangedRecords:
-    return ChangedRecords(changed=context.store.unflag_all(wanted.ids, wanted.name))
+    return ChangedRecords(changed=context.store.unflag(wanted.ids, wanted.name))
 
 
 @router.post("/experiments/delete", summary="Leave experiments out of everything", tags=["marks"])
 def delete(context: Context, wanted: MarkRequest) -> ChangedRecords:
-    return ChangedRecords(changed=context.store.delete_all(wanted.ids))
+    return ChangedRecords(changed=context.store.delete(wanted.ids))
 
 
 @router.post("/experiments/undelete", summary="Take deletions of experiments back", tags=["marks"])
 def undelete(context: Context, wanted: MarkRequest) -> ChangedRecords:
-    return ChangedRecords(changed=context.store.delete_all(wanted.ids, back=True))
+    return ChangedRecords(changed=context.store.delete(wanted.ids, back=True))
 
 
 @router.post("/experiments/note", summary="Write a note beside experiments", tags=["marks"])

@@ -17,8 +17,14 @@ from fixel.web.values import MAX_ID, Answer, Array, Number
 from fixel.web.views.browser_video import browser_video
 from fixel.web.views.video_outlines import VideoOutlines, outlines_in_video
 from fixel.workflows.project.compare import summary
-from fixel.workflows.project.filters import Coverage, Vocabulary, coverage, view_of, vocabulary
-from fixel.workflows.project.suggestions import meant_filter
+from fixel.workflows.project.filters import (
+    Coverage,
+    Vocabulary,
+    coverage,
+    meant_filter,
+    view_of,
+    vocabulary,
+)
 
 MAX_ROWS: Final = 500  # on one page
 FOR_EVER: Final = "private, max-age=31536000, immutable"  # the address changes with the content

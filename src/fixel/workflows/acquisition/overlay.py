@@ -22,8 +22,7 @@ from fixel.vision.frame import Frame, Picture
 from fixel.vision.locate import FramePoses, Locator
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.fixels import MIN_FRAMES
-from fixel.workflows.acquisition.overlay_charts import draw_look
-from fixel.workflows.acquisition.overlay_check import Look, PartLook, Tolerance
+from fixel.workflows.acquisition.overlay_check import Look, PartLook, Tolerance, draw_look
 
 ACTUATOR_HEIGHT: Final = 0.03  # [m] of an actuator that the rig does not list
 TRIES: Final = 10  # largest number of pictures for one look

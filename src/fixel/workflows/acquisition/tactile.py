@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from fixel.testbed.serial_port import PortSeen, found_ports
-from fixel.testbed.tactile import DEADLINE, TactileReader
-from fixel.testbed.tactile_reading import TactileReading
+from fixel.testbed.tactile import DEADLINE, TactileReader, TactileReading
 from fixel.typing import Progress
 
 FRAME: Final = 1.0 / 30.0  # [s]

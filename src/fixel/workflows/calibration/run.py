@@ -35,7 +35,7 @@ from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.job import REQUEST
 from fixel.workflows.calibration.request import CalibrationRequest, read_targets, target_files
 from fixel.workflows.calibration.result import SEARCHED, CalibrationResult, ParameterSet, outcome_of
-from fixel.workflows.project.suggestions import refuse_mistyped
+from fixel.workflows.project.filters import check_known_names
 
 MAKER: Final = "calibration:calibration_work"
 STORE_RESULT: Final = "calibration-result:store_result"  # what follows a job in the background
@@ -76,7 +76,7 @@ def choose(store: Store, keys: Sequence[str], query: ExperimentQuery) -> Experim
     if not ids:
         ids = [summary.id for summary in store.experiments(query).rows]
         if not ids:
-            refuse_mistyped(store, query)
+            check_known_names(store, query)
     found: list[int] = []
     targets: list[Target] = []
     left_out: dict[str, str] = {}

@@ -22,11 +22,10 @@ from fixel.model import Experiment, PathDrive, Trajectory, placed
 from fixel.model.records import Estimate
 from fixel.sampling.thesis import thesis_plan
 from fixel.table import Table
+from fixel.testbed.emulators import mega
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.testing import emulated_mega
 from fixel.typing import Notify, Progress
-from fixel.workflows.acquisition.film import Shooting, film
-from fixel.workflows.acquisition.film_truth import ARRAYS
+from fixel.workflows.acquisition.film import ARRAYS, Shooting, film
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
 from fixel.workflows.analysis import Analysis, keep
 from fixel.workflows.calibration import run as calibration
@@ -332,12 +331,12 @@ def _is_film(folder: Path) -> bool:
 
 def _firmware(folder: Path, tell: Notify) -> Path | None:
     """Build the firmware of the fixels and its emulator; None if that is not possible."""
-    missing = emulated_mega.why_not()
+    missing = mega.why_not()
     if missing:
         tell(f"fixels are read from the film, not from an emulated board: {missing}")
         return None
     tell("building the firmware of the fixels and its emulator")
-    return emulated_mega.built(folder / "firmware")
+    return mega.built(folder / "firmware")
 
 
 def _calibrate(project: Project, dataset: str, command: str) -> int:

@@ -21,8 +21,8 @@ from fixel.testbed.recorder import RecordingStatus, RecordingSummary
 from fixel.workflows.acquisition.record import FILM, RecordPlan, record
 
 if TYPE_CHECKING:
+    from fixel.testbed.emulators.mega import EmulatedMega
     from fixel.testbed.motion import AbstractActuator
-    from fixel.testing.emulated_mega import EmulatedMega
 
 
 @final
@@ -103,10 +103,10 @@ def emulated_bench(film: Path, firmware: Path | None) -> Iterator[EmulatedBench]
     film : Path
         Folder of the film.
     firmware : Path, optional
-        Firmware with its emulator, as built by `emulated_mega.built`.
+        Firmware with its emulator, as built by `mega.built`.
     """
-    from fixel.testing.emulated_grbl import EmulatedGrbl
-    from fixel.testing.emulated_mega import EmulatedMega
+    from fixel.testbed.emulators.grbl import EmulatedGrbl
+    from fixel.testbed.emulators.mega import EmulatedMega
 
     with ExitStack() as stack:
         camera = stack.enter_context(LoopbackCamera(film))

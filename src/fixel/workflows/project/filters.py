@@ -1,14 +1,15 @@
-"""Filters for experiments as they are typed, the values to filter by, and coverage."""
+"""Filters for experiments as typed, corrections of unknown names, and coverage."""
 
 from __future__ import annotations
 
 import contextlib
+import difflib
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, cast, final
+from typing import Any, Final, NamedTuple, cast, final
 
 import numpy as np
 
@@ -36,6 +37,10 @@ NAMES: Final[dict[str, tuple[str, float]]] = {
 }
 _CONDITION: Final = re.compile(r"([^=!<>]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
 _BOUND: Final = re.compile(r"([\w.-]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
+PLACES: Final = ("start_x_m", "start_y_m", "start_angle_rad")
+OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
+_NUMBER: Final = (int, float)
+MAX_NAMED = 12  # values listed in an error
 
 
 def query_of(
@@ -261,11 +266,6 @@ class Coverage:
     without: int
 
 
-PLACES: Final = ("start_x_m", "start_y_m", "start_angle_rad")
-OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
-_NUMBER: Final = (int, float)
-
-
 def coverage(
     store: Store, view: ExperimentQuery, x: str | None = None, y: str | None = None
 ) -> Coverage:
@@ -333,3 +333,95 @@ def _table(
 
 def _word(value: str | float) -> str:
     return value if isinstance(value, str) else f"{value:g}"
+
+
+class UnknownName(NamedTuple):
+    """Name or value that no experiment has."""
+
+    what: str  # as typed: "--where shape"
+    typed: str
+    known: tuple[str, ...]
+
+    @property
+    def meant(self) -> str | None:
+        """Known name that resembles it most; None if none does."""
+        close = difflib.get_close_matches(self.typed.lower(), [k.lower() for k in self.known], n=1)
+        return next((k for k in self.known if k.lower() == close[0]), None) if close else None
+
+    def error(self) -> InvalidInput:
+        """Return the error to raise."""
+        more = f", ... ({len(self.known)} in all)" if len(self.known) > MAX_NAMED else ""
+        return InvalidInput(
+            self.what,
+            found=repr(self.typed),
+            expected="one of " + ", ".join(self.known[:MAX_NAMED]) + more
+            if self.known
+            else "nothing: no experiment has one",
+            hint=f"did you mean {self.meant!r}?" if self.meant else None,
+        )
+
+
+def check_known_names(store: Store, query: ExperimentQuery) -> None:
+    """Raise if a query has a dataset, flag, condition or value that no experiment has.
+
+    Raises
+    ------
+    InvalidInput
+        Error for the first of them, with the known name that resembles it most.
+    """
+    for unknown in _unknown_in(store, query):
+        raise unknown.error()
+
+
+def meant_filter(store: Store, filter: str) -> str | None:
+    """Return a filter with unknown names and values replaced by what resembles them.
+
+    Returns
+    -------
+    str or None
+        None if nothing is unknown, or nothing resembles it.
+    """
+    view = view_of(filter)
+    changed = filter
+    for unknown in _unknown_in_view(store, view):
+        if unknown.meant is None:
+            return None
+        changed = changed.replace(unknown.typed, unknown.meant, 1)
+    return changed if changed != filter else None
+
+
+def _unknown_in(store: Store, query: ExperimentQuery) -> Iterator[UnknownName]:
+    if query.dataset is not None:
+        yield from _not_among("--dataset", query.dataset, store.datasets())
+    for name in query.flags:
+        yield from _not_among("--flag", name, store.flags())
+    yield from _unknown_conditions(store, query.conditions, "--where ")
+
+
+def _unknown_in_view(store: Store, view: ExperimentQuery) -> Iterator[UnknownName]:
+    for name in view.flags:
+        yield from _not_among("flag", name, store.flags())
+    texts = [text for known in store.conditions().values() for text in known.texts]
+    for word in view.words:
+        yield from _not_among("filter", word, (*texts, *store.datasets(), *store.flags()))
+    for bound in view.bounds:
+        if bound.name == "dataset":
+            yield from _not_among("dataset", str(bound.value), store.datasets())
+    others = [bound for bound in view.bounds if bound.name not in COLUMNS]
+    yield from _unknown_conditions(store, others, "", NAMES)
+
+
+def _unknown_conditions(
+    store: Store, bounds: Iterable[Bound], where: str, more: Iterable[str] = ()
+) -> Iterator[UnknownName]:
+    known = store.conditions()
+    for bound in bounds:
+        if bound.name not in known:
+            yield UnknownName(where.strip() or "filter", bound.name, (*known, *more))
+        elif isinstance(bound.value, str) and bound.relation == "=":
+            yield from _not_among(f"{where}{bound.name}", bound.value, known[bound.name].texts)
+
+
+def _not_among(what: str, typed: str, known: Iterable[str]) -> Iterator[UnknownName]:
+    if typed not in (names := tuple(known)):
+        yield UnknownName(what, typed, names)

@@ -21,7 +21,7 @@ from fixel.datasets.table import DATASET as TABLE
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.typing import Progress
-from fixel.workflows.project.suggestions import refuse_mistyped
+from fixel.workflows.project.filters import check_known_names
 
 
 class ImportSummary(NamedTuple):
@@ -178,7 +178,7 @@ def list_experiments(project: Project, query: ExperimentQuery) -> ExperimentPage
     with project.store() as store:
         found = store.experiments(query)
         if not found.total and not found.left_out:
-            refuse_mistyped(store, query)
+            check_known_names(store, query)
         return found
 
 

@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 from typing import Final, Self, final
 
-FIRMWARE: Final = Path(__file__).parents[3] / "firmware"
+FIRMWARE: Final = Path(__file__).parents[4] / "firmware"
 PACKAGES: Final = (
     "make arduino-core-avr gcc-avr avr-libc gcc libc6-dev libsimavr-dev libelf-dev",
     "/usr/share/arduino/hardware/arduino/avr/cores/arduino/Arduino.h",

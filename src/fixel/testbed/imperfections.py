@@ -1,4 +1,4 @@
-"""A plate whose friction differs from place to place, and bodies that rest on it unevenly."""
+"""Imperfections of the simulated testbed: uneven plate, support and drive, and its sensors."""
 
 from __future__ import annotations
 
@@ -11,13 +11,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.model import Body, Ellipsoid, FrictionMap, NoSupport, Plane, Support, SupportPoints
+from fixel.model import (
+    Body,
+    Channel,
+    Ellipsoid,
+    FrictionMap,
+    LineDrive,
+    NoSupport,
+    PathDrive,
+    Plane,
+    Pusher,
+    Support,
+    SupportPoints,
+)
 from fixel.model.chance import stream
 from fixel.model.fields import frozen
 from fixel.model.quadrature import cells
 from fixel.model.shape import Shape
 from fixel.model.support import support_points
-from fixel.typing import FloatArray
+from fixel.simulation import Simulation
+from fixel.typing import BoolArray, FloatArray
 
 # Area with a friction map: the thesis's plate with a margin.
 PLATE_ORIGIN = (-0.2, -0.4)  # [m]
@@ -25,6 +38,8 @@ PLATE_SIZE = (0.8, 0.8)  # [m]
 NODES_PER_GRAIN = 3
 # Number of plane waves in the field: enough that its values are close to normal.
 N_WAVES = 64
+ON_CLOCK = 1e-6  # largest distance of a sample from the clock, in frames [-]
+WAYPOINT_INTERVAL = 1.0 / 60.0  # [s]; resolves a ripple of a few hertz
 
 
 def rough_plane(plane: Plane, seed: int, roughness: float, grain: float) -> Plane:
@@ -157,3 +172,124 @@ def _centred(share: FloatArray, points: FloatArray, centre: FloatArray) -> Float
 def _fingerprint(shape: Shape) -> str:
     """Return a string that is the same for equal shapes, in any process."""
     return type(shape).__name__ + shape.outline.tobytes().hex()
+
+
+def frames_of(simulation: Simulation, frame_rate: float) -> BoolArray:
+    """Return (n_sample,) bool: samples on the camera's clock; the end of a run may be off it."""
+    count = simulation.time * frame_rate
+    return np.asarray(np.abs(count - np.rint(count)) < ON_CLOCK)
+
+
+def touching(simulation: Simulation) -> BoolArray:
+    """Return (n_sample, n_fixel) bool: whether the body touches the fixel."""
+    scene, contacts = simulation.scene, simulation.contacts
+    n_moving = len(scene.bodies) + len(scene.pushers)
+    fixel = np.maximum(contacts["body"], contacts["other"]) - n_moving
+    sample = np.searchsorted(simulation.time, contacts["time"])
+    found = np.zeros((len(simulation.time), len(scene.fixels)), np.bool_)
+    found[sample[fixel >= 0], fixel[fixel >= 0]] = True
+    return found
+
+
+def frames_kept(n_frame: int, share_dropped: float, random: np.random.Generator) -> BoolArray:
+    """Draw (n_frame,) bool: frames that arrive; the first and the last always do."""
+    kept = random.random(n_frame) >= share_dropped
+    kept[[0, -1]] = True
+    return np.asarray(kept)
+
+
+def seen(
+    pose: FloatArray, position_noise: float, angle_noise: float, random: np.random.Generator
+) -> FloatArray:
+    """Add white noise to poses (n, 3), with standard deviations in [m] and [rad]."""
+    return pose + random.standard_normal(pose.shape) * (position_noise, position_noise, angle_noise)
+
+
+def tactile_channel(
+    time: FloatArray,
+    touches: BoolArray,
+    false_contact: float,
+    missed_contact: float,
+    random: np.random.Generator,
+) -> Channel:
+    """Return readings of the fixels with independent errors.
+
+    Parameters
+    ----------
+    time : (n,) float64
+        Times of the readings [s], with those of dropped frames: the fixels have their own line.
+    touches : (n, n_fixel) bool
+        True contacts.
+    false_contact, missed_contact : float
+        Probabilities of reading 1 without contact, and 0 with it [-].
+    random : numpy.random.Generator
+    """
+    wrong = random.random(touches.shape) < np.where(touches, missed_contact, false_contact)
+    return Channel(
+        name="tactile",
+        time=time,
+        columns=tuple(f"fixel_{k}_bool" for k in range(1, touches.shape[1] + 1)),
+        values=np.asarray(touches ^ wrong, np.float64),
+    )
+
+
+def driven_unevenly(
+    pusher: Pusher,
+    duration: float,
+    *,
+    speed_ratio: float,
+    ripple: float,
+    frequency: float,
+    phase: float,
+) -> Pusher:
+    """Return the pusher on its planned path, with uneven timing.
+
+    Parameters
+    ----------
+    pusher : Pusher
+        Planned pusher.
+    duration : float
+        Time for which waypoints are needed [s].
+    speed_ratio : float
+        Mean speed over the planned speed [-].
+    ripple : float
+        Amplitude of the speed about its mean, as a share of it [-].
+    frequency : float
+        Frequency of the ripple [Hz].
+    phase : float
+        Phase of the ripple at the start [rad].
+    """
+    if speed_ratio == 1.0 and ripple == 0.0:
+        return pusher
+    time = np.arange(math.ceil(duration / WAYPOINT_INTERVAL) + 1.0) * WAYPOINT_INTERVAL
+    poses = _planned_poses(pusher, speed_ratio * uneven_time(time, ripple, frequency, phase))
+    drive = PathDrive(
+        waypoints=np.column_stack((time, poses)), force_limit=pusher.drive.force_limit
+    )
+    return replace(pusher, drive=drive)
+
+
+def uneven_time(time: FloatArray, ripple: float, frequency: float, phase: float) -> FloatArray:
+    """Times at which an even drive reaches the positions of the uneven one at `time` [s]."""
+    turn = 2.0 * math.pi * frequency
+    return np.asarray(time + ripple / turn * (np.sin(turn * time + phase) - math.sin(phase)))
+
+
+def _planned_poses(pusher: Pusher, time: FloatArray) -> FloatArray:
+    """Poses (n, 3) of the planned drive at times (n,) [s]."""
+    drive = pusher.drive
+    if isinstance(drive, PathDrive):
+        instants, *columns = drive.waypoints.T
+        return np.column_stack([np.interp(time, instants, column) for column in columns])
+    covered = np.minimum(drive.speed * time, drive.travel)
+    return np.asarray(
+        pusher.pose + np.column_stack((np.outer(covered, drive.direction), 0.0 * covered))
+    )
+
+
+def with_stall_force(pusher: Pusher, stall_force: float | None) -> Pusher:
+    """Return the pusher with a drive that stalls at a force [N]; None leaves it as planned."""
+    if stall_force is None:
+        return pusher
+    drive: LineDrive | PathDrive = replace(pusher.drive, force_limit=stall_force)
+    return replace(pusher, drive=drive)

@@ -1,6 +1,6 @@
 """Emulated GRBL 1.1 controller: one axis that moves in real time, on a pseudo-terminal.
 
-    python -m fixel.testing.emulated_grbl --link /tmp/grbl
+    python -m fixel.testbed.emulators.grbl --link /tmp/grbl
 
 It is for tests, and for trying `fixel actuator` without hardware. It emulates what one drive needs:
 realtime characters, the receive buffer, the planner's look-ahead, holds with deceleration, alarms,

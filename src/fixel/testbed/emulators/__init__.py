@@ -1,0 +1,1 @@
+"""Emulated devices: the demonstration and tests run the drivers of the testbed without hardware."""
