@@ -12,7 +12,6 @@ from alembic.script import ScriptDirectory
 
 from fixel.database import schema
 from fixel.database.engine import reading, writing
-from fixel.database.migrations import freezing
 from fixel.database.store import Store
 from fixel.database.tables import METADATA
 from fixel.errors import StoreRefused
@@ -163,7 +162,7 @@ def test_a_first_version_that_fails_leaves_nothing(url, tmp_path, monkeypatch):
 
     with Store(url, tmp_path) as store:
         with monkeypatch.context() as patch:
-            patch.setattr(freezing, "freeze", freeze)
+            patch.setattr(schema, "freeze", freeze)
             with pytest.raises(RuntimeError, match="power cut"):
                 store.upgrade()
         assert len(done) == 4

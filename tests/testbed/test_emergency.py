@@ -19,9 +19,9 @@ from tests.processes import line_of
 
 from fixel.errors import DeviceFailed
 from fixel.testbed import emergency
+from fixel.testbed.emergency import stop_actuators
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.motion_grbl import GrblActuator
-from fixel.workflows.acquisition.actuator_stop import stop_actuators
 
 PROGRAM = """
 import sys, time

@@ -24,7 +24,7 @@ from fixel.testbed.file_source import FileSource, PlayedTactile
 from fixel.testbed.frame_queue import FrameQueue
 from fixel.testbed.frame_source import Stream
 from fixel.testbed.loopback import LoopbackCamera
-from fixel.testbed.open_source import refuse_size, source_of
+from fixel.testbed.open_source import check_size, source_of
 from fixel.testbed.recorder import Recorder
 from fixel.testbed.url_source import UrlSource
 from fixel.vision.frame import Frame
@@ -434,7 +434,7 @@ def test_files_that_are_no_film_are_refused(tmp_path: Path) -> None:
 def test_another_size_than_the_rigs_is_refused() -> None:
     stream = Stream((640, 480), 30.0, True, True)
     with pytest.raises(InvalidInput, match="640 x 480 pixels, expected 1280 x 720"):
-        refuse_size(stream, (1280, 720), "camera 0")
+        check_size(stream, (1280, 720), "camera 0")
 
 
 def test_jpeg_sizes() -> None:

@@ -80,7 +80,7 @@ def coefficient_lines(answer: "CameraAnswer") -> list[str]:
 
 def corner_lines(answer: "CameraAnswer") -> list[str]:
     """Warning of the corners of the picture that no board was near."""
-    from fixel.workflows.acquisition.camera.report import empty_corners
+    from fixel.workflows.acquisition.camera.calibrate import empty_corners
 
     empty = empty_corners(answer.camera.seen)
     if not empty:

@@ -33,9 +33,9 @@ Port = Annotated[
 @tactile.command("ports")
 def ports(as_json: AsJson = False) -> None:
     """List the serial ports of this computer."""
-    from fixel.workflows.acquisition.tactile import serial_ports
+    from fixel.testbed.serial_port import found_ports
 
-    _print_ports(serial_ports(), as_json, "fixel tactile check --port")
+    _print_ports(found_ports(), as_json, "fixel tactile check --port")
 
 
 def _print_ports(found: "list[PortSeen]", as_json: bool, follow: str) -> None:
@@ -184,9 +184,9 @@ Driver = Annotated[
 @actuator.command("ports")
 def actuator_ports(as_json: AsJson = False) -> None:
     """List the serial ports of this computer."""
-    from fixel.workflows.acquisition.tactile import serial_ports
+    from fixel.testbed.serial_port import found_ports
 
-    _print_ports(serial_ports(), as_json, "fixel actuator where --port")
+    _print_ports(found_ports(), as_json, "fixel actuator where --port")
 
 
 @actuator.command("home")
@@ -236,7 +236,7 @@ def stop(port: DrivePort = None, as_json: AsJson = False) -> None:
 
     The drive loses its place: home it before you move it again.
     """
-    from fixel.workflows.acquisition.actuator_stop import stop_actuators
+    from fixel.testbed.emergency import stop_actuators
 
     stopped = stop_actuators(port)
     print_answer(

@@ -44,9 +44,9 @@ def new(
     as_json: AsJson = False,
 ) -> None:
     """Make a project: a folder with settings, a database and media."""
-    from fixel.workflows.project.importing import new_project
+    from fixel.database.project import Project
 
-    name = new_project(folder, database).settings.name
+    name = Project.create(folder, database).settings.name
     print_answer(
         as_json,
         lambda: {"folder": str(folder), "name": name},

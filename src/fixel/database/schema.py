@@ -1,4 +1,4 @@
-"""Schema versions of databases, and their upgrade to the version of this program."""
+"""Schema versions of databases, their upgrade, and triggers that reject changes of stored rows."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 import sqlalchemy as sa
-from alembic import command
+from alembic import command, op
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
@@ -15,6 +15,7 @@ from alembic.script import ScriptDirectory
 from fixel.errors import StoreRefused
 
 MIGRATIONS: Final = Path(__file__).with_name("migrations")
+FROZEN: Final = "finished records cannot change; write a new one"  # message of the triggers
 
 
 def _config(connection: sa.Connection | None = None) -> Config:
@@ -88,3 +89,41 @@ def check_newest(connection: sa.Connection, command: str = "fixel db upgrade") -
         raise StoreRefused(
             f"the database {what}, and this fixel needs {newest()}", hint=f"run: {command}"
         )
+
+
+# --- triggers ------------------------------------------------------------------------------------
+
+
+def freeze(table: str) -> None:
+    """Reject every DELETE from a table, and every UPDATE except of `deleted_at_utc`.
+
+    Deletion is soft. Called by migrations, for SQLite and PostgreSQL.
+    """
+    connection = op.get_bind()
+    columns = [column["name"] for column in sa.inspect(connection).get_columns(table)]
+    frozen = ", ".join(f'"{name}"' for name in columns if name != "deleted_at_utc")
+    if connection.dialect.name == "sqlite":
+        _freeze_in_sqlite(table, frozen)
+    else:
+        _freeze_in_postgresql(table, frozen)
+
+
+def _freeze_in_sqlite(table: str, frozen: str) -> None:
+    refuse = f"BEGIN SELECT RAISE(ABORT, '{FROZEN}'); END"
+    op.execute(f'CREATE TRIGGER "{table}_frozen" BEFORE UPDATE OF {frozen} ON "{table}" {refuse}')
+    op.execute(f'CREATE TRIGGER "{table}_kept" BEFORE DELETE ON "{table}" {refuse}')
+
+
+def _freeze_in_postgresql(table: str, frozen: str) -> None:
+    op.execute(
+        "CREATE OR REPLACE FUNCTION fixel_refuse() RETURNS trigger LANGUAGE plpgsql AS "
+        f"$$ BEGIN RAISE EXCEPTION '{FROZEN}'; END $$"
+    )
+    op.execute(
+        f'CREATE TRIGGER "{table}_frozen" BEFORE UPDATE OF {frozen} ON "{table}" '
+        "FOR EACH ROW EXECUTE FUNCTION fixel_refuse()"
+    )
+    op.execute(
+        f'CREATE TRIGGER "{table}_kept" BEFORE DELETE ON "{table}" '
+        "FOR EACH ROW EXECUTE FUNCTION fixel_refuse()"
+    )

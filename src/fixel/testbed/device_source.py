@@ -61,7 +61,7 @@ class DeviceSource(FrameSource):
     def open(self) -> Stream:
         """Request JPEG at the wanted size and rate, and accept what the camera delivers."""
         if self._capture is None:
-            _refuse_missing(self._device)
+            _check_present(self._device)
         cv2 = opencv()
         camera = (self._capture or cv2.VideoCapture)(self._device)
         self._camera = camera
@@ -151,7 +151,7 @@ def _arrived(now: float, raw: Picture) -> CameraPicture | None:
     return None if arrived.size is None else arrived
 
 
-def _refuse_missing(device: int | str) -> None:
+def _check_present(device: int | str) -> None:
     """Raise for a missing or unreadable device on Linux; OpenCV reports no reason."""
     if not sys.platform.startswith("linux"):
         return

@@ -77,9 +77,9 @@ def _smooth_field(seed: int, grain: float) -> tuple[FloatArray, FloatArray]:
     spans = zip(PLATE_ORIGIN, PLATE_SIZE, strict=True)
     x, y = (start + np.arange(0.0, size, grain / NODES_PER_GRAIN) for start, size in spans)
     place = np.stack(np.meshgrid(x, y), axis=-1)
-    random = stream(seed, "plate")
-    wave = random.standard_normal((2, N_WAVES)) / grain
-    phase = random.uniform(0.0, 2.0 * math.pi, N_WAVES)
+    rng = stream(seed, "plate")
+    wave = rng.standard_normal((2, N_WAVES)) / grain
+    phase = rng.uniform(0.0, 2.0 * math.pi, N_WAVES)
     values = math.sqrt(2.0 / N_WAVES) * np.cos(place @ wave + phase).sum(axis=-1)
     return frozen(place), frozen(values)
 
@@ -122,8 +122,8 @@ def uneven_support(
     if friction is None:
         return NoSupport()
     points, share = cells(body.shape, n_cells)
-    random = stream(seed, "underside", _fingerprint(body.shape))
-    share = share * np.exp(unevenness * random.standard_normal(len(share)))
+    rng = stream(seed, "underside", _fingerprint(body.shape))
+    share = share * np.exp(unevenness * rng.standard_normal(len(share)))
     share = _centred(share / share.sum(), points, body.com + np.asarray(centre))
     return SupportPoints(
         points=points, friction=friction_ratio * friction, loads=body.mass * gravity * share
@@ -191,18 +191,18 @@ def touching(simulation: Simulation) -> BoolArray:
     return found
 
 
-def frames_kept(n_frame: int, share_dropped: float, random: np.random.Generator) -> BoolArray:
+def frames_kept(n_frame: int, share_dropped: float, rng: np.random.Generator) -> BoolArray:
     """Draw (n_frame,) bool: frames that arrive; the first and the last always do."""
-    kept = random.random(n_frame) >= share_dropped
+    kept = rng.random(n_frame) >= share_dropped
     kept[[0, -1]] = True
     return np.asarray(kept)
 
 
 def seen(
-    pose: FloatArray, position_noise: float, angle_noise: float, random: np.random.Generator
+    pose: FloatArray, position_noise: float, angle_noise: float, rng: np.random.Generator
 ) -> FloatArray:
     """Add white noise to poses (n, 3), with standard deviations in [m] and [rad]."""
-    return pose + random.standard_normal(pose.shape) * (position_noise, position_noise, angle_noise)
+    return pose + rng.standard_normal(pose.shape) * (position_noise, position_noise, angle_noise)
 
 
 def tactile_channel(
@@ -210,7 +210,7 @@ def tactile_channel(
     touches: BoolArray,
     false_contact: float,
     missed_contact: float,
-    random: np.random.Generator,
+    rng: np.random.Generator,
 ) -> Channel:
     """Return readings of the fixels with independent errors.
 
@@ -222,9 +222,9 @@ def tactile_channel(
         True contacts.
     false_contact, missed_contact : float
         Probabilities of reading 1 without contact, and 0 with it [-].
-    random : numpy.random.Generator
+    rng : numpy.random.Generator
     """
-    wrong = random.random(touches.shape) < np.where(touches, missed_contact, false_contact)
+    wrong = rng.random(touches.shape) < np.where(touches, missed_contact, false_contact)
     return Channel(
         name="tactile",
         time=time,

@@ -37,7 +37,7 @@ def source_of(
     return FileSource(text, as_fast_as_possible=as_fast_as_possible)
 
 
-def refuse_size(stream: Stream, size: tuple[int, int], name: str) -> None:
+def check_size(stream: Stream, size: tuple[int, int], name: str) -> None:
     """Raise for pictures of another size than the rig's, before recording starts."""
     if stream.size != size:
         raise InvalidInput(

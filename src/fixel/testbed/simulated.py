@@ -143,7 +143,7 @@ class SimulatedTestbed:
 
     def __post_init__(self) -> None:
         name_of(self.dataset, "testbed.dataset")
-        _refuse_counts(self.seed, self.support_cells)
+        _check_counts(self.seed, self.support_cells)
         for name in _NOT_NEGATIVE:
             settle(self, **{name: non_negative(getattr(self, name), f"testbed.{name}")})
         for name, unit in _POSITIVE.items():
@@ -200,7 +200,7 @@ class SimulatedTestbed:
             With the true values, a body cannot be placed or carried; raised at its turn.
         """
         planned = tuple(planned)
-        _refuse_plan(planned)
+        _check_plan(planned)
         if threads is not None and threads < 1:
             raise InvalidInput("threads", found=threads, expected="at least 1")
         return self._run_all(planned, progress, threads or os.cpu_count() or 1)
@@ -241,9 +241,9 @@ class SimulatedTestbed:
         )
 
     def _draw(self, name: str) -> _RunConditions:
-        random = stream(self.seed, "run", name)
+        rng = stream(self.seed, "run", name)
         # All are always drawn, so that no setting changes the random value of another.
-        support, pusher, fixel, speed, x, y = random.standard_normal(6)
+        support, pusher, fixel, speed, x, y = rng.standard_normal(6)
         aside = self.centre_of_pressure_spread
         return _RunConditions(
             support=self.support_friction * math.exp(self.support_spread * support),
@@ -252,7 +252,7 @@ class SimulatedTestbed:
             speed=math.exp(self.speed_spread * speed),
             centre_x=self.centre_of_pressure[0] + aside * float(x),
             centre_y=self.centre_of_pressure[1] + aside * float(y),
-            phase=float(random.uniform(0.0, 2.0 * math.pi)),
+            phase=float(rng.uniform(0.0, 2.0 * math.pi)),
         )
 
     def _true_body(self, body: Body, gravity: float, drawn: _RunConditions) -> Body:
@@ -322,9 +322,9 @@ class SimulatedTestbed:
     def _channels(self, name: str, time: FloatArray, touches: BoolArray) -> tuple[Channel, ...]:
         if touches.shape[1] == 0:
             return ()
-        random = stream(self.seed, "tactile", name)
+        rng = stream(self.seed, "tactile", name)
         wrong = self.false_contact, self.missed_contact
-        return (tactile_channel(time, touches, *wrong, random),)
+        return (tactile_channel(time, touches, *wrong, rng),)
 
     def _truth(self, name: str, simulation: Simulation) -> dict[str, str | float]:
         """Return the true values of a run, under names that end with their unit."""
@@ -409,7 +409,7 @@ def _version() -> str:
     return version("fixel")
 
 
-def _refuse_counts(seed: object, support_cells: object) -> None:
+def _check_counts(seed: object, support_cells: object) -> None:
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise InvalidInput("testbed.seed", found=seed, expected="a whole number of at least 0")
     cells = support_cells
@@ -421,11 +421,11 @@ def _refuse_counts(seed: object, support_cells: object) -> None:
         )
 
 
-def _refuse_plan(planned: Sequence[PlannedExperiment]) -> None:
+def _check_plan(planned: Sequence[PlannedExperiment]) -> None:
     seen_names: set[str] = set()
     for index, item in enumerate(planned):
         instance(item, PlannedExperiment, f"planned[{index}]", "a PlannedExperiment")
-        _refuse_scene(item)
+        _check_scene(item)
         if item.name in seen_names:
             raise InvalidInput(
                 f"planned[{index}]",
@@ -435,7 +435,7 @@ def _refuse_plan(planned: Sequence[PlannedExperiment]) -> None:
         seen_names.add(item.name)
 
 
-def _refuse_scene(planned: PlannedExperiment) -> None:
+def _check_scene(planned: PlannedExperiment) -> None:
     where, scene = f"planned {planned.name!r}", planned.scene
     if len(scene.bodies) != 1 or len(scene.pushers) != 1:
         raise InvalidInput(

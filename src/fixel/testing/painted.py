@@ -157,8 +157,8 @@ def inverse(pose: FloatArray, xy: FloatArray) -> FloatArray:
 
 def as_seen(picture: FloatArray, noise: float = 2.0, seed: int = 0) -> Picture:
     """Add a camera's noise to a picture and round it to whole numbers."""
-    random = np.random.default_rng(seed)
-    return np.clip(np.rint(picture + noise * random.standard_normal(picture.shape)), 0, 255).astype(
+    rng = np.random.default_rng(seed)
+    return np.clip(np.rint(picture + noise * rng.standard_normal(picture.shape)), 0, 255).astype(
         np.uint8
     )
 

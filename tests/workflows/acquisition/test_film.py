@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tests.vision.rendered import small_rig
 
+from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.formats.plan_file import plan_text
 from fixel.formats.recording import open_recording
@@ -19,7 +20,7 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import grasp, micro_push
 from fixel.workflows.acquisition.film import ABOUT, ARRAYS, Shooting, film
 from fixel.workflows.acquisition.film_shots import SAMPLE
-from fixel.workflows.project.importing import new_project, run_testbed
+from fixel.workflows.project.importing import run_testbed
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +105,7 @@ def test_an_exact_scene_has_exact_fixels(tmp_path, rig, scene):
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lab") / "lab"
-    project = new_project(folder)
+    project = Project.create(folder)
     run_testbed(project, None, seed=3, limit=1, threads=1)
     return folder
 

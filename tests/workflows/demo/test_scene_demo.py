@@ -6,8 +6,7 @@ import pytest
 from fixel.errors import InvalidInput
 from fixel.formats import load_scene
 from fixel.simulation import simulate
-from fixel.workflows.demo.events import story
-from fixel.workflows.demo.scene_demo import example_names, example_text, run_demo
+from fixel.workflows.demo.scene_demo import example_names, example_text, motion_events, run_demo
 
 
 @pytest.fixture(scope="module")
@@ -72,4 +71,4 @@ def test_every_example_can_be_simulated_and_told(name, tmp_path):
     run = simulate(load_scene(path).scene)
 
     assert run.converged
-    assert story(run)
+    assert motion_events(run)

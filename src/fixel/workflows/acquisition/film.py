@@ -360,9 +360,9 @@ def _readings(
     names = [fixel.name for fixel in shot.scene.fixels]
     if not names:
         return np.full(len(times), -1, np.int64)
-    random = stream(seed, "film", "tactile", shot.name)
+    rng = stream(seed, "film", "tactile", shot.name)
     wrong = shot.testbed.false_contact, shot.testbed.missed_contact
-    reported = tactile_channel(times, touches, *wrong, random).values.astype(np.int64)
+    reported = tactile_channel(times, touches, *wrong, rng).values.astype(np.int64)
     total = np.zeros(len(times), np.int64)
     for bit, name in enumerate(rig.tactile):
         if name in names:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -86,33 +87,24 @@ def shots(
             expected="a scene file, a plan file, or experiments of a project",
             hint="fixel testbed film scene.yaml, or: fixel testbed film EXPERIMENT --project DIR",
         )
-    found = [item for source in sources for item in _found(source, project, seed, limit)]
-    return len(found), (_done(item, seed) for item in found)
+    makers = [make for source in sources for make in _makers(source, project, seed, limit)]
+    return len(makers), (make() for make in makers)
 
 
-_Item = tuple[str, SceneFile] | tuple[PlannedExperiment, SimulatedTestbed] | Experiment
-
-
-def _found(source: str, project: Path, seed: int, limit: int | None) -> list[_Item]:
+def _makers(
+    source: str, project: Path, seed: int, limit: int | None
+) -> list[Callable[[], FilmScene]]:
+    """One function for each scene of a source, which simulates it."""
     path = Path(source)
     if path.suffix.lower() not in FILES:
         with Project.open(project).store() as store:
             experiment = store.experiment(store.find(source))
-        _refuse_stranger(experiment)
-        return [experiment]
+        _check_simulated(experiment)
+        return [partial(_again, experiment)]
     if "bodies" in read_document(path):
-        return [(path.stem, load_scene(path))]
+        return [partial(_as_written, path.stem, load_scene(path), seed)]
     bench = SimulatedTestbed(seed=seed)
-    return [(planned, bench) for planned in load_plan(path).experiments[:limit]]
-
-
-def _done(item: _Item, seed: int) -> FilmScene:
-    if isinstance(item, Experiment):
-        return _again(item)
-    first, second = item
-    if isinstance(second, SimulatedTestbed):
-        return _performed(first, second)  # type: ignore[arg-type]
-    return _as_written(first, second, seed)  # type: ignore[arg-type]
+    return [partial(_performed, planned, bench) for planned in load_plan(path).experiments[:limit]]
 
 
 def _as_written(name: str, scene_file: SceneFile, seed: int) -> FilmScene:
@@ -159,16 +151,10 @@ def _again(experiment: Experiment) -> FilmScene:
             hint="its testbed had other settings than `fixel testbed run` uses",
         )
     truth = {k: v for k, v in conditions.items() if k.startswith(TRUTH)}
-    return FilmScene(
-        name=experiment.name,
-        planned=shot.planned,
-        simulation=shot.simulation,
-        testbed=bench,
-        truth=truth,
-    )
+    return replace(shot, truth=truth)
 
 
-def _refuse_stranger(experiment: Experiment) -> None:
+def _check_simulated(experiment: Experiment) -> None:
     if (
         experiment.real
         or experiment.scene is None

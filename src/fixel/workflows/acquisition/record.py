@@ -21,7 +21,7 @@ from fixel.formats.recording_video import warm_up
 from fixel.formats.rig_file import rig_of, save_rig
 from fixel.formats.scene_file import load_scene
 from fixel.testbed.frame_source import Stream
-from fixel.testbed.open_source import refuse_size, source_of
+from fixel.testbed.open_source import check_size, source_of
 from fixel.testbed.recorder import Recorder, RecordingSummary, Stop, TouchReader, Watch
 from fixel.testbed.seating import Seating
 from fixel.vision.marks import Rig
@@ -132,7 +132,7 @@ def record(
     with _tactile(plan) as tactile, source:
         stream = source.open()
         if size is not None:
-            refuse_size(stream, size, source.name)
+            check_size(stream, size, source.name)
         return Recorder(
             source=source,
             stream=stream,

@@ -1,4 +1,4 @@
-"""List serial ports, and check and watch the tactile board."""
+"""Check and watch the tactile board."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, final
 
-from fixel.testbed.serial_port import PortSeen, found_ports
 from fixel.testbed.tactile import DEADLINE, TactileReader, TactileReading
 from fixel.typing import Progress
 
@@ -65,11 +64,6 @@ class TactileCheck:
             "trouble": self.trouble,
             **self.statistics,
         }
-
-
-def serial_ports() -> list[PortSeen]:
-    """List the serial ports of this computer."""
-    return found_ports()
 
 
 def check_tactile(

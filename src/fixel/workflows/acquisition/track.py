@@ -182,7 +182,7 @@ def track_film(
         for kind, path in (("overlay", overlay), ("sheet", sheet), ("plot", plot))
         if path is not None
     }
-    _refuse_files(files)
+    _check_files(files)
     opened = None if project is None else Project.open(project)
     film = open_film(source)
     marked = rig_of(rig or _beside(source, RIG_FILE, "--rig"))
@@ -289,7 +289,7 @@ def _draw(
         draw_track(tracked, files["plot"], experiment.effective)
 
 
-def _refuse_files(files: dict[str, Path]) -> None:
+def _check_files(files: dict[str, Path]) -> None:
     endings = {"overlay": ENDINGS, "sheet": (".png",), "plot": PICTURE_ENDINGS}
     for kind, path in files.items():
         refuse_ending(path, endings[kind], kind)

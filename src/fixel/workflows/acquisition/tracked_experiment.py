@@ -173,7 +173,7 @@ def _scene(
     moved: list[float],
 ) -> Scene:
     """Return the scene with measured instead of planned poses."""
-    _refuse_two_pushes(found)
+    _check_single_push(found)
     places = {fixel.name: fixel.place for fixel in tracked.fixels}
     fixels = tuple(
         replace(fixel, pose=np.append(places[fixel.name], fixel.pose[2]))
@@ -186,7 +186,7 @@ def _scene(
         for member in scene.pushers
     )
     body = scene.bodies[0]
-    _refuse_late(body.name, trajectory, begins)
+    _check_start(body.name, trajectory, begins)
     start = _start(trajectory, begins)
     apart = _apart(body.shape, start, (*pushers, *fixels))
     if (apart != start).any():
@@ -211,7 +211,7 @@ def _driven(pusher: Pusher, measured: Trajectory) -> Pusher:
     )
 
 
-def _refuse_two_pushes(found: tuple[str, ActuatorMotion] | None) -> None:
+def _check_single_push(found: tuple[str, ActuatorMotion] | None) -> None:
     if found is None or found[1].back is None:
         return
     begin, end = found[1].back
@@ -223,7 +223,7 @@ def _refuse_two_pushes(found: tuple[str, ActuatorMotion] | None) -> None:
     )
 
 
-def _refuse_late(name: str, trajectory: Trajectory, begins: float) -> None:
+def _check_start(name: str, trajectory: Trajectory, begins: float) -> None:
     """Reject an object that is first seen after the push has begun and is already moving."""
     first = float(trajectory.time[0])
     early = trajectory.pose[:STARTS, :2] - trajectory.pose[0, :2]

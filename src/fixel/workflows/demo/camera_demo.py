@@ -30,13 +30,13 @@ from fixel.workflows.acquisition.track import TrackAnswer, track_film
 from fixel.workflows.analysis import Analysis, keep
 from fixel.workflows.calibration import run as calibration
 from fixel.workflows.calibration.parameter_options import default_unknowns
+from fixel.workflows.analysis import Analysis, TextTable, keep
 from fixel.workflows.calibration.request import (
     LEAST_SQUARES,
-    CalibrationRequest,
-    NamedOptions,
 )
 from fixel.workflows.compilation import engine_is_cold
 from fixel.workflows.demo.emulated_bench import record_film
+from fixel.workflows.demo.laboratory_demo import calibrate_jointly
 from fixel.workflows.figures import Picture
 from fixel.workflows.report.write import Report, write_report
 
@@ -128,14 +128,14 @@ def run_camera_tour(
     InvalidInput
         The folder contains something else, or a run could not be tracked from its start.
     """
-    tell = notify or (lambda _: None)
+    notify = notify or (lambda _: None)
     project = _begun(folder, {"pushes": list(pushes), "frames": frames})
-    films = _filmed(project, folder, pushes, frames, tell, progress)
-    firmware = _firmware(folder, tell)
+    films = _filmed(project, folder, pushes, frames, notify, progress)
+    firmware = _firmware(folder, notify)
     runs, drive, lost, total = [], {}, 0, 0
     for made in films:
         name = made.name
-        answer = _tracked(folder, made, firmware, tell)
+        answer = _tracked(folder, made, firmware, notify)
         recording = open_recording(folder / "recordings" / name)
         lost += 0 if recording.end is None else recording.end.lost
         total += recording.n_frames
@@ -148,16 +148,24 @@ def run_camera_tour(
             store.add_experiment(replace(answer.experiment, video=video))
             store.add_experiment(twin)
         runs.append(run)
-    tell("calibrating friction and support to the tracked poses, and to the true ones")
+    notify("calibrating friction and support to the tracked poses, and to the true ones")
     command = f"fixel calibrate --dataset %s --optimiser {LEAST_SQUARES} --project lab"
-    numbers = [_calibrate(project, dataset, command % dataset) for dataset in (TRUE, TRACKED)]
+    numbers = [
+        calibrate_jointly(
+            project,
+            command % dataset,
+            ExperimentQuery(dataset=dataset, include_faulty=True),
+            dataset,
+        )
+        for dataset in (TRUE, TRACKED)
+    ]
     with project.store() as store:
         true, tracked = (store.calibration(number).estimates for number in numbers)
         listing = store.experiments(ExperimentQuery(dataset=TRACKED, include_faulty=True))
         members = [summary.id for summary in listing.rows]
     estimates = tuple(zip(tracked, true, strict=True))
     _keep(project, tuple(runs), estimates, numbers[1], members)
-    tell("writing the report")
+    notify("writing the report")
     at = shlex.quote(str(project.folder))
     report = write_report(
         project, folder / "report", number=numbers[1], command=f"fixel report --project {at}"
@@ -191,7 +199,7 @@ def _begun(folder: Path, asked: dict[str, object]) -> Project:
     return Project.open(lab) if (lab / SETTINGS).is_file() else Project.create(lab)
 
 
-def _tracked(folder: Path, made: Path, firmware: Path | None, tell: Notify) -> TrackAnswer:
+def _tracked(folder: Path, made: Path, firmware: Path | None, notify: Notify) -> TrackAnswer:
     """Record a film if that has not been done, and track it.
 
     Raises
@@ -205,12 +213,14 @@ def _tracked(folder: Path, made: Path, firmware: Path | None, tell: Notify) -> T
         if not (is_recording(out) and open_recording(out).complete):
             shutil.rmtree(out, ignore_errors=True)
             again = f" again: {why_not}" if why_not else ""
-            tell(f"recording {name} off a network camera, fixels and drive on serial ports{again}")
+            notify(
+                f"recording {name} off a network camera, fixels and drive on serial ports{again}"
+            )
             scene = load_scene(made / "scene.yaml").scene
             _, position = record_film(made, out, scene, LEAD, firmware)
             noted = _noted(folder) | {name: position}
             (folder / RUNS).write_text(json.dumps(noted), encoding="utf-8")
-        tell(f"tracking {name}")
+        notify(f"tracking {name}")
         answer = track_film(
             out,
             dataset=TRACKED,
@@ -302,7 +312,7 @@ def _filmed(
     folder: Path,
     pushes: tuple[int, ...],
     frames: int | None,
-    tell: Notify,
+    notify: Notify,
     progress: Progress | None,
 ) -> list[Path]:
     planned = [thesis_plan().experiments[k] for k in pushes]
@@ -311,16 +321,18 @@ def _filmed(
     if not missing:
         return [films / one.name for one in planned]
     compiling = "; the engine is compiled first, once: about a minute" if engine_is_cold() else ""
-    tell(f"simulating {len(pushes)} pushes{compiling}")
+    notify(f"simulating {len(pushes)} pushes{compiling}")
     with project.store() as store:
         for experiment in SimulatedTestbed(seed=SEED).run(planned):
             store.add_experiment(experiment)
-    tell(f"filming {len(pushes)} pushes of a simulated laboratory, as its camera would see them")
+    notify(f"filming {len(pushes)} pushes of a simulated laboratory, as its camera would see them")
     shooting = Shooting(seed=SEED, lead=LEAD, frames=frames)
     films.mkdir(exist_ok=True)
     for name in missing:
         shutil.rmtree(films / name, ignore_errors=True)
-        film([name], films / name, shooting, project=project.folder, notify=tell, progress=progress)
+        film(
+            [name], films / name, shooting, project=project.folder, notify=notify, progress=progress
+        )
     return [films / one.name for one in planned]
 
 
@@ -329,30 +341,14 @@ def _is_film(folder: Path) -> bool:
     return is_recording(folder) and open_recording(folder).complete and (folder / ARRAYS).is_file()
 
 
-def _firmware(folder: Path, tell: Notify) -> Path | None:
+def _firmware(folder: Path, notify: Notify) -> Path | None:
     """Build the firmware of the fixels and its emulator; None if that is not possible."""
     missing = mega.why_not()
     if missing:
-        tell(f"fixels are read from the film, not from an emulated board: {missing}")
+        notify(f"fixels are read from the film, not from an emulated board: {missing}")
         return None
-    tell("building the firmware of the fixels and its emulator")
+    notify("building the firmware of the fixels and its emulator")
     return mega.built(folder / "firmware")
-
-
-def _calibrate(project: Project, dataset: str, command: str) -> int:
-    with project.store() as store:
-        chosen = calibration.choose(
-            store, (), ExperimentQuery(dataset=dataset, include_faulty=True)
-        )
-    request = CalibrationRequest(
-        name=dataset,
-        mode="joint",
-        unknowns=default_unknowns([t.case.scene for t in chosen.targets]),
-        optimiser=NamedOptions(name=LEAST_SQUARES),
-    )
-    job = calibration.prepare(project, chosen, request)
-    calibration.run(job)
-    return calibration.collect(project, job, command, chosen.left_out).ids[-1]
 
 
 def _keep(

@@ -76,24 +76,25 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     notify : callable, optional
         Called with a sentence before each part of the tour.
     """
-    tell = notify or (lambda _: None)
+    notify = notify or (lambda _: None)
     project = Project.open(folder) if (folder / "fixel.yaml").is_file() else Project.create(folder)
     at = f"--project {shlex.quote(str(folder))}"
-    tell(f"performing {EXPERIMENTS} experiments on a simulated testbed")
+    notify(f"performing {EXPERIMENTS} experiments on a simulated testbed")
     with project.store() as store:
         _perform(store)
-    tell("calibrating friction and support to all of them, with verdicts")
-    number = _calibrate(project, f"fixel calibrate --optimiser {LEAST_SQUARES} {at}")
-    tell("mapping where the calibrated simulator can be trusted")
+    notify("calibrating friction and support to all of them, with verdicts")
+    command = f"fixel calibrate --optimiser {LEAST_SQUARES} {at}"
+    number = calibrate_jointly(project, command, ExperimentQuery())
+    notify("mapping where the calibrated simulator can be trusted")
     map_domain(project, DomainRequest(calibration=number), command=f"fixel domain {at}")
-    tell("asking how far the start decides the outcome")
+    notify("asking how far the start decides the outcome")
     _ask_starts(project, number, at)
-    tell("asking what is not known, and what follows from it")
+    notify("asking what is not known, and what follows from it")
     try:
         _ask_posterior(project, number, at)
     except InvalidInput as missing:  # the package that samples posteriors
-        tell(f"left out: {missing}")
-    tell("writing the report")
+        notify(f"left out: {missing}")
+    notify("writing the report")
     report = write_report(
         project, folder.parent / "report", number=number, command=f"fixel report {at}"
     )
@@ -108,10 +109,14 @@ def _perform(store: Store) -> None:
             store.add_experiment(experiment)
 
 
-def _calibrate(project: Project, command: str) -> int:
+def calibrate_jointly(
+    project: Project, command: str, query: ExperimentQuery, name: str = "calibration"
+) -> int:
+    """Calibrate the usual parameters to the experiments of a query; return the calibration's id."""
     with project.store() as store:
-        chosen = calibration.choose(store, (), ExperimentQuery())
+        chosen = calibration.choose(store, (), query)
     request = CalibrationRequest(
+        name=name,
         mode="joint",
         unknowns=default_unknowns([t.case.scene for t in chosen.targets]),
         optimiser=NamedOptions(name=LEAST_SQUARES),

@@ -116,7 +116,7 @@ def export(
     StoreRefused
         The project cannot be opened or read.
     """
-    _refuse(target, format, fps)
+    _check_arguments(target, format, fps)
     started = time.perf_counter()
     project = Project.open(folder)
     with project.store() as store:
@@ -189,7 +189,7 @@ def _rights() -> dict[str, tuple[str, str]]:
     }
 
 
-def _refuse(target: Path, format: str, fps: int | None) -> None:
+def _check_arguments(target: Path, format: str, fps: int | None) -> None:
     """Reject invalid arguments before any work."""
     if format not in FORMATS:
         raise InvalidInput("format", found=format, expected="one of " + ", ".join(FORMATS))

@@ -33,11 +33,6 @@ class ImportSummary(NamedTuple):
     wall_time_s: float
 
 
-def new_project(folder: Path, database: str | None = None) -> Project:
-    """Create a project folder."""
-    return Project.create(folder, database)
-
-
 def import_plan(
     source: Path,
     importer: str | None = None,

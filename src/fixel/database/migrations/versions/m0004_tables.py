@@ -6,7 +6,7 @@ this one out, since `METADATA` is always that of the newest.
 
 from alembic import op
 
-from fixel.database.migrations.freezing import freeze
+from fixel.database.schema import freeze
 from fixel.database.tables import METADATA
 
 revision = "0004"

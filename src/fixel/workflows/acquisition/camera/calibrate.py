@@ -1,11 +1,11 @@
-"""Calibrate, import, export and place cameras."""
+"""Calibrate, import, export and place cameras, and compute the accuracy of places."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -17,17 +17,19 @@ from fixel.formats.camera_opencv import save_opencv, save_ros
 from fixel.formats.rig_file import plate_of
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.io.document import read_document
-from fixel.typing import Progress
+from fixel.typing import FloatArray, Progress
 from fixel.vision.boards import Board, board_of
 from fixel.vision.calibrate_lens import LensCalibration, calibrate_lens, find_boards
 from fixel.vision.frame import Picture
 from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
-from fixel.workflows.acquisition.camera.charts import files_of, first_picture, pictures_of
-from fixel.workflows.acquisition.camera.report import PlaceAccuracy, empty_corners, verdict
+from fixel.vision.plane_errors import PlaneErrors, plane_errors
+from fixel.workflows.acquisition.camera.pictures import files_of, first_picture, pictures_of
 
 RIG_FILE = "rig.yaml"
 CAMERA_ENDINGS = (".yaml", ".yml")
+CORNERS: Final = ("upper left", "upper right", "lower left", "lower right")
+FINE: Final = 3e-4  # [m] a bench with larger errors should be calibrated again
 
 
 @final
@@ -125,7 +127,7 @@ def calibrate(
         Called with the number of pictures done, their total, and the picture's name.
     """
     wanted = board_of(board)
-    _refuse_output(output)
+    _check_output(output)
     files = files_of(paths)
     done = 0
 
@@ -151,7 +153,7 @@ def bring_in(
     unit: float = 1e-3,
 ) -> CameraAnswer:
     """Import a camera of another program and save it as fixel's own; see `import_camera`."""
-    _refuse_output(output)
+    _check_output(output)
     if output.resolve() == path.resolve():
         raise InvalidInput(
             str(output), found="the file that is read", expected="another one to write"
@@ -208,8 +210,8 @@ def place(
         rig = next((str(file) for file in beside if _has_plate(file)), None)
     if board is None and rig is None:
         raise InvalidInput("place", found="neither", expected="--board or --rig, or both")
-    _refuse_output(output)
-    refuse_plot(plot)
+    _check_output(output)
+    check_plot(plot)
     measured = load_camera(path)
     seen = first_picture(picture)
     found, remarks = _place(measured, seen, board, at, thickness, rig)
@@ -285,13 +287,111 @@ def board_text(board: Board) -> str:
     return f"charuco:{board.columns}x{board.rows}:{mm}:{1e3 * board.marker:g}mm"
 
 
-def _refuse_output(output: Path) -> None:
+def _check_output(output: Path) -> None:
     refuse_ending(output, CAMERA_ENDINGS, "camera")
     refuse_unwritable(output)
 
 
-def refuse_plot(plot: Path | None) -> None:
+def check_plot(plot: Path | None) -> None:
     """Reject a figure file that cannot be written, before any work."""
     if plot is not None:
         refuse_ending(plot, PICTURE_ENDINGS, "picture")
         refuse_unwritable(plot)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class PlaceAccuracy:
+    """Expected accuracy of places at one height.
+
+    Attributes
+    ----------
+    errors : PlaneErrors
+    typical, worst : float
+        Radius that contains 95 % of the errors: median over the picture, and maximum [m].
+    worst_at : str
+        Part of the picture with the largest error: `upper left corner`.
+    empty_corners : tuple of str
+        Corners of the picture without a board nearby; all four if this is unknown.
+    seen_known : bool
+        Whether the places of the boards are known.
+    """
+
+    errors: PlaneErrors
+    typical: float
+    worst: float
+    worst_at: str
+    empty_corners: tuple[str, ...]
+    seen_known: bool
+
+    @property
+    def sentence(self) -> str:
+        """Accuracy in one sentence, for the user."""
+        height = f"{1e3 * self.errors.height:g} mm above the plate"
+        if not self.errors.known:
+            return (
+                f"How right a place {height} is cannot be said: nothing is known of the camera's "
+                "errors"
+            )
+        parts = [
+            f"A place {height} is right to {mm(self.typical)} (95 %), "
+            f"worst {mm(self.worst)} in the {self.worst_at}"
+        ]
+        if self.seen_known:
+            n = len(self.empty_corners)
+            parts.append(
+                "every corner of the picture had a board near"
+                if not n
+                else f"{n} of 4 corners had no board near ({', '.join(self.empty_corners)})"
+            )
+        return "; ".join(parts)
+
+    def summary(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        return {
+            "height_m": self.errors.height,
+            "known": self.errors.known,
+            "typical_95_m": self.typical if self.errors.known else None,
+            "worst_95_m": self.worst if self.errors.known else None,
+            "worst_at": self.worst_at if self.errors.known else None,
+            "corners_without_board": list(self.empty_corners) if self.seen_known else None,
+            "sentence": self.sentence,
+        }
+
+
+def verdict(measured: MeasuredCamera, height: float) -> PlaceAccuracy:
+    """Compute the expected accuracy of places at a height above the plate [m]."""
+    errors = plane_errors(measured, height)
+    worst = np.unravel_index(int(np.argmax(errors.whole)), errors.whole.shape)
+    return PlaceAccuracy(
+        errors=errors,
+        typical=float(np.median(errors.whole)),
+        worst=float(errors.whole.max()),
+        worst_at=_part_of_picture(errors.pixels[worst], measured.lens.image_size),
+        empty_corners=empty_corners(measured.seen),
+        seen_known=bool(measured.seen.size),
+    )
+
+
+def empty_corners(seen: FloatArray) -> tuple[str, ...]:
+    """Return the corners of the picture, a quarter of its sides wide, that no board reached."""
+    if not seen.size:
+        return CORNERS
+    rows, columns = max(1, seen.shape[0] // 4), max(1, seen.shape[1] // 4)
+    upper, lower = seen[:rows], seen[-rows:]
+    parts = (upper[:, :columns], upper[:, -columns:], lower[:, :columns], lower[:, -columns:])
+    return tuple(name for name, part in zip(CORNERS, parts, strict=True) if not part.any())
+
+
+def mm(metres: float) -> str:
+    """Format a length for reading: microns below a tenth of a millimetre."""
+    return f"{1e3 * metres:.2g} mm" if metres >= 1e-4 else f"{1e6 * metres:.2g} um"
+
+
+def _part_of_picture(pixel: FloatArray, size: tuple[int, int]) -> str:
+    u, v = pixel / (np.array(size) - 1.0)
+    down = "upper" if v < 0.25 else "lower" if v > 0.75 else ""
+    across = "left" if u < 0.25 else "right" if u > 0.75 else ""
+    if down and across:
+        return f"{down} {across} corner"
+    return f"{down or across} part of the picture" if down or across else "middle of the picture"

@@ -18,9 +18,14 @@ from fixel.vision.marks import Rig
 from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.tracking.checks import moved_limit
 from fixel.vision.tracking.tag_reader import find_tags, tag_corners
-from fixel.workflows.acquisition.camera.calibrate import CameraAnswer, draw_errors, refuse_plot
-from fixel.workflows.acquisition.camera.charts import first_picture
-from fixel.workflows.acquisition.camera.report import mm, verdict
+from fixel.workflows.acquisition.camera.calibrate import (
+    CameraAnswer,
+    check_plot,
+    draw_errors,
+    mm,
+    verdict,
+)
+from fixel.workflows.acquisition.camera.pictures import first_picture
 
 MOVED: Final = 5e-4  # [m] allowed offset of a plate tag, in addition to the camera's errors
 ROUND_TRIP: Final = 1e-6  # [px]
@@ -78,7 +83,7 @@ def check(
     plot : Path, optional
         File for a map of errors at the first height.
     """
-    refuse_plot(plot)
+    check_plot(plot)
     measured, rig = _camera_of(name)
     problems: list[str] = []
     tags: dict[int, float] = {}

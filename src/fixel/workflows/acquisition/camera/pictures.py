@@ -16,7 +16,7 @@ from fixel.vision.opencv import opencv
 
 PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 FROM_VIDEO: Final = 40  # frames used of a video
-MOST_BYTES: Final = 200_000_000
+MAX_BYTES: Final = 200_000_000
 
 
 def files_of(paths: Sequence[Path]) -> list[Path]:
@@ -69,7 +69,7 @@ def read_picture(path: Path) -> Picture:
     """Load a picture as the sensor recorded it, without the rotation noted in its file."""
     cv2 = opencv()
     try:
-        if path.stat().st_size > MOST_BYTES:
+        if path.stat().st_size > MAX_BYTES:
             raise InvalidInput(str(path), found="more than 200 MB", expected="a picture")
         data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
     except OSError as problem:
