@@ -214,7 +214,8 @@ def test_a_minute_must_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_it_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recorder_module, "free_space", lambda folder: 20_000_000)
+    free = iter([10**9])  # enough at the start
+    monkeypatch.setattr(recorder_module, "free_space", lambda folder: next(free, 20_000_000))
     done = record(Pictures(9), tmp_path / "r")
     assert done.reason == "the disk is almost full: 20 MB are left"
     assert open_recording(tmp_path / "r").complete
