@@ -12,9 +12,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.database.project import Project
-from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
 from fixel.drawing import palette
-from fixel.drawing.picture import PICTURE_ENDINGS, refuse_ending
+from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
 from fixel.errors import InvalidInput
 from fixel.formats.recording import is_recording, open_recording
 from fixel.formats.rig_file import rig_of

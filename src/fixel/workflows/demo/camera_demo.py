@@ -28,9 +28,6 @@ from fixel.typing import Notify, Progress
 from fixel.workflows.acquisition.film import ARRAYS, Shooting, film
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
 from fixel.workflows.analysis import Analysis, keep
-from fixel.workflows.calibration import run as calibration
-from fixel.workflows.calibration.parameter_options import default_unknowns
-from fixel.workflows.analysis import Analysis, TextTable, keep
 from fixel.workflows.calibration.request import (
     LEAST_SQUARES,
 )
