@@ -11,8 +11,7 @@ from fixel.cli.screen import notify, print_answer, progress_bar, seconds, table
 
 if TYPE_CHECKING:
     from fixel.testbed.serial_port import PortSeen
-    from fixel.testbed.tactile import TactileReader
-    from fixel.testbed.tactile import TactileReading
+    from fixel.testbed.tactile import TactileReader, TactileReading
     from fixel.workflows.acquisition.actuator import ActuatorAnswer
     from fixel.workflows.acquisition.tactile import TactileCheck
 
