@@ -6,6 +6,7 @@ import difflib
 import functools
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar, final
 
@@ -416,12 +417,7 @@ class Store:
 
     def simulations(self, experiment_id: int) -> list[int]:
         """Ids of the simulations of an experiment, oldest first."""
-        table = tables.simulation
-        wanted = sa.select(table.c.id).where(
-            table.c.experiment_id == experiment_id, table.c.deleted_at_utc.is_(None)
-        )
-        with reading(self._engine) as connection:
-            return list(connection.scalars(wanted.order_by(table.c.id)))
+        return self._ids(tables.simulation, tables.simulation.c.experiment_id == experiment_id)
 
     def add_calibration(self, record: CalibrationRecord) -> int:
         """Store a finished calibration; return its id."""
@@ -465,69 +461,23 @@ class Store:
     @_damage_named("calibration")
     def calibration(self, calibration_id: int) -> CalibrationRecord:
         """Load a calibration by its id."""
-        member = tables.calibration_member
+        table = tables.calibration
         with reading(self._engine) as connection:
-            row = _row(connection, tables.calibration, calibration_id, "calibration")
-            parameters = _row(
-                connection, tables.system_parameters, row.system_parameters_id, "parameters"
-            )
-            members = connection.execute(
-                sa.select(member.c.experiment_id, member.c.weight, member.c.error_mm2)
-                .where(member.c.calibration_id == calibration_id)
-                .order_by(member.c.place)
-            ).all()
+            row = _row(connection, table, calibration_id, "calibration")
+            record = _calibrations(connection, table.c.id == calibration_id)[calibration_id]
             series = arrays.read_all(connection, "calibration", calibration_id, self._media)
-        return CalibrationRecord(
-            name=row.name,
-            parameters=rows.parameters_of(parameters),
-            members=tuple(Member(*m) for m in members),
-            provenance=rows.provenance_of(row),
-            method=row.method,
-            evaluations=rows.evaluations_of(
-                series, [row.reasons.get(str(k), "") for k in range(row.n_evaluation)]
-            ),
-            estimates=rows.estimates_of(row.estimates),
-        )
+        reasons = [row.reasons.get(str(k), "") for k in range(row.n_evaluation)]
+        return replace(record, evaluations=rows.evaluations_of(series, reasons))
 
     def calibration_summaries(self) -> dict[int, CalibrationRecord]:
         """Load all calibrations by id, oldest first, without their evaluations: two queries and no
         file access, even for a thousand calibrations."""
-        table, member, sets = (
-            tables.calibration,
-            tables.calibration_member,
-            tables.system_parameters,
-        )
-        wanted = (
-            sa.select(table, *(c for c in sets.c if c.name not in ("id", "content_sha256")))
-            .join(sets, sets.c.id == table.c.system_parameters_id)
-            .where(table.c.deleted_at_utc.is_(None))
-            .order_by(table.c.id)
-        )
-        of = sa.select(
-            member.c.calibration_id, member.c.experiment_id, member.c.weight, member.c.error_mm2
-        ).order_by(member.c.calibration_id, member.c.place)
-        members: dict[int, list[Member]] = {}
         with reading(self._engine) as connection:
-            for number, *one in connection.execute(of):
-                members.setdefault(number, []).append(Member(*one))
-            return {
-                row.id: CalibrationRecord(
-                    name=row.name,
-                    parameters=rows.parameters_of(row),
-                    members=tuple(members[row.id]),
-                    provenance=rows.provenance_of(row),
-                    method=row.method,
-                    estimates=rows.estimates_of(row.estimates),
-                )
-                for row in connection.execute(wanted)
-            }
+            return _calibrations(connection, tables.calibration.c.deleted_at_utc.is_(None))
 
     def calibrations(self) -> list[int]:
         """Ids of all calibrations, oldest first."""
-        table = tables.calibration
-        wanted = sa.select(table.c.id).where(table.c.deleted_at_utc.is_(None)).order_by(table.c.id)
-        with reading(self._engine) as connection:
-            return list(connection.scalars(wanted))
+        return self._ids(tables.calibration)
 
     def add_filter_parameters(self, record: FilterParameters) -> int:
         """Store settings of a filter; return their id."""
@@ -598,6 +548,12 @@ class Store:
             estimates=estimates,
         )
 
+    def _ids(self, table: sa.Table, *where: sa.ColumnElement[bool]) -> list[int]:
+        """Ids of the rows of a table that are not deleted, oldest first."""
+        wanted = sa.select(table.c.id).where(table.c.deleted_at_utc.is_(None), *where)
+        with reading(self._engine) as connection:
+            return list(connection.scalars(wanted.order_by(table.c.id)))
+
     def _add_series(
         self, connection: sa.Connection, owner: str, number: int, series: list[rows.Measured]
     ) -> None:
@@ -608,6 +564,40 @@ class Store:
                 for place, one in enumerate(series)
             ],
         )
+
+
+def _calibrations(
+    connection: sa.Connection, *where: sa.ColumnElement[bool]
+) -> dict[int, CalibrationRecord]:
+    """Load calibrations by id, oldest first, without their evaluations."""
+    table, member, sets = tables.calibration, tables.calibration_member, tables.system_parameters
+    wanted = (
+        sa.select(table, *(c for c in sets.c if c.name not in ("id", "content_sha256")))
+        .join(sets, sets.c.id == table.c.system_parameters_id)
+        .where(*where)
+        .order_by(table.c.id)
+    )
+    of = (
+        sa.select(
+            member.c.calibration_id, member.c.experiment_id, member.c.weight, member.c.error_mm2
+        )
+        .where(member.c.calibration_id.in_(sa.select(table.c.id).where(*where)))
+        .order_by(member.c.calibration_id, member.c.place)
+    )
+    members: dict[int, list[Member]] = {}
+    for calibration_id, *one in connection.execute(of):
+        members.setdefault(calibration_id, []).append(Member(*one))
+    return {
+        row.id: CalibrationRecord(
+            name=row.name,
+            parameters=rows.parameters_of(row),
+            members=tuple(members[row.id]),
+            provenance=rows.provenance_of(row),
+            method=row.method,
+            estimates=rows.estimates_of(row.estimates),
+        )
+        for row in connection.execute(wanted)
+    }
 
 
 def _insert_one(connection: sa.Connection, table: sa.Table, row: dict[str, Any]) -> int:
