@@ -176,11 +176,8 @@ def track_film(
     InvalidInput
         Input that `fixel.vision.tracking.track` rejects, or files that cannot be read or written.
     """
-    files = {
-        kind: path
-        for kind, path in (("overlay", overlay), ("sheet", sheet), ("plot", plot))
-        if path is not None
-    }
+    wanted = {"overlay": overlay, "sheet": sheet, "plot": plot}
+    files = {kind: path for kind, path in wanted.items() if path is not None}
     _check_files(files)
     opened = None if project is None else Project.open(project)
     film = open_film(source)
