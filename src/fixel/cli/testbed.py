@@ -94,7 +94,7 @@ def film(
     """Film simulated experiments: recordings with known truth, to test tracking against."""
     from fixel.workflows.acquisition import film as films
 
-    settings = films.Shooting(
+    settings = films.FilmSettings(
         rig=rig,
         looks=looks or "",
         changes=tuple(set_ or ()),

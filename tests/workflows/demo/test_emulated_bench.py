@@ -11,7 +11,7 @@ from fixel.formats.recording import open_recording
 from fixel.formats.scene_file import load_scene
 from fixel.model import Scene
 from fixel.testbed.emulators import mega as emulated_mega
-from fixel.workflows.acquisition.film import Shooting, film
+from fixel.workflows.acquisition.film import FilmSettings, film
 from fixel.workflows.acquisition.track import track_film
 from fixel.workflows.demo.emulated_bench import record_film
 
@@ -22,7 +22,7 @@ FRAMES = 45
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("film") / "slip"
-    film([str(EXAMPLE)], folder, Shooting(looks="clean", lead=0.2, frames=FRAMES))
+    film([str(EXAMPLE)], folder, FilmSettings(looks="clean", lead=0.2, frames=FRAMES))
     return folder
 
 

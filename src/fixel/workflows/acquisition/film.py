@@ -28,7 +28,7 @@ from fixel.vision.render import MICROSCOPE, Looks, changed, film_scene, frame_ti
 from fixel.vision.render.bench import HAND
 from fixel.vision.render.film import occlusion_of, poses_at
 from fixel.vision.render.looks import light
-from fixel.workflows.acquisition.film_shots import FilmScene, shots
+from fixel.workflows.acquisition.film_scenes import FilmScene, film_scenes
 from fixel.workflows.compilation import get_ready
 
 Write = Callable[[Frame, int | None, float], None]
@@ -49,7 +49,7 @@ ABOUT: Final = "truth.json"
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shooting:
+class FilmSettings:
     """Settings of a film.
 
     Attributes
@@ -116,7 +116,7 @@ class FilmResult:
 def film(
     sources: list[str],
     out: Path,
-    shooting: Shooting | None = None,
+    settings: FilmSettings | None = None,
     *,
     project: Path = Path(),
     limit: int | None = None,
@@ -132,7 +132,7 @@ def film(
         Scene files, plan files, and ids or names of experiments of the project.
     out : Path
         Folder to create: the recording, or a folder of recordings for several films.
-    shooting : Shooting, optional
+    settings : FilmSettings, optional
     project : Path
     limit : int, optional
         Maximum number of experiments per plan.
@@ -148,22 +148,22 @@ def film(
     InvalidInput
         Nothing to film, or an invalid rig, looks or folder.
     """
-    shooting = shooting or Shooting()
-    rig = rig_of(shooting.rig)
-    looks = changed(_looks(shooting.looks, rig), shooting.changes)
+    settings = settings or FilmSettings()
+    rig = rig_of(settings.rig)
+    looks = changed(_looks(settings.looks, rig), settings.changes)
     if out.exists():
         raise InvalidInput(
             str(out), found="a folder that is there", expected="a name for a new one"
         )
-    count, items = shots(sources, project, seed=shooting.seed, limit=limit)
+    count, items = film_scenes(sources, project, seed=settings.seed, limit=limit)
     if video is not None and count > 1:
         raise InvalidInput("video", found=f"{count} films", expected="one, for one video file")
     if count > 1:
         out.mkdir(parents=True)
     filmed = []
-    for shot in _prepared(items, notify):
-        folder = out / shot.name if count > 1 else out
-        filmed.append(_shoot(shot, folder, rig, looks, shooting, video, progress))
+    for subject in _prepared(items, notify):
+        folder = out / subject.name if count > 1 else out
+        filmed.append(_render(subject, folder, rig, looks, settings, video, progress))
     return filmed
 
 
@@ -189,30 +189,30 @@ def _prepared(items: Iterator[FilmScene], notify: Notify | None) -> Iterator[Fil
     yield from items
 
 
-def _shoot(
-    shot: FilmScene,
+def _render(
+    subject: FilmScene,
     folder: Path,
     rig: Rig,
     looks: Looks,
-    shooting: Shooting,
+    settings: FilmSettings,
     video: Path | None,
     progress: Progress | None,
 ) -> FilmResult:
     # Each film has its own noise; otherwise films of one seed would have the same errors.
-    seed = int(stream(shooting.seed, "film", shot.name).integers(2**31))
-    duration = shooting.lead + float(shot.simulation.time[-1]) + shooting.rest
-    times = frame_times(duration, shooting.rate, looks, seed)[: shooting.frames]
-    truth = truth_of(shot, rig, looks, times, seed, shooting.lead)
-    frames = film_scene(shot.scene, tracks_of(shot, shooting.lead), rig, looks, times, seed)
+    seed = int(stream(settings.seed, "film", subject.name).integers(2**31))
+    duration = settings.lead + float(subject.simulation.time[-1]) + settings.rest
+    times = frame_times(duration, settings.rate, looks, seed)[: settings.frames]
+    truth = truth_of(subject, rig, looks, times, seed, settings.lead)
+    frames = film_scene(subject.scene, tracks_of(subject, settings.lead), rig, looks, times, seed)
     header = RecordingHeader(
         size=rig.camera.lens.image_size,
-        codec=shooting.codec,
+        codec=settings.codec,
         rig=rig.name,
-        source=f"fixel testbed film of {shot.name}",
-        simulated_by=f"fixel testbed film of {shot.name}, seed {shooting.seed}",
+        source=f"fixel testbed film of {subject.name}",
+        simulated_by=f"fixel testbed film of {subject.name}, seed {settings.seed}",
         started=STARTED,
-        rate=shooting.rate,
-        about={"seed": shooting.seed},
+        rate=settings.rate,
+        about={"seed": settings.seed},
     )
     folder.parent.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
@@ -223,24 +223,24 @@ def _shoot(
             writers.append(lambda frame, *_: copy.write(frame))
         # Before the frames: an interrupted film is then still usable.
         save_rig(rig, folder / RIG_FILE)
-        save_scene(shot.planned, folder / SCENE_FILE)
-        write_truth(shot, truth, looks, shooting.seed, shooting.lead, folder)
+        save_scene(subject.planned, folder / SCENE_FILE)
+        write_truth(subject, truth, looks, settings.seed, settings.lead, folder)
         _write_frames(frames, truth, writers, progress)
     return FilmResult(
-        name=shot.name,
+        name=subject.name,
         folder=folder,
         frames=len(times),
         seconds=float(times[-1]),
-        status=shot.simulation.status,
+        status=subject.simulation.status,
         video=video,
-        unmarked=_unmarked(shot, rig) if looks.lighting == "above" else (),
+        unmarked=_unmarked(subject, rig) if looks.lighting == "above" else (),
     )
 
 
-def _unmarked(shot: FilmScene, rig: Rig) -> tuple[str, ...]:
+def _unmarked(subject: FilmScene, rig: Rig) -> tuple[str, ...]:
     """Names of moving bodies and pushers without marks in the rig."""
-    moving = [body.name for body in shot.scene.bodies]
-    moving += [pusher.name for pusher in shot.scene.pushers]
+    moving = [body.name for body in subject.scene.bodies]
+    moving += [pusher.name for pusher in subject.scene.pushers]
     return tuple(name for name in moving if name not in rig.parts or not rig.parts[name].marks)
 
 
@@ -283,9 +283,9 @@ class Truth(NamedTuple):
     covered: FloatArray
 
 
-def tracks_of(shot: FilmScene, lead: float) -> dict[str, Trajectory]:
+def tracks_of(subject: FilmScene, lead: float) -> dict[str, Trajectory]:
     """Return the true trajectories on the clock of a film that begins with a rest [s]."""
-    simulation = shot.simulation
+    simulation = subject.simulation
     tracks = {}
     for name, pose in simulation.pose.items():
         known = np.isfinite(pose).all(axis=1)
@@ -294,29 +294,29 @@ def tracks_of(shot: FilmScene, lead: float) -> dict[str, Trajectory]:
 
 
 def truth_of(
-    shot: FilmScene, rig: Rig, looks: Looks, times: FloatArray, seed: int, lead: float
+    subject: FilmScene, rig: Rig, looks: Looks, times: FloatArray, seed: int, lead: float
 ) -> Truth:
     """Compute the ground truth of a film at its frame times (n,) [s]."""
-    tracks = tracks_of(shot, lead)
-    occlusion = occlusion_of(shot.scene, rig, looks, times, seed)
-    name = shot.scene.bodies[0].name
+    tracks = tracks_of(subject, lead)
+    occlusion = occlusion_of(subject.scene, rig, looks, times, seed)
+    name = subject.scene.bodies[0].name
     covered = []
     for time in times.tolist():
-        poses = poses_at(tracks, time, occlusion, shot.scene)
+        poses = poses_at(tracks, time, occlusion, subject.scene)
         covered.append(occlusion.share(poses.get(HAND), poses[name]))
-    touches = _touches(shot, times - lead)
+    touches = _touches(subject, times - lead)
     return Truth(
         time=times,
         pose={name: track.at(times) for name, track in tracks.items()},
         touches=touches,
-        reading=_readings(shot, rig, times, touches, seed),
+        reading=_readings(subject, rig, times, touches, seed),
         light=light(looks, times, seed),
         covered=np.array(covered),
     )
 
 
 def write_truth(
-    shot: FilmScene, truth: Truth, looks: Looks, seed: int, lead: float, folder: Path
+    subject: FilmScene, truth: Truth, looks: Looks, seed: int, lead: float, folder: Path
 ) -> None:
     """Write `truth.npz` (frame by frame) and `truth.json`; trackers must not read them."""
     arrays: dict[str, Any] = {
@@ -329,39 +329,39 @@ def write_truth(
     }
     with written_whole(folder / ARRAYS) as unfinished:
         np.savez_compressed(unfinished, **arrays)
-    simulation = shot.simulation
+    simulation = subject.simulation
     content = {
-        "name": shot.name,
+        "name": subject.name,
         "seed": seed,
-        "testbed_seed": shot.testbed.seed,
+        "testbed_seed": subject.testbed.seed,
         "looks": asdict(looks),
         "status": simulation.status,
         "motion_s": [lead, lead + float(simulation.time[-1])],
-        "bodies": [body.name for body in shot.scene.bodies],
-        "pushers": [pusher.name for pusher in shot.scene.pushers],
-        "fixels": [fixel.name for fixel in shot.scene.fixels],
-        "conditions": dict(shot.truth),
+        "bodies": [body.name for body in subject.scene.bodies],
+        "pushers": [pusher.name for pusher in subject.scene.pushers],
+        "fixels": [fixel.name for fixel in subject.scene.fixels],
+        "conditions": dict(subject.truth),
     }
     with written_whole(folder / ABOUT) as unfinished:
         unfinished.write_text(json.dumps(content, indent=1, allow_nan=False), encoding="utf-8")
 
 
-def _touches(shot: FilmScene, times: FloatArray) -> BoolArray:
+def _touches(subject: FilmScene, times: FloatArray) -> BoolArray:
     """Contacts (n, n_fixel) at times of the simulation; the first sample before its start."""
-    simulation = shot.simulation
+    simulation = subject.simulation
     sample = np.searchsorted(simulation.time, times, side="right") - 1
     return np.asarray(touching(simulation)[np.clip(sample, 0, len(simulation.time) - 1)])
 
 
 def _readings(
-    shot: FilmScene, rig: Rig, times: FloatArray, touches: BoolArray, seed: int
+    subject: FilmScene, rig: Rig, times: FloatArray, touches: BoolArray, seed: int
 ) -> NDArray[np.int64]:
     """Tactile bytes (n,) as reported: one bit per coil, in the rig's order."""
-    names = [fixel.name for fixel in shot.scene.fixels]
+    names = [fixel.name for fixel in subject.scene.fixels]
     if not names:
         return np.full(len(times), -1, np.int64)
-    rng = stream(seed, "film", "tactile", shot.name)
-    wrong = shot.testbed.false_contact, shot.testbed.missed_contact
+    rng = stream(seed, "film", "tactile", subject.name)
+    wrong = subject.testbed.false_contact, subject.testbed.missed_contact
     reported = tactile_channel(times, touches, *wrong, rng).values.astype(np.int64)
     total = np.zeros(len(times), np.int64)
     for bit, name in enumerate(rig.tactile):

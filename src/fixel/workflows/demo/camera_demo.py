@@ -25,7 +25,7 @@ from fixel.table import Table
 from fixel.testbed.emulators import mega
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import Notify, Progress
-from fixel.workflows.acquisition.film import ARRAYS, Shooting, film
+from fixel.workflows.acquisition.film import ARRAYS, FilmSettings, film
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
 from fixel.workflows.analysis import Analysis, keep
 from fixel.workflows.calibration.request import (
@@ -323,12 +323,12 @@ def _filmed(
         for experiment in SimulatedTestbed(seed=SEED).run(planned):
             store.add_experiment(experiment)
     notify(f"filming {len(pushes)} pushes of a simulated laboratory, as its camera would see them")
-    shooting = Shooting(seed=SEED, lead=LEAD, frames=frames)
+    settings = FilmSettings(seed=SEED, lead=LEAD, frames=frames)
     films.mkdir(exist_ok=True)
     for name in missing:
         shutil.rmtree(films / name, ignore_errors=True)
         film(
-            [name], films / name, shooting, project=project.folder, notify=notify, progress=progress
+            [name], films / name, settings, project=project.folder, notify=notify, progress=progress
         )
     return [films / one.name for one in planned]
 

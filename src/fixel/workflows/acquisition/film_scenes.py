@@ -59,7 +59,7 @@ class FilmScene:
         return self.simulation.scene
 
 
-def shots(
+def film_scenes(
     sources: Sequence[str], project: Path, *, seed: int = 1, limit: int | None = None
 ) -> tuple[int, Iterator[FilmScene]]:
     """Return the number of scenes to film and an iterator over them.
@@ -139,8 +139,8 @@ def _again(experiment: Experiment) -> FilmScene:
     )
     seed = experiment.provenance.seed
     bench = SimulatedTestbed(seed=1 if seed is None else seed, dataset=experiment.dataset)
-    shot = _performed(planned, bench)
-    end = shot.simulation.final[experiment.object_name]
+    subject = _performed(planned, bench)
+    end = subject.simulation.final[experiment.object_name]
     remembered = np.array([conditions[f"{TRUTH}final_{k}"] for k in ("x_m", "y_m", "angle_rad")])
     apart, _ = pose_error(end, remembered)
     if apart > SAME_END:
@@ -151,7 +151,7 @@ def _again(experiment: Experiment) -> FilmScene:
             hint="its testbed had other settings than `fixel testbed run` uses",
         )
     truth = {k: v for k, v in conditions.items() if k.startswith(TRUTH)}
-    return replace(shot, truth=truth)
+    return replace(subject, truth=truth)
 
 
 def _check_simulated(experiment: Experiment) -> None:
