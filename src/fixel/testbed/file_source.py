@@ -7,13 +7,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Event
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 
 from fixel.formats.recording import Recording, is_recording, open_recording
 from fixel.formats.video_file import VideoFile, open_video
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
+from fixel.testbed.tactile import TactileReading
 
 
 @final
@@ -105,22 +106,6 @@ class FileSource(FrameSource):
             yield frame.time, CameraPicture(0.0, pixels=frame.picture)
 
 
-class PlayedReading(NamedTuple):
-    """Reading of a recording that is played.
-
-    Attributes
-    ----------
-    bits : int or None
-    time : float
-        Time of the reading, on `time.monotonic` [s].
-    problem : str
-    """
-
-    bits: int | None
-    time: float
-    problem: str = ""
-
-
 @final
 class PlayedTactile:
     """Readings of a recording, as if its fixels were read while it is played.
@@ -143,7 +128,7 @@ class PlayedTactile:
         self._next = 0
         self._began = math.nan
 
-    def read(self) -> PlayedReading:
+    def read(self) -> TactileReading:
         """Return the current reading."""
         now = time.monotonic()
         times = self._recording.time
@@ -154,7 +139,9 @@ class PlayedTactile:
             k = int(np.searchsorted(times - times[0], now - self._began + 1e-3, side="right")) - 1
             k = min(k, len(times) - 1)
         bits = int(self._recording.readings[k]) if k < len(times) else -1
-        return PlayedReading(None, now, "no reading") if bits < 0 else PlayedReading(bits, now)
+        if bits < 0:
+            return TactileReading(bits=None, time=now, problem="no reading")
+        return TactileReading(bits=bits, time=now)
 
 
 def _rate(recording: Recording) -> float:

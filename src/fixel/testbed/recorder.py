@@ -17,6 +17,7 @@ from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.testbed.frame_queue import FrameQueue
 from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stream
 from fixel.testbed.seating import Seating
+from fixel.testbed.tactile import TactileReading
 from fixel.vision.frame import Frame
 
 LOOKS_AT_DISK: Final = 0.5  # [s]
@@ -34,23 +35,12 @@ USUAL_RATE: Final = 30.0  # [frames/s] assumed for a camera that does not report
 ROOM: Final = {"as-it-comes": 0.45, "near": 0.45, "exact": 2.0}
 
 
-class TouchReading(Protocol):
-    """One reading of the fixels: bits or None, time on `time.monotonic` [s], and its problem."""
-
-    @property
-    def bits(self) -> int | None: ...
-    @property
-    def time(self) -> float: ...
-    @property
-    def problem(self) -> str: ...
-
-
 class TouchReader(Protocol):
     """Reader of the fixels; `trouble` is the reason why it no longer works."""
 
     @property
     def trouble(self) -> str: ...
-    def read(self) -> TouchReading: ...
+    def read(self) -> TactileReading: ...
 
 
 class RecordingStatus(NamedTuple):
