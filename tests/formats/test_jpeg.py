@@ -4,23 +4,17 @@ from __future__ import annotations
 
 import io
 import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from fixel.errors import InvalidInput
-from fixel.formats.jpeg import JpegPlanes, brightness, decoded, jpeg_of
+from fixel.formats.jpeg import brightness, decoded, jpeg_frame, jpeg_of
 from fixel.vision.frame import Frame
 
 SIZE = (139, 85)
-WINDOWS = (
-    (slice(0, 85), slice(0, 139)),
-    (slice(13, 29), slice(40, 41)),
-    (slice(70, 85), slice(120, 139)),
-    (slice(8, 16), slice(16, 64)),
-    (slice(20, 20), slice(3, 9)),
-)
 
 
 def picture(size=SIZE):
@@ -57,33 +51,26 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_pixels_are_those_of_pillow(kind, mode):
     data = jpeg(mode, **KINDS[kind])
-    planes = JpegPlanes(data, SIZE)
-    for rows, columns in WINDOWS:
-        assert (planes.luma()[rows, columns] == brightness(data)[rows, columns]).all()
-        assert (planes.colour(rows, columns) == decoded(data)[rows, columns]).all()
+    frame = jpeg_frame(0.0, data, SIZE)
+    assert (frame.luma == brightness(data)).all()
+    assert (frame.picture == decoded(data)).all()
 
 
 def test_without_opencv_pillow_decodes(monkeypatch):
     data = jpeg()
-    fast = JpegPlanes(data, SIZE)
-    expected = fast.luma(), fast.colour(*WINDOWS[1])
+    fast = jpeg_frame(0.0, data, SIZE)
+    expected = fast.luma, fast.picture
     monkeypatch.setitem(sys.modules, "cv2", None)
-    slow = JpegPlanes(data, SIZE)
-    assert (slow.luma() == expected[0]).all()
-    assert (slow.colour(*WINDOWS[1]) == expected[1]).all()
+    slow = jpeg_frame(0.0, data, SIZE)
+    assert (slow.luma == expected[0]).all()
+    assert (slow.picture == expected[1]).all()
 
 
 def test_a_turned_camera_does_not_turn_the_pixels():
     turned = Image.Exif()
     turned[0x0112] = 6
     data = jpeg(exif=turned)
-    assert (JpegPlanes(data, SIZE).colour(*WINDOWS[1]) == decoded(data)[WINDOWS[1]]).all()
-
-
-def test_a_gray_picture_has_colours():
-    data = jpeg("L")
-    found = JpegPlanes(data, SIZE).colour(slice(5, 25), slice(9, 60))
-    assert (found == decoded(data)[5:25, 9:60]).all()
+    assert (jpeg_frame(0.0, data, SIZE).picture == decoded(data)).all()
 
 
 def test_spoilt_data_are_refused_or_read_as_they_are():
@@ -94,23 +81,16 @@ def test_spoilt_data_are_refused_or_read_as_they_are():
         bad = bytearray(data)
         for place in random.integers(2, len(bad), random.integers(1, 40)):
             bad[place] = random.integers(0, 256)
-        planes = JpegPlanes(bytes(bad[: random.integers(len(bad) // 2, len(bad))]), SIZE)
-        try:
-            window = planes.luma()[60:85]
-            assert window.dtype == np.uint8
-        except InvalidInput:
-            pass
+        frame = jpeg_frame(0.0, bytes(bad[: random.integers(len(bad) // 2, len(bad))]), SIZE)
+        with suppress(InvalidInput):
+            assert frame.luma.dtype == np.uint8
     for part in (data[: len(data) // 2], b"", b"no picture" + data[-2:]):
         with pytest.raises(InvalidInput, match="spoilt"):
-            JpegPlanes(part, SIZE).luma()
+            _ = jpeg_frame(0.0, part, SIZE).luma
 
 
-def test_frames_take_windows_of_what_they_have():
-    data = jpeg(subsampling=0)
-    window = slice(10, 20), slice(30, 50)
-    frame = Frame(0.0, planes=JpegPlanes(data, SIZE))
-    assert frame.size == SIZE
-    assert (frame.luma == brightness(data)).all()
-    assert (frame.colour(*window) == frame.picture[window]).all()
-    pixels = Frame(0.0, decoded(data))
-    assert pixels.size == SIZE
+def test_a_frame_knows_its_size_before_it_is_decoded():
+    assert jpeg_frame(0.0, b"", SIZE).size == SIZE
+    assert Frame(0.0, decoded(jpeg())).size == SIZE
+    with pytest.raises(TypeError, match="decode"):
+        Frame(0.0)

@@ -245,7 +245,6 @@ def test_brightness_is_that_of_the_colours(tmp_path: Path) -> None:
     (frame,) = open_recording(tmp_path / "r").frames()
     # Colours end at 0, brightness comes from before that.
     assert np.abs(frame.luma - frame.picture @ LUMA).mean() < 0.5
-    assert (frame.colour(slice(3, 9), slice(4, 7)) == frame.picture[3:9, 4:7]).all()
 
 
 def test_a_disk_without_room_for_the_beginning_is_refused(

@@ -42,14 +42,6 @@ def test_frames_come_back_at_their_times(tmp_path, codec, ending, close):
     assert video.remarks == []
 
 
-def test_windows_have_the_colours_of_the_whole(tmp_path):
-    for codec in ("h264", "mjpeg"):
-        video = open_video(write(tmp_path / f"{codec}.mkv", [0.0, 0.1, 0.2], codec))
-        for frame in video.frames():
-            window = frame.colour(slice(5, 30), slice(7, 41)).astype(int)
-            assert np.abs(window - frame.picture[5:30, 7:41]).max() <= 4
-
-
 def test_brightness_is_that_of_the_picture():
     frame = Frame(0.0, np.full((4, 6, 3), 77, np.uint8))
     assert frame.luma.tolist() == [[77] * 6] * 4

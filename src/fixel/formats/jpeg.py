@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.vision.frame import Gray, Picture
+from fixel.vision.frame import Frame, Gray, Picture
 
 BEGIN: Final = b"\xff\xd8"
 END: Final = b"\xff\xd9"
@@ -86,38 +86,14 @@ def shrunk(picture: Picture) -> Gray:
     return np.asarray(cells.mean(axis=(1, 3)), dtype=np.uint8)
 
 
-@final
-class JpegPlanes:
-    """JPEG picture for `Frame`, decoded on access: to brightness only, where that suffices.
-
-    Parameters
-    ----------
-    data : bytes
-    size : (int, int)
-        Width and height [px].
-    where : str
-        Name of the picture in errors.
-    """
-
-    __slots__ = ("_data", "_luma", "_picture", "_where", "size")
-
-    def __init__(self, data: bytes, size: tuple[int, int], where: str = "picture") -> None:
-        self._data, self._where = data, where
-        self.size = size
-        self._picture: Picture | None = None
-        self._luma: Gray | None = None
-
-    def luma(self) -> Gray:
-        """Brightness of the picture, (height, width)."""
-        if self._luma is None:
-            self._luma = _fast(self._data, brightness, "IMREAD_GRAYSCALE", self._where)
-        return self._luma
-
-    def colour(self, rows: slice, columns: slice) -> Picture:
-        """Colours of a window, (height, width, 3): blue, green, red."""
-        if self._picture is None:
-            self._picture = _fast(self._data, decoded, "IMREAD_COLOR", self._where)
-        return self._picture[rows, columns]
+def jpeg_frame(time: float, data: bytes, size: tuple[int, int], where: str = "picture") -> Frame:
+    """Frame of a JPEG picture of (width, height) [px], decoded on access; `where` names it."""
+    return Frame(
+        time,
+        size=size,
+        colours=lambda: _fast(data, decoded, "IMREAD_COLOR", where),
+        luma=lambda: _fast(data, brightness, "IMREAD_GRAYSCALE", where),
+    )
 
 
 def _fast(data: bytes, slow: Callable[..., Picture], mode: str, where: str) -> Picture:

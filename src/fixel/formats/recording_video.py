@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from fixel.errors import InvalidInput
-from fixel.formats.jpeg import JpegPlanes, jpeg_of, jpeg_size
+from fixel.formats.jpeg import jpeg_frame, jpeg_of, jpeg_size
 from fixel.formats.recording_files import MICRO
 from fixel.vision.frame import Frame, Picture
 
@@ -179,16 +179,16 @@ class PictureDecoder:
         """Decode a packet; None if it contains no picture of the expected size."""
         if self._codec is None:
             fits = jpeg_size(data) == self._size
-            return Frame(time, planes=JpegPlanes(data, self._size, where)) if fits else None
+            return jpeg_frame(time, data, self._size, where) if fits else None
         import av
 
-        from fixel.formats.video_planes import DecodedPlanes
+        from fixel.formats.video_file import decoded_frame
 
         try:
             (decoded,) = self._codec.decode(av.Packet(data))
         except (av.error.FFmpegError, ValueError):
             return None
-        return Frame(time, planes=DecodedPlanes(decoded))
+        return decoded_frame(time, decoded)
 
 
 def _lossless(size: tuple[int, int]) -> av.VideoCodecContext:

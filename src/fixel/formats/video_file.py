@@ -13,9 +13,8 @@ import av
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.formats.video_planes import DecodedPlanes
 from fixel.io.atomic import refuse_unwritable
-from fixel.vision.frame import Frame
+from fixel.vision.frame import Frame, Gray, Picture
 
 # Time steps may differ by this share of the usual one and still be one rate: containers round.
 SAME_RATE: Final = 0.1
@@ -35,6 +34,12 @@ ENDINGS: Final = (".mp4", ".mkv", ".mov", ".avi")
 # Ticks per second of written files; a frame lasts a whole number of them at 24, 25, 30 and 60
 # frames per second. Matroska stores milliseconds whatever is requested.
 TICKS: Final = 90_000
+
+
+# Decoded formats whose first plane is brightness.
+BRIGHT_FIRST: Final = frozenset(
+    ("yuv420p", "yuvj420p", "yuv422p", "yuvj422p", "yuv444p", "yuvj444p", "gray", "nv12")
+)
 
 
 @final
@@ -86,7 +91,7 @@ class VideoFile:
                     spoilt.frames.append(instant)
                     continue
                 spoilt.good(instant)
-                yield Frame(instant, planes=DecodedPlanes(decoded))
+                yield decoded_frame(instant, decoded)
         self.remarks += [*spoilt.remarks(self, clock.times), *clock.remarks()]
 
 
@@ -312,6 +317,23 @@ class _Spoilt:
         if middle:
             found.append(f"{middle} damaged frames were left out")
         return found
+
+
+def decoded_frame(time: float, decoded: Any) -> Frame:
+    """Frame of a decoded PyAV picture, whose colours are converted on access."""
+    name, width, height = decoded.format.name, decoded.width, decoded.height
+
+    def colours() -> Picture:
+        options = {"src_colorspace": "itu601"} if name.startswith("yuv") else {}
+        return np.asarray(decoded.to_ndarray(format="bgr24", **options), dtype=np.uint8)
+
+    def luma() -> Gray:
+        plane = decoded.planes[0]
+        row = plane.line_size
+        return np.frombuffer(plane, np.uint8, row * height).reshape(height, row)[:, :width]
+
+    bright_first = name in BRIGHT_FIRST
+    return Frame(time, size=(width, height), colours=colours, luma=luma if bright_first else None)
 
 
 def _decoded(container: Any, stream: Any, spoilt: _Spoilt) -> Iterator[Any]:

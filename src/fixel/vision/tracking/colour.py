@@ -171,7 +171,7 @@ def _window(
     if right - left < half or bottom - top < half:
         return None, (0, 0)
     # Always a copy: the loops would be recompiled for each memory layout.
-    return np.array(frame.colour(slice(top, bottom), slice(left, right))), (left, top)
+    return np.array(frame.picture[top:bottom, left:right]), (left, top)
 
 
 @entry

@@ -141,7 +141,7 @@ class _StickeredPart(PartFollower):
         rows, columns = self._where(frame)
         corner = np.array([columns.start or 0, rows.start or 0], dtype=np.float64)
         patches = find_patches(
-            frame.colour(rows, columns), self._own, self._everything, self._camera, corner
+            frame.picture[rows, columns], self._own, self._everything, self._camera, corner
         )
         places = []
         for sticker in self._own:
