@@ -5,7 +5,6 @@ Pixels count from the centre of the upper left one; coefficients are in OpenCV's
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,7 +18,10 @@ from fixel.formats.records import (
     Point,
     Positive,
     Triple,
+    built,
     only_form,
+    si_fields,
+    unit_content,
     validated,
     within,
 )
@@ -126,9 +128,9 @@ def camera_dict(camera: MeasuredCamera) -> dict[str, Any]:
     content: dict[str, Any] = {"fixel_camera": 1}
     if camera.source:
         content["source"] = camera.source
-    content["lens"] = _lens_content(camera.lens)
+    content["lens"] = unit_content(camera.lens, LensRecord)
     if camera.camera is not None:
-        content["place"] = {"matrix": _matrix_content(camera.camera)}
+        content["place"] = {"matrix": unit_content(camera.camera, MatrixRecord)}
     measured: dict[str, Any] = {}
     if camera.names:
         measured |= {"names": list(camera.names), "covariance": camera.covariance.tolist()}
@@ -145,22 +147,11 @@ def save_camera(camera: MeasuredCamera, path: str | Path) -> None:
         unfinished.write_text(yaml_text(camera_dict(camera)), encoding="utf-8")
 
 
-def plain(number: float) -> float:
-    """Round a number to 15 digits: `25.4` instead of `25.400000000000002`."""
-    return float(f"{number:.15g}")
-
-
 def _lens(record: LensRecord) -> Lens:
     width, height = record.image_size_px
-    with within("lens", "lens."):
-        return Lens(
-            image_size=(width, height),
-            focal=record.focal_px,  # type: ignore[arg-type]
-            centre=record.centre_px,  # type: ignore[arg-type]
-            skew=record.skew,
-            distortion=record.distortion or (0.0,),  # type: ignore[arg-type]
-            fisheye=record.fisheye,
-        )
+    distortion = record.distortion or [0.0]
+    size = width, height
+    return built(Lens, record, "lens", "lens.", image_size=size, distortion=distortion)
 
 
 def _camera(lens: Lens, record: PlaceRecord | None) -> Camera | None:
@@ -169,41 +160,12 @@ def _camera(lens: Lens, record: PlaceRecord | None) -> Camera | None:
     only_form(record, "place")
     with within("place", "camera."):
         if record.matrix:
-            return Camera(
-                lens=lens,
-                rotation=record.matrix.rotation,  # type: ignore[arg-type]
-                translation=[mm / 1e3 for mm in record.matrix.translation_mm],  # type: ignore[arg-type]
-            )
-        looking = record.looking
-        assert looking is not None
-        return Camera.looking_down(
-            lens,
-            looking.height_mm / 1e3,
-            above=[mm / 1e3 for mm in looking.above_mm],
-            turned=math.radians(looking.turned_deg),
-            tilted=[math.radians(angle) for angle in looking.tilted_deg],
-        )
+            return Camera(lens=lens, **si_fields(record.matrix))
+        assert record.looking is not None
+        return Camera.looking_down(lens, **si_fields(record.looking))
 
 
 def _rows(rows: list[list[float]], where: str) -> Any:
     if len({len(row) for row in rows}) > 1:
         raise InvalidInput(where, found="rows of several lengths", expected="equal rows")
     return rows
-
-
-def _lens_content(lens: Lens) -> dict[str, Any]:
-    return {
-        "image_size_px": list(lens.image_size),
-        "focal_px": lens.focal.tolist(),
-        "centre_px": lens.centre.tolist(),
-        "skew": lens.skew,
-        "distortion": lens.distortion.tolist(),
-        "fisheye": lens.fisheye,
-    }
-
-
-def _matrix_content(camera: Camera) -> dict[str, Any]:
-    return {
-        "rotation": camera.rotation.tolist(),
-        "translation_mm": [plain(1e3 * metres) for metres in camera.translation],
-    }

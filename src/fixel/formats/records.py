@@ -6,10 +6,13 @@ A record contains only what a text editor could check; everything else is checke
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Sequence
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.errors import InvalidInput
@@ -24,6 +27,7 @@ KeyPath = tuple[str | int, ...]
 
 T = TypeVar("T")
 
+_UNIT = re.compile("(_mm|_deg|_px)+$")
 _PHRASES = {
     "missing": "a value: this key is required",
     "float_type": "a number",
@@ -82,7 +86,45 @@ def built(kind: type[T], record: FileRecord, path: str, *prefixes: str, **fields
     Its errors are reported at the path of the record, see `within`.
     """
     with within(path, *prefixes):
-        return kind(**{**dict(record), **fields})
+        return kind(**{**si_fields(record), **fields})
+
+
+def si_fields(record: FileRecord) -> dict[str, Any]:
+    """Return the fields of a record in metres and radians, without the units in their names."""
+    return {_UNIT.sub("", key): _scaled(key, value, _to_si) for key, value in record}
+
+
+def unit_content(value: object, record: type[FileRecord]) -> dict[str, Any]:
+    """Return the fields of an object under the keys of its record; inverse of `si_fields`."""
+    return {
+        key: _scaled(key, getattr(value, _UNIT.sub("", key)), _from_si)
+        for key in record.model_fields
+    }
+
+
+def plain(number: float) -> float:
+    """Round a number to 15 digits: `25.4` instead of `25.400000000000002`."""
+    return float(f"{number:.15g}")
+
+
+def _scaled(key: str, value: Any, scale: Callable[[str, float], float]) -> Any:
+    """Convert the value of a key between its unit and that of the model; plain for files."""
+    value = value.tolist() if isinstance(value, np.ndarray) else value
+    if key.endswith("_mm_deg"):
+        x, y, angle = value
+        return [scale("_mm", x), scale("_mm", y), scale("_deg", angle)]
+    unit = next((unit for unit in ("_mm", "_deg") if key.endswith(unit)), None)
+    if isinstance(value, list | tuple):
+        return [scale(unit, item) for item in value] if unit else list(value)
+    return scale(unit, value) if unit else value
+
+
+def _to_si(unit: str, value: float) -> float:
+    return value / 1e3 if unit == "_mm" else math.radians(value)
+
+
+def _from_si(unit: str, value: float) -> float:
+    return plain(1e3 * value if unit == "_mm" else math.degrees(value))
 
 
 def only_form(record: FileRecord, path: str, forms: Sequence[str] = ()) -> str:

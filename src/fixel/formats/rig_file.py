@@ -14,13 +14,16 @@ from typing import Any, Literal
 from pydantic import Field
 
 from fixel.errors import InvalidInput
-from fixel.formats.camera_file import camera_dict, camera_from_dict, load_camera, plain
+from fixel.formats.camera_file import camera_dict, camera_from_dict, load_camera
 from fixel.formats.records import (
     FileRecord,
     NonNegative,
     Point,
     Positive,
     Triple,
+    built,
+    plain,
+    unit_content,
     validated,
     within,
 )
@@ -142,7 +145,7 @@ def rig_dict(rig: Rig) -> dict[str, Any]:
         "name": rig.name,
         "camera": {key: value for key, value in camera.items() if key != "fixel_camera"},
         "parts": {name: _part_content(part) for name, part in rig.parts.items()},
-        "plate": [_tag_content(tag) for tag in rig.plate],
+        "plate": [unit_content(tag, TagRecord) for tag in rig.plate],
         "fixel_height_mm": plain(1e3 * rig.fixel_height),
         "tactile_bits": list(rig.tactile),
         "placement": {
@@ -178,56 +181,21 @@ def _plate(record: RigRecord) -> tuple[Tag, ...]:
 
 def _part(record: PartRecord, path: str) -> MarkedPart:
     tags = [_tag(tag, f"{path}.tags[{k}]") for k, tag in enumerate(record.tags)]
-    stickers = [_sticker(s, f"{path}.stickers[{k}]") for k, s in enumerate(record.stickers)]
+    stickers = [
+        built(Sticker, sticker, f"{path}.stickers[{k}]", "sticker.")
+        for k, sticker in enumerate(record.stickers)
+    ]
     with within(path, "part."):
         return MarkedPart(height=record.height_mm / 1e3, marks=(*tags, *stickers))
 
 
 def _tag(record: TagRecord, path: str) -> Tag:
-    x, y, angle = record.pose_mm_deg
-    with within(path, "tag."):
-        return Tag(
-            id=record.id,
-            size=record.size_mm / 1e3,
-            pose=(x / 1e3, y / 1e3, math.radians(angle)),  # type: ignore[arg-type]
-            height=record.height_mm / 1e3,
-            family=record.family,
-        )
-
-
-def _sticker(record: StickerRecord, path: str) -> Sticker:
-    with within(path, "sticker."):
-        return Sticker(
-            colour=record.colour,
-            diameter=record.diameter_mm / 1e3,
-            place=[mm / 1e3 for mm in record.place_mm],  # type: ignore[arg-type]
-            height=record.height_mm / 1e3,
-        )
+    return built(Tag, record, path, "tag.")
 
 
 def _part_content(part: MarkedPart) -> dict[str, Any]:
-    tags = [_tag_content(mark) for mark in part.marks if isinstance(mark, Tag)]
-    stickers = [_sticker_content(mark) for mark in part.marks if isinstance(mark, Sticker)]
     content: dict[str, Any] = {"height_mm": plain(1e3 * part.height)}
-    content |= {"tags": tags} if tags else {}
-    return content | ({"stickers": stickers} if stickers else {})
-
-
-def _tag_content(tag: Tag) -> dict[str, Any]:
-    x, y, angle = tag.pose
-    return {
-        "id": tag.id,
-        "size_mm": plain(1e3 * tag.size),
-        "pose_mm_deg": [plain(1e3 * x), plain(1e3 * y), plain(math.degrees(angle))],
-        "height_mm": plain(1e3 * tag.height),
-        "family": tag.family,
-    }
-
-
-def _sticker_content(sticker: Sticker) -> dict[str, Any]:
-    return {
-        "colour": sticker.colour,
-        "diameter_mm": plain(1e3 * sticker.diameter),
-        "place_mm": [plain(1e3 * metres) for metres in sticker.place],
-        "height_mm": plain(1e3 * sticker.height),
-    }
+    for key, kind, record in (("tags", Tag, TagRecord), ("stickers", Sticker, StickerRecord)):
+        marks = [unit_content(mark, record) for mark in part.marks if isinstance(mark, kind)]
+        content |= {key: marks} if marks else {}
+    return content
