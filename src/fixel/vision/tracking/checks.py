@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final, final
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from fixel.errors import InvalidInput
 from fixel.model.shape import placed
 from fixel.typing import BoolArray, FloatArray
+from fixel.vision.bundle import BundleFit, PointObservations, fit
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag
+from fixel.vision.measured_camera import PLACE, MeasuredCamera
 from fixel.vision.plane_errors import place_covariance, radius95
 from fixel.vision.tracking.outline import MIN_SCATTER, fit_pose, window_of
 from fixel.vision.tracking.tag_reader import read_tags, tag_corners
@@ -230,9 +231,11 @@ def registered(rig: Rig, frame: Frame) -> Rig:
             found=f"{len(rough)} tags of the plate in the picture",
             expected=f"at least {MIN_TAGS} to find the camera's place from, near the corners",
         )
-    camera = _placed(rig.camera, rough)[0]
+    camera, _ = _placed(rig.camera, rough)
     exact = {tag: _by_edges(frame, camera, tag, rough[tag]) for tag in rough}
-    camera, rest = _placed(camera, exact, exact=True)
+    camera, found_by = _placed(camera, exact)
+    rest = _rms(found_by.residuals)
+    _refuse_vague(camera, found_by, max(rest, MIN_SCATTER))
     if rest > 1.0:
         raise InvalidInput(
             "camera",
@@ -264,46 +267,25 @@ def _points(seen: Mapping[Tag, FloatArray]) -> tuple[FloatArray, FloatArray]:
     return np.concatenate(points), np.concatenate(list(seen.values()))
 
 
-def _placed(
-    camera: Camera, seen: Mapping[Tag, FloatArray], *, exact: bool = False
-) -> tuple[Camera, float]:
-    """Fit the camera's place to tags; return also the root mean square residual [px]."""
+def _placed(camera: Camera, seen: Mapping[Tag, FloatArray]) -> tuple[Camera, BundleFit]:
+    """Fit the camera's place to tags."""
     points, pixels = _points(seen)
-
-    def at(unknown: FloatArray) -> Camera:
-        turn = _rotation(unknown[:3])
-        return Camera(
-            lens=camera.lens,
-            rotation=turn @ camera.rotation,
-            translation=turn @ camera.translation + unknown[3:],
-        )
-
-    fitted = least_squares(
-        lambda x: np.asarray((at(x).project(points) - pixels).ravel()), np.zeros(6)
-    )
-    rest = float(np.sqrt(np.mean(fitted.fun**2)))
-    found = at(fitted.x)
-    if exact:
-        _refuse_vague(found, at, fitted.x, np.asarray(fitted.jac), max(rest, MIN_SCATTER))
-    return found, rest
+    sight = PointObservations(points, pixels, np.zeros(len(points), dtype=np.intp))
+    found = fit(camera.lens, (), camera.rotation[None], camera.translation[None], sight)
+    place = {"rotation": found.rotations[0], "translation": found.translations[0]}
+    return replace(camera, **place), found
 
 
-def _refuse_vague(
-    found: Camera,
-    at: Callable[[FloatArray], Camera],
-    unknown: FloatArray,
-    slope: FloatArray,
-    scatter: float,
-) -> None:
-    """Raise if tags determine the camera too badly for places above the plate."""
-    middle = (np.array(found.lens.image_size) - 1.0) / 2.0
-    here = found.on_plane(middle, ABOVE)
-    step = 1e-6
-    change = np.array(
-        [(at(unknown + step * row).on_plane(middle, ABOVE) - here) / step for row in np.eye(6)]
-    )
-    covariance = scatter**2 * np.linalg.pinv(slope.T @ slope)
-    off = float(np.sqrt(np.trace(change.T @ covariance @ change)))
+def _rms(residuals: FloatArray) -> float:
+    return float(np.sqrt(np.mean(residuals**2)))
+
+
+def _refuse_vague(camera: Camera, found: BundleFit, scatter: float) -> None:
+    """Raise if tags with this scatter [px] determine the camera too badly above the plate."""
+    covariance = found.place_covariance[0] * (scatter / max(found.noise, 1e-12)) ** 2
+    measured = MeasuredCamera(lens=camera.lens, camera=camera, names=PLACE, covariance=covariance)
+    middle = (np.array(camera.lens.image_size) - 1.0) / 2.0
+    off = float(np.sqrt(np.trace(place_covariance(measured, middle, ABOVE))))
     if off > VAGUE:
         raise InvalidInput(
             "camera",
@@ -311,9 +293,3 @@ def _refuse_vague(
             expected=f"tags so far apart that they tell them to {VAGUE * 1e3:.1f} mm",
             hint="put tags near all four corners of the picture, or calibrate the plate anew",
         )
-
-
-def _rotation(vector: FloatArray) -> FloatArray:
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
