@@ -152,18 +152,13 @@ class RenderedBench:
         self, picture: FloatPicture, window: PictureWindow, light: FloatPicture, margin: int
     ) -> None:
         """Copy a window into the picture, without the margin that blurring made invalid."""
-        light = self._developed(window, light)
-        inner = PictureWindow(
-            window.left + (margin if window.left > 0 else 0),
-            window.top + (margin if window.top > 0 else 0),
-            0,
-            0,
-        )
         right, bottom = window.left + window.width, window.top + window.height
-        right -= margin if right < self._size[0] else 0
-        bottom -= margin if bottom < self._size[1] else 0
-        rows, columns = slice(inner.top, bottom), slice(inner.left, right)
-        picture[rows, columns] = light[
-            inner.top - window.top : bottom - window.top,
-            inner.left - window.left : right - window.left,
-        ]
+        rows = slice(
+            margin if window.top > 0 else 0,
+            window.height - (margin if bottom < self._size[1] else 0),
+        )
+        columns = slice(
+            margin if window.left > 0 else 0,
+            window.width - (margin if right < self._size[0] else 0),
+        )
+        picture[window.slices][rows, columns] = self._developed(window, light)[rows, columns]

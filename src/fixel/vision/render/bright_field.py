@@ -14,7 +14,7 @@ from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
 from fixel.vision.render.bodies import direction_of
-from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, Stroke, window_of
+from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow
 from fixel.vision.render.looks import Looks
 from fixel.vision.render.plate import falloff
 from fixel.vision.render.solids import outline_of, polygon
@@ -84,11 +84,8 @@ class BrightField:
         full = np.ones(picture.shape[:2], np.float32)
         still = np.zeros(3)
         for name, outline, height in self._outlines:
-            pixels = self._eye.project_at(placed(outline, poses.get(name, still)), height)
-            window = window_of(pixels, self._size)
-            canvas.paint(
-                Stroke(pixels, np.array([0, len(pixels)]), np.full(3, BLACK), window), full
-            )
+            points = placed(outline, poses.get(name, still))
+            canvas.paint(self._eye.stroke(points, height, np.full(3, BLACK)), full)
         return picture
 
 

@@ -324,6 +324,21 @@ class Stroke:
     grain: Grain = PLAIN
 
 
+def stroke_of(
+    points: FloatArray,
+    colour: FloatArray,
+    size: tuple[int, int],
+    starts: NDArray[np.int64] | None = None,
+    grain: Grain = PLAIN,
+) -> Stroke:
+    """Return polygons (n, 2) [px] ready to be painted in a picture of (width, height).
+
+    Without `starts`, they are one polygon.
+    """
+    starts = np.array([0, len(points)]) if starts is None else starts
+    return Stroke(points, starts, colour, window_of(points, size), grain)
+
+
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Canvas:

@@ -13,7 +13,7 @@ from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
 from fixel.vision.render.bodies import inks
-from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, Stroke, window_of
+from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, Stroke
 from fixel.vision.render.solids import circle, polygon
 from fixel.vision.render.virtual_camera import Eye
 
@@ -50,14 +50,12 @@ def backdrop(rig: Rig, eye: Eye, seed: int) -> FloatPicture:
     for stroke in _plate_strokes(eye, middle):
         canvas.paint(stroke, light)
     sheet = np.asarray(METAL * (metal / METAL.mean())[..., None], dtype=np.float32)
-    picture[:] = _over(picture, sheet, _plate_share(eye, middle))
+    picture[:] = picture + _plate_share(eye, middle) * (sheet - picture)
     for stroke in (*_holes(eye, middle), *_scratches(eye, middle, seed)):
         canvas.paint(stroke, light)
     for tag in rig.plate:
         for ink in inks(tag, eye.pixel_size()):
-            pixels = eye.project_at(ink.points, ink.height)
-            window = window_of(pixels, size)
-            canvas.paint(Stroke(pixels, ink.starts, ink.colour, window), light)
+            canvas.paint(eye.stroke(ink.points, ink.height, ink.colour, ink.starts), light)
     return picture
 
 
@@ -85,7 +83,7 @@ def _plate_strokes(eye: Eye, middle: FloatArray) -> Iterator[Stroke]:
     pixel = eye.pixel_size()
     for grown, colour in ((0.006, 0.45 * WOOD), (0.0015, 0.6 * METAL)):
         corners = middle + (_corners(middle) - middle) * (1.0 + grown / HALF)
-        yield _level(eye, polygon(corners, pixel).points, colour)
+        yield eye.stroke(polygon(corners, pixel).points, 0.0, colour)
 
 
 def _plate_share(eye: Eye, middle: FloatArray) -> FloatPicture:
@@ -93,7 +91,7 @@ def _plate_share(eye: Eye, middle: FloatArray) -> FloatPicture:
     share = np.zeros((size[1], size[0], 3), np.float32)
     outline = polygon(_corners(middle), eye.pixel_size()).points
     canvas = Canvas(PictureWindow(0, 0, *size), share)
-    canvas.paint(_level(eye, outline, np.ones(3)), np.ones(share.shape[:2], np.float32))
+    canvas.paint(eye.stroke(outline, 0.0, np.ones(3)), np.ones(share.shape[:2], np.float32))
     return share
 
 
@@ -113,7 +111,7 @@ def _holes(eye: Eye, middle: FloatArray) -> Iterator[Stroke]:
             if not eye.camera.lens.sees(eye.project_at(place, 0.0)):
                 continue
             for radius, aside, colour in rings:
-                yield _level(eye, circle(radius, pixel, place + aside).points, colour)
+                yield eye.stroke(circle(radius, pixel, place + aside).points, 0.0, colour)
 
 
 def _scratches(eye: Eye, middle: FloatArray, seed: int) -> Iterator[Stroke]:
@@ -126,13 +124,7 @@ def _scratches(eye: Eye, middle: FloatArray, seed: int) -> Iterator[Stroke]:
         line = np.array([place, place + along, place + along + across, place + across])
         inside = (np.abs(line - middle) < HALF).all()
         if inside:
-            yield _level(eye, line, METAL * random.uniform(1.04, 1.2))
-
-
-def _level(eye: Eye, points: FloatArray, colour: FloatArray) -> Stroke:
-    pixels = eye.project_at(points, 0.0)
-    window = window_of(pixels, eye.size)
-    return Stroke(pixels, np.array([0, len(pixels)]), colour, window)
+            yield eye.stroke(line, 0.0, METAL * random.uniform(1.04, 1.2))
 
 
 def _brushed(places: NDArray[np.float32], seed: int) -> FloatPicture:
@@ -172,10 +164,6 @@ def _sampled(texture: FloatPicture, places: NDArray[np.float32], pitch: float) -
     cv2: Any = opencv()
     at = np.mod(places / np.float32(pitch), np.float32(len(texture)))
     return np.asarray(cv2.remap(texture, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
-
-
-def _over(below: FloatPicture, above: FloatPicture, share: FloatPicture) -> FloatPicture:
-    return np.asarray(below + share * (above - below))
 
 
 def _hats(nodes: FloatArray, count: int) -> FloatArray:

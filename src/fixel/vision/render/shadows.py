@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -99,8 +99,4 @@ def _swept(piece: FloatArray, low: float, high: float, level: float, eye: Eye) -
     near, far = max(low - level, 0.0), high - level
     ends = np.concatenate((piece + near * RAYS[:, None], piece + far * RAYS[:, None]), axis=1)
     pixels = eye.project_at(ends, level).astype(np.float32)
-    return [_hull(cv2, ray) for ray in pixels]
-
-
-def _hull(cv2: Any, points: Any) -> FloatArray:
-    return np.asarray(cv2.convexHull(points)[:, 0, :], dtype=np.float64)
+    return [np.asarray(cv2.convexHull(ray)[:, 0], dtype=np.float64) for ray in pixels]

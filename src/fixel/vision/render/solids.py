@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fixel.model import Disk, Shape
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
-from fixel.vision.render.canvas import PLAIN, FloatPicture, Grain, PictureWindow, Stroke, window_of
+from fixel.vision.render.canvas import PLAIN, FloatPicture, Grain, PictureWindow, Stroke, stroke_of
 from fixel.vision.render.virtual_camera import Eye
 
 CHORD: Final = 8.0  # [px] longest piece of a straight edge drawn as a line, in spite of distortion
@@ -182,15 +182,13 @@ GRAIN_PITCH: Final = 5e-4  # [m] between values of a solid's grain
 
 def place(solid: Solid, pose: FloatArray, eye: Eye) -> PlacedSolid:
     """Project a solid at a pose (3,) [m, m, rad]."""
-    size = eye.size
     strokes: list[tuple[Stroke, float | None]] = []
     grain = _grain(solid, pose, eye)
     for slab in solid.slabs:
         strokes += _slab_strokes(slab, pose, eye, grain)
     for ink in solid.inks:
-        pixels = eye.project_at(placed(ink.points, pose), ink.height)
-        window = window_of(pixels, size)
-        strokes.append((Stroke(pixels, ink.starts, ink.colour, window), ink.height))
+        points = placed(ink.points, pose)
+        strokes.append((eye.stroke(points, ink.height, ink.colour, ink.starts), ink.height))
     window = strokes[0][0].window
     for stroke, _ in strokes[1:]:
         window = window.joined(stroke.window)
@@ -222,19 +220,12 @@ def _slab_strokes(
                 under[k[::-1]],
             )
         )
-        colour = slab.side * shade
-        strokes.append(
-            (Stroke(points, np.array([0, len(points)]), colour, window_of(points, size)), None)
-        )
-    starts = np.array([0, n])
-    window = window_of(high, size)
+        strokes.append((stroke_of(points, slab.side * shade, size), None))
     if slab.rim > 0.0:
         bright = np.minimum(slab.top * 1.25 + 14.0, 250.0)
-        strokes.append((Stroke(high, starts, bright, window), slab.high))
-        inner = eye.project_at(placed(slab.outline.shrunk(slab.rim).points, pose), slab.high)
-        strokes.append((Stroke(inner, starts, slab.top, window, grain), slab.high))
-    else:
-        strokes.append((Stroke(high, starts, slab.top, window, grain), slab.high))
+        strokes.append((stroke_of(high, bright, size), slab.high))
+        high = eye.project_at(placed(slab.outline.shrunk(slab.rim).points, pose), slab.high)
+    strokes.append((stroke_of(high, slab.top, size, grain=grain), slab.high))
     return strokes
 
 

@@ -6,14 +6,14 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fixel.kernels.jit import entry
 from fixel.model.chance import stream
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Picture
-from fixel.vision.render.canvas import FloatPicture
+from fixel.vision.render.canvas import FloatPicture, Stroke, stroke_of
 from fixel.vision.render.looks import Looks
 
 # Limits of points outside the picture, as factors of the distance from its middle to its corners.
@@ -50,6 +50,16 @@ class Eye:
         if far.size and far.max() > self._limit:
             direction *= np.minimum(self._limit / np.maximum(far, 1e-300), 1.0)[..., None]
         return self.camera.lens.pixel(direction)
+
+    def stroke(
+        self,
+        places: FloatArray,
+        height: float,
+        colour: FloatArray,
+        starts: NDArray[np.int64] | None = None,
+    ) -> Stroke:
+        """Project polygons at one height above the plane [m] to be painted; see `stroke_of`."""
+        return stroke_of(self.project_at(places, height), colour, self.size, starts)
 
     def pixel_size(self, height: float = 0.0) -> float:
         """Scale in the middle of the picture at a height [m/px]."""
