@@ -170,7 +170,7 @@ def test_a_look_at_the_lock_does_not_take_it(tmp_path):
 
 
 def test_where_the_file_system_knows_no_locks_a_file_stands_in(tmp_path, monkeypatch):
-    monkeypatch.setattr(lock, "_locked", lambda descriptor, shared=False: False)
+    monkeypatch.setattr(lock, "_lock", lambda descriptor, shared=False: None)
     monkeypatch.setattr(lock, "PATIENCE_S", 0.05)
     path = tmp_path / "lock"
     with FileLock(path, "it"):

@@ -36,10 +36,6 @@ class Owner(NamedTuple):
 UNKNOWN: Final = Owner("", 0)
 
 
-class _LockTaken(Exception):
-    """Exception raised when another process owns the lock."""
-
-
 @final
 class FileLock:
     """Lock on a file of its own, until `release` or the end of the process.
@@ -59,18 +55,15 @@ class FileLock:
 
     def __init__(self, path: Path, what: str) -> None:
         self._path = path
+        self._descriptor = -1
         self._substitute: Path | None = None
         deadline = time.monotonic() + PATIENCE_S
-        while True:
-            try:
-                self._descriptor = self._take()
-                return
-            except _LockTaken:
-                if time.monotonic() > deadline:
-                    raise JobRefused(
-                        f"{what} is in use by {_owner(path)}", hint="wait for it, or end it"
-                    ) from None
-                time.sleep(0.02)
+        while not self._take():
+            if time.monotonic() > deadline:
+                raise JobRefused(
+                    f"{what} is in use by {_owner(path)}", hint="wait for it, or end it"
+                )
+            time.sleep(0.02)
 
     def release(self) -> None:
         """Release the lock."""
@@ -87,18 +80,21 @@ class FileLock:
     def __exit__(self, *_: object) -> None:
         self.release()
 
-    def _take(self) -> int:
+    def _take(self) -> bool:
+        """Try to take the lock; return whether no other process has it."""
         descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            if not _locked(descriptor):
+            locked = _lock(descriptor)
+            if locked is None:
                 self._substitute = _substitute(self._path)
-            text = json.dumps({"host": socket.gethostname(), "pid": os.getpid()}).encode()
-            os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, text, 0)
-        except BaseException:
-            os.close(descriptor)
-            raise
-        return descriptor
+            if locked or self._substitute:
+                os.ftruncate(descriptor, 0)
+                os.pwrite(descriptor, _this_process(), 0)
+                self._descriptor = descriptor
+        finally:
+            if self._descriptor != descriptor:
+                os.close(descriptor)
+        return self._descriptor == descriptor
 
 
 def holder(path: Path) -> Owner | None:
@@ -109,14 +105,13 @@ def holder(path: Path) -> Owner | None:
     except OSError:
         return None
     try:
-        if _locked(descriptor, shared=True):
-            return None
-        substitute = _read_owner(_substitute_of(path))
-        return substitute if substitute and not _gone(substitute) else None
-    except _LockTaken:
-        return _owner(path)
+        locked = _lock(descriptor, shared=True)
     finally:
         os.close(descriptor)
+    if locked is None:
+        owner = _read_owner(_substitute_of(path))
+        return owner if owner and not _gone(owner) else None
+    return None if locked else _owner(path)
 
 
 def _owner(path: Path) -> Owner:
@@ -131,50 +126,54 @@ def _read_owner(path: Path) -> Owner | None:
         return None
 
 
-if sys.platform == "win32":
-    import msvcrt
+def _this_process() -> bytes:
+    return json.dumps({"host": socket.gethostname(), "pid": os.getpid()}).encode()
 
-    def _locked(descriptor: int, shared: bool = False) -> bool:
-        """Take the lock of the operating system; return False if there is none."""
-        os.lseek(descriptor, 1 << 30, os.SEEK_SET)  # beyond the owner's name, which stays readable
-        try:
+
+def _lock(descriptor: int, shared: bool = False) -> bool | None:
+    """Take the lock of the operating system.
+
+    Returns
+    -------
+    bool or None
+        Whether it was taken; None if the file system has no locks.
+    """
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            os.lseek(
+                descriptor, 1 << 30, os.SEEK_SET
+            )  # beyond the owner's name
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        except OSError:
-            raise _LockTaken from None
-        return True
+        else:
+            import fcntl
 
-else:
-    import fcntl
-
-    def _locked(descriptor: int, shared: bool = False) -> bool:
-        """Take the lock of the operating system; return False if there is none."""
-        try:
             fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise _LockTaken from None
-        except OSError as problem:
-            if problem.errno in _UNSUPPORTED:
-                return False
-            raise
-        return True
+    except OSError as problem:
+        if sys.platform == "win32" or isinstance(problem, BlockingIOError):
+            return False
+        if problem.errno in _UNSUPPORTED:
+            return None
+        raise
+    return True
 
 
 def _substitute_of(path: Path) -> Path:
     return path.with_name(f"{path.name}.held")
 
 
-def _substitute(path: Path) -> Path:
+def _substitute(path: Path) -> Path | None:
     """Create a file with the name of this process, unless a living process has created one."""
     held = _substitute_of(path)
     owner = _read_owner(held)
     if owner is not None and _gone(owner):
         held.unlink(missing_ok=True)
     try:
-        descriptor = os.open(held, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        with open(held, "xb") as stream:
+            stream.write(_this_process())
     except FileExistsError:
-        raise _LockTaken from None
-    with os.fdopen(descriptor, "w") as stream:
-        json.dump({"host": socket.gethostname(), "pid": os.getpid()}, stream)
+        return None
     return held
 
 
@@ -184,8 +183,6 @@ def _gone(owner: Owner) -> bool:
         return False
     try:
         os.kill(owner.pid, 0)
-    except ProcessLookupError:
-        return True
-    except OSError:
-        return False
+    except OSError as problem:
+        return isinstance(problem, ProcessLookupError)
     return False
