@@ -11,7 +11,7 @@ from fixel.testing.scenes import grasp
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Rig
 from fixel.vision.render.bench import RenderedBench
-from fixel.vision.render.looks import Looks
+from fixel.vision.render.looks import CameraEffects
 
 SIZE = (420, 320)
 AWAY = np.array([-0.5, -0.4, 0.0])  # where nobody sees it
@@ -33,7 +33,9 @@ def bare_scene():
     return replace(grasp(), fixels=())
 
 
-def still(rig: Rig, looks: Looks, pose: object, scene: object = None, **more: object) -> np.ndarray:
+def still(
+    rig: Rig, looks: CameraEffects, pose: object, scene: object = None, **more: object
+) -> np.ndarray:
     """(h, w, 3) light of one instant."""
     bench = RenderedBench(scene or bare_scene(), rig, looks, 1)
     return bench.light([{"object": np.asarray(pose), "actuator": AWAY, **more}])

@@ -10,11 +10,11 @@ from tests.vision.rendered import AWAY, SIZE, bare_scene, small_rig, still
 from fixel.model import Disk, Fixel
 from fixel.model.shape import placed
 from fixel.vision.render.bench import RenderedBench
-from fixel.vision.render.bodies import DELRIN, PAPER, TONER, inks, tag_cells
-from fixel.vision.render.looks import Looks
-from fixel.vision.render.virtual_camera import Eye
+from fixel.vision.render.bodies import DELRIN, PAPER, TONER, markings, tag_cells
+from fixel.vision.render.looks import CameraEffects
+from fixel.vision.render.virtual_camera import Projection
 
-PLAIN = Looks(shadows=0.0)
+PLAIN = CameraEffects(shadows=0.0)
 RED = 2
 
 
@@ -33,7 +33,7 @@ def test_a_sticker_is_where_the_camera_projects_it():
     rig = small_rig("thesis-stickers")
     bench = RenderedBench(bare_scene(), rig, PLAIN, 1)
     sticker = rig.parts["object"].marks[0]
-    ink = inks(sticker, 5e-4)[0]
+    ink = markings(sticker, 5e-4)[0]
     off, area = [], []
     for pose in poses(12, 1):
         picture = bench.light([{"object": pose, "actuator": AWAY}])[..., RED].astype(float)
@@ -56,7 +56,7 @@ def test_the_edges_of_a_tag_lie_where_the_camera_projects_them():
     rig = small_rig()
     bench = RenderedBench(bare_scene(), rig, PLAIN, 1)
     tag = rig.parts["object"].marks[0]
-    paper, toner = inks(tag, 5e-4)
+    paper, toner = markings(tag, 5e-4)
     for pose in poses(4, 2):
         picture = bench.light([{"object": pose, "actuator": AWAY}])[..., 0].astype(float)
         dark = (PAPER[0] - picture) / (PAPER[0] - TONER[0])
@@ -123,7 +123,7 @@ def test_shadows_fall_on_the_plate_and_are_soft():
     rig = small_rig()
     pose = np.array([0.15, 0.008, 0.3])
     lit = still(rig, PLAIN, pose)
-    shaded = still(rig, Looks(shadows=0.5), pose)
+    shaded = still(rig, CameraEffects(shadows=0.5), pose)
     ratio = (shaded / np.maximum(lit, 1.0))[..., 0]
 
     assert ratio.min() < 0.75
@@ -135,7 +135,7 @@ def test_shadows_fall_on_the_plate_and_are_soft():
 def test_what_leaves_the_picture_does_not_come_back_on_the_other_side():
     """The thesis's lens folds back directions beyond 1.39; the eye holds points out there."""
     rig = small_rig()
-    eye = Eye(rig.camera)
+    eye = Projection(rig.camera)
     far = eye.project_at([[5.0, 0.0], [-3.0, 2.0]], 0.09)
     inside = (far >= -0.5).all(axis=1) & (far <= np.array(SIZE) - 0.5).all(axis=1)
     near = [[0.15, 0.0], [0.2, 0.05]]
@@ -146,7 +146,7 @@ def test_what_leaves_the_picture_does_not_come_back_on_the_other_side():
 
 def test_a_picture_is_the_same_in_a_small_window_and_in_a_large_one():
     """A hand in a corner makes the painted window larger; where it is not, nothing changes."""
-    bench = RenderedBench(bare_scene(), small_rig(), Looks(blur=1.0, shadows=0.0), 1)
+    bench = RenderedBench(bare_scene(), small_rig(), CameraEffects(blur=1.0, shadows=0.0), 1)
     poses = {"object": np.array([0.10, -0.02, 0.7]), "actuator": AWAY}
     alone = bench.light([poses])
     together = bench.light([{**poses, "hand": np.array([0.235, 0.06, np.pi])}])

@@ -7,7 +7,7 @@ import shapely
 from fixel.formats.rig_file import rig_of
 from fixel.model.shape import placed
 from fixel.testing.scenes import PART_LENGTH, PART_WIDTH, micro_push
-from fixel.vision.render import Looks, looks_named
+from fixel.vision.render import CameraEffects, looks_named
 from fixel.vision.render.bright_field import (
     BLACK,
     GROUND,
@@ -77,4 +77,4 @@ def test_defocus_vignetting_and_dust_are_there_and_small(rig):
     assert light[2:8, 2:8].mean() == pytest.approx(0.85 * GROUND, rel=0.02)
     assert light[230:250, 310:330].mean() == pytest.approx(GROUND, rel=0.06)
     assert light.min() > 0.7 * GROUND
-    assert Looks(lighting="through").tab == (0.0, 0.0)
+    assert CameraEffects(lighting="through").tab == (0.0, 0.0)

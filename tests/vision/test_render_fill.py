@@ -6,7 +6,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fixel.vision.render.canvas import Canvas, PictureWindow, Stroke, cover, window_of
+from fixel.vision.render.canvas import Canvas, FilledPolygons, PictureWindow, cover, window_of
 
 WIDTH, HEIGHT = 24, 18
 
@@ -52,7 +52,7 @@ def test_neighbours_of_one_stroke_leave_no_seam():
     points = np.array(left + right)
     window = PictureWindow(0, 0, WIDTH, HEIGHT)
     canvas = Canvas(window, np.zeros((HEIGHT, WIDTH, 3), np.float32))
-    stroke = Stroke(
+    stroke = FilledPolygons(
         points, np.array([0, 4, 8]), np.full(3, 200.0), window_of(points, (WIDTH, HEIGHT))
     )
     canvas.paint(stroke, np.ones((HEIGHT, WIDTH), np.float32))

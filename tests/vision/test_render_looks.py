@@ -8,7 +8,7 @@ from tests.vision.rendered import AWAY, bare_scene, small_rig, still
 
 from fixel.errors import InvalidInput
 from fixel.model import Trajectory
-from fixel.vision.render import Looks, changed, film_scene, frame_times, looks_named
+from fixel.vision.render import CameraEffects, changed, film_scene, frame_times, looks_named
 from fixel.vision.render.film import occlusion_of
 from fixel.vision.render.looks import PRESETS, light
 from fixel.vision.render.virtual_camera import Sensor
@@ -24,7 +24,7 @@ def resting() -> dict[str, Trajectory]:
     }
 
 
-def film(looks: Looks, times, seed: int = 1) -> list[np.ndarray]:
+def film(looks: CameraEffects, times, seed: int = 1) -> list[np.ndarray]:
     scene, rig = bare_scene(), small_rig()
     return [f.picture for f in film_scene(scene, resting(), rig, looks, np.array(times), seed)]
 
@@ -41,7 +41,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_others():
 def test_noise_has_the_deviation_it_should():
     size = (200, 100)
     for level, read, shot in ((0.25, 2.0, 0.0), (1.0, 0.0, 4.0), (0.5, 1.5, 3.0)):
-        sensor = Sensor(Looks(read_noise=read, shot_noise=shot), size, 1)
+        sensor = Sensor(CameraEffects(read_noise=read, shot_noise=shot), size, 1)
         flat = np.full((100, 200, 3), 240.0 * level, np.float32)
         picture = sensor.exposed(flat, np.ones(3), 0).astype(float)
         expected = np.sqrt(read**2 + shot**2 * 240.0 * level / 255.0 + 1.0 / 12.0)
@@ -51,7 +51,7 @@ def test_noise_has_the_deviation_it_should():
 
 
 def test_a_sensor_without_noise_rounds_and_cuts_off():
-    sensor = Sensor(Looks(), (2, 1), 1)
+    sensor = Sensor(CameraEffects(), (2, 1), 1)
     picture = sensor.exposed(
         np.array([[[-3.0, 1.4, 1.6], [254.6, 300.0, 100.0]]], np.float32), np.ones(3), 0
     )
@@ -60,7 +60,7 @@ def test_a_sensor_without_noise_rounds_and_cuts_off():
 
 
 def test_a_third_of_the_light_goes_and_comes_back():
-    factors = light(Looks(light_change=0.3), TIMES, 1)
+    factors = light(CameraEffects(light_change=0.3), TIMES, 1)
 
     assert factors[[0, -1]] == pytest.approx(1.0)
     assert factors.min() == pytest.approx(0.7)
@@ -68,13 +68,13 @@ def test_a_third_of_the_light_goes_and_comes_back():
     assert 0.2 < dim < 0.35
     assert np.abs(np.diff(factors[:, 1])).max() < 0.05  # no jump
 
-    warm = light(Looks(light_change=0.3, colour_change=0.06), TIMES, 1)
+    warm = light(CameraEffects(light_change=0.3, colour_change=0.06), TIMES, 1)
     darkest = warm[np.argmin(factors[:, 1])]
     assert darkest[2] / darkest[0] == pytest.approx(1.06 / 0.94)
 
 
 def test_the_light_in_the_picture_is_that_light():
-    looks = Looks(light_change=0.3)
+    looks = CameraEffects(light_change=0.3)
     factors = light(looks, TIMES, 1)[:, 1]
     dark = int(np.argmin(factors))
     chosen = TIMES[[0, dark, -1]]
@@ -87,7 +87,7 @@ def test_the_light_in_the_picture_is_that_light():
 
 
 def test_drift_wanders_slowly_about_one():
-    factors = light(Looks(drift=0.02), np.arange(0.0, 60.0, 1.0 / 30.0), 1)[:, 1]
+    factors = light(CameraEffects(drift=0.02), np.arange(0.0, 60.0, 1.0 / 30.0), 1)[:, 1]
 
     assert factors.std() == pytest.approx(0.02, rel=0.3)
     assert factors.mean() == pytest.approx(1.0, abs=0.01)
@@ -108,7 +108,9 @@ def edge_width(picture: np.ndarray) -> float:
 def test_blur_widens_edges_by_what_it_says():
     rig = small_rig()
     pose = np.array([0.17, 0.008, -0.021])  # upright in a camera that is turned by 1.2 degrees
-    widths = [edge_width(still(rig, Looks(shadows=0.0, blur=b), pose)) for b in (0.0, 1.0, 2.0)]
+    widths = [
+        edge_width(still(rig, CameraEffects(shadows=0.0, blur=b), pose)) for b in (0.0, 1.0, 2.0)
+    ]
 
     assert np.sqrt(widths[1] ** 2 - widths[0] ** 2) == pytest.approx(1.0, abs=0.2)
     assert widths[2] > 1.6
@@ -122,10 +124,10 @@ def test_motion_smears_by_the_way_made_in_an_exposure():
     tracks = resting() | {
         "object": Trajectory(time=[-5.0, 5.0], pose=[2 * start - far, far]),
     }
-    looks = Looks(shadows=0.0, exposure=1.0 / 8.0)
+    looks = CameraEffects(shadows=0.0, exposure=1.0 / 8.0)
     sharp, smeared = (
         next(film_scene(scene, tracks, rig, look, np.array([0.0]))).picture
-        for look in (Looks(shadows=0.0), looks)
+        for look in (CameraEffects(shadows=0.0), looks)
     )
     width = 0.032 * looks.exposure / rig.camera.metres_per_pixel(0.0254)
 
@@ -135,14 +137,14 @@ def test_motion_smears_by_the_way_made_in_an_exposure():
 
 def test_corners_are_darker_by_the_vignetting():
     rig = small_rig()
-    full, dark = (still(rig, Looks(vignetting=v), AWAY) for v in (0.0, 0.3))
+    full, dark = (still(rig, CameraEffects(vignetting=v), AWAY) for v in (0.0, 0.3))
 
     assert dark[0, 0] / full[0, 0] == pytest.approx(0.7, abs=1e-3)
     assert dark[160, 210] / full[160, 210] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_the_hand_covers_the_share_it_should_for_as_long_as_it_should():
-    looks = Looks(occlusion=2.0, occluded=0.5)
+    looks = CameraEffects(occlusion=2.0, occluded=0.5)
     scene, rig = bare_scene(), small_rig()
     occlusion = occlusion_of(scene, rig, looks, TIMES, 1)
     begins, ends = occlusion.interval
@@ -154,22 +156,22 @@ def test_the_hand_covers_the_share_it_should_for_as_long_as_it_should():
     assert covered[[0, -1]].tolist() == [0.0, 0.0]
     assert (covered > 0.0).mean() < 0.3
 
-    free = still(rig, Looks(), POSE)
-    hidden = still(rig, Looks(), POSE, hand=occlusion.pose(0.5 * (begins + ends), POSE))
+    free = still(rig, CameraEffects(), POSE)
+    hidden = still(rig, CameraEffects(), POSE, hand=occlusion.pose(0.5 * (begins + ends), POSE))
     skin = hidden[..., 2] - hidden[..., 0] > 40.0
     assert skin.mean() > 0.1
     assert not (free[..., 2] - free[..., 0] > 40.0).any()
 
 
 def test_no_hand_where_none_is_asked_for():
-    occlusion = occlusion_of(bare_scene(), small_rig(), Looks(), TIMES, 1)
+    occlusion = occlusion_of(bare_scene(), small_rig(), CameraEffects(), TIMES, 1)
 
     assert occlusion.interval == (0.0, 0.0)
     assert occlusion.pose(3.0, POSE) is None
 
 
 def test_frames_are_lost_and_late_as_often_as_they_should():
-    looks = Looks(dropped=0.1, jitter=0.05)
+    looks = CameraEffects(dropped=0.1, jitter=0.05)
     times = frame_times(200.0, 30.0, looks, 1)
     count = np.rint(times * 30.0)
 
@@ -177,7 +179,7 @@ def test_frames_are_lost_and_late_as_often_as_they_should():
     assert np.all(np.diff(times) > 0.0)
     assert (times * 30.0 - count).std() == pytest.approx(0.05, rel=0.1)
     assert times[0] == 0.0
-    assert frame_times(1.0, 30.0, Looks(), 1) == pytest.approx(np.arange(31) / 30.0)
+    assert frame_times(1.0, 30.0, CameraEffects(), 1) == pytest.approx(np.arange(31) / 30.0)
 
 
 def test_presets_have_names_and_strangers_are_refused():
@@ -185,9 +187,9 @@ def test_presets_have_names_and_strangers_are_refused():
     with pytest.raises(InvalidInput, match="did you mean 'thesis'"):
         looks_named("thessis")
     with pytest.raises(InvalidInput, match=r"looks.dropped: found 1.5"):
-        Looks(dropped=1.5)
+        CameraEffects(dropped=1.5)
     with pytest.raises(InvalidInput, match=r"looks.lighting"):
-        Looks(lighting="below")
+        CameraEffects(lighting="below")
 
 
 def test_numbers_of_looks_are_changed_by_name():
@@ -205,6 +207,10 @@ def test_a_motion_that_lacks_a_body_is_refused():
     with pytest.raises(InvalidInput, match="no trajectory of 'actuator'"):
         next(
             film_scene(
-                bare_scene(), {"object": resting()["object"]}, small_rig(), Looks(), np.zeros(1)
+                bare_scene(),
+                {"object": resting()["object"]},
+                small_rig(),
+                CameraEffects(),
+                np.zeros(1),
             )
         )

@@ -24,7 +24,7 @@ MICROSECOND: Final = Fraction(1, MICRO)
 LOSSLESS: Final = "magicyuv"
 
 
-class FrameFate(NamedTuple):
+class StoredPacket(NamedTuple):
     """Packet of a picture in the video: size, checksum and place.
 
     Attributes
@@ -93,7 +93,7 @@ class VideoSink:
             )
         self._stream.time_base = MICROSECOND
 
-    def append_picture(self, time_us: int, picture: Picture) -> FrameFate:
+    def append_picture(self, time_us: int, picture: Picture) -> StoredPacket:
         """Encode a picture with the codec of this video and append it."""
         import av
 
@@ -104,7 +104,7 @@ class VideoSink:
         (packet,) = self._encoded.encode(frame)
         return self._append(packet)
 
-    def append_jpeg(self, time_us: int, jpeg: bytes) -> FrameFate:
+    def append_jpeg(self, time_us: int, jpeg: bytes) -> StoredPacket:
         """Append a JPEG picture unchanged."""
         import av
 
@@ -115,14 +115,14 @@ class VideoSink:
         packet.is_keyframe = True
         return self._append(packet)
 
-    def _append(self, packet: av.Packet[Any]) -> FrameFate:
+    def _append(self, packet: av.Packet[Any]) -> StoredPacket:
         size, crc = packet.size, zlib.crc32(packet)
         try:
             self._container.mux(packet)
         except OSError:
             self._lost = True
             raise
-        return FrameFate(size, crc, self.path.stat().st_size)
+        return StoredPacket(size, crc, self.path.stat().st_size)
 
     def close(self) -> None:
         """Close the file; all pictures have already been written."""

@@ -24,7 +24,7 @@ from fixel.formats.recording_files import (
     write_end,
     write_header,
 )
-from fixel.formats.recording_video import FrameFate, VideoSink
+from fixel.formats.recording_video import StoredPacket, VideoSink
 from fixel.vision.frame import Frame
 
 MAX_READING: Final = 255
@@ -161,7 +161,7 @@ class RecordingWriter:
             self.abandon()
 
     def _note(
-        self, time_us: int, reading: int | None, reading_time: float | None, written: FrameFate
+        self, time_us: int, reading: int | None, reading_time: float | None, written: StoredPacket
     ) -> None:
         """Append the row of a picture already in the video; without a row it would not count."""
         row = RecordingRow(

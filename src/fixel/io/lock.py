@@ -142,9 +142,7 @@ def _lock(descriptor: int, shared: bool = False) -> bool | None:
         if sys.platform == "win32":
             import msvcrt
 
-            os.lseek(
-                descriptor, 1 << 30, os.SEEK_SET
-            )  # beyond the owner's name
+            os.lseek(descriptor, 1 << 30, os.SEEK_SET)  # beyond the owner's name
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
         else:
             import fcntl

@@ -10,7 +10,7 @@ from fixel.model import Scene
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.tracking.base import Sighting
+from fixel.vision.tracking.base import PartObservation
 from fixel.vision.tracking.checks import UNWATCHED, refuse_flipped, refuse_moved, refuse_size
 from fixel.vision.tracking.fixels import MIN_FRAMES, FixelFinder
 from fixel.vision.tracking.follow import AUTO, followers_of, things_of
@@ -26,8 +26,8 @@ class FramePoses:
 
     Attributes
     ----------
-    parts : dict of str to Sighting
-        Sighting of every part in question.
+    parts : dict of str to PartObservation
+        PartObservation of every part in question.
     fixels : dict of str to (2,) float64
         Places of the fixels whose tops were found [m].
     problems : tuple of str
@@ -36,7 +36,7 @@ class FramePoses:
         Further remarks.
     """
 
-    parts: dict[str, Sighting] = field(default_factory=dict)
+    parts: dict[str, PartObservation] = field(default_factory=dict)
     fixels: dict[str, FloatArray] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
@@ -92,7 +92,7 @@ class Locator:
             }
         except InvalidInput as problem:
             return FramePoses(
-                parts={name: Sighting(reason="not looked for") for name in self.names},
+                parts={name: PartObservation(reason="not looked for") for name in self.names},
                 problems=(_told(problem),),
             )
         seen = any(sight.pose is not None for sight in parts.values())

@@ -7,7 +7,7 @@ import pytest
 
 from fixel.vision.tracking import judge
 from fixel.vision.tracking.actuator import motion_of
-from fixel.vision.tracking.base import Sighting
+from fixel.vision.tracking.base import PartObservation
 from fixel.vision.tracking.judge import judged
 
 TIME = np.arange(120) / 30.0
@@ -15,7 +15,9 @@ TIME = np.arange(120) / 30.0
 
 def sightings(pose):
     return [
-        Sighting(pose=row, residual=0.05, scale=0.55e-3, sd=np.full(3, 1e-5), marks=1, share=1.0)
+        PartObservation(
+            pose=row, residual=0.05, scale=0.55e-3, sd=np.full(3, 1e-5), marks=1, share=1.0
+        )
         for row in pose
     ]
 

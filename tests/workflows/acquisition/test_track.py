@@ -29,7 +29,7 @@ from fixel.model.shape import placed
 from fixel.testing.painted import moving, painted, tag_rig
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Tag
-from fixel.vision.tracking import FilmTracks, FoundFixel, Sighting
+from fixel.vision.tracking import FilmTracks, FoundFixel, PartObservation
 from fixel.vision.tracking.judge import judged
 from fixel.workflows.acquisition.track import drawn, track_film
 from fixel.workflows.acquisition.tracked_experiment import experiment_of
@@ -177,10 +177,11 @@ def pushed(along, first=0, fixels=()):
     parts = {}
     for name, poses in sights.items():
         own = [
-            Sighting(pose=pose, residual=0.05, scale=0.55e-3, sd=np.full(3, 1e-5)) for pose in poses
+            PartObservation(pose=pose, residual=0.05, scale=0.55e-3, sd=np.full(3, 1e-5))
+            for pose in poses
         ]
         if name == "object":
-            own[:first] = [Sighting(reason="a hand")] * first
+            own[:first] = [PartObservation(reason="a hand")] * first
         parts[name] = judged(name, time, own)
     return experiment_of(
         FilmTracks(method="tags", rig=tag_rig(), time=time, parts=parts, fixels=fixels),

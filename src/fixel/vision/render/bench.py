@@ -21,11 +21,11 @@ from fixel.vision.render.bodies import (
     pusher_solids,
 )
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow
-from fixel.vision.render.looks import Looks
+from fixel.vision.render.looks import CameraEffects
 from fixel.vision.render.plate import backdrop, falloff
 from fixel.vision.render.shadows import shade, shadow_window
 from fixel.vision.render.solids import PlacedSolid, Solid, painting_order, place
-from fixel.vision.render.virtual_camera import Eye
+from fixel.vision.render.virtual_camera import Projection
 
 Poses = Mapping[str, FloatArray]
 
@@ -43,14 +43,14 @@ class RenderedBench:
         Scene with the true shapes.
     rig : Rig
         Camera and markers. Parts that it lacks are 25.4 mm high, pushers 30 mm, without markers.
-    looks : Looks
+    looks : CameraEffects
     seed : int
         Seed of the textures.
     """
 
-    def __init__(self, scene: Scene, rig: Rig, looks: Looks, seed: int) -> None:
+    def __init__(self, scene: Scene, rig: Rig, looks: CameraEffects, seed: int) -> None:
         self._rig, self._looks = rig, looks
-        self._eye = Eye(rig.camera)
+        self._eye = Projection(rig.camera)
         self._size = self._eye.size
         pixel = pixel_of(rig)
         dull, turned = grain(seed, "plastic", 0.03), grain(seed, "milled", 0.02)
@@ -133,7 +133,7 @@ class RenderedBench:
         self, thing: PlacedSolid, things: Sequence[PlacedSolid], window: PictureWindow
     ) -> dict[float, FloatPicture]:
         """Compute shadows of higher things on the faces of one that has markers."""
-        if not thing.solid.inks:
+        if not thing.solid.markings:
             return {}
         high = thing.solid.high
         others = [other for other in things if other is not thing and other.solid.high > high]

@@ -15,7 +15,7 @@ from fixel.typing import FloatArray
 from fixel.vision.marks import Mark, Rig, Tag
 from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import FloatPicture
-from fixel.vision.render.solids import Ink, Slab, Solid, circle, outline_of, polygon
+from fixel.vision.render.solids import Marking, Slab, Solid, circle, outline_of, polygon
 
 DICTIONARIES: Final = {
     "apriltag-36h11": "DICT_APRILTAG_36h11",
@@ -53,13 +53,13 @@ ACTUATOR: Final = (0.038, 0.020, 0.34, 0.042)  # [m] width, distance behind the 
 HAND_AT: Final = (0.066, 0.092)  # [m] lower and upper height
 
 
-def inks(mark: Mark, pixel: float) -> tuple[Ink, ...]:
+def markings(mark: Mark, pixel: float) -> tuple[Marking, ...]:
     """Return the coloured polygons of a marker, for a size of pixels of about `pixel` [m]."""
     if isinstance(mark, Tag):
         return _tag(mark, pixel)
     ring = circle(0.5 * mark.diameter, pixel, mark.place).points
     colour = np.array(COLOUR_OF[mark.colour])
-    return (Ink(ring, np.array([0, len(ring)]), mark.height, colour),)
+    return (Marking(ring, np.array([0, len(ring)]), mark.height, colour),)
 
 
 @cache
@@ -71,7 +71,7 @@ def tag_cells(family: str, number: int) -> NDArray[np.bool_]:
     return np.asarray(cv2.aruco.generateImageMarker(dictionary, number, side) < 128)
 
 
-def _tag(tag: Tag, pixel: float) -> tuple[Ink, Ink]:
+def _tag(tag: Tag, pixel: float) -> tuple[Marking, Marking]:
     black = tag_cells(tag.family, tag.id)
     n = len(black)
     cell = tag.size / n
@@ -89,8 +89,8 @@ def _tag(tag: Tag, pixel: float) -> tuple[Ink, Ink]:
     )
 
 
-def _ink(points: FloatArray, starts: NDArray[np.int64], tag: Tag, colour: FloatArray) -> Ink:
-    return Ink(placed(points, tag.pose), starts, tag.height, colour)
+def _ink(points: FloatArray, starts: NDArray[np.int64], tag: Tag, colour: FloatArray) -> Marking:
+    return Marking(placed(points, tag.pose), starts, tag.height, colour)
 
 
 def body_solid(body: Body, rig: Rig, pixel: float, grain: FloatPicture) -> Solid:
@@ -99,7 +99,7 @@ def body_solid(body: Body, rig: Rig, pixel: float, grain: FloatPicture) -> Solid
     height = part.height if part else OBJECT_HEIGHT
     marks = part.marks if part else ()
     slab = Slab(outline_of(body.shape, pixel), 0.0, height, COPPER, DELRIN, rim=0.0008)
-    drawn = tuple(ink for mark in marks for ink in inks(mark, pixel))
+    drawn = tuple(ink for mark in marks for ink in markings(mark, pixel))
     return Solid(body.name, (slab,), _pieces(body.shape), drawn, grain)
 
 
@@ -109,7 +109,7 @@ def pusher_solids(pusher: Pusher, rig: Rig, pixel: float, grain: FloatPicture) -
     height = part.height if part else HEAD_HEIGHT
     marks = part.marks if part else ()
     slab = Slab(outline_of(pusher.shape, pixel), 0.002, height, 0.8 * HEAD, HEAD, rim=0.0006)
-    drawn = tuple(ink for mark in marks for ink in inks(mark, pixel))
+    drawn = tuple(ink for mark in marks for ink in markings(mark, pixel))
     head = Solid(pusher.name, (slab,), _pieces(pusher.shape), drawn, grain)
     width, low, high = ROD
     rod = _behind(pusher, 0.5 * _extent(pusher.shape), ROD_LENGTH, width)

@@ -15,10 +15,10 @@ from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
 from fixel.vision.render.bodies import direction_of
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow
-from fixel.vision.render.looks import Looks
+from fixel.vision.render.looks import CameraEffects
 from fixel.vision.render.plate import falloff
 from fixel.vision.render.solids import outline_of, polygon
-from fixel.vision.render.virtual_camera import Eye
+from fixel.vision.render.virtual_camera import Projection
 
 Poses = Mapping[str, FloatArray]
 
@@ -38,13 +38,13 @@ class BrightField:
     scene : Scene
         Scene with the true shapes.
     rig : Rig
-    looks : Looks
+    looks : CameraEffects
     seed : int
         Seed of the dust.
     """
 
-    def __init__(self, scene: Scene, rig: Rig, looks: Looks, seed: int) -> None:
-        self._eye, self._looks = Eye(rig.camera), looks
+    def __init__(self, scene: Scene, rig: Rig, looks: CameraEffects, seed: int) -> None:
+        self._eye, self._looks = Projection(rig.camera), looks
         self._size = self._eye.size
         pixel = self._eye.pixel_size()
         self._outlines: list[tuple[str, FloatArray, float]] = []
@@ -85,7 +85,7 @@ class BrightField:
         still = np.zeros(3)
         for name, outline, height in self._outlines:
             points = placed(outline, poses.get(name, still))
-            canvas.paint(self._eye.stroke(points, height, np.full(3, BLACK)), full)
+            canvas.paint(self._eye.polygons(points, height, np.full(3, BLACK)), full)
         return picture
 
 

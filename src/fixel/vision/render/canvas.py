@@ -281,7 +281,7 @@ def window_of(points: FloatArray, size: tuple[int, int]) -> PictureWindow:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Grain:
+class Texture:
     """Texture that multiplies a colour.
 
     Attributes
@@ -296,12 +296,12 @@ class Grain:
     from_pixel: FloatArray
 
 
-PLAIN = Grain(np.ones((1, 1), np.float32), np.zeros((2, 3)))
+PLAIN = Texture(np.ones((1, 1), np.float32), np.zeros((2, 3)))
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Stroke:
+class FilledPolygons:
     """Polygons of one colour, ready to be painted.
 
     Attributes
@@ -312,7 +312,7 @@ class Stroke:
         Index of the first corner of each polygon, and n.
     colour : (3,) float64
         Blue, green, red, from 0 to 255.
-    grain : Grain
+    grain : Texture
     window : PictureWindow
         Window of the whole picture that the polygons can touch.
     """
@@ -321,22 +321,22 @@ class Stroke:
     starts: NDArray[np.int64]
     colour: FloatArray
     window: PictureWindow
-    grain: Grain = PLAIN
+    grain: Texture = PLAIN
 
 
-def stroke_of(
+def filled_polygons(
     points: FloatArray,
     colour: FloatArray,
     size: tuple[int, int],
     starts: NDArray[np.int64] | None = None,
-    grain: Grain = PLAIN,
-) -> Stroke:
+    grain: Texture = PLAIN,
+) -> FilledPolygons:
     """Return polygons (n, 2) [px] ready to be painted in a picture of (width, height).
 
     Without `starts`, they are one polygon.
     """
     starts = np.array([0, len(points)]) if starts is None else starts
-    return Stroke(points, starts, colour, window_of(points, size), grain)
+    return FilledPolygons(points, starts, colour, window_of(points, size), grain)
 
 
 @final
@@ -352,7 +352,7 @@ class Canvas:
         room = np.zeros((self.window.height, self.window.width + 2))
         object.__setattr__(self, "cover", room)
 
-    def paint(self, stroke: Stroke, shade: FloatPicture) -> None:
+    def paint(self, stroke: FilledPolygons, shade: FloatPicture) -> None:
         """Paint a stroke with its colour multiplied by `shade` (h, w)."""
         if not stroke.window.meets(self.window):
             return

@@ -21,9 +21,9 @@ from fixel.vision.render.bench import HAND, Poses, RenderedBench
 from fixel.vision.render.bodies import OBJECT_HEIGHT, hand_solid, pixel_of
 from fixel.vision.render.bright_field import BrightField
 from fixel.vision.render.canvas import FloatPicture, cover
-from fixel.vision.render.looks import Looks, light
+from fixel.vision.render.looks import CameraEffects, light
 from fixel.vision.render.solids import outline_of
-from fixel.vision.render.virtual_camera import Eye, Sensor
+from fixel.vision.render.virtual_camera import Projection, Sensor
 
 AWAY: Final = 0.45  # [m] from its resting place to one outside the picture
 MOVING: Final = 0.45  # [s] to arrive, and to leave
@@ -38,7 +38,7 @@ class Occlusion:
 
     Parameters
     ----------
-    looks : Looks
+    looks : CameraEffects
         Duration of the occlusion, and covered share of the object.
     name : str
         Name of the object.
@@ -51,10 +51,10 @@ class Occlusion:
     """
 
     def __init__(
-        self, looks: Looks, name: str, shape: Shape, rig: Rig, times: FloatArray, seed: int
+        self, looks: CameraEffects, name: str, shape: Shape, rig: Rig, times: FloatArray, seed: int
     ) -> None:
         self._looks, self._name, self._rig = looks, name, rig
-        self._eye = Eye(rig.camera)
+        self._eye = Projection(rig.camera)
         random = stream(seed, "film", "hand")
         first, last = float(times[0]), float(times[-1])
         spare = max(last - first - looks.occlusion, 0.0)
@@ -123,7 +123,7 @@ class FilmView(Protocol):
     def light(self, instants: Sequence[Poses]) -> FloatPicture: ...
 
 
-def view_of(scene: Scene, rig: Rig, looks: Looks, seed: int) -> FilmView:
+def view_of(scene: Scene, rig: Rig, looks: CameraEffects, seed: int) -> FilmView:
     """Create the renderer for the lighting: testbed under a lamp, or bright field."""
     if looks.lighting == "through":
         return BrightField(scene, rig, looks, seed)
@@ -131,7 +131,7 @@ def view_of(scene: Scene, rig: Rig, looks: Looks, seed: int) -> FilmView:
 
 
 def film_scene(
-    scene: Scene, motion: Motion, rig: Rig, looks: Looks, times: FloatArray, seed: int = 1
+    scene: Scene, motion: Motion, rig: Rig, looks: CameraEffects, times: FloatArray, seed: int = 1
 ) -> Iterator[Frame]:
     """Render the frames of a film, one by one.
 
@@ -142,7 +142,7 @@ def film_scene(
     motion : Simulation or mapping of str to Trajectory
         Motion of every body and pusher in film time; they rest before its begin and after its end.
     rig : Rig
-    looks : Looks
+    looks : CameraEffects
     times : (n,) float64
         Increasing times of the frames, in the middle of their exposures [s]. See `frame_times`.
     seed : int
@@ -184,7 +184,9 @@ def tracks_of(scene: Scene, motion: Motion) -> dict[str, Trajectory]:
     return {name: motion[name] for name in names}
 
 
-def occlusion_of(scene: Scene, rig: Rig, looks: Looks, times: FloatArray, seed: int) -> Occlusion:
+def occlusion_of(
+    scene: Scene, rig: Rig, looks: CameraEffects, times: FloatArray, seed: int
+) -> Occlusion:
     """Create the hand of a film, over the scene's first body."""
     body = scene.bodies[0]
     return Occlusion(looks, body.name, body.shape, rig, times, seed)

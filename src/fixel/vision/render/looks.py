@@ -22,7 +22,7 @@ MICROSCOPE: Final = 5e-5  # [m/px]
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Looks:
+class CameraEffects:
     """Properties of light, lens and sensor, and disturbances of a film.
 
     The sensor is linear: grey levels are proportional to light, so that the true place of an edge
@@ -105,7 +105,7 @@ _SHARES = ("vignetting", "shadows", "light_change", "colour_change", "occluded",
 
 _NUMBERS: Final = (*_NOT_NEGATIVE, *_SHARES)
 
-_THESIS: Final = Looks(
+_THESIS: Final = CameraEffects(
     exposure=1.0 / 100.0,
     blur=0.6,
     vignetting=0.18,
@@ -115,7 +115,7 @@ _THESIS: Final = Looks(
     dropped=0.003,
     jitter=0.01,
 )
-_MICROSCOPE: Final = Looks(
+_MICROSCOPE: Final = CameraEffects(
     lighting="through",
     exposure=1.0 / 60.0,
     blur=1.1,
@@ -125,8 +125,8 @@ _MICROSCOPE: Final = Looks(
     drift=0.005,
     tab=(173e-6, 53e-6),
 )
-PRESETS: Final[dict[str, Looks]] = {
-    "clean": Looks(),
+PRESETS: Final[dict[str, CameraEffects]] = {
+    "clean": CameraEffects(),
     "thesis": _THESIS,
     "hard": replace(
         _THESIS,
@@ -138,12 +138,12 @@ PRESETS: Final[dict[str, Looks]] = {
         colour_change=0.06,
         occlusion=2.0,
     ),
-    "microscope-clean": Looks(lighting="through"),
+    "microscope-clean": CameraEffects(lighting="through"),
     "microscope": _MICROSCOPE,
 }
 
 
-def looks_named(name: str) -> Looks:
+def looks_named(name: str) -> CameraEffects:
     """Return the preset with a name.
 
     Raises
@@ -162,7 +162,7 @@ def looks_named(name: str) -> Looks:
     )
 
 
-def changed(looks: Looks, changes: Iterable[str]) -> Looks:
+def changed(looks: CameraEffects, changes: Iterable[str]) -> CameraEffects:
     """Return looks with some numbers changed, each given as `NAME=VALUE`.
 
     Raises
@@ -186,7 +186,7 @@ def changed(looks: Looks, changes: Iterable[str]) -> Looks:
     return looks
 
 
-def frame_times(duration: float, rate: float, looks: Looks, seed: int) -> FloatArray:
+def frame_times(duration: float, rate: float, looks: CameraEffects, seed: int) -> FloatArray:
     """Draw the times (n,) of frames [s], with jitter and without lost frames.
 
     Parameters
@@ -195,7 +195,7 @@ def frame_times(duration: float, rate: float, looks: Looks, seed: int) -> FloatA
         Duration of the film, from the first frame at 0 [s].
     rate : float
         Frame rate [Hz].
-    looks : Looks
+    looks : CameraEffects
     seed : int
     """
     count = int(duration * rate + 1e-6) + 1
@@ -209,7 +209,7 @@ def frame_times(duration: float, rate: float, looks: Looks, seed: int) -> FloatA
     return np.asarray(((np.arange(count) + late) / rate)[kept])
 
 
-def light(looks: Looks, times: FloatArray, seed: int) -> FloatArray:
+def light(looks: CameraEffects, times: FloatArray, seed: int) -> FloatArray:
     """Factors (n, 3) of blue, green and red at times (n,) of a film [-].
 
     Brightness varies slowly. During three tenths of the film, in its middle, `light_change` of the

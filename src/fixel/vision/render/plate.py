@@ -12,10 +12,10 @@ from fixel.model.chance import stream
 from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
-from fixel.vision.render.bodies import inks
-from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, Stroke
+from fixel.vision.render.bodies import markings
+from fixel.vision.render.canvas import Canvas, FilledPolygons, FloatPicture, PictureWindow
 from fixel.vision.render.solids import circle, polygon
-from fixel.vision.render.virtual_camera import Eye
+from fixel.vision.render.virtual_camera import Projection
 
 HALF: Final = 0.305  # [m] half the plate's side
 PITCH: Final = 0.0254  # [m] between holes
@@ -27,7 +27,7 @@ WOOD: Final = np.array([66.0, 92.0, 122.0])
 DARK: Final = np.array([34.0, 33.0, 32.0])
 
 
-def plane_places(eye: Eye) -> NDArray[np.float32]:
+def plane_places(eye: Projection) -> NDArray[np.float32]:
     """Place of the plane under every pixel (h, w, 2) [m], approximate, for textures."""
     w, h = eye.size
     u = np.linspace(0.0, w - 1.0, max(2, w // NODES))
@@ -38,7 +38,7 @@ def plane_places(eye: Eye) -> NDArray[np.float32]:
     return np.asarray(places, dtype=np.float32)
 
 
-def backdrop(rig: Rig, eye: Eye, seed: int) -> FloatPicture:
+def backdrop(rig: Rig, eye: Projection, seed: int) -> FloatPicture:
     """Render table and plate (h, w, 3) without shadows."""
     size = eye.size
     places = plane_places(eye)
@@ -54,12 +54,12 @@ def backdrop(rig: Rig, eye: Eye, seed: int) -> FloatPicture:
     for stroke in (*_holes(eye, middle), *_scratches(eye, middle, seed)):
         canvas.paint(stroke, light)
     for tag in rig.plate:
-        for ink in inks(tag, eye.pixel_size()):
-            canvas.paint(eye.stroke(ink.points, ink.height, ink.colour, ink.starts), light)
+        for ink in markings(tag, eye.pixel_size()):
+            canvas.paint(eye.polygons(ink.points, ink.height, ink.colour, ink.starts), light)
     return picture
 
 
-def falloff(eye: Eye, vignetting: float) -> FloatPicture:
+def falloff(eye: Projection, vignetting: float) -> FloatPicture:
     """Share of the light that reaches the sensor (h, w), which falls towards the corners."""
     w, h = eye.size
     u, v = np.arange(w) - 0.5 * (w - 1), np.arange(h) - 0.5 * (h - 1)
@@ -67,7 +67,7 @@ def falloff(eye: Eye, vignetting: float) -> FloatPicture:
     return np.asarray(1.0 - vignetting * out, dtype=np.float32)
 
 
-def _middle(eye: Eye) -> FloatArray:
+def _middle(eye: Projection) -> FloatArray:
     """Place in the middle of the picture, rounded to the grid of holes [m]."""
     w, h = eye.size
     seen = eye.camera.on_plane([0.5 * (w - 1), 0.5 * (h - 1)])
@@ -78,24 +78,24 @@ def _corners(middle: FloatArray) -> FloatArray:
     return middle + HALF * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
-def _plate_strokes(eye: Eye, middle: FloatArray) -> Iterator[Stroke]:
+def _plate_strokes(eye: Projection, middle: FloatArray) -> Iterator[FilledPolygons]:
     """Yield the shadow line under the plate, and its milled edge."""
     pixel = eye.pixel_size()
     for grown, colour in ((0.006, 0.45 * WOOD), (0.0015, 0.6 * METAL)):
         corners = middle + (_corners(middle) - middle) * (1.0 + grown / HALF)
-        yield eye.stroke(polygon(corners, pixel).points, 0.0, colour)
+        yield eye.polygons(polygon(corners, pixel).points, 0.0, colour)
 
 
-def _plate_share(eye: Eye, middle: FloatArray) -> FloatPicture:
+def _plate_share(eye: Projection, middle: FloatArray) -> FloatPicture:
     size = eye.size
     share = np.zeros((size[1], size[0], 3), np.float32)
     outline = polygon(_corners(middle), eye.pixel_size()).points
     canvas = Canvas(PictureWindow(0, 0, *size), share)
-    canvas.paint(eye.stroke(outline, 0.0, np.ones(3)), np.ones(share.shape[:2], np.float32))
+    canvas.paint(eye.polygons(outline, 0.0, np.ones(3)), np.ones(share.shape[:2], np.float32))
     return share
 
 
-def _holes(eye: Eye, middle: FloatArray) -> Iterator[Stroke]:
+def _holes(eye: Projection, middle: FloatArray) -> Iterator[FilledPolygons]:
     """Yield threaded holes with a countersink, bright on one side."""
     pixel = eye.pixel_size()
     reach = int((HALF - 0.012) / PITCH)
@@ -111,10 +111,10 @@ def _holes(eye: Eye, middle: FloatArray) -> Iterator[Stroke]:
             if not eye.camera.lens.sees(eye.project_at(place, 0.0)):
                 continue
             for radius, aside, colour in rings:
-                yield eye.stroke(circle(radius, pixel, place + aside).points, 0.0, colour)
+                yield eye.polygons(circle(radius, pixel, place + aside).points, 0.0, colour)
 
 
-def _scratches(eye: Eye, middle: FloatArray, seed: int) -> Iterator[Stroke]:
+def _scratches(eye: Projection, middle: FloatArray, seed: int) -> Iterator[FilledPolygons]:
     random = stream(seed, "film", "scratches")
     for _ in range(26):
         place = middle + random.uniform(-HALF, HALF, 2) * 0.97
@@ -124,7 +124,7 @@ def _scratches(eye: Eye, middle: FloatArray, seed: int) -> Iterator[Stroke]:
         line = np.array([place, place + along, place + along + across, place + across])
         inside = (np.abs(line - middle) < HALF).all()
         if inside:
-            yield eye.stroke(line, 0.0, METAL * random.uniform(1.04, 1.2))
+            yield eye.polygons(line, 0.0, METAL * random.uniform(1.04, 1.2))
 
 
 def _brushed(places: NDArray[np.float32], seed: int) -> FloatPicture:

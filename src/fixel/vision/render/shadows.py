@@ -11,7 +11,7 @@ from fixel.typing import FloatArray
 from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import FloatPicture, PictureWindow, cover, window_of
 from fixel.vision.render.solids import PlacedSolid
-from fixel.vision.render.virtual_camera import Eye
+from fixel.vision.render.virtual_camera import Projection
 
 COARSE: Final = 4  # [px] per value; shadows are soft
 
@@ -24,7 +24,7 @@ SHARES: Final = np.array([0.13] * 5 + [0.07] * 5)
 SHADOW_REACH: Final = float(np.abs(RAYS).max())  # longest shadow per unit of height
 
 
-def shadow_window(things: Sequence[PlacedSolid], eye: Eye) -> PictureWindow:
+def shadow_window(things: Sequence[PlacedSolid], eye: Projection) -> PictureWindow:
     """Window that the shadows of solids on the plane can touch."""
     window = PictureWindow(0, 0, 0, 0)
     for thing in things:
@@ -40,7 +40,11 @@ def shadow_window(things: Sequence[PlacedSolid], eye: Eye) -> PictureWindow:
 
 
 def shade(
-    window: PictureWindow, level: float, casters: Sequence[PlacedSolid], eye: Eye, depth: float
+    window: PictureWindow,
+    level: float,
+    casters: Sequence[PlacedSolid],
+    eye: Projection,
+    depth: float,
 ) -> FloatPicture | None:
     """Compute the light that shadows leave on a horizontal face, in a window of the picture.
 
@@ -51,7 +55,7 @@ def shade(
         Height of the face above the plane [m].
     casters : sequence of PlacedSolid
         Solids that cast shadows; those below the face cast none.
-    eye : Eye
+    eye : Projection
     depth : float
         Share of the light that is missing in a full shadow [-].
 
@@ -93,7 +97,9 @@ def shade(
     return np.asarray(1.0 - np.float32(depth) * part)
 
 
-def _swept(piece: FloatArray, low: float, high: float, level: float, eye: Eye) -> list[FloatArray]:
+def _swept(
+    piece: FloatArray, low: float, high: float, level: float, eye: Projection
+) -> list[FloatArray]:
     """Shadow of a convex piece for every ray, as convex polygons [px]."""
     cv2 = opencv()
     near, far = max(low - level, 0.0), high - level

@@ -12,8 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 from fixel.model import Disk, Shape
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
-from fixel.vision.render.canvas import PLAIN, FloatPicture, Grain, PictureWindow, Stroke, stroke_of
-from fixel.vision.render.virtual_camera import Eye
+from fixel.vision.render.canvas import (
+    PLAIN,
+    FilledPolygons,
+    FloatPicture,
+    PictureWindow,
+    Texture,
+    filled_polygons,
+)
+from fixel.vision.render.virtual_camera import Projection
 
 CHORD: Final = 8.0  # [px] longest piece of a straight edge drawn as a line, in spite of distortion
 SAGITTA: Final = 0.004  # [px] largest distance of a circle's polygon from it
@@ -103,7 +110,7 @@ class Slab:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Ink:
+class Marking:
     """Polygons of one colour at one height, on top of a solid.
 
     Attributes
@@ -133,7 +140,7 @@ class Solid:
     slabs : tuple of Slab
     footprint : tuple of (n, 2) float64
         Convex pieces that contain all slabs, for shadows and the order of painting [m].
-    inks : tuple of Ink
+    markings : tuple of Marking
     grain : (2^k, 2^k) float32 or None
         Texture of the upper faces, fixed to the solid, half a millimetre per value.
     """
@@ -141,7 +148,7 @@ class Solid:
     name: str
     slabs: tuple[Slab, ...]
     footprint: tuple[FloatArray, ...]
-    inks: tuple[Ink, ...] = ()
+    markings: tuple[Marking, ...] = ()
     grain: FloatPicture | None = None
 
     @property
@@ -173,22 +180,22 @@ class PlacedSolid:
 
     solid: Solid
     footprint: tuple[FloatArray, ...]
-    strokes: tuple[tuple[Stroke, float | None], ...]
+    strokes: tuple[tuple[FilledPolygons, float | None], ...]
     window: PictureWindow
 
 
 GRAIN_PITCH: Final = 5e-4  # [m] between values of a solid's grain
 
 
-def place(solid: Solid, pose: FloatArray, eye: Eye) -> PlacedSolid:
+def place(solid: Solid, pose: FloatArray, eye: Projection) -> PlacedSolid:
     """Project a solid at a pose (3,) [m, m, rad]."""
-    strokes: list[tuple[Stroke, float | None]] = []
+    strokes: list[tuple[FilledPolygons, float | None]] = []
     grain = _grain(solid, pose, eye)
     for slab in solid.slabs:
         strokes += _slab_strokes(slab, pose, eye, grain)
-    for ink in solid.inks:
+    for ink in solid.markings:
         points = placed(ink.points, pose)
-        strokes.append((eye.stroke(points, ink.height, ink.colour, ink.starts), ink.height))
+        strokes.append((eye.polygons(points, ink.height, ink.colour, ink.starts), ink.height))
     window = strokes[0][0].window
     for stroke, _ in strokes[1:]:
         window = window.joined(stroke.window)
@@ -197,8 +204,8 @@ def place(solid: Solid, pose: FloatArray, eye: Eye) -> PlacedSolid:
 
 
 def _slab_strokes(
-    slab: Slab, pose: FloatArray, eye: Eye, grain: Grain
-) -> list[tuple[Stroke, float | None]]:
+    slab: Slab, pose: FloatArray, eye: Projection, grain: Texture
+) -> list[tuple[FilledPolygons, float | None]]:
     size = eye.size
     world = placed(slab.outline.points, pose)
     low, high = eye.project_at(world, slab.low), eye.project_at(world, slab.high)
@@ -206,7 +213,7 @@ def _slab_strokes(
     inward = middle - high
     under = high + inward * (OVERLAP / np.maximum(np.hypot(*inward.T), OVERLAP))[:, None]
     n = len(world)
-    strokes: list[tuple[Stroke, float | None]] = []
+    strokes: list[tuple[FilledPolygons, float | None]] = []
     flat = slab.high <= slab.low
     for first, last, shade in [] if flat else _seen_faces(slab.outline, world, eye.position):
         k = np.arange(first, last + 1) % n
@@ -220,12 +227,12 @@ def _slab_strokes(
                 under[k[::-1]],
             )
         )
-        strokes.append((stroke_of(points, slab.side * shade, size), None))
+        strokes.append((filled_polygons(points, slab.side * shade, size), None))
     if slab.rim > 0.0:
         bright = np.minimum(slab.top * 1.25 + 14.0, 250.0)
-        strokes.append((stroke_of(high, bright, size), slab.high))
+        strokes.append((filled_polygons(high, bright, size), slab.high))
         high = eye.project_at(placed(slab.outline.shrunk(slab.rim).points, pose), slab.high)
-    strokes.append((stroke_of(high, slab.top, size, grain=grain), slab.high))
+    strokes.append((filled_polygons(high, slab.top, size, grain=grain), slab.high))
     return strokes
 
 
@@ -251,7 +258,7 @@ def _towards(a: FloatArray, b: FloatArray) -> FloatArray:
     return way * (min(OVERLAP, length) / length) if length > 0.0 else way
 
 
-def _grain(solid: Solid, pose: FloatArray, eye: Eye) -> Grain:
+def _grain(solid: Solid, pose: FloatArray, eye: Projection) -> Texture:
     """Place a solid's grain by a linear map near its middle, sufficient for a texture."""
     if solid.grain is None:
         return PLAIN
@@ -260,7 +267,7 @@ def _grain(solid: Solid, pose: FloatArray, eye: Eye) -> Grain:
     pixel_from_local = np.column_stack(((pixels[1:] - pixels[0]).T / 0.01, pixels[0]))
     inverse = np.linalg.inv(pixel_from_local[:, :2])
     matrix = np.column_stack((inverse, -inverse @ pixel_from_local[:, 2]))
-    return Grain(solid.grain, matrix / GRAIN_PITCH)
+    return Texture(solid.grain, matrix / GRAIN_PITCH)
 
 
 def painting_order(things: list[PlacedSolid], eye: FloatArray) -> list[PlacedSolid]:

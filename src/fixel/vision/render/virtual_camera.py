@@ -13,8 +13,8 @@ from fixel.model.chance import stream
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Picture
-from fixel.vision.render.canvas import FloatPicture, Stroke, stroke_of
-from fixel.vision.render.looks import Looks
+from fixel.vision.render.canvas import FilledPolygons, FloatPicture, filled_polygons
+from fixel.vision.render.looks import CameraEffects
 
 # Limits of points outside the picture, as factors of the distance from its middle to its corners.
 BEYOND: Final = (1.3, 1.2, 1.1, 1.05, 1.02)
@@ -23,7 +23,7 @@ BEYOND: Final = (1.3, 1.2, 1.1, 1.05, 1.02)
 SPARE: Final = 1 << 20
 
 
-class Eye:
+class Projection:
     """Camera whose projection stays outside the picture for points far outside.
 
     A lens model is valid within the picture. Farther out its polynomial may turn back, so that a
@@ -51,15 +51,15 @@ class Eye:
             direction *= np.minimum(self._limit / np.maximum(far, 1e-300), 1.0)[..., None]
         return self.camera.lens.pixel(direction)
 
-    def stroke(
+    def polygons(
         self,
         places: FloatArray,
         height: float,
         colour: FloatArray,
         starts: NDArray[np.int64] | None = None,
-    ) -> Stroke:
-        """Project polygons at one height above the plane [m] to be painted; see `stroke_of`."""
-        return stroke_of(self.project_at(places, height), colour, self.size, starts)
+    ) -> FilledPolygons:
+        """Project polygons at a height above the plane [m], see `filled_polygons`."""
+        return filled_polygons(self.project_at(places, height), colour, self.size, starts)
 
     def pixel_size(self, height: float = 0.0) -> float:
         """Scale in the middle of the picture at a height [m/px]."""
@@ -77,14 +77,14 @@ class Sensor:
 
     Parameters
     ----------
-    looks : Looks
-        Looks with the noise of the sensor.
+    looks : CameraEffects
+        Effects with the noise of the sensor.
     size : (int, int)
         Width and height [px].
     seed : int
     """
 
-    def __init__(self, looks: Looks, size: tuple[int, int], seed: int) -> None:
+    def __init__(self, looks: CameraEffects, size: tuple[int, int], seed: int) -> None:
         self._read, self._shot = looks.read_noise, looks.shot_noise
         self._seed = seed
         self._values = 3 * size[0] * size[1]

@@ -1,6 +1,6 @@
 """Tracking of parts in films, by tags, stickers or silhouettes."""
 
-from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, Sighting
+from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, PartObservation
 from fixel.vision.tracking.follow import AUTO, METHODS, track
 from fixel.vision.tracking.silhouette import Silhouette
 from fixel.vision.tracking.stickers import Stickers
@@ -14,8 +14,8 @@ __all__ = [
     "AbstractTracking",
     "FilmTracks",
     "FoundFixel",
+    "PartObservation",
     "PartTrack",
-    "Sighting",
     "Silhouette",
     "Stickers",
     "Tags",

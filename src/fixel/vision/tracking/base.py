@@ -34,7 +34,7 @@ USUAL_PIXEL: Final = 0.55e-3  # [m]
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sighting:
+class PartObservation:
     """Measurement of one part in one frame.
 
     Attributes
@@ -67,7 +67,7 @@ class AbstractFollower(ABC):
     """Abstract follower of the parts in one film, called with its frames in order."""
 
     @abstractmethod
-    def see(self, frame: Frame) -> dict[str, Sighting]:
+    def see(self, frame: Frame) -> dict[str, PartObservation]:
         """Measure the parts in the next frame; return sightings by name."""
 
 
@@ -131,7 +131,9 @@ class PartPrediction:
         then, pose = self._last
         return pose + self._rate * min(time - then, FORGET)
 
-    def follow(self, time: float, measure: Callable[[FloatArray], Sighting]) -> Sighting | None:
+    def follow(
+        self, time: float, measure: Callable[[FloatArray], PartObservation]
+    ) -> PartObservation | None:
         """Measure a part near its predicted pose; None before its first sighting.
 
         Parameters
@@ -184,10 +186,10 @@ class PartFollower(ABC):
         self._lost = 0  # frames since it was seen
         self._why_not = ""
 
-    def see(self, frame: Frame) -> Sighting:
+    def see(self, frame: Frame) -> PartObservation:
         """Measure the part in the next frame."""
         sight = self._prediction.follow(frame.time, lambda pose: self._measured(frame, pose))
-        sight = sight or Sighting(reason=self._why_not)
+        sight = sight or PartObservation(reason=self._why_not)
         if sight.pose is None and (self._lost < 3 or self._lost % SEARCH_EVERY == 0):
             sight = self._searched(frame, sight)
             self._why_not = sight.reason
@@ -199,11 +201,11 @@ class PartFollower(ABC):
         return sight
 
     @abstractmethod
-    def _measured(self, frame: Frame, pose: FloatArray) -> Sighting:
+    def _measured(self, frame: Frame, pose: FloatArray) -> PartObservation:
         """Measure the part near a pose (3,) [m, m, rad]."""
 
     @abstractmethod
-    def _searched(self, frame: Frame, followed: Sighting) -> Sighting:
+    def _searched(self, frame: Frame, followed: PartObservation) -> PartObservation:
         """Search for a part that was not seen at its predicted pose; `followed` has the reason."""
 
     @property
@@ -225,7 +227,7 @@ class PartFollowers(AbstractFollower):
     def __init__(self, parts: Mapping[str, PartFollower]) -> None:
         self._parts = parts
 
-    def see(self, frame: Frame) -> dict[str, Sighting]:
+    def see(self, frame: Frame) -> dict[str, PartObservation]:
         """Measure the parts in the next frame."""
         return {name: part.see(frame) for name, part in self._parts.items()}
 

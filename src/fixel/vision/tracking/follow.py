@@ -14,7 +14,7 @@ from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig, Tag
 from fixel.vision.plane_errors import pose_covariance
-from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, Sighting, Thing
+from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, PartObservation, Thing
 from fixel.vision.tracking.checks import (
     UNWATCHED,
     PlateWatch,
@@ -77,7 +77,7 @@ def track(
     followers: list[AbstractFollower] = []
     finder: FixelFinder | None = None
     plate = PlateWatch(rig)
-    sightings: dict[str, list[Sighting]] = {}
+    sightings: dict[str, list[PartObservation]] = {}
     times: list[float] = []
     first: Frame | None = None
     remarks: list[str] = []
@@ -209,7 +209,7 @@ def _chosen(method: str | AbstractTracking) -> AbstractTracking:
     return METHODS[method]
 
 
-def _refuse_unseen(rig: Rig, sightings: Mapping[str, list[Sighting]], first: Frame) -> None:
+def _refuse_unseen(rig: Rig, sightings: Mapping[str, list[PartObservation]], first: Frame) -> None:
     for name, own in sightings.items():
         if any(sight.pose is not None for sight in own):
             continue

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fixel.model.trajectory import wrapped
 from fixel.typing import BoolArray, FloatArray
-from fixel.vision.tracking.base import Sighting
+from fixel.vision.tracking.base import PartObservation
 from fixel.vision.tracking.tracked import PartTrack
 
 NEIGHBOURS: Final = 5  # frames to either side; a pose must agree with one side at least
@@ -32,7 +32,10 @@ SPREAD: Final = 2.0  # standard deviations of a time stamp by which a pose may b
 
 
 def judged(
-    name: str, time: FloatArray, sightings: Sequence[Sighting], doubted: BoolArray | None = None
+    name: str,
+    time: FloatArray,
+    sightings: Sequence[PartObservation],
+    doubted: BoolArray | None = None,
 ) -> PartTrack:
     """Return the track of a part, with impossible poses marked.
 
@@ -41,7 +44,7 @@ def judged(
     name : str
     time : (n,) float64
         Times of the frames [s].
-    sightings : sequence of Sighting
+    sightings : sequence of PartObservation
         One sighting per frame.
     doubted : (n,) bool, optional
         Frames during which the camera may have been moved.

@@ -14,7 +14,7 @@ from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.opencv import opencv
-from fixel.vision.tracking.base import PartPrediction, Sighting
+from fixel.vision.tracking.base import PartObservation, PartPrediction
 from fixel.vision.tracking.loops import EdgeLine, find_edges
 
 STATIONS: Final = 24  # places along the needle at which its two sides are measured
@@ -28,7 +28,7 @@ MAX_RESIDUAL: Final = 0.6  # [px]
 BRIGHT: Final = 0.6  # of the contrast at the sides, least contrast of the end
 
 
-class Needle(NamedTuple):
+class NeedleShape(NamedTuple):
     """Direction and width of a needle, nearly the same in all frames.
 
     Attributes
@@ -66,12 +66,12 @@ class NeedleFollower:
     name: str
     shape: Shape
     height: float
-    _needle: Needle | None = None
+    _needle: NeedleShape | None = None
     _prediction: PartPrediction = field(default_factory=PartPrediction)
 
     def see(
         self, frame: Frame, part: FloatArray | None, dark: NDArray[np.uint8] | None
-    ) -> Sighting:
+    ) -> PartObservation:
         """Measure the probe in a frame.
 
         Parameters
@@ -88,13 +88,13 @@ class NeedleFollower:
         if sight is not None and sight.pose is not None:
             return sight
         if dark is None:
-            return Sighting(reason=f"the tip of {self.name} does not show")
+            return PartObservation(reason=f"the tip of {self.name} does not show")
         start = self._found(dark)
         if start is None:
-            return Sighting(reason=f"no {self.name} reaches into the picture")
+            return PartObservation(reason=f"no {self.name} reaches into the picture")
         return self._followed(frame, start, part)
 
-    def _followed(self, frame: Frame, tip: FloatArray, part: FloatArray | None) -> Sighting:
+    def _followed(self, frame: Frame, tip: FloatArray, part: FloatArray | None) -> PartObservation:
         needle = self._needle
         assert needle is not None
         residual = math.inf
@@ -102,7 +102,7 @@ class NeedleFollower:
         for _ in range(2):
             sides = _sides(frame.luma, needle, tip)
             if sides is None:
-                return Sighting(reason=f"too little of the needle of {self.name} shows")
+                return PartObservation(reason=f"too little of the needle of {self.name} shows")
             shift, tilt, residual, spread, contrast = sides
             across = np.array([-needle.axis[1], needle.axis[0]])
             axis = needle.axis + tilt * across
@@ -110,16 +110,16 @@ class NeedleFollower:
             tip = tip + shift * across
             along = _end(frame.luma, needle, tip, part, self._front(needle), contrast)
             if along is None:
-                return Sighting(reason=f"where the needle of {self.name} ends does not show")
+                return PartObservation(reason=f"where the needle of {self.name} ends does not show")
             tip = tip + along * needle.axis
             scatter = np.array([max(residual, 0.05) * spread, max(residual, 0.05)])
         if residual > MAX_RESIDUAL:
-            return Sighting(reason=f"sides of the needle scatter by {residual:.2f} px")
+            return PartObservation(reason=f"sides of the needle scatter by {residual:.2f} px")
         scale = self.camera.metres_per_pixel(self.height)
         pose = self._pose_of(tip, needle)
         self._prediction.seen(frame.time, pose)
         self._needle = needle
-        return Sighting(
+        return PartObservation(
             pose=pose,
             residual=residual,
             scale=scale,
@@ -128,13 +128,13 @@ class NeedleFollower:
             share=1.0,
         )
 
-    def _ahead(self, needle: Needle, tip: FloatArray) -> FloatArray:
+    def _ahead(self, needle: NeedleShape, tip: FloatArray) -> FloatArray:
         """Vector (2,) from the pusher's origin to its foremost point, in the world [m]."""
         behind, at = self.camera.on_plane(np.array([tip - 20.0 * needle.axis, tip]), self.height)
         direction = (at - behind) / np.hypot(*(at - behind))
         return np.asarray(float((self.shape.outline @ direction).max()) * direction)
 
-    def _front(self, needle: Needle) -> FloatArray:
+    def _front(self, needle: NeedleShape) -> FloatArray:
         """Points (n, 2) of the pusher's front, along the axis and across, from the tip [px]."""
         scale = self.camera.metres_per_pixel(self.height)
         tip = self.camera.project_at(np.zeros(2), self.height)
@@ -145,7 +145,7 @@ class NeedleFollower:
         outline[:, 0] -= outline[:, 0].max()
         return np.asarray(outline[outline[:, 0] > -0.5 * np.ptp(outline[:, 1])])
 
-    def _pose_of(self, tip: FloatArray, needle: Needle) -> FloatArray:
+    def _pose_of(self, tip: FloatArray, needle: NeedleShape) -> FloatArray:
         place = self.camera.on_plane(tip, self.height) - self._ahead(needle, tip)
         return np.append(place, 0.0)
 
@@ -180,12 +180,12 @@ class NeedleFollower:
         # Width against distance from the tip, from the number of pixels.
         count, edges = np.histogram(behind[near], bins=np.arange(2.0, FARTHEST, 4.0))
         taper, half = np.polyfit(0.5 * (edges[1:] + edges[:-1]), count / 8.0, 1)
-        self._needle = Needle(axis, max(float(half), 1.0), max(float(taper), 0.0))
+        self._needle = NeedleShape(axis, max(float(half), 1.0), max(float(taper), 0.0))
         return np.asarray(tip)
 
 
 def _sides(
-    picture: Gray, needle: Needle, tip: FloatArray
+    picture: Gray, needle: NeedleShape, tip: FloatArray
 ) -> tuple[float, float, float, float, float] | None:
     """Fit shift and tilt of the axis; return also residual [px], leverage at the tip, contrast."""
     behind = np.linspace(NEAREST, FARTHEST, STATIONS)
@@ -221,7 +221,7 @@ def _sides(
 
 def _end(
     picture: Gray,
-    needle: Needle,
+    needle: NeedleShape,
     tip: FloatArray,
     part: FloatArray | None,
     front: FloatArray,

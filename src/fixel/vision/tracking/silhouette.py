@@ -22,8 +22,8 @@ from fixel.vision.opencv import opencv
 from fixel.vision.tracking.base import (
     AbstractFollower,
     AbstractTracking,
+    PartObservation,
     PartPrediction,
-    Sighting,
     Thing,
     vague,
 )
@@ -96,7 +96,7 @@ class _SilhouetteFollower(AbstractFollower):
             else None
         )
 
-    def see(self, frame: Frame) -> dict[str, Sighting]:
+    def see(self, frame: Frame) -> dict[str, PartObservation]:
         part = self._part.followed(frame)
         dark: NDArray[np.uint8] | None = None
         if part.pose is None or part.share < DOUBTFUL:
@@ -128,17 +128,17 @@ class _OutlineTrack:
         self._prediction = PartPrediction()
         self._spread = 0.0
 
-    def followed(self, frame: Frame) -> Sighting:
+    def followed(self, frame: Frame) -> PartObservation:
         sight = self._prediction.follow(
             frame.time, lambda pose: self._fitted(frame, pose, OUTLINE_REACH)
         )
         if sight is None:
-            return Sighting(reason="not found yet")
+            return PartObservation(reason="not found yet")
         if sight.pose is not None:
             self._prediction.seen(frame.time, sight.pose)
         return sight
 
-    def _fitted(self, frame: Frame, pose: FloatArray, reach: float) -> Sighting:
+    def _fitted(self, frame: Frame, pose: FloatArray, reach: float) -> PartObservation:
         fit = fit_spread(
             frame.luma,
             self._camera,
@@ -149,13 +149,15 @@ class _OutlineTrack:
             rounds=6,
         )
         if fit is None or fit.share < MIN_SHARE:
-            return Sighting(reason=f"too little of the outline of {self.name} shows")
+            return PartObservation(reason=f"too little of the outline of {self.name} shows")
         if fit.residual > MAX_RESIDUAL:
-            return Sighting(reason=f"the outline of {self.name} is off by {fit.residual:.2f} px")
+            return PartObservation(
+                reason=f"the outline of {self.name} is off by {fit.residual:.2f} px"
+            )
         if vague(fit.deviations, self._scale):
-            return Sighting(reason=f"too little of the outline of {self.name} shows")
+            return PartObservation(reason=f"too little of the outline of {self.name} shows")
         self._spread = fit.spread
-        return Sighting(
+        return PartObservation(
             pose=fit.pose,
             residual=fit.residual,
             scale=self._scale,
@@ -164,11 +166,13 @@ class _OutlineTrack:
             share=fit.share,
         )
 
-    def found(self, frame: Frame, dark: NDArray[np.uint8], followed: Sighting) -> Sighting:
+    def found(
+        self, frame: Frame, dark: NDArray[np.uint8], followed: PartObservation
+    ) -> PartObservation:
         """Search the whole picture for a part that could not be followed well."""
         blob, reason = self._blob(dark)
         if blob is None:
-            return Sighting(reason=reason) if followed.pose is None else followed
+            return PartObservation(reason=reason) if followed.pose is None else followed
         best = followed
         for start in self._starts(blob):
             sight = self._fitted(frame, start, REACH_FIRST)
@@ -177,12 +181,12 @@ class _OutlineTrack:
         if best is not followed or best.pose is None:
             self._prediction = PartPrediction()
         if best.pose is None:
-            return Sighting(reason="nothing in the picture has its outline")
+            return PartObservation(reason="nothing in the picture has its outline")
         if best is not followed:
             self._prediction.seen(frame.time, best.pose)
         return best
 
-    def _better(self, sight: Sighting, best: Sighting) -> bool:
+    def _better(self, sight: PartObservation, best: PartObservation) -> bool:
         """Whether a pose fits better, or equally well and is nearer to the scene's angle."""
         if best.pose is None or sight.pose is None:
             return best.pose is None

@@ -19,7 +19,7 @@ from fixel.vision.tracking.base import (
     AbstractTracking,
     PartFollower,
     PartFollowers,
-    Sighting,
+    PartObservation,
     Thing,
     vague,
 )
@@ -82,14 +82,14 @@ class _StickeredPart(PartFollower):
         self._scale = camera.metres_per_pixel(max(sticker.height for sticker in own))
         self._place = np.array([sticker.place for sticker in own])
 
-    def _measured(self, frame: Frame, pose: FloatArray) -> Sighting:
+    def _measured(self, frame: Frame, pose: FloatArray) -> PartObservation:
         return self._fitted(frame, placed(self._place, pose))
 
-    def _searched(self, frame: Frame, followed: Sighting) -> Sighting:
+    def _searched(self, frame: Frame, followed: PartObservation) -> PartObservation:
         found, reason = self._found(frame)
-        return Sighting(reason=reason) if found is None else self._fitted(frame, found)
+        return PartObservation(reason=reason) if found is None else self._fitted(frame, found)
 
-    def _fitted(self, frame: Frame, places: FloatArray) -> Sighting:
+    def _fitted(self, frame: Frame, places: FloatArray) -> PartObservation:
         """Measure the pose from stickers near places (n, 2) [m]."""
         fits = [
             fit_sticker(frame, self._camera, sticker, place, STICKER_REACH)
@@ -102,19 +102,19 @@ class _StickeredPart(PartFollower):
             if not isinstance(fit, str) and fit.share >= MIN_SHARE and fit.residual <= MAX_RESIDUAL
         ]
         if len(good) < 2:
-            return Sighting(reason=missing[0] if missing else "its stickers are not round")
+            return PartObservation(reason=missing[0] if missing else "its stickers are not round")
         index = [k for k, _ in good]
         seen = np.array([fit.pose[:2] for _, fit in good])
         own = self._place[index]
         wrong = self._wrong_distance(index, own, seen)
         if wrong:
-            return Sighting(reason=wrong)
+            return PartObservation(reason=wrong)
         pose = rigid(own, seen)
         sd = spread_of(seen, [fit.covariance[:2, :2] for _, fit in good])
         if vague(sd, self._scale):
-            return Sighting(reason="too little of its stickers shows to tell a pose")
+            return PartObservation(reason="too little of its stickers shows to tell a pose")
         off = np.hypot(*(placed(own, pose) - seen).T) / self._scale
-        return Sighting(
+        return PartObservation(
             pose=pose,
             residual=max(_rms(off), float(np.mean([fit.residual for _, fit in good]))),
             scale=self._scale,

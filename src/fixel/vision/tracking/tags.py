@@ -21,7 +21,7 @@ from fixel.vision.tracking.base import (
     AbstractTracking,
     PartFollower,
     PartFollowers,
-    Sighting,
+    PartObservation,
     Thing,
     vague,
 )
@@ -98,18 +98,20 @@ class _TaggedPart(PartFollower):
         self._scale = camera.metres_per_pixel(max(tag.height for tag in tags))
         self._spread = 0.0
 
-    def _searched(self, frame: Frame, followed: Sighting) -> Sighting:
+    def _searched(self, frame: Frame, followed: PartObservation) -> PartObservation:
         read, reason = self._read(frame)
         if read is not None:
             return self._measured(frame, read, REACH_READ)
         if reason or self._prediction.pose is None:
-            return Sighting(reason=reason or f"no tag of {self._name} in the picture")
+            return PartObservation(reason=reason or f"no tag of {self._name} in the picture")
         return followed
 
-    def _measured(self, frame: Frame, pose: FloatArray, reach: float = TAG_REACH) -> Sighting:
+    def _measured(
+        self, frame: Frame, pose: FloatArray, reach: float = TAG_REACH
+    ) -> PartObservation:
         window = window_of(frame, self._camera, self._edges, pose, reach)
         if window is None:
-            return Sighting(reason="its tags are out of the picture")
+            return PartObservation(reason="its tags are out of the picture")
         picture, corner = window
         fit = fit_spread(
             picture,
@@ -121,20 +123,20 @@ class _TaggedPart(PartFollower):
             corner=corner,
         )
         if fit is None:
-            return Sighting(reason="too few edges of its tags are to be seen")
+            return PartObservation(reason="too few edges of its tags are to be seen")
         sd = fit.deviations
         agreeing = self._agreeing(picture, corner, fit)
         if not agreeing and self._prediction.fresh(frame.time) and self._near(fit, pose):
             agreeing = self._agreeing_partly(picture, corner, fit)
             sd *= PARTLY
         if not agreeing:
-            return Sighting(reason="what is there does not read as its tags")
+            return PartObservation(reason="what is there does not read as its tags")
         if fit.residual > MAX_RESIDUAL:
-            return Sighting(reason=f"edges scatter by {fit.residual:.2f} px")
+            return PartObservation(reason=f"edges scatter by {fit.residual:.2f} px")
         if vague(sd, self._scale):
-            return Sighting(reason="too little of its tags shows to tell a pose")
+            return PartObservation(reason="too little of its tags shows to tell a pose")
         self._spread = fit.spread
-        return Sighting(
+        return PartObservation(
             pose=fit.pose,
             residual=fit.residual,
             scale=self._scale,

@@ -24,7 +24,14 @@ from fixel.testbed.imperfections import tactile_channel, touching
 from fixel.typing import BoolArray, FloatArray, Notify, Progress
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.render import MICROSCOPE, Looks, changed, film_scene, frame_times, looks_named
+from fixel.vision.render import (
+    MICROSCOPE,
+    CameraEffects,
+    changed,
+    film_scene,
+    frame_times,
+    looks_named,
+)
 from fixel.vision.render.bench import HAND
 from fixel.vision.render.film import occlusion_of, poses_at
 from fixel.vision.render.looks import light
@@ -167,7 +174,7 @@ def film(
     return filmed
 
 
-def _looks(name: str, rig: Rig) -> Looks:
+def _looks(name: str, rig: Rig) -> CameraEffects:
     small = rig.camera.metres_per_pixel() < MICROSCOPE
     if not name:
         return looks_named("microscope" if small else "thesis")
@@ -193,7 +200,7 @@ def _render(
     subject: FilmScene,
     folder: Path,
     rig: Rig,
-    looks: Looks,
+    looks: CameraEffects,
     settings: FilmSettings,
     video: Path | None,
     progress: Progress | None,
@@ -294,7 +301,7 @@ def tracks_of(subject: FilmScene, lead: float) -> dict[str, Trajectory]:
 
 
 def truth_of(
-    subject: FilmScene, rig: Rig, looks: Looks, times: FloatArray, seed: int, lead: float
+    subject: FilmScene, rig: Rig, looks: CameraEffects, times: FloatArray, seed: int, lead: float
 ) -> Truth:
     """Compute the ground truth of a film at its frame times (n,) [s]."""
     tracks = tracks_of(subject, lead)
@@ -316,7 +323,7 @@ def truth_of(
 
 
 def write_truth(
-    subject: FilmScene, truth: Truth, looks: Looks, seed: int, lead: float, folder: Path
+    subject: FilmScene, truth: Truth, looks: CameraEffects, seed: int, lead: float, folder: Path
 ) -> None:
     """Write `truth.npz` (frame by frame) and `truth.json`; trackers must not read them."""
     arrays: dict[str, Any] = {
