@@ -73,16 +73,18 @@ def import_camera(
     """
     path = Path(path)
     kind = _kind_of(path) if format == "auto" else format
-    readers: dict[str, Callable[[], ImportedCamera]] = {
-        "matlab": lambda: _matlab(path, unit),
-        "opencv": lambda: _opencv(path, size),
-        "kalibr": lambda: _kalibr(path, which),
-        "ros": lambda: _ros(path),
+    readers: dict[str, Callable[[], tuple[MeasuredCamera, tuple[str, ...]]]] = {
+        "matlab": lambda: matlab_camera(path, _head(path), unit),
+        "opencv": lambda: (opencv_camera(path, size), ()),
+        "kalibr": lambda: (MeasuredCamera(lens=_kalibr(path, which)), ()),
+        "ros": lambda: (MeasuredCamera(lens=_ros(path)), ()),
     }
     if kind not in readers:
         raise InvalidInput("format", found=repr(kind), expected="auto, " + ", ".join(FORMATS))
     try:
-        found = readers[kind]()
+        if kind == "opencv":
+            _head(path)  # OpenCV does not say why a file cannot be read
+        camera, remarks = readers[kind]()
     except InvalidInput as problem:
         where = str(path) if problem.where == "file" else problem.where
         if not where.startswith(str(path)):
@@ -90,10 +92,9 @@ def import_camera(
         raise InvalidInput(
             where, found=problem.found, expected=problem.expected, hint=problem.hint
         ) from None
-    if size is not None and tuple(size) != found.camera.lens.image_size:
-        found.camera.for_pictures_of(size)
-    source = f"{path.name}, {kind}"
-    return replace(found, camera=replace(found.camera, source=source))
+    if size is not None and tuple(size) != camera.lens.image_size:
+        camera.for_pictures_of(size)
+    return ImportedCamera(replace(camera, source=f"{path.name}, {kind}"), kind, remarks)
 
 
 def _kind_of(path: Path) -> str:
@@ -135,17 +136,7 @@ def _head(path: Path) -> bytes:
         raise InvalidInput(str(path), found=reason, expected="a file that can be read") from None
 
 
-def _matlab(path: Path, unit: float) -> ImportedCamera:
-    camera, remarks = matlab_camera(path, _head(path), unit)
-    return ImportedCamera(camera, "matlab", remarks)
-
-
-def _opencv(path: Path, size: tuple[int, int] | None) -> ImportedCamera:
-    _head(path)
-    return ImportedCamera(opencv_camera(path, size), "opencv")
-
-
-def _kalibr(path: Path, which: str) -> ImportedCamera:
+def _kalibr(path: Path, which: str) -> Lens:
     raw = read_document(path)
     cameras = {
         name: each
@@ -161,7 +152,7 @@ def _kalibr(path: Path, which: str) -> ImportedCamera:
         )
     name = which or next(iter(cameras))
     with within(name):
-        return ImportedCamera(MeasuredCamera(lens=_kalibr_lens(cameras[name])), "kalibr")
+        return _kalibr_lens(cameras[name])
 
 
 def _kalibr_lens(one: dict[str, Any]) -> Lens:
@@ -188,7 +179,7 @@ def _kalibr_lens(one: dict[str, Any]) -> Lens:
     )
 
 
-def _ros(path: Path) -> ImportedCamera:
+def _ros(path: Path) -> Lens:
     raw = read_document(path)
     if not isinstance(raw, dict):
         raise InvalidInput("camera_info", found="no keys", expected="a ROS camera_info file")
@@ -220,13 +211,12 @@ def _ros(path: Path) -> ImportedCamera:
         int(numbers(raw, name, None)[0])
         for name in (("width", "height") if "width" in raw else ("image_width", "image_height"))
     )
-    lens = lens_of(
+    return lens_of(
         (size[0], size[1]),
         np.reshape(matrix, (3, 3)),
         np.array(coefficients or [0.0]),
         fisheye=model == "equidistant",
     )
-    return ImportedCamera(MeasuredCamera(lens=lens), "ros")
 
 
 def _refuse_cropped(raw: dict[str, Any]) -> None:

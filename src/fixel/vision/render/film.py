@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from math import ceil
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -17,10 +17,10 @@ from fixel.simulation import Simulation
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.render.bench import HAND, Poses, RenderedBench
+from fixel.vision.render.bench import HAND, RenderedBench
 from fixel.vision.render.bodies import OBJECT_HEIGHT, hand_solid, pixel_of
 from fixel.vision.render.bright_field import BrightField
-from fixel.vision.render.canvas import FloatPicture, cover
+from fixel.vision.render.canvas import cover
 from fixel.vision.render.looks import CameraEffects, light
 from fixel.vision.render.solids import outline_of
 from fixel.vision.render.virtual_camera import Projection, Sensor
@@ -114,16 +114,7 @@ class Occlusion:
         return 0.5 * (low + high)
 
 
-class FilmView(Protocol):
-    """Renderer of single pictures: `RenderedBench` or `BrightField`."""
-
-    @property
-    def size(self) -> tuple[int, int]: ...
-
-    def light(self, instants: Sequence[Poses]) -> FloatPicture: ...
-
-
-def view_of(scene: Scene, rig: Rig, looks: CameraEffects, seed: int) -> FilmView:
+def view_of(scene: Scene, rig: Rig, looks: CameraEffects, seed: int) -> RenderedBench | BrightField:
     """Create the renderer for the lighting: testbed under a lamp, or bright field."""
     if looks.lighting == "through":
         return BrightField(scene, rig, looks, seed)

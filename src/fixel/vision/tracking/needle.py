@@ -15,7 +15,7 @@ from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.opencv import opencv
 from fixel.vision.tracking.base import PartObservation, PartPrediction
-from fixel.vision.tracking.loops import EdgeLine, find_edges
+from fixel.vision.tracking.loops import find_edges
 
 STATIONS: Final = 24  # places along the needle at which its two sides are measured
 NEAREST, FARTHEST = 5.0, 75.0  # [px] distances of these from the tip
@@ -199,7 +199,7 @@ def _sides(
     half = (needle.half + needle.taper * behind)[:, None]
     pixel = np.concatenate((middle + half * across, middle - half * across))
     normal = np.concatenate((np.tile(across, (len(middle), 1)), np.tile(-across, (len(middle), 1))))
-    found = find_edges(picture, EdgeLine(pixel, normal), SIDE_REACH)
+    found = find_edges(picture, pixel, normal, SIDE_REACH)
     n = len(middle)
     both = found.clear[:n] & found.clear[n:]
     if both.sum() < MIN_STATIONS:
@@ -230,7 +230,7 @@ def _end(
     """Offset of the end from the expected tip along the axis [px]; None where it is not visible."""
     across = np.array([-needle.axis[1], needle.axis[0]])
     pixel = tip + np.array(ACROSS)[:, None] * across
-    found = find_edges(picture, EdgeLine(pixel, np.tile(needle.axis, (len(pixel), 1))), REACH_TIP)
+    found = find_edges(picture, pixel, np.tile(needle.axis, (len(pixel), 1)), REACH_TIP)
     open_ = found.clear & (found.bright - found.dark > BRIGHT * contrast)
     # A blunt end touches a slanting side away from its middle: use the pusher's outline.
     walls = [_wall(part, tip + a * needle.axis + c * across, needle.axis) for a, c in front]

@@ -143,6 +143,15 @@ def _inverse(factor: FloatArray, column: FloatArray, inverse: FloatArray) -> Non
             inverse[j, c] = column[j]
 
 
+@kernel
+def _rest(slope: FloatArray, step: FloatArray, offset: FloatArray, i: int) -> float:
+    """Offset of an edge that a step leaves [px]."""
+    left = offset[i]
+    for j in range(len(step)):
+        left -= slope[i, j] * step[j]
+    return float(left)
+
+
 @entry
 def solve_robustly(
     slope: FloatArray,
@@ -185,9 +194,7 @@ def solve_robustly(
         change, count = 0.0, 0
         for i in range(n):
             if usable[i]:
-                rest[i] = offset[i]
-                for j in range(m):
-                    rest[i] -= slope[i, j] * step[j]
+                rest[i] = _rest(slope, step, offset, i)
                 change = max(change, abs(rest[i] - before[i]))
                 before[i] = rest[i]
                 sizes[count] = abs(rest[i])
@@ -207,10 +214,7 @@ def solve_robustly(
     total = 0.0
     for i in range(n):
         if used[i]:
-            left = offset[i]
-            for j in range(m):
-                left -= slope[i, j] * step[j]
-            total += left * left
+            total += _rest(slope, step, offset, i) ** 2
     residual = math.sqrt(total / count)
     _inverse(factor, square[m + 1], covariance)
     variance = max(residual, least) ** 2

@@ -15,7 +15,7 @@ from fixel.vision.boards import gray_of
 from fixel.vision.frame import Gray, Picture
 from fixel.vision.marks import Tag
 from fixel.vision.opencv import opencv
-from fixel.vision.tracking.loops import EdgeLine, find_edges
+from fixel.vision.tracking.loops import find_edges
 
 DICTIONARIES: Final = {
     "apriltag-36h11": "DICT_APRILTAG_36h11",
@@ -161,7 +161,7 @@ def _sharpened(gray: Gray, corners: FloatArray) -> FloatArray | None:
         along = (end - start) / np.linalg.norm(end - start)
         outwards = np.array([along[1], -along[0]])  # clockwise in the picture, black inside
         pixels = start + ALONG[:, None] * (end - start)
-        edge = find_edges(gray, EdgeLine(pixels, np.tile(outwards, (len(ALONG), 1))), TAG_REACH)
+        edge = find_edges(gray, pixels, np.tile(outwards, (len(ALONG), 1)), TAG_REACH)
         if edge.clear.sum() < MIN_ON_A_SIDE:
             return None
         on_it = (pixels + edge.offset[:, None] * outwards)[edge.clear]
