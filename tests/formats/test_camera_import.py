@@ -17,9 +17,8 @@ from fixel.formats.camera_file import load_camera, save_camera
 from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_opencv import matrix_of, save_opencv, save_ros
 from fixel.typing import FloatArray
-from fixel.vision.camera import Camera
+from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.lens import Lens
-from fixel.vision.measured_camera import MeasuredCamera
 
 CALIB_RESULTS = """
 % Intrinsic and Extrinsic Camera Parameters

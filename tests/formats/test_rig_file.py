@@ -17,8 +17,8 @@ from fixel.formats.rig_file import EXAMPLES, load_rig, rig_dict, rig_from_dict, 
 from fixel.io.document import yaml_text
 from fixel.sampling import thesis_plan
 from fixel.testing.scenes import grasp, micro_push
+from fixel.vision.camera import MeasuredCamera
 from fixel.vision.marks import Tag
-from fixel.vision.measured_camera import MeasuredCamera
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

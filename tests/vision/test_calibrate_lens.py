@@ -11,7 +11,6 @@ from benchmarks.board_pictures import Studio, seen_corners, spread
 
 from fixel.errors import InvalidInput
 from fixel.vision.boards import Board, Corners, board_of
-from fixel.vision.bundle import lens_with, values_of
 from fixel.vision.calibrate_lens import BoardView, SkippedPicture, calibrate_lens, find_boards
 from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
@@ -33,6 +32,10 @@ def studio() -> Studio:
 @pytest.fixture(scope="module")
 def pictures(studio: Studio) -> list[tuple[str, Picture]]:
     return [(f"p{k}", studio.picture(*place)) for k, place in enumerate(spread(studio, 8, 0.30))]
+
+
+def values_of(lens: Lens, names: tuple[str, ...]) -> np.ndarray:
+    return np.array([lens.parameters[name] for name in names])
 
 
 def within_three_sigma(lens: Lens, names: tuple[str, ...], deviations: list[float]) -> bool:
@@ -228,7 +231,7 @@ def test_the_lens_is_as_sure_as_it_says_in_the_corners(k3: float) -> None:
         found = known.lens.direction(pixels)
         slopes = []
         for name, step in zip(names, 1e-3 * np.array(list(known.deviations.values())), strict=True):
-            moved = lens_with(known.lens, [name], values_of(known.lens, [name]) + step)
+            moved = known.lens.with_parameters([name], [known.lens.parameters[name] + step])
             slopes.append((moved.direction(pixels) - found) / step)
         slope = np.stack(slopes, axis=-1).reshape(2 * len(pixels), -1)
         # The place of the camera over a plane is free: what a homography can do.

@@ -12,10 +12,9 @@ from tests.vision.test_place_camera import tagged
 from fixel.errors import InvalidInput
 from fixel.formats.rig_file import rig_of
 from fixel.model.shape import placed
-from fixel.vision.camera import Camera
+from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.plane_errors import pose_covariance, shifted
 from fixel.vision.tracking.checks import refuse_moved
 

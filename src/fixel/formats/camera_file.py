@@ -27,9 +27,8 @@ from fixel.formats.records import (
 )
 from fixel.io.atomic import written_whole
 from fixel.io.document import read_document, yaml_text
-from fixel.vision.camera import Camera
+from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.lens import Lens
-from fixel.vision.measured_camera import MeasuredCamera
 
 Size = Annotated[list[Annotated[int, Field(gt=0)]], Field(min_length=2, max_length=2)]
 Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]

@@ -18,8 +18,8 @@ from fixel.formats.camera_matlab import matlab_camera
 from fixel.formats.camera_opencv import lens_of, opencv_camera
 from fixel.formats.records import within
 from fixel.io.document import MAX_BYTES, read_document
+from fixel.vision.camera import MeasuredCamera
 from fixel.vision.lens import Lens
-from fixel.vision.measured_camera import MeasuredCamera
 
 FORMATS: Final = ("matlab", "opencv", "kalibr", "ros")
 PINHOLE: Final = {"plumb_bob": 5, "rational_polynomial": 8}

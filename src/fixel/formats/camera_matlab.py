@@ -16,10 +16,8 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.formats.camera_opencv import placed_above, refuse_strange
 from fixel.typing import FloatArray
-from fixel.vision.bundle import turned
-from fixel.vision.camera import Camera
-from fixel.vision.lens import Lens
-from fixel.vision.measured_camera import FOCAL, MeasuredCamera
+from fixel.vision.camera import Camera, MeasuredCamera, turned
+from fixel.vision.lens import FOCAL, Lens
 
 ASSIGNMENT: Final = re.compile(r"^\s*(\w+)\s*=\s*(\[[^\]]*\]|[-+.\deE]+)\s*;?", re.MULTILINE)
 COEFFICIENTS: Final = ("k1", "k2", "p1", "p2", "k3")

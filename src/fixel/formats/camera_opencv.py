@@ -11,9 +11,8 @@ from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.io.document import yaml_text
 from fixel.typing import FloatArray
-from fixel.vision.camera import Camera
+from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.lens import Lens
-from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.opencv import opencv
 
 MATRIX: Final = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "M1", "intrinsic_matrix")

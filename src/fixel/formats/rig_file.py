@@ -29,8 +29,8 @@ from fixel.formats.records import (
 )
 from fixel.io.atomic import written_whole
 from fixel.io.document import read_document, yaml_text
+from fixel.vision.camera import MeasuredCamera
 from fixel.vision.marks import COLOURS, FAMILIES, THESIS_BITS, MarkedPart, Rig, Sticker, Tag
-from fixel.vision.measured_camera import MeasuredCamera
 
 EXAMPLES = ("thesis-tags", "thesis-stickers", "microscope")
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.typing import FloatArray
-from fixel.vision.lens import Lens
-from fixel.vision.measured_camera import BROWN, FISHEYE, FOCAL
+from fixel.vision.camera import turned
+from fixel.vision.lens import FOCAL, Lens
 
 STEPS: Final = 60
 CALM: Final = 1e-8  # [px] decrease of the root mean square at which the fit has converged
@@ -77,42 +77,6 @@ class PointObservations:
     def only(self, which: NDArray[np.bool_]) -> PointObservations:
         """Return the observations that a mask selects."""
         return PointObservations(self.points[which], self.pixels[which], self.view[which])
-
-
-def values_of(lens: Lens, names: Sequence[str]) -> FloatArray:
-    """Return the parameters of a lens with these names."""
-    known = dict(zip(_coefficients(lens), lens.distortion.tolist(), strict=True))
-    known |= dict(zip(FOCAL, [*lens.focal, *lens.centre, lens.skew], strict=True))
-    return np.array([known[name] for name in names], dtype=np.float64)
-
-
-def lens_with(lens: Lens, names: Sequence[str], values: FloatArray) -> Lens:
-    """Return the lens with some parameters replaced."""
-    new = dict(zip(names, values.tolist(), strict=True))
-    fx, fy, cx, cy, skew = (
-        new.get(name, old)
-        for name, old in zip(FOCAL, [*lens.focal, *lens.centre, lens.skew], strict=True)
-    )
-    distortion = [
-        new.get(name, old)
-        for name, old in zip(_coefficients(lens), lens.distortion.tolist(), strict=True)
-    ]
-    return Lens(
-        image_size=lens.image_size,
-        focal=(fx, fy),  # type: ignore[arg-type]
-        centre=(cx, cy),  # type: ignore[arg-type]
-        skew=skew,
-        distortion=distortion,  # type: ignore[arg-type]
-        fisheye=lens.fisheye,
-    )
-
-
-def turned(rotations: FloatArray, angles: FloatArray) -> FloatArray:
-    """Turn rotations (..., 3, 3) further by rotation vectors (..., 3) [rad]."""
-    from scipy.spatial.transform import Rotation
-
-    flat = Rotation.from_rotvec(angles.reshape(-1, 3)).as_matrix()
-    return np.asarray(flat.reshape(*angles.shape[:-1], 3, 3) @ rotations)
 
 
 def fit(
@@ -253,7 +217,10 @@ def _moved(
     n = len(names)
     places = step[n:].reshape(-1, 6)
     if n:
-        lens = lens_with(lens, names, values_of(lens, names) + step[:n])
+        known = lens.parameters
+        lens = lens.with_parameters(
+            names, [known[k] + by for k, by in zip(names, step[:n].tolist(), strict=True)]
+        )
     return lens, turned(rotations, places[:, :3]), translations + places[:, 3:]
 
 
@@ -280,7 +247,3 @@ def slopes_of(
         move[n + k :: 6] = 1.0  # a pixel depends on the place of its own view only
         slopes[each, :, n + 6 * sight.view + k] = slope(move, NUDGE["rad" if k < 3 else "m"])
     return slopes.reshape(2 * count, -1)
-
-
-def _coefficients(lens: Lens) -> tuple[str, ...]:
-    return FISHEYE if lens.fisheye else BROWN

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
 from fixel.vision.boards import Board, Corners
-from fixel.vision.bundle import BundleFit, PointObservations, fit, lens_with
+from fixel.vision.bundle import BundleFit, PointObservations, fit
+from fixel.vision.camera import MeasuredCamera
 from fixel.vision.frame import Picture
-from fixel.vision.lens import Lens
-from fixel.vision.measured_camera import BROWN, FISHEYE, MeasuredCamera
+from fixel.vision.lens import BROWN, FISHEYE, Lens
 from fixel.vision.opencv import opencv
 
 MIN_PICTURES: Final = 4
@@ -220,11 +220,8 @@ def _held_out(found: BundleFit, sight: PointObservations) -> tuple[dict[int, flo
     for count, own in squares.items():
         names = _names(count, False)
         kept = names[4:]
-        start = lens_with(
-            found.lens,
-            [name for name in BROWN if name not in kept],
-            np.zeros(len(BROWN) - len(kept)),
-        )
+        others = [name for name in BROWN if name not in kept]
+        start = found.lens.with_parameters(others, [0.0] * len(others))
         for part in range(FOLDS):
             out = np.arange(n_view) % FOLDS == part
             rest = _views(found, sight, ~out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -11,6 +12,11 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model.fields import Comparable, frozen, settle, vector
 from fixel.typing import FloatArray
+
+# Parameters of the lens, with OpenCV's names.
+FOCAL = ("fx", "fy", "cx", "cy", "skew")
+BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+FISHEYE = ("k1", "k2", "k3", "k4")
 
 # From a start without distortion Newton's method needs four or five steps wherever a direction
 # exists; elsewhere it wanders.
@@ -73,6 +79,19 @@ class Lens(Comparable):
             skew=float(self.skew),
             distortion=_coefficients(self.distortion, 4 if self.fisheye else 8),
         )
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Focal lengths, centre, skew and coefficients, by OpenCV's names."""
+        names = (*FOCAL, *(FISHEYE if self.fisheye else BROWN))
+        values = (*self.focal, *self.centre, self.skew, *self.distortion)
+        return dict(zip(names, map(float, values), strict=True))
+
+    def with_parameters(self, names: Iterable[str], values: Iterable[float]) -> Lens:
+        """Return the lens with some parameters replaced."""
+        new = self.parameters | dict(zip(names, values, strict=True))
+        fx, fy, cx, cy, skew, *distortion = new.values()
+        return replace(self, focal=(fx, fy), centre=(cx, cy), skew=skew, distortion=distortion)  # type: ignore[arg-type]
 
     def distorted(self, direction: ArrayLike) -> FloatArray:
         """Apply distortion to directions (..., 2) [-]."""

@@ -9,8 +9,7 @@ from typing import Final, final
 from fixel.errors import InvalidInput
 from fixel.model.fields import Comparable, instance, name_of, non_negative, positive, settle, vector
 from fixel.typing import FloatArray
-from fixel.vision.camera import Camera
-from fixel.vision.measured_camera import MeasuredCamera
+from fixel.vision.camera import Camera, MeasuredCamera
 
 # Bit 0 is the blue coil, 1 the red, 2 the green one. The thesis's contact mode has the reverse
 # order: 4 for the first fixel, 2 for the second, 1 for the third.

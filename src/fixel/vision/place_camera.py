@@ -17,11 +17,10 @@ from fixel.model.fields import vector
 from fixel.typing import FloatArray
 from fixel.vision.boards import Board, gray_of
 from fixel.vision.bundle import BundleFit, PointObservations, fit, slopes_of
-from fixel.vision.camera import Camera
+from fixel.vision.camera import PLACE, Camera, MeasuredCamera
 from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Tag
-from fixel.vision.measured_camera import PLACE, MeasuredCamera
 from fixel.vision.opencv import opencv
 from fixel.vision.tracking.tag_reader import find_tags, other_families, tag_corners
 

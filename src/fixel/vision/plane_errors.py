@@ -12,9 +12,8 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
-from fixel.vision.bundle import lens_with, turned, values_of
-from fixel.vision.camera import Camera
-from fixel.vision.measured_camera import FOCAL, PLACE, MeasuredCamera
+from fixel.vision.camera import PLACE, Camera, MeasuredCamera, turned
+from fixel.vision.lens import FOCAL
 
 LEVEL: Final = 0.95
 NUDGES: Final = {name: 1e-2 for name in FOCAL[:4]} | dict.fromkeys(PLACE[:3], 1e-5)
@@ -96,12 +95,9 @@ def place_covariance(measured: MeasuredCamera, pixels: FloatArray, height: float
 def shifted(measured: MeasuredCamera, by: dict[str, float]) -> Camera:
     """Return the camera with some of its parameters changed [px, -, rad, m]."""
     camera = measured.placed()
+    known = measured.lens.parameters
     of_lens = [name for name in by if name not in PLACE]
-    lens = lens_with(
-        measured.lens,
-        of_lens,
-        values_of(measured.lens, of_lens) + np.array([by[name] for name in of_lens]),
-    )
+    lens = measured.lens.with_parameters(of_lens, [known[name] + by[name] for name in of_lens])
     place = np.array([by.get(name, 0.0) for name in PLACE])
     return replace(
         camera,

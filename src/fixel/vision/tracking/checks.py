@@ -12,10 +12,9 @@ from fixel.errors import InvalidInput
 from fixel.model.shape import placed
 from fixel.typing import BoolArray, FloatArray
 from fixel.vision.bundle import BundleFit, PointObservations, fit
-from fixel.vision.camera import Camera
+from fixel.vision.camera import PLACE, Camera, MeasuredCamera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag
-from fixel.vision.measured_camera import PLACE, MeasuredCamera
 from fixel.vision.plane_errors import place_covariance, radius95
 from fixel.vision.tracking.outline import MIN_SCATTER, fit_pose, window_of
 from fixel.vision.tracking.tag_reader import read_tags, tag_corners

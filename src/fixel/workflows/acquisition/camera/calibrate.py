@@ -20,8 +20,8 @@ from fixel.io.document import read_document
 from fixel.typing import FloatArray, Progress
 from fixel.vision.boards import Board, board_of
 from fixel.vision.calibrate_lens import LensCalibration, calibrate_lens, find_boards
+from fixel.vision.camera import MeasuredCamera
 from fixel.vision.frame import Picture
-from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
 from fixel.vision.plane_errors import PlaneErrors, plane_errors
 from fixel.workflows.acquisition.camera.pictures import files_of, first_picture, pictures_of

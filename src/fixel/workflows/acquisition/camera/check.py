@@ -13,9 +13,9 @@ from fixel.errors import InvalidInput
 from fixel.formats.camera_file import load_camera
 from fixel.formats.rig_file import EXAMPLES, rig_of
 from fixel.io.document import read_document
+from fixel.vision.camera import MeasuredCamera
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Rig
-from fixel.vision.measured_camera import MeasuredCamera
 from fixel.vision.tracking.checks import moved_limit
 from fixel.vision.tracking.tag_reader import find_tags, tag_corners
 from fixel.workflows.acquisition.camera.calibrate import (
