@@ -14,7 +14,7 @@ from fixel.calibration.assess import Assessment, Frames, assess
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
-from fixel.calibration.study import Trace, box_of, conducted, each_alone
+from fixel.calibration.study import Trace, box_of, calibrate_each, run_study
 from fixel.calibration.target import Target, targets_of
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.sampling.thesis import thesis_plan
@@ -70,8 +70,8 @@ def _timed(comparer: Comparer, members: range | list[int]) -> tuple[float, int]:
 
 
 def _alone(comparer: Comparer, members: range | list[int]) -> list[Trace]:
-    return conducted(
-        each_alone(members, box_of(comparer.space), PatternSearch()),
+    return run_study(
+        calibrate_each(members, box_of(comparer.space), PatternSearch()),
         lambda ask: comparer.errors(ask.which, ask.points),
     )
 

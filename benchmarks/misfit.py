@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.figures import Figure, Size, at_least, at_most
 from benchmarks.report import RESULTS
-from fixel.calibration.assess import BestFit, Frames, conducted_here, fitting
+from fixel.calibration.assess import BestFit, Frames, fit_steps, run_assessment
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ANGLE_SCALE, Comparer
@@ -104,8 +104,8 @@ def calibrated(
     residuals = frames.residuals(Noise(position_m=1e-3, angle_rad=1e-3 / ANGLE_SCALE))
     weight = np.sqrt(len(members) * frames.weights)
     found = fit(LeastSquares().start(box_of(space)), lambda points: residuals(points) / weight)
-    running = fitting(comparer, members.tolist(), found.point)
-    return comparer, conducted_here(comparer, members.tolist(), running)
+    running = fit_steps(comparer, members.tolist(), found.point)
+    return comparer, run_assessment(comparer, members.tolist(), running)
 
 
 def laboratory(kind: str, seed: int) -> list[dict[str, str | float]]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.calibration.assess import assess, conducted_here, fitting
+from fixel.calibration.assess import assess, fit_steps, run_assessment
 from fixel.calibration.honest import (
     INSTANTS,
     Honest,
@@ -62,7 +62,7 @@ def _fitted(name):
     asked = []
 
     def counted():
-        running = fitting(comparer, members, comparer.space.nominal)
+        running = fit_steps(comparer, members, comparer.space.nominal)
         try:
             ask = next(running)
             while True:
@@ -71,7 +71,7 @@ def _fitted(name):
         except StopIteration as end:
             return end.value
 
-    return comparer, conducted_here(comparer, members, counted()), asked
+    return comparer, run_assessment(comparer, members, counted()), asked
 
 
 def test_intervals_of_the_demo_hold_its_true_friction():

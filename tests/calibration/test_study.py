@@ -8,13 +8,13 @@ import pytest
 from fixel.calibration import FixedStepSearch, PatternSearch, SearchBox
 from fixel.calibration.objective import Evaluation
 from fixel.calibration.study import (
-    best_stored,
     best_subset,
-    conducted,
-    each_alone,
+    calibrate_each,
+    calibrate_joint,
+    exchange_with_neighbours,
+    minimax_of_stored,
     neighbours,
-    polished,
-    together,
+    run_study,
     weighted,
     weighted_mean,
 )
@@ -35,7 +35,7 @@ def total(errors):
 
 
 def test_each_alone_finds_what_each_likes():
-    traces = conducted(each_alone(range(5), BOX, PatternSearch(solution_accuracy=None)), bowls)
+    traces = run_study(calibrate_each(range(5), BOX, PatternSearch(solution_accuracy=None)), bowls)
     assert np.array([trace.point for trace in traces]) == pytest.approx(LIKED, abs=1e-3)
     for trace in traces:
         assert trace.error == trace.errors.min()
@@ -44,18 +44,18 @@ def test_each_alone_finds_what_each_likes():
 
 
 def test_company_changes_nothing():
-    many = conducted(each_alone(range(5), BOX, PatternSearch()), bowls)
-    alone = conducted(each_alone([3], BOX, PatternSearch()), bowls)
+    many = run_study(calibrate_each(range(5), BOX, PatternSearch()), bowls)
+    alone = run_study(calibrate_each([3], BOX, PatternSearch()), bowls)
     assert (alone[0].points == many[3].points).all()
     assert (alone[0].errors == many[3].errors).all()
 
 
 def test_together_minimises_what_is_combined():
-    trace, search = conducted(together(range(5), BOX, PatternSearch(), total), bowls)
+    trace, search = run_study(calibrate_joint(range(5), BOX, PatternSearch(), total), bowls)
     assert trace.point == pytest.approx(LIKED.mean(axis=0), abs=2e-3)
     assert search.best.error == trace.error
-    worst, _ = conducted(
-        together(range(5), BOX, PatternSearch(), lambda errors: errors.max(axis=1)), bowls
+    worst, _ = run_study(
+        calibrate_joint(range(5), BOX, PatternSearch(), lambda errors: errors.max(axis=1)), bowls
     )
     assert bowls_at(worst.point).max() < bowls_at(trace.point).max()
 
@@ -68,7 +68,7 @@ def test_neighbours_share_what_is_better():
     points = LIKED.copy()
     points[0] = [0.6, 0.6]
     errors = np.array([np.sum((p - q) ** 2) for p, q in zip(points, LIKED, strict=True)])
-    better, least = conducted(polished(points, errors, [[0, 1, 2], [3, 4]]), bowls)
+    better, least = run_study(exchange_with_neighbours(points, errors, [[0, 1, 2], [3, 4]]), bowls)
     assert better[0].tolist() == LIKED[2].tolist()
     assert least[0] == pytest.approx(np.sum((LIKED[2] - LIKED[0]) ** 2))
     assert (better[1:] == points[1:]).all()
@@ -108,18 +108,18 @@ def test_the_mean_is_weighted_with_inverse_errors():
 def test_a_subset_without_the_odd_one_does_better():
     # The odd one fitted perfectly, so the inverse of its error alone would rule.
     errors = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-3])
-    everyone = conducted(weighted(range(5), LIKED, errors), bowls)
+    everyone = run_study(weighted(range(5), LIKED, errors), bowls)
     assert everyone.point == pytest.approx([0.9, 0.9], abs=0.01)
-    best = conducted(best_subset(range(5), LIKED, errors, total), bowls)
+    best = run_study(best_subset(range(5), LIKED, errors, total), bowls)
     assert best.members.sum() < everyone.members.sum()
     assert 3 not in best.used
-    again = conducted(best_subset(range(5), LIKED, errors, total), bowls)
+    again = run_study(best_subset(range(5), LIKED, errors, total), bowls)
     assert again.used == best.used
 
 
 def test_the_best_stored_one_has_the_smallest_largest_error():
     stored = np.array([[0.25, 0.42], [0.6, 0.6], [0.9, 0.9]])
-    best = conducted(best_stored(range(5), stored), bowls)
+    best = run_study(minimax_of_stored(range(5), stored), bowls)
     assert best.used == (1,)
 
 
@@ -129,7 +129,7 @@ def test_a_member_that_cannot_be_simulated_spoils_the_point_with_its_reason():
         error = np.where(good, 1.0, math.inf)
         return Evaluation(error, ["" if g else "jammed at 2 s" for g in good])
 
-    trace, _ = conducted(together(range(2), BOX, FixedStepSearch(), total), failing)
+    trace, _ = run_study(calibrate_joint(range(2), BOX, FixedStepSearch(), total), failing)
     failed = np.isinf(trace.errors)
     assert failed.any()
     assert all(("jammed" in r) == f for r, f in zip(trace.reasons, failed, strict=True))

@@ -118,7 +118,7 @@ class Campaign(JobKind):
         with project.store() as store:
             for experiment in SimulatedTestbed.ideal().run(planned):
                 store.add_experiment(experiment)
-            chosen = calibrations.choose(store, (), ExperimentQuery())
+            chosen = calibrations.select_experiments(store, (), ExperimentQuery())
         return _to_be_run(calibrations.prepare(project, chosen, self._request(chosen)), run)
 
     def _request(self, chosen):

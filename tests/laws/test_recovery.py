@@ -8,7 +8,7 @@ from fixel.calibration.assess import Frames
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer, Objective
-from fixel.calibration.study import box_of, conducted, together
+from fixel.calibration.study import box_of, calibrate_joint, run_study
 from fixel.calibration.target import targets_of
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.sampling.thesis import thesis_plan
@@ -43,8 +43,8 @@ def test_by_a_simplex(comparer):
     objective = Objective(comparer, combine="sum")
     members = range(len(comparer.targets))
     search = NelderMead(restarts=1)
-    trace, _ = conducted(
-        together(members, box_of(SPACE), search, objective.combined),
+    trace, _ = run_study(
+        calibrate_joint(members, box_of(SPACE), search, objective.combined),
         lambda ask: comparer.errors(ask.which, ask.points),
     )
     assert trace.point == pytest.approx(TRUTH, rel=1e-3)

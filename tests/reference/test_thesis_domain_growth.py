@@ -35,7 +35,7 @@ def project(tmp_path_factory):
     with made.store() as store:
         for experiment in SimulatedTestbed(seed=3).run(planned("pentagon", ("concave-tight",))):
             store.add_experiment(experiment)
-        chosen = run.choose(store, (), ExperimentQuery())
+        chosen = run.select_experiments(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
         mode="each",

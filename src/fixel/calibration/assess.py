@@ -22,7 +22,7 @@ from fixel.calibration.noise import (
 )
 from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.profile import ProfileLikelihood, Profiles
-from fixel.calibration.study import box_of
+from fixel.calibration.study import box_of, run_study
 from fixel.calibration.target import repetitions
 from fixel.calibration.verdict import judge
 from fixel.model import Fixel, Parameters, Pusher
@@ -59,7 +59,7 @@ class AssessmentRequest(NamedTuple):
     left: int | None = None
 
 
-Asking = Generator[AssessmentRequest, FloatArray, T]
+AssessmentSteps = Generator[AssessmentRequest, FloatArray, T]
 """Yields questions, is sent one row of the answer for each point, and returns its result."""
 
 
@@ -82,24 +82,20 @@ def assess(
     level: float = 0.95,
     solutions: Sequence[FloatArray] = (),
 ) -> Assessment:
-    """Run `assessing` to its end in this process; same parameters."""
-    running = assessing(comparer, members, point, noise=noise, level=level, solutions=solutions)
-    return conducted_here(comparer, members, running)
+    """Run `assessment_steps` to its end in this process; same parameters."""
+    running = assessment_steps(
+        comparer, members, point, noise=noise, level=level, solutions=solutions
+    )
+    return run_assessment(comparer, members, running)
 
 
-def conducted_here(comparer: Comparer, members: Sequence[int], running: Asking[T]) -> T:
+def run_assessment(comparer: Comparer, members: Sequence[int], running: AssessmentSteps[T]) -> T:
     """Answer all questions of a running assessment in this process; its result."""
     own = np.asarray(members, np.int64)
-    try:
-        ask = next(running)
-        while True:
-            ask = running.send(answer(comparer, own, ask.kind, ask.points))
-    except StopIteration as end:
-        result: T = end.value
-        return result
+    return run_study(running, lambda ask: answer(comparer, own, ask.kind, ask.points))
 
 
-def assessing(
+def assessment_steps(
     comparer: Comparer,
     members: Sequence[int],
     point: FloatArray,
@@ -107,7 +103,7 @@ def assessing(
     noise: Noise | None = None,
     level: float = 0.95,
     solutions: Sequence[FloatArray] = (),
-) -> Asking[Assessment]:
+) -> AssessmentSteps[Assessment]:
     """Compute what experiments determine of the parameters they were calibrated for.
 
     Simulates nothing itself: every simulation is asked for, so that a journal can store each
@@ -129,7 +125,7 @@ def assessing(
     """
     own = distinct(comparer, members)
     chosen = Frames(comparer, own)
-    fitted = yield from fitting(comparer, members, point, noise=noise)
+    fitted = yield from fit_steps(comparer, members, point, noise=noise)
     noise, dispersion = fitted.noise, fitted.dispersion
     box = box_of(comparer.space.started_at(point))
     prior = NormalPrior.of(comparer.space).weighted(dispersion.value)
@@ -185,9 +181,9 @@ class BestFit(NamedTuple):
     fit: LeastSquaresFit | None
 
 
-def fitting(
+def fit_steps(
     comparer: Comparer, members: Sequence[int], point: FloatArray, *, noise: Noise | None = None
-) -> Asking[BestFit]:
+) -> AssessmentSteps[BestFit]:
     """Fit by least squares, and where the model misfits also with mixed effects.
 
     The parameters are those of `assess`. A wrong valley looks like misfit: where there is any,
@@ -247,7 +243,7 @@ def _coarse(noise: Noise, count: int) -> LeastSquares:
 
 def _least_squares(
     chosen: Frames, point: FloatArray, noise: Noise, options: LeastSquares
-) -> Asking[LeastSquaresFit]:
+) -> AssessmentSteps[LeastSquaresFit]:
     search = options.start(box_of(chosen.space.started_at(point)))
     while not search.done:
         told = yield AssessmentRequest("frames", search.ask(), "best fit")
@@ -257,7 +253,7 @@ def _least_squares(
 
 def _mixed(
     shifted: ShiftModel, members: Sequence[int], point: FloatArray, noise: Noise
-) -> Asking[MixedStudyFit]:
+) -> AssessmentSteps[MixedStudyFit]:
     study = mixed_study(shifted, members, point, noise)
     try:
         rows = next(study)
@@ -271,7 +267,7 @@ def _mixed(
 
 
 def answer(comparer: Comparer, members: IntArray, kind: str, points: FloatArray) -> FloatArray:
-    """Answer a question of `assessing`: one row for each point.
+    """Answer a question of `assessment_steps`: one row for each point.
 
     Parameters
     ----------
@@ -331,7 +327,7 @@ ANSWERS: Final[dict[str, Callable[[Comparer, IntArray, FloatArray], FloatArray]]
 }
 
 
-def _left(point: FloatArray) -> Asking[Noise]:
+def _left(point: FloatArray) -> AssessmentSteps[Noise]:
     """Noise from what the calibrated simulations leave."""
     told = yield AssessmentRequest("noise", np.asarray(point, np.float64)[None], "noise")
     position, angle, correlation, freedom = told[0].tolist()

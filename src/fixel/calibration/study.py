@@ -1,7 +1,7 @@
 """Studies: calibrations as generators that request simulations.
 
 A study is a generator that requests rollouts, receives their errors, and returns its result. The
-errors come from `conducted`, a cluster, or a journal of an interrupted job; a study itself does not
+errors come from `run_study`, a cluster, or a journal of an interrupted job; a study itself does not
 simulate. For the same errors it requests the same rollouts, bit for bit.
 
 Source: RPI thesis, sections 5.1.1, 5.2.1 and 5.2.2; mechanics of Dakota's search in
@@ -22,6 +22,8 @@ from fixel.model.space import ParameterSpace
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 T = TypeVar("T")
+Ask = TypeVar("Ask")
+Answer = TypeVar("Answer")
 
 
 class RolloutRequest(NamedTuple):
@@ -68,19 +70,12 @@ def box_of(space: ParameterSpace) -> SearchBox:
     return SearchBox(space.low, space.high, space.nominal, space.scale)
 
 
-def conducted(
-    study: Study[T],
-    evaluate: Callable[[RolloutRequest], Evaluation],
-    progress: Callable[[RolloutRequest, Evaluation], None] | None = None,
-) -> T:
-    """Run a study to its end and return its result."""
+def run_study(study: Generator[Ask, Answer, T], evaluate: Callable[[Ask], Answer]) -> T:
+    """Run a study to its end, or another generator that requests answers; return its result."""
     try:
         ask = next(study)
         while True:
-            answer = evaluate(ask)
-            if progress is not None:
-                progress(ask, answer)
-            ask = study.send(answer)
+            ask = study.send(evaluate(ask))
     except StopIteration as end:
         result: T = end.value
         return result
@@ -89,7 +84,7 @@ def conducted(
 # --- searches -----------------------------------------------------------------------------------
 
 
-def each_alone(
+def calibrate_each(
     members: Sequence[int],
     box: SearchBox,
     optimiser: AbstractOptimiser,
@@ -115,7 +110,7 @@ def each_alone(
             at = end
 
 
-def together(
+def calibrate_joint(
     members: Sequence[int],
     box: SearchBox,
     optimiser: AbstractOptimiser,
@@ -195,7 +190,7 @@ class _Log:
 # --- several experiments ------------------------------------------------------------------------
 
 
-def polished(
+def exchange_with_neighbours(
     points: FloatArray, errors: FloatArray, groups: Sequence[Sequence[int]]
 ) -> Study[tuple[FloatArray, FloatArray]]:
     """Replace parameters of each member by the best ones of its neighbours, if these are better.
@@ -333,7 +328,7 @@ def _smaller(
     return list(dict.fromkeys(singles + halves))
 
 
-def best_stored(members: Sequence[int], points: FloatArray) -> Study[CombinedFit]:
+def minimax_of_stored(members: Sequence[int], points: FloatArray) -> Study[CombinedFit]:
     """Find the point among (k, n_free) whose largest error over the members is smallest."""
     found, _ = yield from at_points(members, points)
     k = int(np.argmin(found.max(axis=1)))

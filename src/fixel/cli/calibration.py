@@ -186,7 +186,7 @@ def calibrate(
 
     project = Project.open(folder)
     with project.store() as store:
-        chosen = run.choose(store, experiments or (), selection.query)
+        chosen = run.select_experiments(store, experiments or (), selection.query)
     if search.sample is not None:
         chosen = run.sampled(chosen, search.sample, search.seed)
     request = search.request(chosen)

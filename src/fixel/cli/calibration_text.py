@@ -13,7 +13,7 @@ from fixel.calibration.misfit import WARNED
 from fixel.calibration.objective import Robust
 from fixel.cli.screen import compare_command, seconds, table
 from fixel.workflows.calibration.commands import PRESSURE, enlarged_command
-from fixel.workflows.calibration.result import ALONE, ParameterSet, length_of, outliers
+from fixel.workflows.calibration.result import FitKind, ParameterSet, length_of, outliers
 from fixel.workflows.calibration.run import Calibration
 
 MAX_ROWS = 20
@@ -75,7 +75,7 @@ def _alone_lines(done: Calibration) -> list[str]:
     head = ("experiment", "before [mm]", "after [mm]", *(_headed(u) for u in free))
     rows = [
         (
-            outcome.keys[one.members[0]] + ("" if one.how == ALONE else f" ({one.how})"),
+            outcome.keys[one.members[0]] + ("" if one.how == FitKind.ALONE else f" ({one.how})"),
             f"{length_of(outcome.nominal[one.members[0]], unit):.4g}",
             f"{length_of(one.errors[0], unit):.4g}",
             *(f"{_shown(u.unit, x):.4g}" for u, x in zip(free, one.point, strict=True)),

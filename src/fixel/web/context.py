@@ -14,7 +14,7 @@ from fixel.drawing.thumbnail import thumbnail
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.web.views.domain_views import DomainViews
 from fixel.web.views.live_comparison import LiveComparison
-from fixel.workflows.calibration.detail import tell
+from fixel.workflows.calibration.detail import load_detail
 
 MAX_KEPT: Final = 64  # details of calibrations in memory
 MAX_THUMBNAILS: Final = 5000  # in memory; about 2 kB each
@@ -48,7 +48,7 @@ class ProjectContext:
         self.store.experiments(ExperimentQuery(include_faulty=True, limit=1), details=True)
         self.comparison = LiveComparison(self.store)
         self.calibrations = ProgressReader(project)
-        self.calibration = lru_cache(MAX_KEPT)(partial(tell, project, self.store))
+        self.calibration = lru_cache(MAX_KEPT)(partial(load_detail, project, self.store))
         self.thumbnail = lru_cache(MAX_THUMBNAILS)(self._thumbnail)
         self.domains = DomainViews(project, self.store)
 

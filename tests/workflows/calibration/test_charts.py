@@ -30,7 +30,7 @@ def lab(tmp_path_factory):
     with project.store() as store:
         for experiment in SimulatedTestbed.ideal().run([PLANNED[k] for k in (0, 1, 2, 7)]):
             store.add_experiment(experiment)
-        return project, run.choose(store, (), ExperimentQuery())
+        return project, run.select_experiments(store, (), ExperimentQuery())
 
 
 def _done(lab, n=4, **changes):

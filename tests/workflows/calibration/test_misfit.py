@@ -20,7 +20,7 @@ from fixel.web.views.live_comparison import LiveComparison
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.commands import enlarged_command
-from fixel.workflows.calibration.detail import tell
+from fixel.workflows.calibration.detail import load_detail
 from fixel.workflows.calibration.parameter_options import fitted
 from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.request import (
@@ -42,7 +42,7 @@ def found(tmp_path_factory):
     with project.store() as store:
         for one in SimulatedTestbed(seed=4).run(thesis_plan().experiments[2:202:40]):
             store.add_experiment(one)
-        chosen = run.choose(store, (), ExperimentQuery())
+        chosen = run.select_experiments(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
         mode="joint",
@@ -62,7 +62,7 @@ def test_misfit_is_said_before_anything_else(found):
     assert float(done.outcome.found[-1].misfit_ratio) > 10.0
     with project.store() as store:
         one = calibrated(store, done.ids[-1])
-        told = tell(project, store, done.ids[-1])
+        told = load_detail(project, store, done.ids[-1])
     assert calibration_warnings(one, {})[0] == lines[0] == told.misfit[0]
     summary = json.loads(json.dumps(done.summary()))["found"][-1]
     assert summary["misfit"][0] == lines[0]
@@ -71,7 +71,7 @@ def test_misfit_is_said_before_anything_else(found):
 def test_one_value_inside_its_interval_wherever_one_looks(found):
     project, done = found
     with project.store() as store:
-        told = tell(project, store, done.ids[-1])
+        told = load_detail(project, store, done.ids[-1])
         one = calibrated(store, done.ids[-1])
     summary = done.summary()["found"][-1]
     chart = next(
@@ -121,7 +121,7 @@ def enlarged(found):
     """The same experiments with the larger model that was offered."""
     project, done = found
     with project.store() as store:
-        chosen = run.choose(store, (), ExperimentQuery())
+        chosen = run.select_experiments(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
     unknowns = fitted(["mu_pusher", *LARGER], scenes)
     request = done.request.model_copy(update={"unknowns": unknowns})

@@ -22,7 +22,7 @@ from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import job, run
 from fixel.workflows.calibration.commands import command_of
-from fixel.workflows.calibration.detail import listed
+from fixel.workflows.calibration.detail import list_calibrations
 from fixel.workflows.calibration.parameter_options import default_unknowns, fitted, held, read_space
 from fixel.workflows.calibration.request import (
     CalibrationRequest,
@@ -57,7 +57,7 @@ def project(tmp_path, experiments):
 @pytest.fixture
 def chosen(project):
     with project.store() as store:
-        return run.choose(store, (), ExperimentQuery())
+        return run.select_experiments(store, (), ExperimentQuery())
 
 
 def _request(chosen, **changes):
@@ -269,7 +269,7 @@ def test_errors_are_stored_in_the_unit_that_their_names_say(project, chosen):
     (one,) = done.outcome.together
     with project.store() as store:
         record = store.calibration(done.ids[0])
-        (shown,) = (row for row in listed(store) if row.id == done.ids[0])
+        (shown,) = (row for row in list_calibrations(store) if row.id == done.ids[0])
         best = store.experiments(view_of(limit=4), details=True).details
     squares = [float(error) ** 2 for error in one.errors]
     assert [member.error_mm2 for member in record.members] == squares
@@ -488,11 +488,11 @@ def test_experiments_that_cannot_be_compared(project, experiments):
     with project.store() as store:
         for experiment in (scene_less, one_frame):
             store.add_experiment(experiment)
-        found = run.choose(store, (), ExperimentQuery())
+        found = run.select_experiments(store, (), ExperimentQuery())
         assert len(found.targets) == 4
         assert "no scene" in found.left_out["testbed/lost"]
         assert "no measured pose" in found.left_out["testbed/one"]
         with pytest.raises(InvalidInput, match="no scene"):
-            run.choose(store, ("lost",), ExperimentQuery())
+            run.select_experiments(store, ("lost",), ExperimentQuery())
         with pytest.raises(InvalidInput, match="expected one of testbed"):
-            run.choose(store, (), ExperimentQuery(dataset="nowhere"))
+            run.select_experiments(store, (), ExperimentQuery(dataset="nowhere"))

@@ -17,7 +17,7 @@ from tests.workflows.growing import (
 from fixel.domain.growth import ROWS, STORED, domain
 from fixel.errors import InvalidInput
 from fixel.workflows.analysis import kept
-from fixel.workflows.calibration.result import GROWTH
+from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.calibration.stored import calibrated
 from fixel.workflows.growth import report
 from fixel.workflows.growth.explore import explore, threshold_in
@@ -73,7 +73,7 @@ def test_means_are_kept_once_with_weights_and_errors(lab, experiments, points, e
     np.testing.assert_allclose([m.weight for m in step.members], share)
     np.testing.assert_allclose([step.parameters[name] for name in NAMES], share @ points[rows])
     assert step.max_error_mm2 == first.growth.matrix[0][1]
-    assert step.method["how"] == GROWTH
+    assert step.method["how"] == FitKind.GROWTH
     # Means on the way are no answer to "the calibration of this project".
     with project.store() as store:
         assert calibrated(store).id not in first.added

@@ -44,7 +44,7 @@ def project(tmp_path_factory):
     with made.store() as store:
         for experiment in experiments:
             store.add_experiment(experiment)
-        chosen = run.choose(store, (), ExperimentQuery())
+        chosen = run.select_experiments(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
         mode="joint",

@@ -100,7 +100,7 @@ def calibrations(
 ) -> CalibrationList:
     # First: calibrations that are done become stored.
     running, unreadable = context.calibrations.unfinished()
-    every = detail.listed(context.store)
+    every = detail.list_calibrations(context.store)
     return CalibrationList(
         calibrations=every[offset : offset + limit],
         total=len(every),

@@ -25,7 +25,7 @@ from fixel.simulation.stepper import Adaptive
 from fixel.web.values import Answer, Finite
 from fixel.web.views.motion_views import MotionView, compared_motion, stored_motion
 from fixel.workflows.calibration.parameter_options import default_unknowns, usual
-from fixel.workflows.calibration.result import GROWTH
+from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.compilation import INSTANT, get_ready
 from fixel.workflows.project.compare import Comparison, comparison
@@ -139,7 +139,7 @@ class LiveComparison:
             )
         ]
         for id_, record in reversed(self._store.calibration_summaries().items()):
-            if record.method.get("how") != GROWTH and len(found) <= MAX_SETS:
+            if record.method.get("how") != FitKind.GROWTH and len(found) <= MAX_SETS:
                 found.append(_calibrated_set(id_, record, experiment, experiment_id))
         for id_ in reversed(self._store.simulations(experiment_id)[-MAX_SETS:]):
             found.append(_simulated_set(id_, self._store.simulation(id_)))

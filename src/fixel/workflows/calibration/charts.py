@@ -21,7 +21,7 @@ from fixel.simulation import Simulation, simulate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.report_data import CalibrationReportData, title_of
-from fixel.workflows.calibration.result import DIRECT, Curve, ParameterSet
+from fixel.workflows.calibration.result import Curve, FitKind, ParameterSet
 from fixel.workflows.calibration.run import Calibration
 from fixel.workflows.figures import Picture, make_folder, write_picture
 
@@ -81,10 +81,10 @@ CAPTIONS: Final = {
 }
 
 
-def pictures_of(desk: CalibrationReportData) -> Pictures:
+def pictures_of(data: CalibrationReportData) -> Pictures:
     """Yield the charts of a calibration, with captions."""
     for parts in (_of_searches, _of_parameters, _of_experiments, _overlays):
-        for picture in parts(desk):
+        for picture in parts(data):
             yield picture._replace(caption=_caption(picture.name))
 
 
@@ -94,76 +94,76 @@ def _caption(name: str) -> str:
     return CAPTIONS[stem] + (f" Here the {which}." if stem == "overlay" and which else "")
 
 
-def _of_searches(desk: CalibrationReportData) -> Pictures:
+def _of_searches(data: CalibrationReportData) -> Pictures:
     """Charts of the search for all experiments, of three single searches, and of all durations."""
-    together, searched = desk.together, desk.searched
+    together, searched = data.together, data.searched
     if together is not None and together.trace is not None:
-        yield Picture("search", _search_chart(desk, [("", together)]), desk.banner)
-        yield from _starts(desk, "starts", together)
+        yield Picture("search", _search_chart(data, [("", together)]), data.banner)
+        yield from _starts(data, "starts", together)
     picks = _picks(searched)
     if picks:
         name = "search" if together is None else "search_alone"
-        yield Picture(name, _search_chart(desk, picks), desk.banner)
+        yield Picture(name, _search_chart(data, picks), data.banner)
     for word, one in picks:
-        yield from _starts(desk, _named("starts", word, desk), one)
+        yield from _starts(data, _named("starts", word, data), one)
     if len(searched) > 1:
-        yield Picture("seconds", _seconds_chart(desk, searched), desk.banner)
+        yield Picture("seconds", _seconds_chart(data, searched), data.banner)
 
 
-def _of_parameters(desk: CalibrationReportData) -> Pictures:
+def _of_parameters(data: CalibrationReportData) -> Pictures:
     """Charts of the set for all experiments, or of single ones if there is no such set."""
-    together = desk.together
-    sets = [("", together)] if together is not None else _picks(desk.searched)
+    together = data.together
+    sets = [("", together)] if together is not None else _picks(data.searched)
     for word, one in sets:
         yield Picture(
-            _named("parameters", word, desk), _parameters_chart(desk, word, one), desk.banner
+            _named("parameters", word, data), _parameters_chart(data, word, one), data.banner
         )
         if one.profiles:
-            profiles = _profiles_chart(desk, word, one)
-            yield Picture(_named("profiles", word, desk), profiles, desk.banner)
-    if len(desk.alone) > 1:
+            profiles = _profiles_chart(data, word, one)
+            yield Picture(_named("profiles", word, data), profiles, data.banner)
+    if len(data.alone) > 1:
         quantities = [
             Quantity(
                 unknown.label,
                 unknown.unit,
-                _column(desk, [one.point[k] for one in desk.alone]),
+                _column(data, [one.point[k] for one in data.alone]),
                 bounds=(unknown.low, unknown.high),
             )
-            for k, unknown in enumerate(desk.space.free)
+            for k, unknown in enumerate(data.space.free)
         ]
-        chart = _offsets_chart(desk, "Parameters, each experiment by itself", quantities)
-        yield Picture("parameters_by_offset", chart, desk.banner)
+        chart = _offsets_chart(data, "Parameters, each experiment by itself", quantities)
+        yield Picture("parameters_by_offset", chart, data.banner)
 
 
-def _of_experiments(desk: CalibrationReportData) -> Pictures:
+def _of_experiments(data: CalibrationReportData) -> Pictures:
     """Charts of the errors of all experiments, before and after."""
-    if len(desk.keys) == 1:  # the overlay shows it
+    if len(data.keys) == 1:  # the overlay shows it
         return
-    series = {name: desk.lengths(errors) for name, errors in _series(desk).items()}
-    yield Picture("errors", ErrorsChart(keys=desk.keys, series=series, unit="mm"), desk.banner)
-    if desk.offset_axes:
+    series = {name: data.lengths(errors) for name, errors in _series(data).items()}
+    yield Picture("errors", ErrorsChart(keys=data.keys, series=series, unit="mm"), data.banner)
+    if data.offset_axes:
         name = "each alone" if "each alone" in series else list(series)[-1]
         error = Quantity("error", "mm", series[name], log=True)
-        chart = _offsets_chart(desk, f"Error, {name}", [error])
-        yield Picture("errors_by_offset", chart, desk.banner)
+        chart = _offsets_chart(data, f"Error, {name}", [error])
+        yield Picture("errors_by_offset", chart, data.banner)
 
 
-def _overlays(desk: CalibrationReportData) -> Pictures:
+def _overlays(data: CalibrationReportData) -> Pictures:
     """Overlays of the best, the median and the worst experiment, before and after."""
-    together, alone = desk.together, {one.members[0]: one for one in desk.alone}
-    after = list(_series(desk).values())[-1]
+    together, alone = data.together, {one.members[0]: one for one in data.alone}
+    after = list(_series(data).values())[-1]
     for word, member in _three(after):
         one = together if together is not None else alone[member]
-        chart = _overlay_chart(desk, word, member, one.point, float(after[member]))
-        yield Picture(_named("overlay", word, desk), chart, desk.banners[member])
+        chart = _overlay_chart(data, word, member, one.point, float(after[member]))
+        yield Picture(_named("overlay", word, data), chart, data.banners[member])
 
 
 # --- choices ------------------------------------------------------------------------------------
 
 
-def _named(stem: str, word: str, desk: CalibrationReportData) -> str:
+def _named(stem: str, word: str, data: CalibrationReportData) -> str:
     """Add a word such as "best" to a name, unless there is only one experiment."""
-    return f"{stem}_{word}" if word and len(desk.keys) > 1 else stem
+    return f"{stem}_{word}" if word and len(data.keys) > 1 else stem
 
 
 def _three(errors: FloatArray) -> list[tuple[str, int]]:
@@ -183,21 +183,21 @@ def _picks(found: list[ParameterSet]) -> list[tuple[str, ParameterSet]]:
     return [(word, found[k]) for word, k in _three(errors)]
 
 
-def _series(desk: CalibrationReportData) -> dict[str, FloatArray]:
+def _series(data: CalibrationReportData) -> dict[str, FloatArray]:
     """Errors of all experiments by the set used; the last is the requested result."""
-    series = {BEFORE: desk.outcome.nominal}
-    if desk.alone:
-        name = "after" if desk.together is None else "each alone"
-        series[name] = _column(desk, [one.errors[0] for one in desk.alone])
-    if desk.together is not None:
-        series["after" if not desk.alone else "one set for all"] = desk.together.errors
+    series = {BEFORE: data.outcome.nominal}
+    if data.alone:
+        name = "after" if data.together is None else "each alone"
+        series[name] = _column(data, [one.errors[0] for one in data.alone])
+    if data.together is not None:
+        series["after" if not data.alone else "one set for all"] = data.together.errors
     return series
 
 
-def _column(desk: CalibrationReportData, values: list[float]) -> FloatArray:
+def _column(data: CalibrationReportData, values: list[float]) -> FloatArray:
     """Arrange values of the single calibrations by experiment; nan where one has none."""
-    column = np.full(len(desk.keys), np.nan)
-    for one, value in zip(desk.alone, values, strict=True):
+    column = np.full(len(data.keys), np.nan)
+    for one, value in zip(data.alone, values, strict=True):
         column[one.members[0]] = value if math.isfinite(one.errors[0]) else np.nan
     return column
 
@@ -206,61 +206,61 @@ def _column(desk: CalibrationReportData, values: list[float]) -> FloatArray:
 
 
 def _search_chart(
-    desk: CalibrationReportData, picks: list[tuple[str, ParameterSet]]
+    data: CalibrationReportData, picks: list[tuple[str, ParameterSet]]
 ) -> SearchChart:
     panels = []
     for word, one in picks:
         assert one.trace is not None
-        title = title_of(desk, one)
+        title = title_of(data, one)
         if word:
-            title = f"{word} of {len(desk.searched)}\n{title}"
+            title = f"{word} of {len(data.searched)}\n{title}"
         panels.append(
-            SearchPanel(title, desk.lengths(one.trace.errors, len(one.members)), one.trace.begins)
+            SearchPanel(title, data.lengths(one.trace.errors, len(one.members)), one.trace.begins)
         )
-    return SearchChart(panels=panels, unit="mm", what=_what(desk, picks[0][1]))
+    return SearchChart(panels=panels, unit="mm", what=_what(data, picks[0][1]))
 
 
-def _what(desk: CalibrationReportData, one: ParameterSet) -> str:
+def _what(data: CalibrationReportData, one: ParameterSet) -> str:
     """Name of the number that a search minimised."""
     if len(one.members) == 1:
         return "RMS error"
-    return "largest RMS error" if desk.request.combine == "largest" else "RMS error"
+    return "largest RMS error" if data.request.combine == "largest" else "RMS error"
 
 
-def _starts(desk: CalibrationReportData, name: str, one: ParameterSet) -> Pictures:
+def _starts(data: CalibrationReportData, name: str, one: ParameterSet) -> Pictures:
     """Chart of the ends of all starts, if there were several."""
-    if desk.request.starts == 1 or one.trace is None:
+    if data.request.starts == 1 or one.trace is None:
         return
     ends = one.trace.ends()
     if len(ends) < 2:
         return
     chart = StartsChart(
-        title=f"{len(ends)} starts: {title_of(desk, one)}",
+        title=f"{len(ends)} starts: {title_of(data, one)}",
         unit="mm",
-        errors=desk.lengths(np.array([end.error for end in ends]), len(one.members)),
+        errors=data.lengths(np.array([end.error for end in ends]), len(one.members)),
         points=np.array([end.point for end in ends]),
-        unknowns=desk.space.free,
+        unknowns=data.space.free,
         evaluations=np.bincount(one.trace.starts).tolist(),
-        nearly=NEARLY if desk.unit == "mm" else 0.5 * NEARLY,
-        what=_what(desk, one),
+        nearly=NEARLY if data.unit == "mm" else 0.5 * NEARLY,
+        what=_what(data, one),
     )
-    yield Picture(name, chart, desk.banner)
+    yield Picture(name, chart, data.banner)
 
 
-def _seconds_chart(desk: CalibrationReportData, searched: list[ParameterSet]) -> SecondsChart:
+def _seconds_chart(data: CalibrationReportData, searched: list[ParameterSet]) -> SecondsChart:
     return SecondsChart(
-        keys=[desk.keys[one.members[0]] for one in searched],
+        keys=[data.keys[one.members[0]] for one in searched],
         seconds=np.array([one.seconds for one in searched]),
         evaluations=[0 if one.trace is None else len(one.trace.errors) for one in searched],
     )
 
 
-def _parameters_chart(desk: CalibrationReportData, word: str, one: ParameterSet) -> ParametersChart:
+def _parameters_chart(data: CalibrationReportData, word: str, one: ParameterSet) -> ParametersChart:
     return ParametersChart(
-        title=title_of(desk, one, word),
-        rows=[_visible(row) for row in desk.estimates(one.estimates, one)],
-        others={name: point.tolist() for name, point in _other_sets(desk, one).items()},
-        level=desk.request.level,
+        title=title_of(data, one, word),
+        rows=[_visible(row) for row in data.estimates(one.estimates, one)],
+        others={name: point.tolist() for name, point in _other_sets(data, one).items()},
+        level=data.request.level,
     )
 
 
@@ -273,20 +273,24 @@ def _visible(row: Estimate) -> Estimate:
     return replace(row, best_fit=None) if same else row
 
 
-def _other_sets(desk: CalibrationReportData, one: ParameterSet) -> dict[str, FloatArray]:
+def _other_sets(data: CalibrationReportData, one: ParameterSet) -> dict[str, FloatArray]:
     """Other sets for the same experiments, and distinct solutions that are nearly as good."""
-    found = {o.how: o.point for o in desk.outcome.together if o is not one and one.how == DIRECT}
+    found = {
+        str(o.how): o.point
+        for o in data.outcome.together
+        if o is not one and one.how == FitKind.DIRECT
+    }
     for k, point in enumerate(one.solutions[1:], 2):
         found[f"solution {k}, nearly as good"] = point
     return dict(list(found.items())[:MAX_OTHERS])
 
 
-def _profiles_chart(desk: CalibrationReportData, word: str, one: ParameterSet) -> ProfilesChart:
-    units = {unknown.label: unknown.unit for unknown in desk.space.free}
+def _profiles_chart(data: CalibrationReportData, word: str, one: ParameterSet) -> ProfilesChart:
+    units = {unknown.label: unknown.unit for unknown in data.space.free}
     return ProfilesChart(
-        title=title_of(desk, one, word),
+        title=title_of(data, one, word),
         panels=[_panel(curve, units[curve.label]) for curve in one.profiles],
-        level=desk.request.level,
+        level=data.request.level,
         misfits=bool(one.misfit),
     )
 
@@ -307,13 +311,13 @@ def _panel(curve: Curve, unit: str) -> ProfilePanel:
 
 
 def _offsets_chart(
-    desk: CalibrationReportData, title: str, quantities: list[Quantity]
+    data: CalibrationReportData, title: str, quantities: list[Quantity]
 ) -> OffsetsChart:
     return OffsetsChart(
         title=title,
-        keys=desk.keys,
-        groups=desk.groups,
-        axes=desk.offset_axes,
+        keys=data.keys,
+        groups=data.groups,
+        axes=data.offset_axes,
         quantities=quantities,
     )
 
@@ -322,34 +326,34 @@ def _offsets_chart(
 
 
 def _overlay_chart(
-    desk: CalibrationReportData, word: str, member: int, point: FloatArray, error: float
+    data: CalibrationReportData, word: str, member: int, point: FloatArray, error: float
 ) -> OverlayChart:
-    target = desk.targets[member]
+    target = data.targets[member]
     scene = target.case.scene
-    before, after = (_simulated(desk, target, p) for p in (desk.space.nominal, point))
+    before, after = (_simulated(data, target, p) for p in (data.space.nominal, point))
     body = scene.bodies[0]
-    nominal = float(desk.lengths(desk.outcome.nominal[member]))
+    nominal = float(data.lengths(data.outcome.nominal[member]))
     start = np.concatenate(([0.0], target.case.times))
     return OverlayChart(
-        title=target.key if not word else f"{target.key}: the {word} of {len(desk.keys)}",
+        title=target.key if not word else f"{target.key}: the {word} of {len(data.keys)}",
         outline=body.shape.outline,
         measured=Track(start, np.vstack((body.pose, target.pose))),
         before=_track(before, nominal),
-        after=_track(after, float(desk.lengths(np.asarray(error)))),
-        real=not desk.banners[member],
+        after=_track(after, float(data.lengths(np.asarray(error)))),
+        real=not data.banners[member],
         fixels=[placed(fixel.shape.outline, fixel.pose) for fixel in scene.fixels],
         pusher=_pusher(after),
         unit="mm",
     )
 
 
-def _simulated(desk: CalibrationReportData, target: Target, point: FloatArray) -> Simulation:
-    columns = desk.space.columns(point[None], target.conditions)
+def _simulated(data: CalibrationReportData, target: Target, point: FloatArray) -> Simulation:
+    columns = data.space.columns(point[None], target.conditions)
     duration = float(target.case.times[-1])
     return simulate(
         target.case.scene,
         Parameters({name: float(values[0]) for name, values in columns.items()}),
-        motion=desk.request.made_motion,
+        motion=data.request.made_motion,
         duration=duration,
         output_interval=duration / max(SAMPLES, len(target.pose)),
     )

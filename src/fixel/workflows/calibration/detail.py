@@ -97,32 +97,32 @@ class CalibrationDetail(NamedTuple):
         return self.residuals[:WORST]
 
 
-def tell(project: Project, store: Store, number: int) -> CalibrationDetail:
+def load_detail(project: Project, store: Store, number: int) -> CalibrationDetail:
     """Load the detail of a stored calibration."""
     record = store.calibration(number)
-    calibration = one = desk = None
+    calibration = one = data = None
     starts: list[Start] = []
     trouble = ""
     try:
         calibration = reopened(project, record)
         if calibration is not None and number in calibration.ids:
             one = calibration.outcome.found[calibration.ids.index(number)]
-            desk = CalibrationReportData(calibration)
-            starts = starts_of(desk, one)
+            data = CalibrationReportData(calibration)
+            starts = starts_of(data, one)
     except FixelError as problem:  # what is stored can be shown all the same
-        calibration = one = desk = None
+        calibration = one = data = None
         trouble = str(problem)
     return CalibrationDetail(
         id=number,
         record=record,
         unit=record.error_unit,
-        rows=_rows(record, desk, one),
+        rows=_rows(record, data, one),
         residuals=_residuals(store, record, calibration, one),
         objective=_objective(record),
         starts=starts,
         curves=() if one is None else one.profiles,
         units={estimate.label: estimate.unit for estimate in record.estimates},
-        level=0.95 if desk is None else desk.request.level,
+        level=0.95 if data is None else data.request.level,
         misfit=misfit_of(record),
         noise="" if one is None else one.noise,
         note=trouble if one is None else one.note,
@@ -131,14 +131,14 @@ def tell(project: Project, store: Store, number: int) -> CalibrationDetail:
     )
 
 
-def starts_of(desk: CalibrationReportData, one: ParameterSet) -> list[Start]:
+def starts_of(data: CalibrationReportData, one: ParameterSet) -> list[Start]:
     """Return the ends of several searches, best first; empty for a single search."""
-    if desk.request.starts == 1 or one.trace is None:
+    if data.request.starts == 1 or one.trace is None:
         return []
     ends = one.trace.ends()
     best = min((end.error for end in ends), default=math.inf)
     evaluations = np.bincount(one.trace.starts, minlength=len(ends)).tolist()
-    shared = len(one.members) if desk.request.combine == "sum" else 1
+    shared = len(one.members) if data.request.combine == "sum" else 1
     found = [
         Start(
             _finite(end.error / shared),
@@ -157,9 +157,9 @@ def misfit_of(record: CalibrationRecord) -> list[str]:
 
 
 def _rows(
-    record: CalibrationRecord, desk: CalibrationReportData | None, one: ParameterSet | None
+    record: CalibrationRecord, data: CalibrationReportData | None, one: ParameterSet | None
 ) -> list[Estimate]:
-    if desk is None or one is None:
+    if data is None or one is None:
         values = dict(record.parameters)
         return [
             replace(estimate, best_fit=values.get(parted(estimate.label)[0], estimate.value))
@@ -168,7 +168,7 @@ def _rows(
             Estimate(label=name, unit="", value=value, best_fit=value)
             for name, value in values.items()
         ]
-    return desk.estimates(record.estimates, one)
+    return data.estimates(record.estimates, one)
 
 
 def _residuals(
@@ -253,7 +253,7 @@ class CalibrationSummary:
     verdicts: dict[str, int]
 
 
-def listed(store: Store) -> list[CalibrationSummary]:
+def list_calibrations(store: Store) -> list[CalibrationSummary]:
     """Stored calibrations, those of one job together, the newest first."""
     jobs: dict[str, list[tuple[int, CalibrationRecord]]] = {}
     for number, record in store.calibration_summaries().items():

@@ -18,12 +18,12 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from fixel.calibration.assess import (
-    Asking,
     Assessment,
+    AssessmentSteps,
     Frames,
     answer,
-    assessing,
-    conducted_here,
+    assessment_steps,
+    run_assessment,
 )
 from fixel.calibration.cost import NormalPrior
 from fixel.calibration.noise import Noise
@@ -37,14 +37,14 @@ from fixel.calibration.study import (
     Study,
     Trace,
     at_points,
-    best_stored,
     best_subset,
     box_of,
-    conducted,
-    each_alone,
+    calibrate_each,
+    calibrate_joint,
+    exchange_with_neighbours,
+    minimax_of_stored,
     neighbours,
-    polished,
-    together,
+    run_study,
     weighted,
 )
 from fixel.errors import InvalidInput
@@ -55,14 +55,9 @@ from fixel.model.records import Estimate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.request import CalibrationRequest, read_targets
 from fixel.workflows.calibration.result import (
-    ALONE,
-    DIRECT,
-    NEIGHBOUR,
-    STORED,
-    SUBSET,
-    WEIGHTED,
     CalibrationResult,
     Curve,
+    FitKind,
     ParameterSet,
     found_arrays,
     found_of,
@@ -86,12 +81,12 @@ ROLLOUTS_A_CHUNK: Final = 4000
 @callable_by_jobs
 def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     """The whole calibration; its result is an `CalibrationResult`."""
-    request, comparer = _desk(inputs)
+    request, comparer = _load_job(inputs)
     n = len(comparer.targets)
     members = list(range(n))
     start = comparer.space.nominal
     budget = _Budget(request.budget)
-    before, _ = yield from _asked(at_points(members, start[None]), "nominal")
+    before, _ = yield from _evaluate_study(at_points(members, start[None]), "nominal")
     found: list[ParameterSet] = []
     if request.mode in ("each", "campaign"):
         alone = yield from _alone(request, comparer, n)
@@ -100,13 +95,13 @@ def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
         found = yield from _campaign(request, comparer, found)
     elif request.mode == "stored":
         points = np.array(request.stored)
-        pooled = yield from _asked(best_stored(members, points), "stored")
-        found.append(_pooled(STORED, members, pooled))
+        pooled = yield from _evaluate_study(minimax_of_stored(members, points), "stored")
+        found.append(_pooled(FitKind.STORED, members, pooled))
     elif request.mode == "joint":
         one = _by_squares if request.least_squares is not None else _direct
         found.append((yield from one(request, comparer, members, start, budget)))
     if request.verdicts and request.mode != "each":
-        found = yield from _judged(request, comparer, found, budget)
+        found = yield from _assess_all(request, comparer, found, budget)
     return outcome_bytes(
         CalibrationResult(
             keys=tuple(target.key for target in comparer.targets),
@@ -149,7 +144,7 @@ def _timed(begun: float, **arrays: Any) -> bytes:
     return bytes_of(**arrays, **{TIME: time.process_time() - begun})
 
 
-def _asked(
+def _evaluate_study(
     study: Study[T], stage: str, objective: Objective | None = None, budget: _Budget | None = None
 ) -> Rounds[T]:
     """Answer a study in rounds of chunks; with an objective, the note shows its best."""
@@ -207,7 +202,7 @@ def _evaluated(answer: bytes | Failure, n: int) -> Evaluation:
 @callable_by_jobs
 def evaluate(inputs: Path, payload: bytes) -> bytes:
     """Chunk: errors of experiments under points."""
-    _, comparer = _desk(inputs)
+    _, comparer = _load_job(inputs)
     begun, asked = time.process_time(), arrays_of(payload)
     answer = comparer.errors(asked["which"], asked["points"])
     failed = {str(k): reason for k, reason in enumerate(answer.reasons) if reason}
@@ -238,7 +233,7 @@ def _alone(request: CalibrationRequest, comparer: Comparer, n: int) -> Rounds[li
 
 def _nothing(comparer: Comparer, member: int, reason: str) -> ParameterSet:
     return ParameterSet(
-        how=ALONE,
+        how=FitKind.ALONE,
         members=(member,),
         point=comparer.space.nominal,
         errors=np.array([math.inf]),
@@ -249,11 +244,11 @@ def _nothing(comparer: Comparer, member: int, reason: str) -> ParameterSet:
 @callable_by_jobs
 def calibrate_alone(inputs: Path, payload: bytes) -> bytes:
     """Chunk: the calibration of a few experiments, each by itself."""
-    request, comparer = _desk(inputs)
+    request, comparer = _load_job(inputs)
     members = arrays_of(payload)["members"].tolist()
     begun = time.perf_counter()
-    traces = conducted(
-        each_alone(
+    traces = run_study(
+        calibrate_each(
             members,
             box_of(comparer.space),
             request.made_optimiser,
@@ -267,8 +262,8 @@ def calibrate_alone(inputs: Path, payload: bytes) -> bytes:
     for member, trace in zip(members, traces, strict=True):
         begun = time.perf_counter()
         one = ParameterSet(
-            solutions=_apart(comparer, trace),
-            how=ALONE,
+            solutions=_distinct_solutions(comparer, trace),
+            how=FitKind.ALONE,
             members=(member,),
             point=trace.point,
             errors=np.array([trace.error]),
@@ -289,7 +284,7 @@ def calibrate_alone(inputs: Path, payload: bytes) -> bytes:
 NEARLY: Final = 0.02
 
 
-def _apart(comparer: Comparer, trace: Trace) -> FloatArray:
+def _distinct_solutions(comparer: Comparer, trace: Trace) -> FloatArray:
     """(k, n_free) points nearly as good as the best, one a cluster of those evaluated."""
     if not np.isfinite(trace.error):
         return np.zeros((0, len(trace.point)))
@@ -310,12 +305,14 @@ def _campaign(
     points = np.array([one.point for one in alone])
     errors = np.array([one.errors[0] for one in alone])
     groups = neighbours([target.conditions for target in comparer.targets])
-    better, least = yield from _asked(polished(points, errors, groups), "neighbours")
+    better, least = yield from _evaluate_study(
+        exchange_with_neighbours(points, errors, groups), "neighbours"
+    )
     combine = Objective(comparer, combine=request.combine).combined
     free = comparer.space.free
     informed = np.array([[u.covers(t.conditions) for u in free] for t in comparer.targets])
-    pooled = yield from _asked(weighted(members, better, least, informed), "weighted mean")
-    subset = yield from _asked(
+    pooled = yield from _evaluate_study(weighted(members, better, least, informed), "weighted mean")
+    subset = yield from _evaluate_study(
         best_subset(members, better, least, combine, request.seed, informed=informed), "subsets"
     )
     start = subset.point
@@ -323,8 +320,8 @@ def _campaign(
     return [
         *alone,
         *_improved(alone, better, least),
-        _pooled(WEIGHTED, members, pooled),
-        _pooled(SUBSET, members, subset),
+        _pooled(FitKind.WEIGHTED, members, pooled),
+        _pooled(FitKind.SUBSET, members, subset),
         direct,
     ]
 
@@ -333,13 +330,15 @@ def _improved(
     alone: Sequence[ParameterSet], points: FloatArray, errors: FloatArray
 ) -> list[ParameterSet]:
     return [
-        ParameterSet(how=NEIGHBOUR, members=one.members, point=point, errors=np.array([error]))
+        ParameterSet(
+            how=FitKind.NEIGHBOUR, members=one.members, point=point, errors=np.array([error])
+        )
         for one, point, error in zip(alone, points, errors, strict=True)
         if error < one.errors[0]
     ]
 
 
-def _pooled(how: str, members: Sequence[int], pooled: CombinedFit) -> ParameterSet:
+def _pooled(how: FitKind, members: Sequence[int], pooled: CombinedFit) -> ParameterSet:
     return ParameterSet(how=how, members=tuple(members), point=pooled.point, errors=pooled.members)
 
 
@@ -353,8 +352,8 @@ def _direct(
     objective = Objective(comparer, combine=request.combine)
     share = SEARCH_SHARE if request.verdicts else 1.0
     begun = time.perf_counter()
-    trace, _ = yield from _asked(
-        together(
+    trace, _ = yield from _evaluate_study(
+        calibrate_joint(
             members,
             box_of(comparer.space.started_at(start)),
             request.made_optimiser,
@@ -367,14 +366,14 @@ def _direct(
         objective,
         budget,
     )
-    errors, reasons = yield from _asked(at_points(members, trace.point[None]), "best")
+    errors, reasons = yield from _evaluate_study(at_points(members, trace.point[None]), "best")
     return ParameterSet(
-        how=DIRECT,
+        how=FitKind.DIRECT,
         members=tuple(members),
         point=trace.point,
         errors=errors[0],
         trace=trace,
-        solutions=_apart(comparer, trace),
+        solutions=_distinct_solutions(comparer, trace),
         seconds=time.perf_counter() - begun,
         note=reasons[0],
     )
@@ -398,19 +397,12 @@ def _by_squares(
     ended = ""
     share = SEARCH_SHARE if request.verdicts else 1.0
     divisor = len(members) if request.combine == "sum" else 1
-    per_chunk = max(1, ROLLOUTS_A_CHUNK // len(members))
     while not search.done:
         points = search.ask()
-        chunks = [
-            Chunk(f"squares/{k}", bytes_of(points=points[at : at + per_chunk]))
-            for k, at in enumerate(range(0, len(points), per_chunk))
-        ]
         note = "least squares"
         if tried[1:]:
             note += f", best RMS {math.sqrt(best / divisor):.4g} mm"
-        answers = yield Round("calibration:residuals", chunks, note=note)
-        budget.add(answers)
-        table = np.concatenate([_table(answers[c.name], c) for c in chunks])
+        table = yield from _rows("residuals", "squares", points, len(members), budget, note=note)
         search.tell(table)
         tried.append(points)
         errors.append(np.einsum("km,km->k", table, table))
@@ -426,9 +418,9 @@ def _by_squares(
         [""] * sum(map(len, errors)),
         ended or search.reason,
     )
-    found, reasons = yield from _asked(at_points(members, trace.point[None]), "best")
+    found, reasons = yield from _evaluate_study(at_points(members, trace.point[None]), "best")
     return ParameterSet(
-        how=DIRECT,
+        how=FitKind.DIRECT,
         members=tuple(members),
         point=trace.point,
         errors=found[0],
@@ -438,12 +430,45 @@ def _by_squares(
     )
 
 
-def _table(answer: bytes | Failure, chunk: Chunk) -> FloatArray:
-    """One row for each point of a chunk."""
-    if isinstance(answer, Failure):
-        raise InvalidInput(chunk.name, found=answer.reason, expected="simulations")
-    table: FloatArray = arrays_of(answer)["table"]
-    return table
+def _rows(
+    function: str,
+    stage: str,
+    points: FloatArray,
+    n_members: int,
+    budget: _Budget,
+    *,
+    note: str,
+    left: int | None = None,
+    **arrays: Any,
+) -> Rounds[FloatArray]:
+    """Let chunks answer for points (k, n_free) of all members: one row for each point.
+
+    Parameters
+    ----------
+    function : str
+        Function of a chunk, whose answer has the rows as `table`.
+    stage : str
+        Beginning of the chunks' names.
+    left : int, optional
+        Estimated number of points after these.
+    **arrays
+        What a chunk receives beside its points.
+    """
+    size = max(1, ROLLOUTS_A_CHUNK // n_members)
+    chunks = [
+        Chunk(f"{stage}/{k}", bytes_of(**arrays, points=points[at : at + size]))
+        for k, at in enumerate(range(0, len(points), size))
+    ]
+    rounds = None if left is None else math.ceil(left / size)
+    answers = yield Round(f"calibration:{function}", chunks, note=note, left=rounds)
+    budget.add(answers)
+    tables: list[FloatArray] = []
+    for chunk in chunks:
+        answer = answers[chunk.name]
+        if isinstance(answer, Failure):
+            raise InvalidInput(chunk.name, found=answer.reason, expected="simulations")
+        tables.append(arrays_of(answer)["table"])
+    return np.concatenate(tables)
 
 
 @callable_by_jobs
@@ -453,7 +478,7 @@ def residuals(inputs: Path, payload: bytes) -> bytes:
     A few frames stand for all of a long trajectory.
     """
     begun = time.process_time()
-    request, comparer = _desk(inputs)
+    request, comparer = _load_job(inputs)
     members = np.arange(len(comparer.targets))
     scale = request.made_error.angle_scale  # type: ignore[attr-defined]
     noise = Noise(position_m=1e-3, angle_rad=1e-3 / scale, source="stated")
@@ -466,13 +491,13 @@ def residuals(inputs: Path, payload: bytes) -> bytes:
 # --- what the data determine --------------------------------------------------------------------
 
 
-def _judged(
+def _assess_all(
     request: CalibrationRequest, comparer: Comparer, found: list[ParameterSet], budget: _Budget
 ) -> Rounds[list[ParameterSet]]:
     """Verdicts on the sets that were found by searching for all experiments together."""
     judged = []
     for one in found:
-        wanted = one.how == DIRECT
+        wanted = one.how == FitKind.DIRECT
         judged.append(
             (yield from _with_verdicts(request, comparer, one, budget)) if wanted else one
         )
@@ -485,28 +510,25 @@ def _with_verdicts(
     """Add a verdict on every parameter; the journal has every simulation behind them."""
     if not np.isfinite(one.errors).all():
         return one
-    members = np.array(one.members, np.int64)
-    per_chunk = max(1, ROLLOUTS_A_CHUNK // len(members))
     running = _assessing(request, comparer, one)
     try:
         ask = next(running)
         while True:
-            chunks = [
-                Chunk(
-                    f"verdicts/{k}",
-                    bytes_of(
-                        kind=ask.kind, members=members, points=ask.points[at : at + per_chunk]
-                    ),
-                )
-                for k, at in enumerate(range(0, len(ask.points), per_chunk))
-            ]
-            left = None if ask.left is None else math.ceil(ask.left / per_chunk)
-            answers = yield Round("calibration:assess_points", chunks, note=ask.note, left=left)
-            budget.add(answers)
+            told = yield from _rows(
+                "assess_points",
+                "verdicts",
+                ask.points,
+                len(one.members),
+                budget,
+                note=ask.note,
+                left=ask.left,
+                kind=ask.kind,
+                members=np.array(one.members, np.int64),
+            )
             if budget.over():
                 more = "give a larger --budget, or fewer experiments: --sample"
                 return dataclasses.replace(one, note=f"no verdicts: {OUT_OF_BUDGET}; {more}")
-            ask = running.send(np.concatenate([_table(answers[c.name], c) for c in chunks]))
+            ask = running.send(told)
     except StopIteration as end:
         return _with_assessment(comparer, one, end.value)
     except InvalidInput as problem:  # the values that were found stay worth having
@@ -515,9 +537,9 @@ def _with_verdicts(
 
 @callable_by_jobs
 def assess_points(inputs: Path, payload: bytes) -> bytes:
-    """Chunk: answers to a question of `assessing`."""
+    """Chunk: answers to a question of `assessment_steps`."""
     begun = time.process_time()
-    _, comparer = _desk(inputs)
+    _, comparer = _load_job(inputs)
     asked = arrays_of(payload)
     kind = str(asked["kind"])
     return _timed(begun, table=answer(comparer, asked["members"], kind, asked["points"]))
@@ -525,8 +547,8 @@ def assess_points(inputs: Path, payload: bytes) -> bytes:
 
 def _assessing(
     request: CalibrationRequest, comparer: Comparer, one: ParameterSet
-) -> Asking[Assessment]:
-    return assessing(
+) -> AssessmentSteps[Assessment]:
+    return assessment_steps(
         comparer,
         one.members,
         one.point,
@@ -543,7 +565,7 @@ def _with_estimates(
     if not np.isfinite(one.errors).all():
         return one
     try:
-        found = conducted_here(comparer, one.members, _assessing(request, comparer, one))
+        found = run_assessment(comparer, one.members, _assessing(request, comparer, one))
     except InvalidInput as problem:
         return dataclasses.replace(one, note=f"no verdicts: {problem}")
     return _with_assessment(comparer, one, found)
@@ -554,7 +576,7 @@ def _with_assessment(comparer: Comparer, one: ParameterSet, found: Assessment) -
         one,
         estimates=(*found.estimates, *_frozen(comparer)),
         profiles=_curves(comparer.space.labels, found.profiles),
-        noise=_said(found.noise),
+        noise=_noise_text(found.noise),
         misfit=() if found.misfit is None else found.misfit.sentences,
         misfit_ratio=math.nan if found.misfit is None else found.misfit.ratio,
     )
@@ -585,7 +607,7 @@ def _curves(labels: Sequence[str], found: Profiles) -> tuple[Curve, ...]:
     )
 
 
-def _said(noise: Noise) -> str:
+def _noise_text(noise: Noise) -> str:
     """One sentence for people."""
     how = {
         "stated": "as stated",
@@ -606,7 +628,7 @@ def _here(comparer: Comparer) -> Callable[[RolloutRequest], Evaluation]:
     return lambda ask: comparer.errors(ask.which, ask.points)
 
 
-def _desk(inputs: Path) -> tuple[CalibrationRequest, Comparer]:
+def _load_job(inputs: Path) -> tuple[CalibrationRequest, Comparer]:
     """Request and experiments of a job; kept in memory from chunk to chunk."""
     return _read(inputs.resolve(), (inputs / REQUEST).stat().st_mtime_ns)
 

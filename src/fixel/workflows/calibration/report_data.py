@@ -18,12 +18,7 @@ from fixel.model.records import Estimate
 from fixel.model.space import ParameterSpace
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.request import CalibrationRequest
-from fixel.workflows.calibration.result import (
-    DIRECT,
-    STORED,
-    CalibrationResult,
-    ParameterSet,
-)
+from fixel.workflows.calibration.result import CalibrationResult, FitKind, ParameterSet
 from fixel.workflows.calibration.run import Calibration, experiments_of
 from fixel.workflows.figures import banner_of
 
@@ -80,7 +75,10 @@ class CalibrationReportData:
     @cached_property
     def together(self) -> ParameterSet | None:
         """Best set for all experiments."""
-        return next((one for one in self.outcome.together if one.how in (DIRECT, STORED)), None)
+        return next(
+            (one for one in self.outcome.together if one.how in (FitKind.DIRECT, FitKind.STORED)),
+            None,
+        )
 
     @cached_property
     def banners(self) -> list[str]:
@@ -144,9 +142,9 @@ class CalibrationReportData:
         ]
 
 
-def title_of(desk: CalibrationReportData, one: ParameterSet, word: str = "") -> str:
+def title_of(data: CalibrationReportData, one: ParameterSet, word: str = "") -> str:
     """Title of a set: its experiments, and why it was selected."""
     if len(one.members) > 1:
         return f"{len(one.members)} experiments, {one.how}"
-    name = desk.keys[one.members[0]]
+    name = data.keys[one.members[0]]
     return f"{name} ({word})" if word else name

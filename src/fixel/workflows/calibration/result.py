@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any, Final, final
 
 import numpy as np
@@ -15,14 +16,24 @@ from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.model.records import Estimate
 from fixel.typing import FloatArray
 
-ALONE: Final = "alone"  # method of a set for a single experiment
-NEIGHBOUR: Final = "a neighbour's"
-WEIGHTED: Final = "weighted mean"
-SUBSET: Final = "weighted mean of a subset"
-DIRECT: Final = "direct minimisation"
-STORED: Final = "best of those stored"
 SEARCHED: Final = "unknowns"  # in the method of a record: the searched parameters, as JSON
-GROWTH: Final = "domain growth"  # a weighted mean computed by `workflows/growth`
+
+
+class FitKind(StrEnum):
+    """Way in which a set of parameters was found, stored in `CalibrationRecord.method["how"]`."""
+
+    ALONE = "alone"  # for a single experiment
+    NEIGHBOUR = "a neighbour's"
+    WEIGHTED = "weighted mean"
+    SUBSET = "weighted mean of a subset"
+    DIRECT = "direct minimisation"
+    STORED = "best of those stored"
+    GROWTH = "domain growth"  # a weighted mean computed by `workflows/growth`
+
+    @property
+    def is_single(self) -> bool:
+        """Whether the set is for a single experiment."""
+        return self in (FitKind.ALONE, FitKind.NEIGHBOUR)
 
 
 @final
@@ -62,8 +73,7 @@ class ParameterSet:
 
     Attributes
     ----------
-    how : str
-        `ALONE`, `NEIGHBOUR`, `WEIGHTED`, `SUBSET` or `DIRECT`.
+    how : FitKind
     members : tuple of int
         Indices of the experiments.
     point : (n_free,) float64
@@ -91,7 +101,7 @@ class ParameterSet:
         Why the error is missing, if it is.
     """
 
-    how: str
+    how: FitKind
     members: tuple[int, ...]
     point: FloatArray
     errors: FloatArray
@@ -137,15 +147,13 @@ class CalibrationResult:
     @property
     def alone(self) -> list[ParameterSet]:
         """Sets for single experiments."""
-        return [one for one in self.found if len(one.members) == 1 and one.how in SINGLE]
+        return [one for one in self.found if len(one.members) == 1 and one.how.is_single]
 
     @property
     def together(self) -> list[ParameterSet]:
         """Sets for all experiments together."""
-        return [one for one in self.found if one.how not in SINGLE]
+        return [one for one in self.found if not one.how.is_single]
 
-
-SINGLE: Final = (ALONE, NEIGHBOUR)
 
 # Outliers: their error, as a length, exceeds the median by this many standard deviations of its
 # logarithm, and by this factor; both robust, computed from this many experiments at least.
@@ -252,7 +260,7 @@ def found_of(arrays: dict[str, Any]) -> list[ParameterSet]:
     """Load sets of parameters; inverse of `found_arrays`."""
     return [
         ParameterSet(
-            how=entry["how"],
+            how=FitKind(entry["how"]),
             members=tuple(entry["members"]),
             point=arrays[f"point_{k}"],
             errors=arrays[f"errors_{k}"],

@@ -66,7 +66,9 @@ class ExperimentSelection:
     sample_of: int | None = None
 
 
-def choose(store: Store, keys: Sequence[str], query: ExperimentQuery) -> ExperimentSelection:
+def select_experiments(
+    store: Store, keys: Sequence[str], query: ExperimentQuery
+) -> ExperimentSelection:
     """Experiments by name, or by what they have in common.
 
     Named ones must be fit for it, and count once under whatever names; of a listing, those that are

@@ -21,7 +21,7 @@ from fixel.simulation import AbstractMotionModel, Dynamic
 from fixel.simulation.motion import MOTION_MODELS
 from fixel.workflows.calibration.job import REQUEST
 from fixel.workflows.calibration.parameter_options import fitted
-from fixel.workflows.calibration.result import ALONE, GROWTH, NEIGHBOUR, SEARCHED
+from fixel.workflows.calibration.result import SEARCHED, FitKind
 from fixel.workflows.calibration.run import request_of
 from fixel.workflows.jobs import JOBS
 
@@ -51,7 +51,7 @@ class CalibratedValues:
     def is_for_several(self) -> bool:
         """Whether a single set of parameters was calibrated to several experiments."""
         how = self.record.method.get("how")
-        return len(self.record.members) > 1 and how not in (ALONE, NEIGHBOUR)
+        return len(self.record.members) > 1 and how not in (FitKind.ALONE, FitKind.NEIGHBOUR)
 
     @cached_property
     def motion(self) -> AbstractMotionModel:
@@ -150,7 +150,7 @@ def newest(store: Store, experiment: int | None = None) -> int | None:
     known = [
         CalibratedValues(number, record)
         for number, record in reversed(store.calibration_summaries().items())
-        if record.method.get("how") != GROWTH
+        if record.method.get("how") != FitKind.GROWTH
     ]
     known = [one for one in known if experiment is None or experiment in one.members]
     several = [one for one in known if one.is_for_several]

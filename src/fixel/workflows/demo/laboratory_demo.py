@@ -114,7 +114,7 @@ def calibrate_jointly(
 ) -> int:
     """Calibrate the usual parameters to the experiments of a query; return the calibration's id."""
     with project.store() as store:
-        chosen = calibration.choose(store, (), query)
+        chosen = calibration.select_experiments(store, (), query)
     request = CalibrationRequest(
         name=name,
         mode="joint",

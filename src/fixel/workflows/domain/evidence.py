@@ -26,7 +26,7 @@ from fixel.model.trajectory import wrapped
 from fixel.simulation.pack import pusher_path
 from fixel.typing import FloatArray, Progress
 from fixel.workflows.analysis import ANALYSES
-from fixel.workflows.calibration.run import choose
+from fixel.workflows.calibration.run import select_experiments
 from fixel.workflows.calibration.stored import newest
 from fixel.workflows.domain.held_out import (
     MAX_TRAINING,
@@ -141,7 +141,7 @@ def _computed(
     finished: ResultCache,
     progress: Progress | None,
 ) -> dict[str, Any]:
-    chosen = choose(store, (), asked.query)
+    chosen = select_experiments(store, (), asked.query)
     started = model_of(project, store, asked, chosen.targets)
     if asked.measure == "relative":  # raises before hours of fits if there is no own best
         own_best(store, chosen.ids, started.model)
@@ -232,7 +232,7 @@ def _with_own(
     project: Project, store: Store, asked: DomainRequest, one: DomainEvidence
 ) -> DomainEvidence:
     """Add own best errors; experiments without one get a note and are no evidence."""
-    targets = choose(store, one.evidence.keys[:1], asked.query).targets
+    targets = select_experiments(store, one.evidence.keys[:1], asked.query).targets
     model = model_of(project, store, asked, targets).model
     own, notes = own_best(store, one.evidence.ids, model)
     return one._replace(evidence=replace(one.evidence, own_mm2=own, notes=tuple(notes)))

@@ -22,7 +22,7 @@ from fixel.model.space import ParameterSpace
 from fixel.simulation import Dynamic
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.parameter_options import default_unknowns, fitted
-from fixel.workflows.calibration.result import ALONE, NEIGHBOUR
+from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.calibration.stored import CalibratedValues, calibrated, searched_space
 from fixel.workflows.domain.held_out import CalibrationModel
 
@@ -153,7 +153,10 @@ def own_best(
     best = np.full(len(ids), np.nan)
     notes = ["not calibrated by itself"] * len(ids)
     for number, record in store.calibration_summaries().items():
-        if record.method.get("how") not in (ALONE, NEIGHBOUR) or len(record.members) != 1:
+        if (
+            record.method.get("how") not in (FitKind.ALONE, FitKind.NEIGHBOUR)
+            or len(record.members) != 1
+        ):
             continue
         k = place.get(record.members[0].experiment_id)
         if k is None:

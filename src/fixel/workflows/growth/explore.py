@@ -28,7 +28,7 @@ from fixel.errors import InvalidInput
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.workflows.calibration.result import GROWTH
+from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.compilation import get_ready
 from fixel.workflows.growth.samples import GrowthSamples, read_samples
 from fixel.workflows.growth.singles import StoredSets, best_singles
@@ -243,7 +243,7 @@ def _record(
     assert point is not None  # it was averaged
     shares = weights(members, stored.singles)
     return CalibrationRecord(
-        name=f"{GROWTH}: {step.group.name}, step {step.step}, {len(members)} experiments",
+        name=f"{FitKind.GROWTH}: {step.group.name}, step {step.step}, {len(members)} experiments",
         parameters=Parameters(dict(zip(method.names, point.tolist(), strict=True))),
         members=tuple(
             Member.of(samples.ids[m], share, error, method.unit)
@@ -251,7 +251,7 @@ def _record(
         ),
         provenance=Provenance(version=version("fixel"), command=command),
         method={
-            "how": GROWTH,
+            "how": FitKind.GROWTH,
             "mode": "growth",
             "index": growth.index,
             "step": float(step.step),

@@ -12,7 +12,7 @@ import numpy as np
 from fixel.domain.growth import Joint, SingleCalibrations
 from fixel.errors import InvalidInput
 from fixel.model.records import CalibrationRecord
-from fixel.workflows.calibration.result import GROWTH
+from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.growth.samples import GrowthSamples
 
@@ -194,7 +194,7 @@ def _joint(
     least: dict[tuple[int, ...], float] = {}
     found: dict[tuple[int, ...], Joint] = {}
     for number, record in summaries.items():
-        if len(record.members) < 2 or record.method.get("how") == GROWTH:
+        if len(record.members) < 2 or record.method.get("how") == FitKind.GROWTH:
             continue
         rows = [place.get(member.experiment_id, -1) for member in record.members]
         if min(rows) < 0:
