@@ -180,7 +180,7 @@ def test_a_benchmark_that_needs_no_data_takes_none(capsys, monkeypatch):
     def found(name, data, **more):
         asked.append((name, data))
         return run.Reproduction(
-            name=name, tables={}, conclusions=["done"], settings={}, picture=None, seconds=0.0
+            name=name, tables={}, conclusions=["done"], settings={}, figure=None, seconds=0.0
         )
 
     monkeypatch.setattr(run, "reproduce", found)

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from fixel.calibration.least_squares import LeastSquares
-from fixel.reproductions.cmu_tripod import surface_friction, transferred
+from fixel.reproductions.cmu_tripod import surface_friction, transfer_rows
 from fixel.reproductions.tripod_pushes import (
     TripodPush,
-    fitted_points,
+    fit_points,
     machined,
     read_pushes,
     support_of,
@@ -40,7 +40,7 @@ def test_a_wide_support_is_found_within_a_centimetre_and_its_radius_within_milli
     pushes: list[TripodPush],
 ) -> None:
     own = [p for p in pushes if support_of(p) == "3pts2"][::3]
-    found = fitted_points(own, LeastSquares(loss="soft_l1", width=2.0), forces=False)
+    found = fit_points(own, LeastSquares(loss="soft_l1", width=2.0), forces=False)
     apart = np.hypot(*(found.points - machined(own[0])).T)
     radius = np.hypot(*found.points.T).mean()
     assert np.sqrt(np.mean(apart**2)) < 20e-3
@@ -49,7 +49,7 @@ def test_a_wide_support_is_found_within_a_centimetre_and_its_radius_within_milli
 
 @pytest.mark.slow
 def test_known_points_predict_better_than_even_pressure(pushes: list[TripodPush]) -> None:
-    rows = transferred(pushes, "3pts1", LeastSquares(loss="soft_l1", width=2.0))
+    rows = transfer_rows(pushes, "3pts1", LeastSquares(loss="soft_l1", width=2.0))
     error = {
         row["points"]: row["position_mm_mean"]
         for row in rows

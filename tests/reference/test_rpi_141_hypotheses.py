@@ -7,7 +7,12 @@ from pathlib import Path
 import pytest
 
 from fixel.model import Experiment
-from fixel.reproductions.rpi_141 import HYPOTHESES, experiment_141, judged, lateral_misses
+from fixel.reproductions.rpi_141 import (
+    HYPOTHESES,
+    evaluate_hypothesis,
+    experiment_141,
+    lateral_misses,
+)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +35,7 @@ def experiment(data_root: Path) -> Experiment:
 )
 def test_errors_of_hypotheses(experiment: Experiment, name: str, free: float, whole: float) -> None:
     hypothesis = next(h for h in HYPOTHESES if h.name == name)
-    row, _ = judged(experiment, hypothesis, starts=1)
+    row, _ = evaluate_hypothesis(experiment, hypothesis, starts=1)
     # A tenth of a millimetre: what the step and the end of a search are worth.
     assert row["rms_mm_free"] == pytest.approx(free, abs=0.15)
     assert row["rms_mm"] == pytest.approx(whole, abs=0.15)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from fixel.drawing.chart import save_filled
+from fixel.drawing.chart import save_figure
 from fixel.model import Body, Disk, Fixel, PathDrive, Polygon, Pusher, Scene, UniformPressure
-from fixel.reproductions.charts.pictures import draw_clusters, draw_paths, draw_supports
-from fixel.reproductions.repeats import GroupPrediction, draw_repeats
+from fixel.reproductions.charts.pictures import clusters_figure, paths_figure, supports_figure
+from fixel.reproductions.repeats import GroupPrediction, repeats_figure
 
 SQUARE = 0.05 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 TRIANGLE = 0.03 * np.array([[0.0, 1.0], [-1.0, -0.5], [1.0, -0.5]])
@@ -53,12 +53,12 @@ def prediction(name: str, end: float) -> GroupPrediction:
     )
 
 
-REPEATS = partial(draw_repeats, [prediction("inside #1", 1.0), prediction("outside #1", 3.0)])
-PICTURES: dict[str, Callable[[Figure], None]] = {
-    "supports": partial(draw_supports, SQUARE, {"one": (TRIANGLE, TRIANGLE, -TRIANGLE)}),
-    "paths": partial(draw_paths, SCENE, np.arange(5.0), WAY, {"before": WAY + 0.01}, ACTUATOR),
-    "clusters": partial(draw_clusters, SQUARE, TRIANGLE, CLUSTERS),
-    "no cluster": partial(draw_clusters, SQUARE, TRIANGLE, {}),
+REPEATS = partial(repeats_figure, [prediction("inside #1", 1.0), prediction("outside #1", 3.0)])
+PICTURES: dict[str, Callable[[], Figure]] = {
+    "supports": partial(supports_figure, SQUARE, {"one": (TRIANGLE, TRIANGLE, -TRIANGLE)}),
+    "paths": partial(paths_figure, SCENE, np.arange(5.0), WAY, {"before": WAY + 0.01}, ACTUATOR),
+    "clusters": partial(clusters_figure, SQUARE, TRIANGLE, CLUSTERS),
+    "no cluster": partial(clusters_figure, SQUARE, TRIANGLE, {}),
     "repeats": REPEATS,
 }
 
@@ -68,15 +68,13 @@ PICTURES: dict[str, Callable[[Figure], None]] = {
 def test_every_kind_is_drawn(name: str, ending: str, tmp_path: Path) -> None:
     file = tmp_path / f"picture{ending}"
 
-    save_filled(PICTURES[name], file)
+    save_figure(PICTURES[name], file)
 
     assert file.stat().st_size > 5_000
 
 
 def test_only_what_is_wider_than_predicted_is_marked() -> None:
-    figure = Figure()
-
-    REPEATS(figure)
+    figure = REPEATS()
 
     labels = figure.axes[0].get_legend_handles_labels()[1]
     assert labels.count("measured, wider than predicted") == 1

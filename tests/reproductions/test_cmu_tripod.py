@@ -15,7 +15,7 @@ from fixel.reproductions.tripod_pushes import (
     STEP,
     SupportFit,
     TripodPush,
-    fitted_points,
+    fit_points,
     unit_forces,
 )
 from fixel.simulation import StewartTrinkle
@@ -73,7 +73,7 @@ def pushes() -> list[TripodPush]:
 @pytest.fixture(scope="module")
 def found(pushes: list[TripodPush]) -> SupportFit:
     options = LeastSquares(starts=2, most_iterations=25)
-    return fitted_points(pushes, options, forces=True)
+    return fit_points(pushes, options, forces=True)
 
 
 def test_exact_poses_and_forces_give_the_points_back(found: SupportFit) -> None:
@@ -87,7 +87,7 @@ def test_and_the_friction_of_finger_and_surfaces(found: SupportFit) -> None:
 
 
 def test_known_points_leave_only_the_finger_to_fit(pushes: list[TripodPush]) -> None:
-    known = fitted_points(pushes, LeastSquares(most_iterations=15), forces=False, known=True)
+    known = fit_points(pushes, LeastSquares(most_iterations=15), forces=False, known=True)
     np.testing.assert_array_equal(known.points, POINTS)
     # The finger sticks in most of these pushes: any friction that holds it does.
     assert known.values["mu_pusher"] > 0.35

@@ -3,7 +3,7 @@
 import numpy as np
 from tests.drawing.collisions import collisions
 
-from fixel.reproductions.charts.convergence import BestSoFar, ConvergenceChart
+from fixel.reproductions.charts.convergence import BestSoFar, convergence_figure
 
 
 def test_numbers_of_the_errors_do_not_collide():
@@ -20,4 +20,4 @@ def test_numbers_of_the_errors_do_not_collide():
         )
         for k, high in ((1, 0.031), (2, 0.017))
     ]
-    assert not collisions(ConvergenceChart(outline, triangle, descents).figure())
+    assert not collisions(convergence_figure(outline, triangle, descents))

@@ -77,9 +77,9 @@ def replay(
     with counting_bar() as show:
         answer = replay_dataset(dataset, request, show)
     if plot is not None:
-        from fixel.drawing.chart import save_filled
+        from fixel.drawing.chart import save_figure
 
-        save_filled(answer.draw, plot)
+        save_figure(answer.figure, plot)
     print_answer(as_json, answer.summary, lambda: _replay_lines(answer, dataset, plot))
 
 

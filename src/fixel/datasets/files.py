@@ -153,15 +153,15 @@ def _bounded_lines(stream: TextIO, source: str) -> Iterator[str]:
 
 def _bounded_rows(rows: Iterable[list[str]], source: str) -> list[list[str]]:
     """Load the rows of a table; raise once they exceed the maximum number of cells."""
-    kept, cells = [], 0
+    found, cells = [], 0
     for row in rows:
         cells += len(row) + 1  # an empty row takes memory too
         if cells > MAX_CELLS:
             raise InvalidInput(
                 source, found="more", expected=f"at most {MAX_CELLS // 10**6} million cells"
             )
-        kept.append(row)
-    return kept
+        found.append(row)
+    return found
 
 
 def read_json(path: Path) -> dict[str, Any]:

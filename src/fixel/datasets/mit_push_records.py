@@ -160,9 +160,9 @@ def _on_one_clock(record: _PushRecord) -> tuple[list[FloatArray], list[Flag]]:
     begin, tables, flags = record.object_pose[0, 0], [], []
     for rows in (record.object_pose, tip, record.ft_wrench):
         good = advancing(rows[:, 0])
-        kept = rows[good]
-        kept[:, 0] -= begin
-        tables.append(kept)
+        used = rows[good]
+        used[:, 0] -= begin
+        tables.append(used)
         if not good.all():
             flags.append(remark("repeated-times", f"{int((~good).sum())} rows dropped"))
     for rows in tables[:2]:

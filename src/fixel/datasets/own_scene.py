@@ -78,7 +78,7 @@ def with_scene(
     scene = _loaded(path, experiment)
     body = _object_of(scene, path, object_name)
     track, flags = experiment.trajectory, experiment.flags
-    said = [
+    sentences = [
         f"Scene of {path.name}: {body.name!r} starts at the first measured pose.",
     ]
     pushers = scene.pushers
@@ -90,9 +90,9 @@ def with_scene(
                 _refuse_other_angles(body.shape, pusher.shape.radius, track, experiment.pusher)
         driven, more, sentence = _driven(pusher, body.shape, track, experiment.pusher)
         pushers, flags = (driven,), (*flags, *more)
-        said.append(sentence)
+        sentences.append(sentence)
     elif pushers:
-        said.append(f"No pusher was measured: {pushers[0].name!r} moves as the scene has it.")
+        sentences.append(f"No pusher was measured: {pushers[0].name!r} moves as the scene has it.")
     completed = replace(
         scene,
         bodies=tuple(
@@ -107,7 +107,7 @@ def with_scene(
         object_name=body.name,
         flags=tuple(flag for flag in flags if flag.name != "no-scene"),
     )
-    return found, tuple(said)
+    return found, tuple(sentences)
 
 
 def template_text(experiment: Experiment, source: str) -> str:

@@ -36,8 +36,8 @@ from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
-from fixel.reproductions.charts.convergence import BestSoFar, ConvergenceChart
-from fixel.reproductions.charts.pictures import draw_clusters
+from fixel.reproductions.charts.convergence import BestSoFar, convergence_figure
+from fixel.reproductions.charts.pictures import clusters_figure
 from fixel.reproductions.result import Reproduction, Row, RunOptions
 from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
 from fixel.simulation.ensemble import Ensemble, RolloutCase
@@ -81,30 +81,30 @@ def run_table_1(options: RunOptions) -> Reproduction:
     Quick: four short searches.
     """
     starts, evaluations, wide = (4, 600, 0) if options.quick else (24, 3000, 6)
-    noisy, exact = made_targets(seed=1), made_targets(seed=None)
+    noisy, exact = simulate_targets(seed=1), simulate_targets(seed=None)
     options.progress(1, 5, "trajectories from p1*")
-    search = searched(objective(noisy, IDENTIFICATION), starts, evaluations)
+    search = run_searches(objective(noisy, IDENTIFICATION), starts, evaluations)
     options.progress(2, 5, f"{starts} searches, {search.evaluations} evaluations")
-    sets = judged(search, noisy, exact)
+    sets = evaluate_sets(search, noisy, exact)
     floor = float(objective(noisy, IDENTIFICATION)(np.array([P1]))[0])
     good = sets.apart <= 1e3 * PIXEL
-    clusters = clustered(sets, good)
+    clusters = cluster_sets(sets, good)
     options.progress(3, 5, f"{int(good.sum())} sets as good as p1*, {len(clusters)} clusters")
     plane = plane_friction(exact)
     options.progress(4, 5, "friction of the plane")
     from_all = _from_all(noisy, exact, wide, evaluations)
     options.progress(5, 5, "all eight tests for identification")
     rows = [_set_row(sets, k, bool(good[k])) for k in range(len(sets.error))]
-    told = [_cluster_row(cluster, sets, np.flatnonzero(good)) for cluster in clusters]
+    cluster_rows = [_cluster_row(cluster, sets, np.flatnonzero(good)) for cluster in clusters]
     return Reproduction(
         tables={
             "table_1": _table_1(exact),
             "sets": rows,
-            "clusters": told,
+            "clusters": cluster_rows,
             "plane_friction": plane,
             "from_all_tests": from_all,
         },
-        conclusions=_conclusions(floor, sets, good, told, plane, from_all),
+        conclusions=_conclusions(floor, sets, good, cluster_rows, plane, from_all),
         settings={
             "starts": starts,
             "evaluations": search.evaluations,
@@ -116,8 +116,8 @@ def run_table_1(options: RunOptions) -> Reproduction:
             "error_of_p1_um": 1e3 * floor,
             "quick": options.quick,
         },
-        picture=partial(
-            draw_clusters, OUTLINE, TRUTH, _clusters(clusters, sets, np.flatnonzero(good))
+        figure=partial(
+            clusters_figure, OUTLINE, TRUTH, _clusters(clusters, sets, np.flatnonzero(good))
         ),
     )
 
@@ -144,7 +144,7 @@ def space() -> ParameterSpace:
     )
 
 
-def made_targets(seed: int | None) -> dict[int, Target]:
+def simulate_targets(seed: int | None) -> dict[int, Target]:
     """Simulate the eight pushes with p1*, with the camera's errors; exact if `seed` is None."""
     draw = np.random.default_rng(seed)
     found = {}
@@ -167,7 +167,9 @@ def objective(targets: dict[int, Target], tests: Sequence[int]) -> Objective:
     return Objective(comparer, combine="mean")
 
 
-def searched(wanted: Objective, starts: int, evaluations: int, seed: int = 3) -> MultiStartSearch:
+def run_searches(
+    wanted: Objective, starts: int, evaluations: int, seed: int = 3
+) -> MultiStartSearch:
     """Run Nelder-Mead from nine random feasible vertices, several times, as in the paper."""
     optimiser = MultiStart(
         optimiser=NelderMead(
@@ -181,7 +183,9 @@ def searched(wanted: Objective, starts: int, evaluations: int, seed: int = 3) ->
     return search
 
 
-def judged(search: MultiStartSearch, noisy: dict[int, Target], exact: dict[int, Target]) -> Sets:
+def evaluate_sets(
+    search: MultiStartSearch, noisy: dict[int, Target], exact: dict[int, Target]
+) -> Sets:
     """Best parameter set of each search, with its errors, best first."""
     ends = [one.best for one in search.searches if math.isfinite(one.best.error)]
     ends.sort(key=lambda best: best.error)
@@ -202,7 +206,7 @@ def features_of(points: FloatArray) -> SupportFeatures:
     return support_features(corners, np.maximum(triangle_shares(corners), 0.0))
 
 
-def clustered(sets: Sets, good: np.ndarray) -> tuple[Solution, ...]:
+def cluster_sets(sets: Sets, good: np.ndarray) -> tuple[Solution, ...]:
     """Cluster good sets by the features that affect pushes: radii, and angle of the larger one."""
     own = sets.features
     angle = np.mod(own.angle, math.pi)  # the angles that occur do not wrap in this range
@@ -218,7 +222,7 @@ def _from_all(
     """Rows of sets found on all eight tests; good if within a pixel on all of them."""
     if not starts:
         return []
-    sets = judged(searched(objective(noisy, ALL), starts, evaluations), noisy, exact)
+    sets = evaluate_sets(run_searches(objective(noisy, ALL), starts, evaluations), noisy, exact)
     order = np.argsort(sets.everywhere, kind="stable").tolist()
     return [_set_row(sets, k, bool(sets.everywhere[k] <= 1e3 * PIXEL)) for k in order]
 
@@ -298,20 +302,20 @@ def _conclusions(
 ) -> list[str]:
     n = int(good.sum())
     spread = max(row["f_um"] for row in plane) - min(row["f_um"] for row in plane)
-    said = [
+    sentences = [
         f"{n} of {len(good)} searches end within a pixel of the trajectories of p1*; the best has F"
         f" = {1e3 * sets.error[0]:.2f} um, p1* itself {1e3 * floor:.2f} um: the camera's error.",
     ]
     if n:
         radius = 1e6 * sets.features.mean_radius[good]
-        said.append(
+        sentences.append(
             f"They are {len(clusters)} clusters of supports. Mean radius {radius.min():.0f} to"
             f" {radius.max():.0f} um, 695 for p1*; on the held-out test"
             f" {1e3 * sets.held_out[good].min():.1f} to {1e3 * sets.held_out[good].max():.1f} um"
             f" off, on all eight {1e3 * sets.everywhere[good].min():.1f} to"
             f" {1e3 * sets.everywhere[good].max():.1f}."
         )
-    said.append(
+    sentences.append(
         "mu_support is not identified: without inertia the support forces scale with it and the"
         f" motion does not; from 0.001 to 1 F changes by {spread:.1g} um."
     )
@@ -319,12 +323,12 @@ def _conclusions(
     if near:
         radius = sorted(row["mean_radius_um"] for row in near)
         friction = sorted(row["mu_pusher"] for row in near)
-        said.append(
+        sentences.append(
             f"Identified from all eight tests, {len(near)} of {len(from_all)} searches end within a"
             f" pixel on all of them: mean radius {radius[0]:.0f} to {radius[-1]:.0f} um, mu_pusher"
             f" {friction[0]:.2f} to {friction[-1]:.2f}."
         )
-    return said
+    return sentences
 
 
 def _clusters(
@@ -352,7 +356,7 @@ def run_figure_11(options: RunOptions) -> Reproduction:
     Quick: short searches.
     """
     evaluations = 300 if options.quick else 3000
-    targets = made_targets(seed=1)
+    targets = simulate_targets(seed=1)
     wanted = objective(targets, IDENTIFICATION)
     feasible = wanted.comparer.feasible
     region = box_of(space())
@@ -378,7 +382,7 @@ def run_figure_11(options: RunOptions) -> Reproduction:
             "identification_tests": list(IDENTIFICATION),
             "quick": options.quick,
         },
-        picture=ConvergenceChart(OUTLINE, TRUTH, descents),
+        figure=partial(convergence_figure, OUTLINE, TRUTH, descents),
     )
 
 

@@ -19,7 +19,7 @@ from fixel.calibration.study import box_of
 from fixel.model import SupportPoints, UniformPressure
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
-from fixel.reproductions.charts.pictures import draw_supports
+from fixel.reproductions.charts.pictures import supports_figure
 from fixel.reproductions.result import Reproduction, Row, RunOptions
 from fixel.reproductions.tripod_pushes import (
     FORCE_NOISE,
@@ -31,7 +31,7 @@ from fixel.reproductions.tripod_pushes import (
     TripodPush,
     best_friction,
     comparer_of,
-    fitted_points,
+    fit_points,
     machined,
     outline_of,
     read_pushes,
@@ -62,8 +62,8 @@ def run(options: RunOptions) -> Reproduction:
         own = [p for p in pushes if support_of(p) == support]
         fits = {}
         for forces in (False, True):
-            fits[forces] = fitted_points(own, search, forces=forces)
-            known = fitted_points(own, search, forces=forces, known=True)
+            fits[forces] = fit_points(own, search, forces=forces)
+            known = fit_points(own, search, forces=forces, known=True)
             row = _distance_row(support, own, fits[forces], known, forces)
             if not forces:
                 row["distance_mm_rms_attainable"] = attainable_mm(own, known, search)
@@ -73,7 +73,7 @@ def run(options: RunOptions) -> Reproduction:
         drawn[support] = machined(own[0]), fits[False].points, fits[True].points
     friction = surface_friction(pushes)
     options.progress(done + 1, parts, "friction of the surfaces")
-    transfer = [row for support in supports for row in transferred(pushes, support, search)]
+    transfer = [row for support in supports for row in transfer_rows(pushes, support, search)]
     options.progress(parts, parts, "prediction across supports")
     return Reproduction(
         tables={"supports": found, "friction": friction, "transfer": transfer},
@@ -87,7 +87,7 @@ def run(options: RunOptions) -> Reproduction:
             "starts": search.starts,
             "quick": options.quick,
         },
-        picture=partial(draw_supports, outline_of(pushes[0]), drawn),
+        figure=partial(supports_figure, outline_of(pushes[0]), drawn),
     )
 
 
@@ -104,7 +104,7 @@ def attainable_mm(pushes: Sequence[TripodPush], known: SupportFit, options: Leas
         end = push.target.pose[-1] + off[-1] + error
         target = push.target._replace(pose=np.tile(end, (len(push.target.pose), 1)))
         made.append(push._replace(target=target))
-    apart = fitted_points(made, options, forces=False).points - machined(pushes[0])
+    apart = fit_points(made, options, forces=False).points - machined(pushes[0])
     return float(1e3 * np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
 
@@ -197,14 +197,14 @@ def shared_space() -> ParameterSpace:
     )
 
 
-def transferred(pushes: Sequence[TripodPush], support: str, options: LeastSquares) -> list[Row]:
+def transfer_rows(pushes: Sequence[TripodPush], support: str, options: LeastSquares) -> list[Row]:
     """Errors on half of the pushes on one support, with parameters learned from other supports."""
     others = [p for p in pushes if support_of(p) not in (support, "patch")]
     own = [p for p in pushes if support_of(p) == support]
     train, test = own[::2], own[1::2]
     point = fit_shared(others, options)
     nominal = shared_space().nominal
-    points = fitted_points(train, options, forces=True).points
+    points = fit_points(train, options, forces=True).points
     even = [_standing(p, UniformPressure(friction=0.3)) for p in test]
     found = [_standing(p, SupportPoints(points=points, friction=0.3)) for p in test]
     cases = (
@@ -267,21 +267,21 @@ def _errors(pushes: Sequence[TripodPush], point: FloatArray) -> Row:
 
 
 def _conclusions(found: list[Row], friction: list[Row], transfer: list[Row]) -> list[str]:
-    said = []
+    sentences = []
     for row in found:
-        said.append(
+        sentences.append(
             f"{row['support']}, from {row['from']}: {row['distance_mm_rms']:.1f} mm RMS from the"
             f" machined points, {row['distance_mm_load_weighted']:.1f} mm weighted with the load;"
             f" mean radius {row['mean_radius_mm']:.1f} mm for {row['mean_radius_mm_machined']:.1f}."
         )
         if "distance_mm_rms_attainable" in row:
-            said.append(
+            sentences.append(
                 f"{row['support']}: pushes simulated on the machined points, with the same noise,"
                 f" give {row['distance_mm_rms_attainable']:.1f} mm."
             )
     for row in friction:
         if row["support"] == "all":
-            said.append(
+            sentences.append(
                 f"{row['surface']}: friction {row['mu']:.3f} from forces, the authors say"
                 f" {row['mu_authors']:.3f}."
             )
@@ -298,7 +298,7 @@ def _conclusions(found: list[Row], friction: list[Row], transfer: list[Row]) -> 
             turn = np.average(
                 [r["angle_deg_mean"] for r in own], weights=[r["pushes"] for r in own]
             )
-            said.append(
+            sentences.append(
                 f"Points {name}, with {learnt} learnt: {mean:.2f} mm and {turn:.2f} deg on average."
             )
-    return said
+    return sentences

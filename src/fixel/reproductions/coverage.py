@@ -51,7 +51,7 @@ def run(options: RunOptions) -> Reproduction:
     for key in bench.rows:
         group = bench.group(key)
         for k, split in enumerate(bench.splits(key)):
-            held.append(predicted(group, split, full_fit(bench, group, k, split)))
+            held.append(predict_held_out(group, split, full_fit(bench, group, k, split)))
             options.progress(len(held), total, " ".join(key))
     overall = [_curve(held, own) for own in (0, 1)]
     return Reproduction(
@@ -66,11 +66,11 @@ def run(options: RunOptions) -> Reproduction:
             "quick": options.quick,
             "pushes_held_out": overall[0].outcomes,
         },
-        picture=_picture(overall, held),
+        figure=_chart(overall, held).figure,
     )
 
 
-def predicted(group: PushGroup, split: Split, found: FittedPushes) -> HeldOutPushes:
+def predict_held_out(group: PushGroup, split: Split, found: FittedPushes) -> HeldOutPushes:
     """Compute bounds on the held-out pushes of a group from its training pushes."""
     beliefs = full_beliefs(group, split.train)
     outcomes = outcomes_of(group, found, beliefs)
@@ -91,16 +91,16 @@ def outcomes_of(group: PushGroup, found: FittedPushes, beliefs: Sequence[Belief]
     Residuals of pushes that could not be simulated are NaN.
     """
     everyone = np.arange(len(group))
-    base = _simulated(group, everyone, found.values, {})
+    base = group.ends(everyone, found.values)
     columns = []
     for belief in beliefs:
         value = found.values[belief.name]
         step = STEP * belief.sd * (1.0 if value + STEP * belief.sd <= belief.high else -1.0)
-        moved = _simulated(group, everyone, found.values | {belief.name: value + step}, {})
+        moved = group.ends(everyone, found.values | {belief.name: value + step})
         columns.append(_between(group, base, moved) / step)
     starts = []
     for name, sd in START.items():
-        ends = [_simulated(group, everyone, found.values, {name: way * sd}) for way in (-1.0, 1.0)]
+        ends = [group.ends(everyone, found.values | {name: way * sd}) for way in (-1.0, 1.0)]
         starts.append(0.5 * _between(group, *ends))
     residual = _between(group, base, group.end)
     return Outcomes(
@@ -108,14 +108,6 @@ def outcomes_of(group: PushGroup, found: FittedPushes, beliefs: Sequence[Belief]
         np.nan_to_num(np.stack(columns, axis=2)),
         np.nan_to_num(np.stack(starts, axis=2)),
     )
-
-
-def _simulated(
-    group: PushGroup, which: IntArray, values: dict[str, float], more: dict[str, float]
-) -> FloatArray:
-    table = {name: np.full(len(which), x) for name, x in (values | more).items()}
-    answer = group.simulate(which, table)
-    return np.where(answer.good[:, None], answer.end, np.nan)
 
 
 def _between(group: PushGroup, first: FloatArray, last: FloatArray) -> FloatArray:
@@ -189,31 +181,31 @@ def _part_rows(held: Sequence[HeldOutPushes]) -> list[Row]:
 
 
 def _conclusions(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes]) -> list[str]:
-    said = []
+    sentences = []
     for name, curve in zip(("position", "angle"), curves, strict=True):
         at = [CURVE_LEVELS.index(level) for level in (0.5, 0.9, 0.95)]
-        told = ", ".join(
+        shares = ", ".join(
             f"{100 * curve.held[k]:.1f} % at {100 * CURVE_LEVELS[k]:.0f} %" for k in at
         )
-        said.append(
-            f"Bounds on the final {name} of {curve.outcomes} held-out pushes hold {told}; the"
+        sentences.append(
+            f"Bounds on the final {name} of {curve.outcomes} held-out pushes hold {shares}; the"
             f" largest gap over levels from 10 to 95 % is {100 * curve.largest_gap:.1f} points."
         )
     parts = {row["part"]: row for row in _part_rows(held)}
-    said.append(
+    sentences.append(
         "Standard deviations of the bounds (scale of Student's t), across the push:"
         f" {parts['model']['across_mm']:.2f} mm model error, {parts['start']['across_mm']:.2f} mm"
         f" from the start, {parts['parameters']['across_mm']:.2f} mm from parameters."
     )
     freedom = [one.predictive.freedom for one in held]
-    said.append(
+    sentences.append(
         f"Tails are heavy: {min(freedom):.1f} to {max(freedom):.1f} degrees of freedom of Student's"
         " t describe the training pushes best."
     )
-    return said
+    return sentences
 
 
-def _picture(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes]) -> CoverageChart:
+def _chart(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes]) -> CoverageChart:
     keys = list(dict.fromkeys(one.key for one in held))
     names = ("final position", "final angle")
     groups = {

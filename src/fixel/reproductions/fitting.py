@@ -46,9 +46,7 @@ class FittedPushes(NamedTuple):
 
     def predict(self, group: PushGroup, which: IntArray) -> FloatArray:
         """Predict the end poses (n, 3) of members; NaN if the simulation did not finish."""
-        values = {name: np.full(len(which), x) for name, x in self.values.items()}
-        found = group.simulate(which, values)
-        return np.where(found.good[:, None], found.end, np.nan)
+        return group.ends(which, self.values)
 
     @property
     def values(self) -> dict[str, float]:

@@ -9,6 +9,7 @@ labels of sides dealt out at random shows how much of the error the side itself 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from fixel.domain.contacts import PushedContacts, TouchedPlaces, contacts_of
 from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, min_experiments
 from fixel.domain.features import Configurations
 from fixel.model import wrapped
-from fixel.reproductions.charts.promise import NewSidesChart
+from fixel.reproductions.charts.promise import new_sides_figure
 from fixel.reproductions.fitting import FittedPushes
 from fixel.reproductions.protocols import BenchmarkData, calibrated_bench, full_fit
 from fixel.reproductions.pushes import Key, PushGroup
@@ -103,7 +104,7 @@ def run(options: RunOptions) -> Reproduction:
         tables={"overall": overall, "groups": groups, "transfer": transfer},
         conclusions=_conclusions(overall, transfer),
         settings={"level": LEVEL, "quick": options.quick},
-        picture=NewSidesChart(groups=groups, level=LEVEL),
+        figure=partial(new_sides_figure, groups, LEVEL),
     )
 
 
@@ -129,7 +130,7 @@ def _left_out(bench: BenchmarkData, kind: str, labels: dict[Key, IntArray]) -> l
     for key, label in labels.items():
         for side in range(int(label.max()) + 1):
             found.append(_one(bench, key, kind, label, side))
-            bench.tell(f"without {kind} {side + 1} {' '.join(key)}")
+            bench.advance(f"without {kind} {side + 1} {' '.join(key)}")
     return found
 
 
@@ -138,7 +139,9 @@ def _one(bench: BenchmarkData, key: Key, kind: str, label: IntArray, side: int) 
     split = split_without(label, side, FIRST_SEED + side)
     fit = full_fit(bench, group, f"{kind}_{side}", split)
     speed = bench.data.speed[group.rows]
-    asked = Configurations(group.shape, TIP.radius, group.start, group.tip_start, group.tip_end)
+    configurations = Configurations(
+        group.shape, TIP.radius, group.start, group.tip_start, group.tip_end
+    )
     if kind == RANDOM:  # no bounds are made of these
         features, errors = np.zeros((len(group), 0)), _errors(group, fit)
     else:
@@ -149,7 +152,7 @@ def _one(bench: BenchmarkData, key: Key, kind: str, label: IntArray, side: int) 
         f"{' '.join(key)} {kind} {side + 1}",
         features,
         errors,
-        contacts_of(asked, speed),
+        contacts_of(configurations, speed),
         np.isin(np.arange(len(group)), split.train),
         label == side,
     )
@@ -190,7 +193,7 @@ def _beyond(
                 also=Experience(*_rows(first, lambda own: ~own.new, column)),
                 units=_spread(others, lambda own: own.unit, lambda own: own.new),
             )  # fmt: skip
-        bench.tell(f"other plates than {plate}")
+        bench.advance(f"other plates than {plate}")
     return found
 
 
@@ -210,7 +213,7 @@ def _counted(
             [own.contacts.rows(np.flatnonzero(own.known)) for own in use]
         )
         features, errors = _rows(use, lambda own: own.known, column)
-        bench.tell(f"bounds {k + 1}")
+        bench.advance(f"bounds {k + 1}")
         if len(errors) < min_experiments(LEVEL):
             continue  # a quick look at few pushes
         also = Experience(*_rows(use, lambda own: own.train, column))
@@ -219,11 +222,11 @@ def _counted(
         for own in [own[k] for own in plates.values() if k < len(own)]:
             rows = np.flatnonzero(own.new)
             table, name = own.features[rows], [" ".join(own.key)] * len(rows)
-            asked = own.contacts.rows(rows)
+            contact = own.contacts.rows(rows)
             promise = plain.for_contacts(contacts, names, beyond[own.key[1]])
-            kind = pushed.novelty(asked, name).kind
+            kind = pushed.novelty(contact, name).kind
             parts.append((name, own.errors[rows, column], plain.bounds(table, name),
-                          promise.bounds(table, name, asked), np.array(kind) != ""))  # fmt: skip
+                          promise.bounds(table, name, contact), np.array(kind) != ""))  # fmt: skip
     if not parts:
         return None
     return CoverageCount(
@@ -318,11 +321,11 @@ def _held_out_once(left: Sequence[LeftOut]) -> dict[Key, FloatArray]:
 
 
 def _conclusions(overall: Sequence[Row], transfer: Sequence[Row]) -> list[str]:
-    said = []
+    sentences = []
     for row in overall:
         if row["contacts"] != "all" or "bound_coverage" not in row:
             continue
-        said.append(
+        sentences.append(
             f"{row['error'].capitalize()}, a {row['left_out']} never pushed: {100 * LEVEL:g} %"
             f" bounds hold for {100 * row['bound_coverage']:.1f} % of {row['counted']} pushes,"
             f" {100 * row['bound_worst']:.1f} % in the worst group ({row['bound_worst_group']}),"
@@ -330,13 +333,13 @@ def _conclusions(overall: Sequence[Row], transfer: Sequence[Row]) -> list[str]:
             f" without data; blind to the contact {_blind(row)}."
         )
     total = transfer[-1]
-    said.append(
+    sentences.append(
         f"Errors on a new side {total['position_new_side_mm']:.2f} mm,"
         f" {total['angle_new_side_deg']:.2f} deg; of the same pushes held out at random, with"
         f" equally many training pushes, {total['position_random_mm']:.2f} mm,"
         f" {total['angle_random_deg']:.2f} deg."
     )
-    return said
+    return sentences
 
 
 def _blind(row: Row) -> str:

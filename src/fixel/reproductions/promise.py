@@ -7,17 +7,21 @@ only to shape the model of errors.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, constant_bound
-from fixel.reproductions.charts.promise import PromiseChart
+from fixel.reproductions.charts.promise import promise_figure
 from fixel.reproductions.protocols import BenchmarkData, calibrated_bench, full_fit
 from fixel.reproductions.residuals import PushErrors, Split, evidence_of
 from fixel.reproductions.result import Reproduction, Row, RunOptions
 from fixel.typing import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LEVELS: Final = (0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 HALVINGS: Final = 2  # number of halvings of the held-out pushes of every fit, each used both ways
@@ -65,7 +69,7 @@ def run(options: RunOptions) -> Reproduction:
             for column, what in enumerate(WHAT):
                 model, both = _both_ways(table, column, repeat, halving)
                 counted[what] += both
-                bench.tell(f"promise {what}, split {repeat + 1}")
+                bench.advance(f"promise {what}, split {repeat + 1}")
     overall = [row for what in WHAT for row in _overall(what, counted[what])]
     groups = [row for what in WHAT for row in _by_group(what, counted[what], names)]
     curve = [row for what in WHAT for row in _curve(what, _reported(counted[what]))]
@@ -80,7 +84,7 @@ def run(options: RunOptions) -> Reproduction:
             "quick": options.quick,
             "features": list(features),
         },
-        picture=_picture(counted, groups, curve),
+        figure=_figure(counted, groups, curve),
     )
 
 
@@ -93,7 +97,7 @@ def _tables(bench: BenchmarkData) -> tuple[list[PushTable], tuple[str, ...]]:
         for k, split in enumerate(bench.splits(key)):
             fit = full_fit(bench, group, k, split)
             found[k].append((evidence_of(group, split, fit, speed), split))
-            bench.tell(f"features {' '.join(key)}")
+            bench.advance(f"features {' '.join(key)}")
     return [_table(own) for own in found], found[0][0][0].features.names
 
 
@@ -272,29 +276,32 @@ def _curve(what: str, counted: Sequence[HalfCount]) -> list[Row]:
 
 
 def _conclusions(overall: Sequence[Row], groups: Sequence[Row]) -> list[str]:
-    said = []
+    sentences = []
     for row in overall:
         if row["pushes"] != "reported":
             continue
         name = {"position": "Position", "angle": "Angle", "both": "Both, angles at 35 mm/rad"}
-        said.append(
+        sentences.append(
             f"{name[row['error']]}: {100 * LEVEL:g} % bounds hold for {100 * row['coverage']:.1f} %"
             f" of {row['counted']} counts, {100 * row['coverage_least_group']:.1f} % in the worst"
             f" group; {row['bound_mean']:.2f} {row['unit']} on average against a constant"
             f" {row['constant']:.2f} ({100 * row['sharper']:.1f} % sharper)."
         )
     worst = min(groups, key=lambda row: float(row["coverage_constant"]))
-    said.append(
+    sentences.append(
         f"The constant bound holds for {100 * worst['coverage_constant']:.0f} % only of"
         f" {worst['group']} ({worst['error']})."
     )
-    return said
+    return sentences
 
 
-def _picture(counted: dict[str, list[HalfCount]], groups: list[Row], curve: list[Row]) -> Any:
+def _figure(
+    counted: dict[str, list[HalfCount]], groups: list[Row], curve: list[Row]
+) -> Callable[[], Figure]:
     error, bound, _, constant = _joined(_reported(counted["both"]))
     near = np.isfinite(bound) & np.isfinite(error)
-    return PromiseChart(
+    return partial(
+        promise_figure,
         groups=[row for row in groups if row["error"] == "both"],
         curve=curve,
         error=1e3 * error[near],

@@ -103,7 +103,7 @@ def calibrated_bench(options: RunOptions, seeds: int = 1) -> BenchmarkData:
     seeds = 1 if options.quick else seeds
     request = BenchmarkRequest(protocols=("calibrated",), seeds=seeds, quick=options.quick)
     pushes = read_mit_pushes(options.folder)
-    return BenchmarkData(pushes, request, ResultCache(options.kept), options.progress)
+    return BenchmarkData(pushes, request, ResultCache(options.fits), options.progress)
 
 
 class Piece(NamedTuple):
@@ -136,7 +136,7 @@ class BenchmarkData:
         self._groups: dict[Key, PushGroup] = {}
         self._done, self.total = 0, 0
 
-    def tell(self, what: str) -> None:
+    def advance(self, what: str) -> None:
         self._done += 1
         self._progress(self._done, self.total, what)
 
@@ -176,9 +176,9 @@ class BenchmarkData:
             }
 
         of = [[tuple(b) for b in beliefs], iterations, [_data_of(m) for m in members]]
-        kept = self.finished.get(f"{name}_{'_'.join(key)}", of, compute)
-        point = np.array(kept["point"], np.float64)
-        return FittedPushes(tuple(kept["names"]), point, int(kept["pushes_simulated"]))
+        finished = self.finished.get(f"{name}_{'_'.join(key)}", of, compute)
+        point = np.array(finished["point"], np.float64)
+        return FittedPushes(tuple(finished["names"]), point, int(finished["pushes_simulated"]))
 
 
 def _data_of(member: FitMember) -> list[Any]:
@@ -193,7 +193,7 @@ def _calibrated(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
         group = bench.group(key)
         found = full_fit(bench, group, k, split)
         yield _piece(bench, group, k, split.held_out, found)
-        bench.tell(f"calibrated {' '.join(key)}")
+        bench.advance(f"calibrated {' '.join(key)}")
 
 
 def full_beliefs(group: PushGroup, train: IntArray) -> list[Belief]:
@@ -224,7 +224,7 @@ def _unregistered(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
         member = FitMember(group, split.train, {})
         found = bench.fitted(f"unregistered_{k}", key, [member], beliefs)
         yield _piece(bench, group, k, split.held_out, found)
-        bench.tell(f"unregistered {' '.join(key)}")
+        bench.advance(f"unregistered {' '.join(key)}")
 
 
 def _few(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
@@ -251,7 +251,7 @@ def _few(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
             for sd in FREEDOMS
         ]
         yield _piece(bench, group, k, split.held_out, *found)
-        bench.tell(f"few {' '.join(key)}")
+        bench.advance(f"few {' '.join(key)}")
 
 
 def _in_common(
@@ -283,7 +283,7 @@ def _new_shape(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
         group = bench.group(key)
         found = common.beside(_shifted(shift))
         yield _piece(bench, group, 0, np.arange(len(group)), found)
-    bench.tell(f"new-shape {' '.join(key)}")
+    bench.advance(f"new-shape {' '.join(key)}")
 
 
 def _shifted(shift: FloatArray) -> dict[str, float]:
@@ -307,11 +307,11 @@ def _learned(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
             return {"end": listed(end), "sd": listed(sd)}
 
         of = ["learned", physics, group.end[split.train], split.train, speed]
-        kept = bench.finished.get(f"learned_{k}_{'_'.join(key)}", of, compute)
-        end, sd = np.array(kept["end"]), np.array(kept["sd"])
+        finished = bench.finished.get(f"learned_{k}_{'_'.join(key)}", of, compute)
+        end, sd = np.array(finished["end"]), np.array(finished["sd"])
         inside = inside_ninety(group, split.held_out, end, sd)
         yield _piece(bench, group, k, split.held_out, found)._replace(end=end, inside=inside)
-        bench.tell(f"learned {' '.join(key)}")
+        bench.advance(f"learned {' '.join(key)}")
 
 
 def _piece(

@@ -207,6 +207,11 @@ class PushGroup:
         outcome = self._net.simulate(which, self._given(which, values))
         return PushEnds(outcome.pose[:, -1], outcome.converged)
 
+    def ends(self, which: IntArray, values: Mapping[str, float]) -> FloatArray:
+        """Simulate members with equal values; end poses (n, 3) are NaN without convergence."""
+        found = self.simulate(which, {name: np.full(len(which), x) for name, x in values.items()})
+        return np.where(found.good[:, None], found.end, np.nan)
+
     def tracks(self, samples: int, threads: int | None = None) -> Tracker:
         """Create a function like `simulate` that returns poses (n, samples, 3) of the object at
         equal intervals, and a mask (n,) of converged simulations."""

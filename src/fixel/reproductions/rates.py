@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from fixel.calibration.target import target_of
 from fixel.errors import DatasetMissing
 from fixel.model import Disk, Shape, pose_error
 from fixel.reproductions import cmu_tripod, rpi_141
-from fixel.reproductions.charts.promise import RatesChart
+from fixel.reproductions.charts.promise import rates_figure
 from fixel.reproductions.protocols import calibrated_bench, full_fit
 from fixel.reproductions.replay import ReplayRequest, replay_dataset
 from fixel.reproductions.replay.runs import read_runs
@@ -43,7 +44,7 @@ class RateErrors(NamedTuple):
 
     dataset: str
     simulator: str
-    judged: str  # kind of poses that are compared
+    compared: str  # kind of poses that are compared
     position: FloatArray  # (n,) [m]
     angle: FloatArray  # (n,) absolute [rad]
     motion: float  # mean motion of the object [m]
@@ -72,7 +73,7 @@ def run(options: RunOptions) -> Reproduction:
         tables={"rates": rows, "left_out": left_out},
         conclusions=_conclusions(rows, left_out),
         settings={"quick": options.quick, "paper_rms_over_motion": PAPER_RATE},
-        picture=RatesChart(rows=rows, paper=PAPER_RATE, paper_angle=PAPER_ANGLE),
+        figure=partial(rates_figure, rows, PAPER_RATE, PAPER_ANGLE),
     )
 
 
@@ -82,7 +83,7 @@ def _row(own: RateErrors) -> Row:
     return {
         "dataset": own.dataset,
         "simulator": own.simulator,
-        "judged_on": own.judged,
+        "judged_on": own.compared,
         "count": len(own.position),
         "position_mm_rms": 1e3 * position,
         "position_mm_median": 1e3 * middle,
@@ -186,7 +187,7 @@ def _rpi(options: RunOptions) -> Iterator[RateErrors]:
             own = change(own)
         target = target_of(own)
         every = np.ones(len(target.pose), bool)
-        found = rpi_141.fitted(target, hypothesis, every, 1 if options.quick else 3)
+        found = rpi_141.fit_hypothesis(target, hypothesis, every, 1 if options.quick else 3)
         body = target.case.scene.bodies[0]
         steps = np.diff(np.vstack((body.pose, target.pose))[:, :2], axis=0)
         fitted = "calibrated to this very run" if hypothesis.fitted else "recorded parameters"
@@ -207,7 +208,7 @@ DATASETS: Final[dict[str, Callable[[RunOptions], Iterator[RateErrors]]]] = {
 
 
 def _conclusions(rows: Sequence[Row], left_out: Sequence[Row]) -> list[str]:
-    said = [
+    sentences = [
         f"{row['dataset']}, {row['simulator']}: {row['position_mm_rms']:.2f} mm RMS over"
         f" {row['motion_mm']:.1f} mm of motion ({100 * row['rms_over_motion']:.1f} %; median"
         f" {100 * row['median_over_motion']:.1f} %), {100 * row['rms_over_size']:.1f} % of an"
@@ -215,7 +216,7 @@ def _conclusions(rows: Sequence[Row], left_out: Sequence[Row]) -> list[str]:
         f" {row['angle_deg_median']:.1f}."
         for row in rows
     ]
-    said.append(
+    sentences.append(
         f"The paper: 20 um RMS over 600 um of motion ({100 * PAPER_RATE:.1f} %), 1 to 3 deg."
     )
-    return said + [f"Left out: {row['dataset']}, {row['reason']}." for row in left_out]
+    return sentences + [f"Left out: {row['dataset']}, {row['reason']}." for row in left_out]

@@ -16,7 +16,7 @@ import numpy as np
 
 from fixel.datasets.rpi_2dgad import Rpi2dgad
 from fixel.drawing import palette
-from fixel.drawing.chart import clean, legend_below, log_scale
+from fixel.drawing.chart import clean, legend_below, log_scale, sheet
 from fixel.model.trajectory import wrapped
 from fixel.reproductions.charts.pictures import WIDE
 from fixel.reproductions.repeat_groups import (
@@ -82,17 +82,17 @@ def run(options: RunOptions) -> Reproduction:
     worlds = 20 if options.quick else WORLDS
     groups = read_groups(options.folder)
     noise = rig_noise(groups)
-    judged = []
+    predictions = []
     for k, group in enumerate(groups):
-        judged.append(_two_point(group, groups, worlds))
+        predictions.append(_two_point(group, groups, worlds))
         options.progress(k + 1, len(groups) + 1, group.name)
     beside = options.folder.parent / "rpi_2dgad"
     if Rpi2dgad().recognised(beside):
-        judged.append(_alike(beside, worlds))
+        predictions.append(_alike(beside, worlds))
     options.progress(len(groups) + 1, len(groups) + 1, "trials that start alike")
     return Reproduction(
-        tables={"groups": [_row(one) for one in judged]},
-        conclusions=_conclusions(judged, noise),
+        tables={"groups": [_row(one) for one in predictions]},
+        conclusions=_conclusions(predictions, noise),
         settings={
             "ranges": {name: list(interval) for name, interval in RANGES.items()},
             "worlds": worlds,
@@ -103,7 +103,7 @@ def run(options: RunOptions) -> Reproduction:
             "head_place_m": list(HEAD_PLACE),
             "quick": options.quick,
         },
-        picture=partial(draw_repeats, judged),
+        figure=partial(repeats_figure, predictions),
     )
 
 
@@ -125,17 +125,17 @@ def _two_point(group: RepeatGroup, groups: list[RepeatGroup], worlds: int) -> Gr
         stepper=StewartTrinkle(step=STEP),
     )
     seen = fan.pose[:, -1] + np.random.default_rng(8).standard_normal(drawn.shape) * noise
-    return _judged(group.name, "two fingers", group.start, group.end, seen, fan.ended, n)
+    return _predicted(group.name, "two fingers", group.start, group.end, seen, fan.ended, n)
 
 
 def _alike(folder: Path, worlds: int) -> GroupPrediction:
     group = alike_group(folder)
     n = len(group.end)
     seen, ended = group.predicted(worlds * n)
-    return _judged(group.name, "starts alike", group.start, group.end, seen, ended, n)
+    return _predicted(group.name, "starts alike", group.start, group.end, seen, ended, n)
 
 
-def _judged(
+def _predicted(
     name: str,
     kind: str,
     start: FloatArray,
@@ -198,8 +198,8 @@ def _row(one: GroupPrediction) -> Row:
     return row | {"covered": one.covered, "failed": one.failed}
 
 
-def _conclusions(judged: list[GroupPrediction], noise: FloatArray) -> list[str]:
-    real = [one for one in judged if one.kind == "two fingers"]
+def _conclusions(predictions: list[GroupPrediction], noise: FloatArray) -> list[str]:
+    real = [one for one in predictions if one.kind == "two fingers"]
     covered = sum(one.covered for one in real)
     end, median, limit, start = (
         np.median([getattr(one, name) for one in real], axis=0)
@@ -207,7 +207,7 @@ def _conclusions(judged: list[GroupPrediction], noise: FloatArray) -> list[str]:
     )
     below = sum(bool((one.end < one.least).any()) for one in real)
     verdict = "at least" if covered >= WANTED * len(real) else "fewer than"
-    said = [
+    sentences = [
         f"{covered} of {len(real)} groups of two-finger pushes ({covered / len(real):.0%}) end no"
         f" farther apart than predicted: {verdict} the 90 % wanted.",
         f"Size, medians over groups: starts {_size(start)}, ends measured {_size(end)}, predicted"
@@ -217,15 +217,15 @@ def _conclusions(judged: list[GroupPrediction], noise: FloatArray) -> list[str]:
         f"Noise of a measured end, from where two fingers leave a block no freedom:"
         f" {1e3 * noise[0]:.2f} mm along each axis and {math.degrees(noise[1]):.2f} deg.",
     ]
-    for one in judged:
+    for one in predictions:
         if one.kind != "two fingers":
             holds = "holds" if one.covered else "does not hold"
-            said.append(
+            sentences.append(
                 f"{one.name}: measured {_size(one.end)}; predicted {_size(one.median)}, at most"
                 f" {_size(one.limit)}, which {holds} it. The place of the head was not kept, so"
                 " the fan is as wide as all places it can push from."
             )
-    return said
+    return sentences
 
 
 def _size(pair: FloatArray) -> str:
@@ -235,9 +235,9 @@ def _size(pair: FloatArray) -> str:
 # --- figure -------------------------------------------------------------------------------------
 
 
-def draw_repeats(groups: Sequence[GroupPrediction], figure: Figure) -> None:
+def repeats_figure(groups: Sequence[GroupPrediction]) -> Figure:
     """Draw predicted ranges and measured spreads of repeated pushes, one row per group."""
-    figure.set_size_inches(WIDE, 0.7 + 0.145 * len(groups))
+    figure = sheet(WIDE, 0.7 + 0.145 * len(groups))
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, k, label, factor in (
         (left, 0, "spread of end positions [mm]", 1e3),
@@ -248,6 +248,7 @@ def draw_repeats(groups: Sequence[GroupPrediction], figure: Figure) -> None:
     left.set_yticks(range(len(groups)), [group.name for group in groups])
     left.invert_yaxis()
     legend_below(figure, [left])
+    return figure
 
 
 def _spreads(axes: Axes, groups: Sequence[GroupPrediction], k: int, factor: float) -> None:

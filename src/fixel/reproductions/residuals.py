@@ -183,7 +183,7 @@ def evidence_of(
     """
     everyone = np.arange(len(group))
     given = found.values
-    asked = _asked(group, given)
+    configurations = _configurations(group, given)
     track = group.tracks(SAMPLES)
 
     def roll(which: IntArray, changed: Mapping[str, FloatArray]) -> tuple[FloatArray, BoolArray]:
@@ -193,8 +193,8 @@ def evidence_of(
     end = found.predict(group, everyone)
     good: BoolArray = np.asarray(np.isfinite(end).all(axis=1))
     residual = np.where(good[:, None], group.end - np.nan_to_num(end), 0.0)
-    place = configuration_features(asked)
-    simulated = simulated_features(asked, roll, given["mu_pusher"])
+    place = configuration_features(configurations)
+    simulated = simulated_features(configurations, roll, given["mu_pusher"])
     nominal = np.nan_to_num(scaled(group.nominal.end - np.where(good[:, None], end, group.start)))
     features = place.with_more(simulated.names, simulated.table)
     features = features.with_more(("speed", "model_change"), np.column_stack(
@@ -208,7 +208,7 @@ def evidence_of(
     return PushErrors(features, np.where(good[:, None], errors, np.inf))
 
 
-def _asked(group: PushGroup, given: Mapping[str, float]) -> Configurations:
+def _configurations(group: PushGroup, given: Mapping[str, float]) -> Configurations:
     shift = np.array([given.get(f"registration_{axis}", 0.0) for axis in "xy"])
     return Configurations(
         group.shape, TIP.radius, group.start, group.tip_start + shift, group.tip_end + shift

@@ -19,8 +19,6 @@ from fixel.typing import FloatArray, Progress
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from fixel.drawing.chart import AbstractChart
-
 Row = dict[str, Any]
 
 # Value of a group's column in rows that aggregate over all groups.
@@ -41,14 +39,14 @@ class RunOptions:
         Called with the numbers of finished parts and of all, and the name of the part.
     quick : bool
         Test run without meaningful figures.
-    kept : Path, optional
+    fits : Path, optional
         Folder of finished fits, such as `fits` of `fixel benchmark real --out`.
     """
 
     folder: Path
     progress: Progress
     quick: bool = False
-    kept: Path | None = None
+    fits: Path | None = None
 
 
 @final
@@ -64,8 +62,8 @@ class Reproduction:
         Conclusions from the tables, in sentences.
     settings : dict
         Settings, sufficient to repeat the reproduction.
-    picture : AbstractChart or callable
-        Chart, or function that draws in an empty figure.
+    figure : callable
+        Function that draws the figure.
     name : str
     seconds : float
         Wall time [s]; like the name, set by `reproduce`.
@@ -74,7 +72,7 @@ class Reproduction:
     tables: Mapping[str, list[Row]]
     conclusions: Sequence[str]
     settings: Row
-    picture: AbstractChart | Callable[[Figure], None]
+    figure: Callable[[], Figure]
     name: str = ""
     seconds: float = 0.0
 
@@ -90,18 +88,14 @@ class Reproduction:
 
     def write(self, out: Path) -> None:
         """Write `<name>.json`, a `<name>_<table>.csv` for each table, and `<name>.png`."""
-        from fixel.drawing.chart import AbstractChart, draw_chart, save_filled
+        from fixel.drawing.chart import save_figure
 
         out.mkdir(parents=True, exist_ok=True)
         with written_whole(out / f"{self.name}.json") as beside:
             beside.write_text(json.dumps(self.summary(), indent=1), encoding="utf-8")
         for name, rows in self.tables.items():
             write_table(out / f"{self.name}_{name}.csv", rows)
-        picture = out / f"{self.name}.png"
-        if isinstance(self.picture, AbstractChart):
-            draw_chart(self.picture, picture)
-        else:
-            save_filled(self.picture, picture)
+        save_figure(self.figure, out / f"{self.name}.png")
 
 
 @final

@@ -32,7 +32,7 @@ from fixel.model import (
     UniformPressure,
 )
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.reproductions.charts.pictures import draw_paths
+from fixel.reproductions.charts.pictures import paths_figure
 from fixel.reproductions.result import Reproduction, Row, RunOptions
 from fixel.simulation import StewartTrinkle
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, QuasiStatic
@@ -110,20 +110,20 @@ def run(options: RunOptions) -> Reproduction:
     """
     experiment = experiment_141(options.folder)
     rows: list[Row] = []
-    kept: dict[str, HypothesisFit] = {}
+    fits: dict[str, HypothesisFit] = {}
     known = HYPOTHESES
     for k, hypothesis in enumerate(known):
         starts = 1 if options.quick else 12 if set(CORNERS) <= set(hypothesis.fitted) else 3
-        row, kept[hypothesis.name] = judged(experiment, hypothesis, starts)
+        row, fits[hypothesis.name] = evaluate_hypothesis(experiment, hypothesis, starts)
         rows.append(row)
         options.progress(k + 1, len(known), hypothesis.name)
     laboratory = _laboratory(options.folder)
     others = lateral_misses(options.folder)
     target, pusher = target_of(experiment), experiment.pusher
     assert pusher is not None
-    curves = {label: kept[name].pose for name, label in DRAWN.items()}
+    curves = {label: fits[name].pose for name, label in DRAWN.items()}
     draw = partial(
-        draw_paths, scene_of(experiment), target.case.times, target.pose, curves,
+        paths_figure, scene_of(experiment), target.case.times, target.pose, curves,
         pusher.pose[[0, -1]],
     )  # fmt: skip
     return Reproduction(
@@ -135,7 +135,7 @@ def run(options: RunOptions) -> Reproduction:
             "step_s": STEP,
             "quick": options.quick,
         },
-        picture=draw,
+        figure=draw,
     )
 
 
@@ -150,7 +150,7 @@ def experiment_141(folder: Path) -> Experiment:
 # --- fits ---------------------------------------------------------------------------------------
 
 
-def judged(
+def evaluate_hypothesis(
     experiment: Experiment, hypothesis: Hypothesis, starts: int
 ) -> tuple[Row, HypothesisFit]:
     """Row of the table for a hypothesis, and its fit to the whole run."""
@@ -158,8 +158,8 @@ def judged(
         experiment = change(experiment)
     target = target_of(experiment)
     free = _frames(target.case.times) <= FREE_UNTIL
-    whole = fitted(target, hypothesis, np.ones(len(free), bool), starts)
-    before = fitted(target, hypothesis, free, starts) if hypothesis.fitted else whole
+    whole = fit_hypothesis(target, hypothesis, np.ones(len(free), bool), starts)
+    before = fit_hypothesis(target, hypothesis, free, starts) if hypothesis.fitted else whole
     row: Row = {
         "hypothesis": hypothesis.name,
         "together": hypothesis.together,
@@ -181,7 +181,9 @@ def _frames(time: FloatArray) -> FloatArray:
     return np.asarray(np.rint(time * FRAME_RATE) + 1.0)
 
 
-def fitted(target: Target, hypothesis: Hypothesis, use: np.ndarray, starts: int) -> HypothesisFit:
+def fit_hypothesis(
+    target: Target, hypothesis: Hypothesis, use: np.ndarray, starts: int
+) -> HypothesisFit:
     """Fit a hypothesis to the frames `use` (n_frame,); return its motion over all frames."""
     names = hypothesis.fitted or ("mu_fixel",)
     space = ParameterSpace(

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from fixel.datasets.mit_push import has_pushes
-from fixel.drawing.chart import save_filled
+from fixel.drawing.chart import save_figure
 from fixel.errors import DatasetMissing, InvalidInput, os_reason
 from fixel.reproductions import (
     asme_2006,
@@ -24,7 +24,7 @@ from fixel.reproductions import (
     repeats,
     rpi_141,
 )
-from fixel.reproductions.charts.pictures import draw_benchmark
+from fixel.reproductions.charts.pictures import benchmark_figure
 from fixel.reproductions.protocols import PROTOCOLS, BenchmarkRequest
 from fixel.reproductions.pushes import read_mit_pushes
 from fixel.reproductions.result import Benchmark, Reproduction, Row, RunOptions, write_tables
@@ -89,7 +89,7 @@ def reproduce(
         folder=Path() if part.folder is None else _folder(data, part.folder),
         progress=progress or _silent,
         quick=quick,
-        kept=None if out is None else out / "fits",
+        fits=None if out is None else out / "fits",
     )
     answer = replace(part.run(options), name=name, seconds=clock.perf_counter() - begun)
     if out is not None:
@@ -128,21 +128,21 @@ def benchmark_real(
         An invalid request or folder.
     """
     pushes = read_mit_pushes(folder_of(data, part))
-    kept = None
+    fits = None
     if out is not None:
         try:
             out.mkdir(parents=True, exist_ok=True)
         except OSError as problem:
             reason = os_reason(problem)
             raise InvalidInput(str(out), found=reason, expected="a folder to write to") from None
-        kept = out / "fits"
+        fits = out / "fits"
     answer = mit_push.benchmark_pushes(
-        pushes, request or BenchmarkRequest(), kept, progress or _silent
+        pushes, request or BenchmarkRequest(), fits, progress or _silent
     )
     if out is not None:
         write_tables(answer, out)
-        draw = partial(draw_benchmark, answer.scored, answer.rows)
-        save_filled(draw, out / f"{part}.png")
+        draw = partial(benchmark_figure, answer.scored, answer.rows)
+        save_figure(draw, out / f"{part}.png")
     return answer
 
 

@@ -209,7 +209,7 @@ def support_space(outline: FloatArray) -> ParameterSpace:
     )
 
 
-def fitted_points(
+def fit_points(
     pushes: Sequence[TripodPush], options: LeastSquares, *, forces: bool, known: bool = False
 ) -> SupportFit:
     """Fit support points and friction of the finger to end poses, and to forces if requested.

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Style, log_scale, sheet, tint
-from fixel.table import Table, Value
+from fixel.drawing.chart import WIDE, log_scale, sheet, tint
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -19,6 +17,8 @@ if TYPE_CHECKING:
 
 HEIGHT: Final = 3.4  # [inch]
 UM: Final = 1e6
+_COLOURS: Final = (palette.BODY, palette.FORCE, palette.TOUCHED, palette.PUSHER)
+_DASHES: Final = ("-", (0, (4, 2)), (0, (1, 1)), (0, (6, 2, 1, 2)))
 
 
 class BestSoFar(NamedTuple):
@@ -32,10 +32,10 @@ class BestSoFar(NamedTuple):
     friction: FloatArray  # (2,) coefficients of probe and plane, at the end
 
 
-@final
-@dataclass(frozen=True)
-class ConvergenceChart(AbstractChart):
-    """Trails of the support points in the part, next to error and simplex size.
+def convergence_figure(
+    outline: FloatArray, truth: FloatArray, descents: Sequence[BestSoFar]
+) -> Figure:
+    """Draw trails of the support points in the part, next to error and simplex size.
 
     Parameters
     ----------
@@ -45,73 +45,52 @@ class ConvergenceChart(AbstractChart):
         Support points that generated the data [m].
     descents : sequence of BestSoFar
     """
-
-    outline: FloatArray
-    truth: FloatArray
-    descents: Sequence[BestSoFar]
-
-    def figure(self) -> Figure:
-        page = sheet(WIDE, HEIGHT)
-        n = len(self.descents)
-        grid = page.add_gridspec(2, n + 2)
-        for k, one in enumerate(self.descents):
-            axes = page.add_subplot(grid[:, k])
-            self._trails(axes, one)
-            if k:
-                axes.set_ylabel("")
-        above, below = page.add_subplot(grid[0, n:]), page.add_subplot(grid[1, n:])
-        for one, colour, dash in zip(self.descents, _COLOURS, _DASHES, strict=False):
-            look: Style = {"color": colour, "linestyle": dash, "linewidth": 1.0, "label": one.label}
-            above.plot(one.evaluations, 1e3 * one.error, **look)
-            below.plot(one.evaluations, one.size, **look)
-        above.set_ylabel("F of the best [µm]")
-        below.set_ylabel("size of the simplex [scales]")
-        below.set_xlabel("evaluations")
-        log_scale(above, "y", 1e3 * np.concatenate([one.error for one in self.descents]))
-        below.set_yscale("log")
-        for axes in (above, below):
-            axes.grid(color=palette.FAINT, linewidth=0.4)
-        above.legend(frameon=False)
-        handles, labels = page.axes[0].get_legend_handles_labels()
-        page.legend(handles, labels, frameon=False, ncols=4, loc="outside lower center")
-        return page
-
-    def _trails(self, axes: Axes, one: BestSoFar) -> None:
-        closed = np.vstack((self.outline, self.outline[:1])) * UM
-        axes.fill(*closed.T, color=tint(palette.BODY, 0.10))
-        axes.plot(*closed.T, color=palette.BODY, linewidth=0.8)
-        made = np.vstack((self.truth, self.truth[:1])) * UM
-        axes.plot(*made.T, color=palette.INK, linewidth=0.8, linestyle=(0, (3, 2)),
-                  label="p1*, which made the data")  # fmt: skip
-        last = np.vstack((one.points[-1], one.points[-1, :1])) * UM
-        axes.plot(*last.T, color=palette.FORCE, linewidth=0.7, alpha=0.6)
-        for corner in range(3):
-            trail = one.points[:, corner] * UM
-            axes.plot(*trail.T, color=palette.FORCE, linewidth=0.7, label="way of a support point")
-            axes.plot(*trail[0], "o", color=palette.FORCE, markerfacecolor="white", markersize=3.5,
-                      label="at first")  # fmt: skip
-            axes.plot(*trail[-1], "^", color=palette.FORCE, markersize=4.5, label="at the end")
-            if corner == 0:
-                continue
-            for line in axes.lines[-3:]:
-                line.set_label(f"_{line.get_label()}")
-        axes.set_aspect("equal")
-        axes.set_title(one.label, loc="left")
-        axes.set_xlabel("x [µm]")
-        axes.set_ylabel("y [µm]")
-
-    def table(self) -> Table:
-        columns = ("search", "evaluations", "error_m", "simplex_size",
-                   *(f"support_{k}_{axis}_m" for k in (1, 2, 3) for axis in "xy"))  # fmt: skip
-        rows: list[tuple[Value, ...]] = [
-            (one.label, int(n), 1e-3 * float(error), float(size), *points.ravel().tolist())
-            for one in self.descents
-            for n, error, size, points in zip(
-                one.evaluations, one.error, one.size, one.points, strict=True
-            )
-        ]
-        return Table(columns, rows)
+    page = sheet(WIDE, HEIGHT)
+    n = len(descents)
+    grid = page.add_gridspec(2, n + 2)
+    for k, one in enumerate(descents):
+        axes = page.add_subplot(grid[:, k])
+        _trails(axes, outline, truth, one)
+        if k:
+            axes.set_ylabel("")
+    above, below = page.add_subplot(grid[0, n:]), page.add_subplot(grid[1, n:])
+    for one, colour, dash in zip(descents, _COLOURS, _DASHES, strict=False):
+        for axes, values in ((above, 1e3 * one.error), (below, one.size)):
+            axes.plot(one.evaluations, values, color=colour, linestyle=dash, linewidth=1.0,
+                      label=one.label)  # fmt: skip
+    above.set_ylabel("F of the best [µm]")
+    below.set_ylabel("size of the simplex [scales]")
+    below.set_xlabel("evaluations")
+    log_scale(above, "y", 1e3 * np.concatenate([one.error for one in descents]))
+    below.set_yscale("log")
+    for axes in (above, below):
+        axes.grid(color=palette.FAINT, linewidth=0.4)
+    above.legend(frameon=False)
+    handles, labels = page.axes[0].get_legend_handles_labels()
+    page.legend(handles, labels, frameon=False, ncols=4, loc="outside lower center")
+    return page
 
 
-_COLOURS: Final = (palette.BODY, palette.FORCE, palette.TOUCHED, palette.PUSHER)
-_DASHES: Final = ("-", (0, (4, 2)), (0, (1, 1)), (0, (6, 2, 1, 2)))
+def _trails(axes: Axes, outline: FloatArray, truth: FloatArray, one: BestSoFar) -> None:
+    closed = np.vstack((outline, outline[:1])) * UM
+    axes.fill(*closed.T, color=tint(palette.BODY, 0.10))
+    axes.plot(*closed.T, color=palette.BODY, linewidth=0.8)
+    made = np.vstack((truth, truth[:1])) * UM
+    axes.plot(*made.T, color=palette.INK, linewidth=0.8, linestyle=(0, (3, 2)),
+              label="p1*, which made the data")  # fmt: skip
+    last = np.vstack((one.points[-1], one.points[-1, :1])) * UM
+    axes.plot(*last.T, color=palette.FORCE, linewidth=0.7, alpha=0.6)
+    for corner in range(3):
+        trail = one.points[:, corner] * UM
+        axes.plot(*trail.T, color=palette.FORCE, linewidth=0.7, label="way of a support point")
+        axes.plot(*trail[0], "o", color=palette.FORCE, markerfacecolor="white", markersize=3.5,
+                  label="at first")  # fmt: skip
+        axes.plot(*trail[-1], "^", color=palette.FORCE, markersize=4.5, label="at the end")
+        if corner == 0:
+            continue
+        for line in axes.lines[-3:]:
+            line.set_label(f"_{line.get_label()}")
+    axes.set_aspect("equal")
+    axes.set_title(one.label, loc="left")
+    axes.set_xlabel("x [µm]")
+    axes.set_ylabel("y [µm]")

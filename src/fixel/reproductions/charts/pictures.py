@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import tint
+from fixel.drawing.chart import sheet, tint
 from fixel.model import Fixel, Scene, placed
 from fixel.typing import FloatArray
 
@@ -66,9 +66,7 @@ def _top_view(axes: Axes, unit: str = "mm") -> None:
     hide_spines(axes)
 
 
-def draw_supports(
-    outline: FloatArray, supports: Mapping[str, Sequence[FloatArray]], figure: Figure
-) -> None:
+def supports_figure(outline: FloatArray, supports: Mapping[str, Sequence[FloatArray]]) -> Figure:
     """Draw supports side by side in the outline (n, 2) of the block [m].
 
     Parameters
@@ -77,7 +75,7 @@ def draw_supports(
         Machined points, and those found from poses, and from poses and forces [m].
     """
     n = len(supports)
-    figure.set_size_inches(WIDE, WIDE / max(n, 2) + 0.25)
+    figure = sheet(WIDE, WIDE / max(n, 2) + 0.25)
     row = figure.subplots(1, n, squeeze=False, sharey=True)[0]
     for axes, (name, found) in zip(row, supports.items(), strict=True):
         axes.fill(*closed(outline), color=tint(palette.BODY, 0.12))
@@ -101,16 +99,16 @@ def draw_supports(
         axes.set_ylabel("")
     handles, labels = row[0].get_legend_handles_labels()
     figure.legend(handles, labels, frameon=False, ncols=4, loc="outside lower center")
+    return figure
 
 
-def draw_paths(
+def paths_figure(
     scene: Scene,
     time: FloatArray,
     measured: FloatArray,
     curves: Mapping[str, FloatArray],
     actuator: FloatArray,
-    figure: Figure,
-) -> None:
+) -> Figure:
     """Draw a trial from above, measured and simulated, and the distances from the measured poses.
 
     Parameters
@@ -124,7 +122,7 @@ def draw_paths(
     actuator : (2, 3) float64
         First and last pose of the actuator.
     """
-    figure.set_size_inches(WIDE, 3.3)
+    figure = sheet(WIDE, 3.3)
     top, errors = figure.subplots(1, 2, width_ratios=(1.0, 1.1))
     outline = scene.bodies[0].shape.outline
     top.fill(*closed(placed(outline, measured[0])), color=palette.FAINT, label="start")
@@ -148,14 +146,12 @@ def draw_paths(
     hide_spines(errors)
     handles, labels = top.get_legend_handles_labels()
     figure.legend(handles, labels, frameon=False, ncols=3, loc="outside lower center")
+    return figure
 
 
-def draw_clusters(
-    outline: FloatArray,
-    truth: FloatArray,
-    clusters: Mapping[str, tuple[FloatArray, FloatArray]],
-    figure: Figure,
-) -> None:
+def clusters_figure(
+    outline: FloatArray, truth: FloatArray, clusters: Mapping[str, tuple[FloatArray, FloatArray]]
+) -> Figure:
     """Draw clusters of support triangles side by side, each with the true support (3, 2) [m].
 
     Parameters
@@ -166,7 +162,7 @@ def draw_clusters(
     n = max(len(clusters), 1)
     columns = min(n, 5)
     rows = -(-n // columns)
-    figure.set_size_inches(WIDE, 2.55 * rows + 0.2)
+    figure = sheet(WIDE, 2.55 * rows + 0.2)
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for axes, (title, found) in zip(panels.ravel(), clusters.items(), strict=False):
         axes.fill(*closed(outline, 1e6), color=tint(palette.BODY, 0.10))
@@ -189,9 +185,10 @@ def draw_clusters(
     figure.legend(
         unique.values(), unique.keys(), frameon=False, ncols=3, loc="outside lower center"
     )
+    return figure
 
 
-def draw_benchmark(scored: Sequence[HeldOutScores], rows: Sequence[Row], figure: Figure) -> None:
+def benchmark_figure(scored: Sequence[HeldOutScores], rows: Sequence[Row]) -> Figure:
     """Draw held-out errors by group for the first protocol, and distributions for all.
 
     Parameters
@@ -203,7 +200,7 @@ def draw_benchmark(scored: Sequence[HeldOutScores], rows: Sequence[Row], figure:
     """
     protocol = scored[0].protocol if scored else ""
     fine = [row for row in rows if row["protocol"] == protocol and row["shape"] != "all"]
-    figure.set_size_inches(WIDE, 2.8 + 0.14 * max(len(fine), 1))
+    figure = sheet(WIDE, 2.8 + 0.14 * max(len(fine), 1))
     axes = figure.subplot_mosaic([["groups", "position"], ["groups", "angle"]])
     if scored:
         _groups(axes["groups"], protocol, fine, list(scored[0].position))
@@ -211,6 +208,7 @@ def draw_benchmark(scored: Sequence[HeldOutScores], rows: Sequence[Row], figure:
     _curves(axes["angle"], scored, "angle", "angle error, held out [deg]")
     handles, labels = axes["position"].get_legend_handles_labels()
     figure.legend(handles, labels, frameon=False, loc="outside lower right", ncols=4)
+    return figure
 
 
 def _groups(axes: Axes, protocol: str, rows: Sequence[Row], models: Sequence[str]) -> None:

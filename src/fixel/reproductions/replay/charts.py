@@ -9,6 +9,7 @@ import numpy as np
 
 from fixel.datasets.mit_plates import TIP
 from fixel.drawing import palette
+from fixel.drawing.chart import sheet
 from fixel.model import Experiment, Trajectory, placed
 from fixel.reproductions.charts.pictures import SHOWN, WIDE, closed, hide_spines, label_fixels, ring
 from fixel.reproductions.pushes import MitPushes
@@ -35,14 +36,13 @@ def style_of(name: str) -> dict[str, Any]:
     return dict(zip(("label", "color", "linestyle"), STYLES[name], strict=True))
 
 
-def draw_pushes(
+def pushes_figure(
     data: MitPushes,
     chosen: IntArray,
     examples: Sequence[int],
     ends: Mapping[str, FloatArray],
     errors: Mapping[str, tuple[FloatArray, FloatArray]],
-    figure: Figure,
-) -> None:
+) -> Figure:
     """Draw the errors of the chosen pushes, and top views of a few rows.
 
     Parameters
@@ -52,7 +52,7 @@ def draw_pushes(
     errors : mapping from model to pair of (n,) float64
         Errors of position [mm] and angle [deg].
     """
-    figure.set_size_inches(WIDE, 4.7)
+    figure = sheet(WIDE, 4.7)
     parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.15))
     above, below = parts
     left, right = above.subplots(1, 2)
@@ -72,6 +72,7 @@ def draw_pushes(
         full = max(below.axes, key=lambda axes: len(axes.get_legend_handles_labels()[0]))
         handles, labels = full.get_legend_handles_labels()
         below.legend(handles, labels, frameon=False, ncols=5, loc="outside lower center")
+    return figure
 
 
 def _error_curves(axes: Axes, errors: Mapping[str, FloatArray], label: str) -> None:
@@ -127,9 +128,9 @@ def _push(
     hide_spines(axes)
 
 
-def draw_trial(
-    experiment: Experiment, curves: Mapping[str, Trajectory], actuator: FloatArray, figure: Figure
-) -> None:
+def trial_figure(
+    experiment: Experiment, curves: Mapping[str, Trajectory], actuator: FloatArray
+) -> Figure:
     """Draw the motions of the object in one trial, the measured one first.
 
     Parameters
@@ -137,7 +138,7 @@ def draw_trial(
     actuator : (n, 3) float64
         Measured poses of the actuator [m, m, rad].
     """
-    figure.set_size_inches(WIDE, 3.6)
+    figure = sheet(WIDE, 3.6)
     parts: Any = figure.subfigures(1, 2, width_ratios=(0.85, 1.0))
     left, right = parts
     _above(left.subplots(), experiment, curves, actuator)
@@ -153,6 +154,7 @@ def draw_trial(
     axes[-1].set_xlabel("time since the actuator started [s]")
     axes[0].set_title(f"experiment {experiment.name}")
     left.legend(frameon=False, loc="outside lower center", ncols=2)
+    return figure
 
 
 def _above(

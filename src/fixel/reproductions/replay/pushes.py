@@ -15,7 +15,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels.codes import CONVERGED, STATUS_NAMES
 from fixel.model import Scene
 from fixel.reproductions.pushes import NOMINAL, read_mit_pushes
-from fixel.reproductions.replay.charts import draw_pushes
+from fixel.reproductions.replay.charts import pushes_figure
 from fixel.reproductions.replay.request import (
     ReplayRequest,
     matching,
@@ -88,7 +88,7 @@ class PushReplay(AbstractReplay):
                 "pusher_radius_m": TIP.radius,
             },
             notes=self._notes(),
-            draw=partial(draw_pushes, data, chosen, self._examples(errors), ends, errors),
+            figure=partial(pushes_figure, data, chosen, self._examples(errors), ends, errors),
         )
 
     def _usable(self, request: ReplayRequest) -> tuple[IntArray, dict[str, int]]:

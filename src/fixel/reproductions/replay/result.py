@@ -42,8 +42,8 @@ class Replay:
         Values and methods, sufficient to repeat the replay.
     notes : list of str
         Remarks on the treatment of the data, in sentences.
-    draw : callable
-        Function that draws the replay in an empty figure.
+    figure : callable
+        Function that draws the replay.
     timing : dict
         Wall times of the parts [s]; `per_second` counts the simulation alone.
     """
@@ -55,7 +55,7 @@ class Replay:
     not_solved: int
     settings: Row
     notes: list[str]
-    draw: Callable[[Figure], None] = field(repr=False)
+    figure: Callable[[], Figure] = field(repr=False)
     timing: Row = field(default_factory=dict)
 
     def summary(self) -> Row:

@@ -15,6 +15,7 @@ from fixel.datasets.contact import moved_to_contact
 from fixel.datasets.mit_push import MitPush
 from fixel.datasets.mit_pusher_slider import MU_PUSHER, MU_SUPPORT, MitPusherSlider
 from fixel.drawing import palette
+from fixel.drawing.chart import sheet
 from fixel.errors import InvalidInput
 from fixel.kernels.codes import CONVERGED, STATUS_NAMES
 from fixel.model import Disk, Experiment, Scene, pose_error
@@ -148,7 +149,7 @@ class RunReplay(AbstractReplay):
                 "window_s": self.request.window,
             },
             notes=_notes(self.runs, self.left_out),
-            draw=partial(draw_windows, outcomes),
+            figure=partial(windows_figure, outcomes),
         )
 
 
@@ -294,10 +295,10 @@ def _notes(runs: list[Experiment], left_out: Counter[str]) -> list[str]:
 # --- figure -------------------------------------------------------------------------------------
 
 
-def draw_windows(outcomes: Sequence[WindowOutcome], figure: Figure) -> None:
+def windows_figure(outcomes: Sequence[WindowOutcome]) -> Figure:
     """Draw paths and errors of windows, one row per run."""
     names = list(dict.fromkeys(outcome.window.run.name for outcome in outcomes))
-    figure.set_size_inches(WIDE, 1.25 * max(len(names), 1) + 0.5)
+    figure = sheet(WIDE, 1.25 * max(len(names), 1) + 0.5)
     panels = figure.subplots(max(len(names), 1), 3, squeeze=False, width_ratios=(1.3, 1.0, 1.0))
     for row, name in zip(panels, names, strict=False):
         own = [outcome for outcome in outcomes if outcome.window.run.name == name]
@@ -323,6 +324,7 @@ def draw_windows(outcomes: Sequence[WindowOutcome], figure: Figure) -> None:
     panels[-1, 2].set_xlabel("time [s]")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles[:2], labels[:2], frameon=False, ncols=2, loc="outside upper right")
+    return figure
 
 
 def _short(name: str) -> str:

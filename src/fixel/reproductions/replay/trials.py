@@ -13,7 +13,7 @@ from fixel.calibration.target import ON_CLOCK
 from fixel.datasets.rpi_2dgad import FRAME_RATE, LabSimulation, Rpi2dgad, lab_simulation
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Experiment, Parameters, PathDrive, Scene, Trajectory, Tripod, pose_error
-from fixel.reproductions.replay.charts import draw_trial
+from fixel.reproductions.replay.charts import trial_figure
 from fixel.reproductions.replay.request import (
     ReplayRequest,
     matching,
@@ -143,7 +143,7 @@ class TrialReplay(AbstractReplay):
                 "angle_length_m": ANGLE_LENGTH,
             },
             notes=notes,
-            draw=partial(draw_trial, first.trial, first.curves, first.actuator),
+            figure=partial(trial_figure, first.trial, first.curves, first.actuator),
         )
 
     def _settings(self, trial: Experiment) -> dict[str, float]:
