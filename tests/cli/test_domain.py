@@ -8,7 +8,7 @@ from tests.cli.shell import fixel
 from fixel.database.project import Project
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.analysis import kept
+from fixel.workflows.analysis import load_analyses
 from fixel.workflows.domain import held_out
 
 FIT = ("--fit", "mu_pusher", "--fit", "tripod_radius")
@@ -40,7 +40,7 @@ def test_a_map_its_pictures_and_the_next_command(capsys, project, tmp_path):
     assert lines[-1].endswith("--threshold-mm 2 --folds 2")
     names = {path.stem for path in plot.glob("*.png")}
     assert names == {"map-offset_x_m", "map-offset_theta_rad", "size"}
-    (one, *_) = kept(Project.open(project), "domain")
+    (one, *_) = load_analyses(Project.open(project), "domain")
     assert one.analysis.numbers["threshold"] == 4.0
     assert len(one.analysis.numbers["cells"]) == 11
     assert all(picture.caption for picture in one.analysis.pictures)

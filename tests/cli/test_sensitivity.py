@@ -14,7 +14,7 @@ from fixel.errors import InvalidInput, NotStored
 from fixel.formats import SceneFile, save_scene
 from fixel.model import Flag, Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
-from fixel.workflows.analysis import kept
+from fixel.workflows.analysis import load_analyses
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_everything_in_a_project_is_ranked_and_kept(folder):
     assert out.startswith("Of 2 pushes: ")
     assert "bare was left out: " in out
     assert "Kept: " in out
-    (analysis,) = (one.analysis for one in kept(Project.open(folder), "sensitivity"))
+    (analysis,) = (one.analysis for one in load_analyses(Project.open(folder), "sensitivity"))
     assert len(analysis.experiments) == 2
     assert len(analysis.pictures) == 2
     assert analysis.methods
@@ -101,7 +101,7 @@ def test_a_calibration_gives_values_ranges_and_motion(folder):
     (found,) = told["pushes"]
     assert found["values"] == {"mu_pusher": 0.3}
     assert "mu_pusher" in found["indices"]["outcomes"]["angle"]["indices"]
-    (own,) = (k.analysis for k in kept(project) if k.analysis.calibrations == (number,))
+    (own,) = (k.analysis for k in load_analyses(project) if k.analysis.calibrations == (number,))
     assert "(quasistatic)" in own.methods[0]
 
 

@@ -14,7 +14,7 @@ from fixel.drawing.calibration import (
     Quantity,
     SecondsChart,
 )
-from fixel.drawing.chart import draw_chart, log_scale, positive, readable
+from fixel.drawing.chart import display_unit, draw_chart, log_scale, positive
 from fixel.drawing.overlay import OverlayChart, Track
 from fixel.drawing.profiles import ParametersChart, ProfilePanel, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
@@ -284,10 +284,10 @@ def test_a_turn_across_half_a_circle_is_no_error():
 
 
 def test_people_read_millimetres_and_degrees():
-    assert readable("m").on("tripod_radius") == "tripod_radius [mm]"
-    assert readable("rad").text(np.pi) == "180"
-    assert readable("-").on("mu") == "mu"
-    assert readable("N m").on("torque") == "torque [N m]"
+    assert display_unit("m").on("tripod_radius") == "tripod_radius [mm]"
+    assert display_unit("rad").text(np.pi) == "180"
+    assert display_unit("-").on("mu") == "mu"
+    assert display_unit("N m").on("torque") == "torque [N m]"
 
 
 def test_logarithmic_axes_bear_zeros_and_single_values():

@@ -6,7 +6,7 @@ import pytest
 from fixel.database.project import Project
 from fixel.drawing.calibration import SecondsChart
 from fixel.table import Table
-from fixel.workflows.analysis import CONTENT, Analysis, keep, kept, rounded
+from fixel.workflows.analysis import CONTENT, Analysis, load_analyses, rounded, store_analysis
 from fixel.workflows.figures import Picture
 
 
@@ -34,26 +34,26 @@ def _chart():
 
 def test_what_was_kept_comes_back(project):
     picture = Picture("map", _chart(), "", "Where it holds.")
-    one = keep(project, _analysis(tau=2.0), [picture], {"error": np.arange(3.0)})
-    (again,) = kept(project, "domain")
+    one = store_analysis(project, _analysis(tau=2.0), [picture], {"error": np.arange(3.0)})
+    (again,) = load_analyses(project, "domain")
     assert again.analysis == one.analysis
     assert again.analysis.pictures[0].caption == "Where it holds."
     np.testing.assert_array_equal(again.arrays["error"], [0.0, 1.0, 2.0])
     assert all(again.picture("map", ending).stat().st_size for ending in ("png", "pdf", "csv"))
-    assert kept(project, "growth") == []
+    assert load_analyses(project, "growth") == []
 
 
 def test_the_same_question_takes_the_place_of_its_answer(project):
-    first = keep(project, _analysis(tau=2.0))
-    assert keep(project, _analysis(tau=2.0)).folder == first.folder
-    assert keep(project, _analysis(tau=3.0)).folder != first.folder
-    assert len(kept(project)) == 2
+    first = store_analysis(project, _analysis(tau=2.0))
+    assert store_analysis(project, _analysis(tau=2.0)).folder == first.folder
+    assert store_analysis(project, _analysis(tau=3.0)).folder != first.folder
+    assert len(load_analyses(project)) == 2
 
 
 def test_one_that_was_not_finished_is_not_there(project):
-    one = keep(project, _analysis())
+    one = store_analysis(project, _analysis())
     (one.folder / CONTENT).unlink()
-    assert kept(project) == []
+    assert load_analyses(project) == []
 
 
 def test_the_rounding_of_simulations_is_no_number():

@@ -16,16 +16,16 @@ from fixel.drawing.chart import (
     Style,
     broken,
     clean,
-    column,
+    column_unit,
+    display_unit,
     legend_below,
     log_scale,
     mark_missing,
     positive,
-    readable,
     sheet,
-    shortened,
+    shorten,
+    unit_text,
     without_common,
-    written,
 )
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
@@ -82,7 +82,7 @@ class ErrorsChart(AbstractChart):
         return figure
 
     def table(self) -> Table:
-        unit = column(self.unit)
+        unit = column_unit(self.unit)
         columns = ("experiment", *(f"{_column_name(name)}_{unit}" for name in self.series))
         values = self.series.values()
         return Table(columns, [(self.keys[k], *(own[k] for own in values)) for k in self.order])
@@ -113,11 +113,11 @@ def _draw_errors(axes: Axes, chart: ErrorsChart, named: bool) -> None:
                   zorder=3, **style)  # fmt: skip
         missing, which = place[~np.isfinite(row)], "y" if named else "x"
         mark_missing(axes, missing, 0.995, which, color=style["color"], clip_on=False)
-    text = f"error [{written(chart.unit)}]"
+    text = f"error [{unit_text(chart.unit)}]"
     clean(axes)
     if named:
         names = without_common(chart.keys)
-        axes.set_yticks(place, [shortened(names[k], 44) for k in order])
+        axes.set_yticks(place, [shorten(names[k], 44) for k in order])
         axes.set_ylim(n + 0.7, 0.3)
         axes.set_xlabel(text)
         axes.tick_params(axis="y", length=0.0)
@@ -134,7 +134,8 @@ def _with_mean(name: str, errors: FloatArray, unit: str) -> str:
         return f"{name}: no simulation"
     mean, median = float(good.mean()), float(np.median(good))
     both = f"{mean:.3g}" if len(good) == 1 else f"mean {mean:.3g}, median {median:.3g}"
-    return f"{name}: {both} {written(unit)}" + (f"; × {lost} without a simulation" if lost else "")
+    failed = f"; × {lost} without a simulation" if lost else ""
+    return f"{name}: {both} {unit_text(unit)}{failed}"
 
 
 @final
@@ -255,10 +256,10 @@ class OffsetsChart(AbstractChart):
             for axes, axis in zip(row, self.columns, strict=False):
                 self._draw(axes, axis, quantity)
             _draw_histogram(row[-1], quantity)
-            row[0].set_ylabel(readable(quantity.unit).on(broken(quantity.label)))
+            row[0].set_ylabel(display_unit(quantity.unit).on(broken(quantity.label)))
         for axes, axis in zip(grid[-1], self.columns, strict=False):
             text = f"offset in {axis.name.replace('theta', 'θ')}" if self.axes else axis.name
-            axes.set_xlabel(readable(axis.unit or "-").on(text))
+            axes.set_xlabel(display_unit(axis.unit or "-").on(text))
         for row in grid[:-1]:
             for axes in row[:m]:
                 axes.tick_params(labelbottom=False)
@@ -271,7 +272,7 @@ class OffsetsChart(AbstractChart):
     def _draw(self, axes: Axes, axis: OffsetSeries, quantity: Quantity) -> None:
         """Draw every experiment as a dot, joined within a layout, and the mean over layouts."""
         clean(axes)
-        unit, scale = readable(axis.unit or "-"), readable(quantity.unit).factor
+        unit, scale = display_unit(axis.unit or "-"), display_unit(quantity.unit).factor
         values = positive(quantity.values) if quantity.log else quantity.values
         groups = list(dict.fromkeys(self.groups))
         joined = bool(self.axes) and len(groups) <= MAX_LINES
@@ -307,7 +308,7 @@ class OffsetsChart(AbstractChart):
 
 
 def _scale(axes: Axes, quantity: Quantity) -> None:
-    factor = readable(quantity.unit).factor
+    factor = display_unit(quantity.unit).factor
     if quantity.log:
         log_scale(axes, "y", factor * quantity.values)
     elif quantity.bounds is not None:
@@ -328,7 +329,7 @@ def _means(offsets: FloatArray, values: FloatArray, log: bool) -> tuple[FloatArr
 
 def _draw_histogram(axes: Axes, quantity: Quantity) -> None:
     """Draw a histogram of a quantity, on its shared axis."""
-    factor = readable(quantity.unit).factor
+    factor = display_unit(quantity.unit).factor
     values = factor * (positive(quantity.values) if quantity.log else quantity.values)
     low, high = axes.get_ylim()
     edges = np.geomspace(low, high, BINS + 1) if quantity.log else np.linspace(low, high, BINS + 1)

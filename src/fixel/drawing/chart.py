@@ -113,7 +113,7 @@ def sheet(width: float, height: float, title: str = "") -> Figure:
     engine.set(w_pad=0.06, h_pad=0.05, rect=(0.0, 0.0, 1.0, room))
     if title:
         place, size = 0.5 * (1.0 + room), palette.FONT_SIZE + 1.0
-        figure.text(0.5, place, shortened(title, 90), ha="center", va="center", fontsize=size)
+        figure.text(0.5, place, shorten(title, 90), ha="center", va="center", fontsize=size)
     return figure
 
 
@@ -244,18 +244,18 @@ class DisplayUnit(NamedTuple):
         return f"{self.factor * value:.3g}"
 
 
-def readable(unit: str) -> DisplayUnit:
+def display_unit(unit: str) -> DisplayUnit:
     """Return the display unit: millimetres and degrees instead of metres and radians."""
     known = {"m": DisplayUnit("mm", 1e3), "rad": DisplayUnit("deg", math.degrees(1.0))}
-    return known.get(unit, DisplayUnit("" if unit == "-" else written(unit), 1.0))
+    return known.get(unit, DisplayUnit("" if unit == "-" else unit_text(unit), 1.0))
 
 
-def written(unit: str) -> str:
+def unit_text(unit: str) -> str:
     """Format a unit with a superscript square."""
     return unit.replace("^2", "²")
 
 
-def column(unit: str) -> str:
+def column_unit(unit: str) -> str:
     """Format a unit as the end of a column's name."""
     return unit.replace("^", "")
 
@@ -278,7 +278,7 @@ def tint(colour: str, strength: float) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def shortened(text: str, most: int) -> str:
+def shorten(text: str, most: int) -> str:
     """Shorten a name to at most `most` characters: first drop the dataset, then the beginning."""
     if len(text) > most:
         text = text.partition("/")[2] or text
@@ -292,6 +292,6 @@ def without_common(names: Sequence[str]) -> list[str]:
     return [name.partition("/")[2] if alike else name for name in names]
 
 
-def plain(values: FloatArray) -> list[float | None]:
+def finite_list(values: FloatArray) -> list[float | None]:
     """Convert an array to a list, with None for numbers that are not finite."""
     return [value if math.isfinite(value) else None for value in values.tolist()]

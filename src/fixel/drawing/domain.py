@@ -20,7 +20,7 @@ from fixel.drawing.chart import (
     legend_of,
     log_scale,
     sheet,
-    shortened,
+    shorten,
 )
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
@@ -114,7 +114,7 @@ class MapChart(AbstractChart):
             panel.set_xlabel(_label(axes[self.across]) if last else "")
             if labelled and self.up is not None:
                 panel.set_ylabel(_label(axes[self.up]))
-            title = shortened(shown[k] or "all experiments", int(room / LETTER))
+            title = shorten(shown[k] or "all experiments", int(room / LETTER))
             panel.set_title(title, fontsize=palette.FONT_SIZE, pad=2.5)
         self._legend(figure, len(shown))
         return figure

@@ -18,14 +18,14 @@ from fixel.drawing.chart import (
     AbstractChart,
     Style,
     clean,
-    column,
+    column_unit,
+    display_unit,
     legend_below,
     log_scale,
     positive,
-    readable,
     sheet,
+    unit_text,
     whole_numbers,
-    written,
 )
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
@@ -77,7 +77,7 @@ class GrowthMatrix(AbstractChart):
         from matplotlib.colors import LogNorm
 
         n, m = self.errors.shape
-        title = f"Largest error in the domain [{written(self.unit)}]"
+        title = f"Largest error in the domain [{unit_text(self.unit)}]"
         figure = sheet(0.55 * WIDE + 0.28 * m, 0.55 + 0.165 * n, title)
         axes = figure.subplots()
         shown = positive(self.errors)
@@ -100,7 +100,7 @@ class GrowthMatrix(AbstractChart):
         return figure
 
     def table(self) -> Table:
-        unit = column(self.unit)
+        unit = column_unit(self.unit)
         head = ("group", *(f"step_{k}_{unit}" for k in range(self.errors.shape[1])))
         rows = zip(self.groups, self.errors, strict=True)
         return Table(head, [(name, *errors) for name, errors in rows])
@@ -147,7 +147,7 @@ class GrowthSteps(AbstractChart):
             axes.set_title(shape)
             axes.set_xlabel("step of the growth")
             whole_numbers(axes)
-        row[0].set_ylabel(f"largest error [{written(self.unit)}]")
+        row[0].set_ylabel(f"largest error [{unit_text(self.unit)}]")
         legend_below(figure, row, most=5)
         return figure
 
@@ -156,7 +156,7 @@ class GrowthSteps(AbstractChart):
         return np.asarray(self.errors[list(own)].mean(axis=0))
 
     def table(self) -> Table:
-        head = ("shape", "layout", "step", f"largest_error_{column(self.unit)}")
+        head = ("shape", "layout", "step", f"largest_error_{column_unit(self.unit)}")
         rows = [
             (shape, layout, step, value)
             for shape, layout, errors in zip(self.shapes, self.layouts, self.errors, strict=True)
@@ -202,14 +202,14 @@ class AxisChart(AbstractChart):
             self._draw_relative(below, study)
             below.set_xlabel(self._label(axis))
             whole_numbers(below)
-        grid[0, 0].set_ylabel(f"error [{written(self.unit)}]")
-        grid[1, 0].set_ylabel(f"average error [{written(self.unit)}]")
+        grid[0, 0].set_ylabel(f"error [{unit_text(self.unit)}]")
+        grid[1, 0].set_ylabel(f"average error [{unit_text(self.unit)}]")
         figure.align_ylabels(grid[:, 0])
         legend_below(figure, grid.ravel(), most=5)
         return figure
 
     def _label(self, axis: str) -> str:
-        unit = readable("rad" if axis == "θ" else "m")
+        unit = display_unit("rad" if axis == "θ" else "m")
         step = "" if self.length is None else f" of {unit.text(self.length)} {unit.name}"
         return f"offset in {axis} [steps{step}]"
 
@@ -237,7 +237,7 @@ class AxisChart(AbstractChart):
         axes.plot(study.steps, own, label="average of own best", **OPTIMAL)
 
     def table(self) -> Table:
-        unit = column(self.unit)
+        unit = column_unit(self.unit)
         head = ("shape", "axis", "size", "interval_first", "interval_last", "layout", "step",
                 f"error_{unit}", f"own_error_{unit}", f"relative_error_{unit}")  # fmt: skip
         rows: list[tuple[Any, ...]] = []
@@ -261,4 +261,4 @@ def _plot(axes: Axes, steps: IntArray, errors: FloatArray, style: Style) -> None
 
 
 def _level(threshold: float, unit: str) -> str:
-    return f"threshold {threshold:.3g} {written(unit)}"
+    return f"threshold {threshold:.3g} {unit_text(unit)}"

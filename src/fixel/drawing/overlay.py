@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Style, clean, sheet, shortened, tint, written
+from fixel.drawing.chart import WIDE, AbstractChart, Style, clean, sheet, shorten, tint, unit_text
 from fixel.drawing.top_view import FEW_POSES, MAX_OUTLINES, MM, closed, frame_axes
 from fixel.drawing.view import Rectangle
 from fixel.model import placed
@@ -78,7 +78,7 @@ class OverlayChart(AbstractChart):
         )
 
     def figure(self) -> Figure:
-        figure = sheet(WIDE, 3.3, shortened(self.title, 100))
+        figure = sheet(WIDE, 3.3, shorten(self.title, 100))
         panels = figure.subplot_mosaic(
             [["view", "x", "dx"], ["view", "y", "dy"], ["legend", "theta", "dtheta"]],
             width_ratios=(VIEW, 1.6, 1.6),
@@ -139,7 +139,7 @@ def _draw_view(axes: Axes, chart: OverlayChart) -> None:
 
 
 def _error(track: Track, unit: str) -> str:
-    return "" if track.error is None else f" ({track.error:.3g} {written(unit)})"
+    return "" if track.error is None else f" ({track.error:.3g} {unit_text(unit)})"
 
 
 def _extent(chart: OverlayChart) -> Rectangle:

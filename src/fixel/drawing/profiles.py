@@ -15,11 +15,11 @@ from fixel.drawing.chart import (
     Style,
     broken,
     clean,
+    display_unit,
     legend_below,
     legend_of,
-    readable,
     sheet,
-    shortened,
+    shorten,
 )
 from fixel.model.records import Estimate
 from fixel.table import Table
@@ -82,7 +82,7 @@ class ParametersChart(AbstractChart):
         axes.set_xticks([])
         axes.tick_params(axis="y", length=0.0)
         axes.spines[:].set_visible(False)
-        axes.set_title(shortened(self.title, 60), loc="left")
+        axes.set_title(shorten(self.title, 60), loc="left")
         words.axis("off")
         self._legend(figure)
         return figure
@@ -145,7 +145,7 @@ def _draw_row(axes: Axes, k: int, row: Estimate, others: Sequence[float]) -> Non
     axes.plot([0.0, 1.0], [k, k], color=palette.FAINT, linewidth=1.2, zorder=1)
     for end in (0.0, 1.0):
         axes.plot([end, end], [k - 0.12, k + 0.12], color=palette.FIXEL, linewidth=0.8, zorder=1)
-    unit = readable(row.unit)
+    unit = display_unit(row.unit)
     small: Style = {"fontsize": palette.FONT_SIZE - 1.5, "color": palette.FIXEL, "va": "top"}
     axes.text(0.0, k + 0.16, unit.text(low), ha="left", **small)
     axes.text(1.0, k + 0.16, f"{unit.text(high)} {unit.name}".rstrip(), ha="right", **small)
@@ -178,7 +178,7 @@ def _colour(verdict: str) -> str:
 
 
 def _write_row(axes: Axes, k: int, row: Estimate) -> None:
-    unit = readable(row.unit)
+    unit = display_unit(row.unit)
     value = f"{unit.text(row.value)} {unit.name}".rstrip()
     axes.text(0.0, k, value, weight="bold", va="center")
     if not row.is_assessed:
@@ -269,7 +269,7 @@ class ProfilesChart(AbstractChart):
 
 
 def _draw_profile(axes: Axes, panel: ProfilePanel, interval: str) -> None:
-    unit = readable(panel.unit)
+    unit = display_unit(panel.unit)
     left, right = _range(panel)
     ends = (left if panel.low is None else panel.low, right if panel.high is None else panel.high)
     axes.axvspan(*(unit.factor * np.array(ends)), color=palette.TRAIL, alpha=0.25, linewidth=0.0,

@@ -16,17 +16,17 @@ from fixel.drawing.chart import (
     Style,
     broken,
     clean,
-    column,
+    column_unit,
+    display_unit,
     legend_below,
     log_scale,
     mark_missing,
     positive,
-    readable,
     room_above,
     sheet,
-    shortened,
+    shorten,
+    unit_text,
     whole_numbers,
-    written,
 )
 from fixel.model.space import Unknown
 from fixel.table import Table
@@ -82,12 +82,12 @@ class SearchChart(AbstractChart):
         row = figure.subplots(1, n, squeeze=False)[0]
         for axes, panel in zip(row, self.panels, strict=True):
             _draw_search(axes, panel, 70 if n == 1 else 38)
-        row[0].set_ylabel(f"{self.what} [{written(self.unit)}]")
+        row[0].set_ylabel(f"{self.what} [{unit_text(self.unit)}]")
         legend_below(figure, row)
         return figure
 
     def table(self) -> Table:
-        unit = column(self.unit)
+        unit = column_unit(self.unit)
         columns = ("search", "evaluation", "iteration", f"error_{unit}", f"best_{unit}")
         rows = [
             (panel.title.replace("\n", " "), k, None if i < 0 else i, error, best)
@@ -115,7 +115,7 @@ def _draw_search(axes: Axes, panel: SearchPanel, letters: int) -> None:
     room_above(axes, bool(failed.any()))
     margin = max(0.6, 0.02 * len(number))
     axes.set_xlim(1.0 - margin, max(len(number), 1) + margin)
-    title = "\n".join(shortened(line, letters) for line in panel.title.split("\n"))
+    title = "\n".join(shorten(line, letters) for line in panel.title.split("\n"))
     axes.set_title(title, fontsize=palette.FONT_SIZE)
     axes.set_xlabel("evaluation")
     whole_numbers(axes)
@@ -205,7 +205,8 @@ class StartsChart(AbstractChart):
         return figure
 
     def table(self) -> Table:
-        first = ("rank", "start", f"error_{column(self.unit)}", "nearly_as_good", "evaluations")
+        error = f"error_{column_unit(self.unit)}"
+        first = ("rank", "start", error, "nearly_as_good", "evaluations")
         names = [f"{unknown.label} [{unknown.unit}]" for unknown in self.unknowns]
         good = ["true" if good else "false" for good in self.good]
         rows = [
@@ -230,7 +231,7 @@ def _draw_waterfall(axes: Axes, chart: StartsChart) -> None:
     log_scale(axes, "y", shown)
     room_above(axes, bool(none.any()))
     axes.set_xlim(0.4, len(rank) + 0.6)
-    axes.set(xlabel="start, best first", ylabel=f"final {chart.what} [{written(chart.unit)}]")
+    axes.set(xlabel="start, best first", ylabel=f"final {chart.what} [{unit_text(chart.unit)}]")
     whole_numbers(axes)
     clean(axes)
 
@@ -261,7 +262,7 @@ def _draw_ends(axes: Axes, chart: StartsChart) -> None:
             axes.plot(place, shares[k], markersize=2.8, **style | line | {"label": ""})
     names = []
     for unknown in chart.unknowns:
-        own = readable(unknown.unit)
+        own = display_unit(unknown.unit)
         ends = f"{own.text(unknown.low)} … {own.text(unknown.high)} {own.name}".rstrip()
         names.append(f"{broken(unknown.label)}\n{ends}")
     axes.set_xticks(place, names)

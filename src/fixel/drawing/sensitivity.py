@@ -14,10 +14,10 @@ from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
     clean,
+    display_unit,
     legend_below,
-    readable,
     sheet,
-    shortened,
+    shorten,
     tint,
 )
 from fixel.drawing.top_view import closed
@@ -192,7 +192,7 @@ class IndicesChart(AbstractChart):
                     place + shift, values, 0.36, xerr=errors, color=colour, label=label,
                     error_kw={"linewidth": 0.8, "ecolor": palette.INK},
                 )  # fmt: skip
-            unit = readable(own.units[k])
+            unit = display_unit(own.units[k])
             text = unit.text(float(own.deviation[k]))
             axes.set_title(f"{own.outcomes[k]}: {text} {unit.name}", loc="left")
             axes.set_xlabel("share of the variance")
@@ -200,7 +200,7 @@ class IndicesChart(AbstractChart):
             low = min(0.0, float(np.min(own.first[k] - own.first_error[k])))
             axes.set_xlim(low, 1.02 * top)
             clean(axes)
-        row[0].set_yticks(place, [shortened(name, 24) for name in names])
+        row[0].set_yticks(place, [shorten(name, 24) for name in names])
         row[0].invert_yaxis()
         legend_below(figure, row[:1])
         return figure

@@ -14,8 +14,8 @@ from fixel.drawing.chart import (
     AbstractChart,
     Style,
     clean,
+    display_unit,
     legend_below,
-    readable,
     sheet,
     tint,
 )
@@ -72,7 +72,7 @@ class CornerChart(AbstractChart):
         return figure
 
     def _values(self, k: int) -> FloatArray:
-        factor = readable(self.posterior.units[k]).factor
+        factor = display_unit(self.posterior.units[k]).factor
         return np.asarray(factor * self.posterior.samples[:, k])
 
     def _ends(self, k: int) -> tuple[float, float]:
@@ -84,7 +84,7 @@ class CornerChart(AbstractChart):
         else:
             margin = max(0.05 * (high - low), 1e-6 * (own.high[k] - own.low[k]))
             wide = (low - margin, high + margin)
-        factor = readable(own.units[k]).factor
+        factor = display_unit(own.units[k]).factor
         ends = min(max(wide[0], own.low[k]), low), max(min(wide[1], own.high[k]), high)
         return factor * ends[0], factor * ends[1]
 
@@ -142,7 +142,7 @@ class CornerChart(AbstractChart):
 
     def _label(self, k: int) -> str:
         own = self.posterior
-        return readable(own.units[k]).on(shown_label(own.labels[k])).replace(" [", "\n[")
+        return display_unit(own.units[k]).on(shown_label(own.labels[k])).replace(" [", "\n[")
 
     def _legend(self, figure: Figure) -> None:
         from matplotlib.lines import Line2D

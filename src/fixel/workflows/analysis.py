@@ -142,7 +142,7 @@ class StoredAnalysis(NamedTuple):
         return [Path(shutil.copyfile(source, folder / source.name)) for source in sources]
 
 
-def keep(
+def store_analysis(
     project: Project,
     analysis: Analysis,
     pictures: Sequence[Picture] = (),
@@ -179,7 +179,7 @@ def keep(
     return StoredAnalysis(folder, done)
 
 
-def kept(project: Project, kind: Kind | None = None) -> list[StoredAnalysis]:
+def load_analyses(project: Project, kind: Kind | None = None) -> list[StoredAnalysis]:
     """Load the analyses of a project, newest first.
 
     Raises
@@ -187,13 +187,13 @@ def kept(project: Project, kind: Kind | None = None) -> list[StoredAnalysis]:
     StoreRefused
         One of them cannot be read.
     """
-    found, unreadable = kept_and_not(project, kind)
+    found, unreadable = load_with_errors(project, kind)
     if unreadable:
         raise unreadable[0]
     return found
 
 
-def kept_and_not(
+def load_with_errors(
     project: Project, kind: Kind | None = None
 ) -> tuple[list[StoredAnalysis], list[FixelError]]:
     """Load the analyses of a project, newest first, and the errors of unreadable ones."""

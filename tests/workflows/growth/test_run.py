@@ -16,7 +16,7 @@ from tests.workflows.growing import (
 
 from fixel.domain.growth import ROWS, STORED, domain
 from fixel.errors import InvalidInput
-from fixel.workflows.analysis import kept
+from fixel.workflows.analysis import load_analyses
 from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.calibration.stored import calibrated
 from fixel.workflows.growth import report
@@ -166,7 +166,7 @@ def test_searches_that_got_stuck_are_told(tmp_path, experiments, points, errors,
 def test_the_analysis_is_kept_with_pictures_and_the_banner(lab):
     project, _ = lab
     found, done = run_growth(project, GrowthRequest(threshold="2.0", sizes={"y": (3,)}))
-    assert len(kept(project, "growth")) == 1
+    assert len(load_analyses(project, "growth")) == 1
     assert {shown.name for shown in done.analysis.pictures} == {
         "growth_matrix", "growth_steps", "axis_square_x", "axis_square_y", "axis_square_theta",
     }  # fmt: skip

@@ -21,7 +21,7 @@ from fixel.model.records import Estimate
 from fixel.sampling.thesis import thesis_plan
 from fixel.table import Table
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.analysis import Analysis, keep
+from fixel.workflows.analysis import Analysis, store_analysis
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.parameter_options import fitted
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
@@ -79,7 +79,9 @@ def _kept(project, **changes):
         calibrations=(number,),
         command="fixel domain",
     )
-    return keep(project, analysis.model_copy(update=changes), [Picture("map", chart, "", "A map.")])
+    return store_analysis(
+        project, analysis.model_copy(update=changes), [Picture("map", chart, "", "A map.")]
+    )
 
 
 class _Page(HTMLParser):

@@ -16,7 +16,7 @@ from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
-from fixel.workflows.analysis import kept
+from fixel.workflows.analysis import load_analyses
 from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.uncertainty import report
 from fixel.workflows.uncertainty.run import UncertaintyRequest, find_uncertainty
@@ -67,7 +67,7 @@ def test_the_answer_for_people(answered):
 
 def test_it_is_kept_as_an_analysis(folder, answered):
     assert answered
-    (one,) = kept(Project.open(folder), "uncertainty")
+    (one,) = load_analyses(Project.open(folder), "uncertainty")
     numbers = one.analysis.numbers
     assert numbers["experiments"] == ["testbed/push-1"]
     assert set(numbers["parameters"]) == {"tripod_radius", "model_error"}

@@ -11,7 +11,7 @@ from pydantic import Field
 from fixel.errors import NotStored
 from fixel.web.context import Context
 from fixel.web.values import Answer
-from fixel.workflows.analysis import AnalysisFigure, Kind, kept_and_not
+from fixel.workflows.analysis import AnalysisFigure, Kind, load_with_errors
 
 TYPES: Final = {"png": "image/png", "pdf": "application/pdf", "csv": "text/csv"}
 
@@ -51,7 +51,7 @@ class AnalysisList(Answer):
 
 @router.get("", summary="Kept analyses")
 def analyses(context: Context, kind: Kind | None = None) -> AnalysisList:
-    every, unreadable = kept_and_not(context.project, kind)
+    every, unreadable = load_with_errors(context.project, kind)
     return AnalysisList(
         analyses=[
             AnalysisSummary.model_validate(
@@ -70,7 +70,7 @@ def analyses(context: Context, kind: Kind | None = None) -> AnalysisList:
     response_class=FileResponse,
 )
 def picture(context: Context, name: str, picture: str, ending: str) -> FileResponse:
-    every, _ = kept_and_not(context.project)
+    every, _ = load_with_errors(context.project)
     one = next((one for one in every if one.folder.name == name), None)
     # Only what an analysis names itself: no part of an address becomes a path.
     own = None if one is None else next(

@@ -20,7 +20,7 @@ from fixel.web.context import ProjectContext
 from fixel.web.pages import calibration, experiment
 from fixel.web.views import scene_editor
 from fixel.web.views.system_status import system_status
-from fixel.workflows.analysis import kept_and_not
+from fixel.workflows.analysis import load_with_errors
 
 OFFERED: Final = 300  # names in the list of experiments
 FIRST: Final = "grasp"  # example that is shown first
@@ -80,7 +80,7 @@ def compare_page(context: ProjectContext, request: Request) -> dict[str, Any]:
 
 def domain_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill `/domain?map=NAME`; by default with the newest map."""
-    every, unreadable = kept_and_not(context.project)
+    every, unreadable = load_with_errors(context.project)
     maps = [one for one in every if one.analysis.kind == "domain"]
     wanted = request.query_params.get("map", "")
     chosen = next((one for one in maps if one.folder.name == wanted), None)

@@ -25,7 +25,7 @@ from fixel.domain.next_experiment import proposals
 from fixel.errors import FixelError, InvalidInput, JobRefused, NotStored
 from fixel.web.values import Answer, Finite
 from fixel.web.views.background_fits import BackgroundFit, Fits
-from fixel.workflows.analysis import StoredAnalysis, kept_and_not
+from fixel.workflows.analysis import StoredAnalysis, load_with_errors
 from fixel.workflows.domain.evidence import DomainEvidence, gathered_before, mark_of
 from fixel.workflows.domain.request import DomainRequest, asked_again, command_of
 from fixel.workflows.domain.run import is_fitted, refuse_axes, spread_out
@@ -188,7 +188,7 @@ class DomainViews:
 
     def maps(self) -> tuple[list[StoredAnalysis], list[FixelError]]:
         """Return the maps, newest first, and the errors of unreadable ones."""
-        return kept_and_not(self._project, "domain")
+        return load_with_errors(self._project, "domain")
 
     def view(
         self, name: str, axes: tuple[str, ...] = (), measure: Measure | None = None

@@ -27,7 +27,7 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import Notify, Progress
 from fixel.workflows.acquisition.film import ARRAYS, FilmSettings, film
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
-from fixel.workflows.analysis import Analysis, keep
+from fixel.workflows.analysis import Analysis, store_analysis
 from fixel.workflows.calibration.request import (
     LEAST_SQUARES,
 )
@@ -390,7 +390,7 @@ def _keep(
         banner="SIMULATED: no camera has seen this",
         caption="True and tracked paths of the object, and how far apart they are.",
     )
-    keep(project, analysis, (picture,))
+    store_analysis(project, analysis, (picture,))
 
 
 def _run_table(runs: tuple[TrackedRun, ...]) -> Table:

@@ -19,7 +19,7 @@ from fixel.domain.predicted_cells import predicted_cells
 from fixel.domain.surface import Surface
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, Progress
-from fixel.workflows.analysis import Analysis, StoredAnalysis, keep
+from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.domain.charts import pictures_of
 from fixel.workflows.domain.evidence import DomainEvidence, gather
 from fixel.workflows.domain.report import headline, methods_of, numbers, tables, warnings_of
@@ -119,7 +119,7 @@ def map_domain(
     )
     arrays = {"error_mm2": evidence.error_mm2, "fold": evidence.fold, "place": domain.place}
     arrays |= _fitted(domain)
-    kept = keep(project, analysis, pictures, arrays)
+    kept = store_analysis(project, analysis, pictures, arrays)
     files = [] if plot is None else kept.copy_pictures(plot)
     return DomainResult(
         gathered=gathered,

@@ -10,7 +10,7 @@ import numpy as np
 
 from fixel.domain.along_axis import AxisEdges, AxisStudy
 from fixel.domain.growth import AVERAGED, STORED
-from fixel.drawing.chart import plain, readable, written
+from fixel.drawing.chart import display_unit, finite_list, unit_text
 from fixel.drawing.growth import AxisChart, GrowthMatrix, GrowthSteps
 from fixel.table import Table
 from fixel.typing import FloatArray
@@ -33,7 +33,7 @@ def headline(found: Exploration) -> tuple[str, ...]:
         for shape in dict.fromkeys(group.shape for group in groups)
     ]
     axes = [_axis_edges(found, study) for study in found.studies]
-    unit = written(found.unit)
+    unit = unit_text(found.unit)
     return sentences(
         "growth", "headline", shapes=shapes, axes=axes, unit=unit, threshold=found.threshold
     )
@@ -61,7 +61,7 @@ def _axis_edges(found: Exploration, study: AxisStudy) -> dict[str, Any]:
     k = int(np.flatnonzero(study.steps == 0)[0])
     ends = edges_text(study.edges(found.threshold), study)
     length = found.samples.lengths.get(study.axis)
-    unit = readable("rad" if study.axis == "theta" else "m")
+    unit = display_unit("rad" if study.axis == "theta" else "m")
     in_units = None
     if ends and length is not None:
         edges = study.edges(found.threshold)
@@ -114,7 +114,7 @@ def methods(found: Exploration) -> tuple[str, ...]:
         rollouts=found.rollouts,
         averaged=sources.count(AVERAGED),
         stored=sources.count(STORED),
-        unit=written(found.stored.method.unit),
+        unit=unit_text(found.stored.method.unit),
         threshold=found.threshold,
     )
 
@@ -124,7 +124,7 @@ def methods(found: Exploration) -> tuple[str, ...]:
 
 def matrix_table(found: Exploration) -> Table:
     """Table of the largest errors, one row per group."""
-    unit = written(found.unit)
+    unit = unit_text(found.unit)
     n = found.growth.steps[0][-1].step
     rows = [
         (row[0].group.name, *("none" if s.largest is None else f"{s.largest:.3g}" for s in row))
@@ -139,7 +139,7 @@ def matrix_table(found: Exploration) -> Table:
 
 def edges_table(found: Exploration) -> Table:
     """Table of the domain's ends along each axis, absolute and relative."""
-    unit = written(found.unit)
+    unit = unit_text(found.unit)
     rows = []
     for study in found.studies:
         k = int(np.flatnonzero(study.steps == 0)[0])
@@ -235,7 +235,7 @@ def numbers(found: Exploration) -> dict[str, Any]:
                         "calibration": step.used.calibration,
                         "experiments": [ids[m] for m in step.used.members],
                         "values": None if step.used.point is None else step.used.point.tolist(),
-                        "errors": plain(step.errors),
+                        "errors": finite_list(step.errors),
                     }
                     for step in row
                 ],
@@ -256,12 +256,12 @@ def _axis_numbers(found: Exploration, study: AxisStudy) -> dict[str, Any]:
         "steps": study.steps.tolist(),
         "layouts": list(study.layouts),
         "layouts_counted": study.counted().tolist(),
-        "average": plain(study.average),
-        "own_average": plain(study.own_average),
-        "relative": plain(study.average_excess),
-        "ratio": plain(study.ratio),
-        "error": [plain(row) for row in study.error],
-        "own_error": [plain(row) for row in study.own],
+        "average": finite_list(study.average),
+        "own_average": finite_list(study.own_average),
+        "relative": finite_list(study.average_excess),
+        "ratio": finite_list(study.ratio),
+        "error": [finite_list(row) for row in study.error],
+        "own_error": [finite_list(row) for row in study.own],
         "sets": [None if one.point is None else one.point.tolist() for one in study.sets],
         "reasons": [one.reason for one in study.sets],
         "edges": study.edges(found.threshold)._asdict(),

@@ -17,7 +17,7 @@ from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.typing import FloatArray, Notify
-from fixel.workflows.analysis import Kind, StoredAnalysis, kept
+from fixel.workflows.analysis import Kind, StoredAnalysis, load_analyses
 from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.calibration.run import Calibration, reopened
 from fixel.workflows.calibration.stored import CalibratedValues, calibrated
@@ -201,7 +201,7 @@ def _analyses(project: Project, one: CalibratedValues) -> list[StoredAnalysis]:
     """Select the newest analysis of each kind that used this calibration or its experiments."""
     found = []
     for kind in WANTED:
-        fitting = [own for own in kept(project, kind) if _fits(own, one)]
+        fitting = [own for own in load_analyses(project, kind) if _fits(own, one)]
         found += fitting[:1]
     return found
 

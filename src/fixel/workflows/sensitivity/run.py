@@ -20,7 +20,7 @@ from fixel.typing import Progress
 from fixel.uncertainty.indices import indices_of
 from fixel.uncertainty.outcomes import FLAGS, sensitivity_of
 from fixel.uncertainty.start_ensemble import simulate_starts
-from fixel.workflows.analysis import Analysis, StoredAnalysis, keep
+from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.calibration.stored import CalibratedValues, calibrated, newest, parted
 from fixel.workflows.figures import Picture
 from fixel.workflows.sensitivity.report import analysis_of, arrays_of, pictures_of
@@ -110,7 +110,7 @@ def analyse_sensitivity(
     found.sort(key=_badness)
     pictures = pictures_of(found)
     analysis = analysis_of(found, skipped, request, command, clock.perf_counter() - begun)
-    kept = None if opened is None else keep(opened, analysis, pictures, arrays_of(found))
+    kept = None if opened is None else store_analysis(opened, analysis, pictures, arrays_of(found))
     return SensitivityAnswer(
         findings=tuple(found),
         skipped=skipped,

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from fixel.drawing.chart import readable
+from fixel.drawing.chart import display_unit
 from fixel.drawing.uncertainty import (
     BandsChart,
     CornerChart,
@@ -47,7 +47,7 @@ def _priors(posterior: Posterior) -> str:
     """Ranges of the priors, which are mostly much wider than the axes."""
     parts = []
     for k, label in enumerate(posterior.labels):
-        unit = readable(posterior.units[k])
+        unit = display_unit(posterior.units[k])
         ends = f"{unit.text(posterior.low[k])} to {unit.text(posterior.high[k])} {unit.name}"
         log = " (of its logarithm)" * (label == LABEL)
         parts.append(f"{shown_label(label)} {ends.rstrip()}{log}")

@@ -10,13 +10,13 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.database.project import Project
-from fixel.drawing.chart import readable
+from fixel.drawing.chart import display_unit
 from fixel.model.records import CalibrationRecord
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.bands import PARTS
 from fixel.uncertainty.discrepancy import LABEL
-from fixel.workflows.analysis import Analysis, StoredAnalysis, keep
+from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.sentences import rounded, sentences
 from fixel.workflows.uncertainty.charts import curves_of, pictures_of, what_of
@@ -45,7 +45,7 @@ def keep_uncertainty(project: Project, found: Uncertainty, command: str = "") ->
         seconds=posterior.seconds,
     )
     arrays = {"samples": posterior.samples, "log_likelihood": posterior.log_likelihood}
-    return keep(project, analysis, list(pictures_of(found)), arrays)
+    return store_analysis(project, analysis, list(pictures_of(found)), arrays)
 
 
 def numbers_of(found: Uncertainty) -> dict[str, Any]:
@@ -212,7 +212,7 @@ def _contradictions(found: Uncertainty, record: CalibrationRecord) -> Iterator[d
         top = math.inf if estimate.high is None else estimate.high
         if bottom <= middle[k] <= top:
             continue
-        unit = readable(found.posterior.units[k])
+        unit = display_unit(found.posterior.units[k])
         yield {
             "label": label,
             "apart": high[k] < bottom or low[k] > top,
@@ -241,7 +241,7 @@ def _tables(found: Uncertainty) -> Iterator[Table]:
     low, middle, high = posterior.quantiles()
     rows = []
     for k, label in enumerate(posterior.labels):
-        unit = readable(posterior.units[k])
+        unit = display_unit(posterior.units[k])
         ends = f"{unit.text(posterior.low[k])} .. {unit.text(posterior.high[k])}"
         numbers = (unit.text(x) for x in (middle[k], low[k], high[k], posterior.best[k]))
         rows.append((label, *numbers, ends, unit.name or "-"))
@@ -257,7 +257,7 @@ def _tables(found: Uncertainty) -> Iterator[Table]:
 
 def _mode_table(found: Uncertainty) -> Table:
     posterior = found.posterior
-    units = [readable(unit) for unit in posterior.units]
+    units = [display_unit(unit) for unit in posterior.units]
     rows = [
         (
             str(k),
