@@ -31,6 +31,10 @@ from fixel.model.records import Estimate
 
 CHUNK: Final = 1 << 20  # [bytes]
 _MEMBER = re.compile(rf"{re.escape(DATABASE)}|{MEDIA}/(?P<ab>[0-9a-f]{{2}})/(?P=ab)[0-9a-f]{{62}}")
+_UNREADABLE = (
+    *(ValueError, TypeError, LookupError, AttributeError, StopIteration, RecursionError),
+    sa.exc.SQLAlchemyError,
+)
 _OLD_MANIFEST = "manifest.json"  # of bundles that fixel wrote before the first release
 
 
@@ -81,9 +85,6 @@ def opened_bundle(path: Path, folder: Path, limits: BundleLimits = LIMITS) -> It
             yield store
 
 
-_UNREADABLE = (ValueError, TypeError, LookupError, RecursionError, sa.exc.SQLAlchemyError)
-
-
 @contextmanager
 def damage_refused(path: Path) -> Iterator[None]:
     """Raise any error of reading a bundle's records as `InvalidInput`."""
@@ -91,15 +92,8 @@ def damage_refused(path: Path) -> Iterator[None]:
         yield
     except StoreRefused as problem:
         raise _refused(path, problem.reason, "the whole records of a project") from None
-    except (
-        ValueError,
-        TypeError,
-        KeyError,
-        LookupError,
-        RecursionError,
-        sa.exc.SQLAlchemyError,
-    ) as p:
-        found = " ".join(str(p).split())[:200] or type(p).__name__
+    except _UNREADABLE as problem:
+        found = " ".join(str(problem).split())[:200] or type(problem).__name__
         raise _refused(path, found, "the whole records of a project") from None
 
 

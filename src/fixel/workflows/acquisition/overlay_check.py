@@ -8,7 +8,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.drawing.palette import PUSHER, TOUCHED, TRAIL
+from fixel.drawing.palette import PUSHER, TRAIL
 from fixel.model import Body, Disk, Fixel, Polygon, Pusher, placed
 from fixel.model.fields import positive
 from fixel.model.trajectory import wrapped
@@ -29,7 +29,6 @@ WANTED: Final = bgr(TRAIL)
 ACTUATOR: Final = bgr(PUSHER)
 STANDING: Final = bgr("#E8E8E8")
 MEASURED: Final = bgr("#F0E442")  # yellow of the same palette
-PLACED: Final = bgr(TOUCHED)
 BRIGHT: Final = bgr("#7CFFB2")  # the same green, to be read on a dark rim
 WARNING: Final = bgr("#FF8A66")
 AXIS: Final = 55.0  # [px] length of the world's axes as drawn

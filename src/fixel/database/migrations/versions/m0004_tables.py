@@ -11,8 +11,6 @@ from fixel.database.tables import METADATA
 
 revision = "0004"
 down_revision = None
-branch_labels = None
-depends_on = None
 
 
 def upgrade() -> None:

@@ -29,7 +29,6 @@ from fixel.workflows.acquisition.camera.pictures import files_of, first_picture,
 RIG_FILE = "rig.yaml"
 CAMERA_ENDINGS = (".yaml", ".yml")
 CORNERS: Final = ("upper left", "upper right", "lower left", "lower right")
-FINE: Final = 3e-4  # [m] a bench with larger errors should be calibrated again
 
 
 @final
