@@ -17,9 +17,7 @@ import shutil
 import zipfile
 import zlib
 from collections.abc import Callable, Collection, Sequence
-from contextlib import closing
 from pathlib import Path
-from sqlite3 import connect
 from tempfile import TemporaryDirectory
 from typing import Any, Final, final
 
@@ -34,7 +32,7 @@ from fixel.database.bundle_file import (
     opened_bundle,
     private_url,
 )
-from fixel.database.engine import reading, writing
+from fixel.database.engine import reading, translated, writing
 from fixel.database.project import DATABASE, MEDIA
 from fixel.database.query import ALL_EXPERIMENTS, ExperimentQuery
 from fixel.database.store import Store
@@ -115,8 +113,9 @@ def export_bundle(
             copy = _Copy(store, target, videos.append)
             copy.run(ids, progress, whole=dataset is None)
             counts = record_counts(target)
-        with closing(connect(folder / "work.db")) as raw:
-            raw.execute("VACUUM INTO ?", (str(folder / DATABASE),))
+            with translated(target._engine), target._engine.connect() as connection:
+                raw: Any = connection.connection.dbapi_connection
+                raw.execute("VACUUM INTO ?", (str(folder / DATABASE),))
         with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
             _add_member(archive, folder / DATABASE, DATABASE)
             for file in sorted((folder / MEDIA).glob("*/*")):

@@ -167,12 +167,12 @@ def _chunks(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iter
     """Read a member piece by piece; raise if it is longer than its announced size."""
     left = info.file_size
     try:
-        stream = archive.open(info)
-        while data := stream.read(CHUNK):
-            left -= len(data)
-            if left < 0:
-                raise _refused(path, f"more in {info.filename} than announced", "its size")
-            yield data
+        with archive.open(info) as stream:
+            while data := stream.read(CHUNK):
+                left -= len(data)
+                if left < 0:
+                    raise _refused(path, f"more in {info.filename} than announced", "its size")
+                yield data
     except (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError) as problem:
         raise _refused(path, f"{info.filename} damaged: {problem}", "a whole bundle") from None
 
@@ -204,17 +204,17 @@ _CONTENT: Final[dict[str, TypeAdapter[Any]]] = {
 
 def _check_pages(store: Store) -> None:
     """Raise for damaged pages, and for what is no table of data."""
+    known = {"alembic_version", *tables.METADATA.tables}
     with reading(store._engine) as connection:
+        master = connection.exec_driver_sql("SELECT type, name, sql FROM sqlite_master").all()
+        for kind, name, sql in master:
+            plain = name in known and str(sql).startswith("CREATE TABLE")
+            if kind == "view" or (kind == "table" and not plain):
+                raise ValueError(f"the {kind} {name!r}, which no project has")
         for check in ("integrity_check", "foreign_key_check"):
             found = [str(row[0]) for row in connection.exec_driver_sql(f"PRAGMA {check}")]
             if found not in ([], ["ok"]):
                 raise ValueError(f"{check}: {found[0]}")
-        master = connection.exec_driver_sql("SELECT type, name, sql FROM sqlite_master").all()
-    known = {"alembic_version", *tables.METADATA.tables}
-    for kind, name, sql in master:
-        plain = name in known and str(sql).startswith("CREATE TABLE")
-        if kind == "view" or (kind == "table" and not plain):
-            raise ValueError(f"the {kind} {name!r}, which no project has")
 
 
 def _check_version(path: Path, store: Store) -> None:
