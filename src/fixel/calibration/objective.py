@@ -27,11 +27,22 @@ ANGLE_SCALE: Final = 35e-3  # [m/rad] length by which the thesis weights angles
 MAX_ROLLOUTS: Final = 4096
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AbstractError(abc.ABC):
-    """Error of one simulation against one experiment."""
+    """Error of one simulation against one experiment.
+
+    Parameters
+    ----------
+    angle_scale : float
+        Length by which angles are multiplied, the characteristic length of the part [m/rad].
+    """
 
     name: ClassVar[str]
     unit: ClassVar[str]
+    angle_scale: float = ANGLE_SCALE
+
+    def __post_init__(self) -> None:
+        positive(self.angle_scale, "error.angle_scale", "m/rad")
 
     @abc.abstractmethod
     def of(self, difference: FloatArray) -> FloatArray:
@@ -50,10 +61,6 @@ class MeanSquare(AbstractError):
 
     name: ClassVar[str] = "mean-square"
     unit: ClassVar[str] = "mm^2"
-    angle_scale: float = ANGLE_SCALE  # [m/rad]
-
-    def __post_init__(self) -> None:
-        positive(self.angle_scale, "error.angle_scale", "m/rad")
 
     def of(self, difference: FloatArray) -> FloatArray:
         return np.asarray(_squares(difference, self.angle_scale).mean(axis=1))
@@ -69,10 +76,6 @@ class RootMeanSquare(AbstractError):
 
     name: ClassVar[str] = "root-mean-square"
     unit: ClassVar[str] = "mm"
-    angle_scale: float = ANGLE_SCALE  # L, the characteristic length of the part [m/rad]
-
-    def __post_init__(self) -> None:
-        positive(self.angle_scale, "error.angle_scale", "m/rad")
 
     def of(self, difference: FloatArray) -> FloatArray:
         return np.asarray(np.sqrt(_squares(difference, self.angle_scale).mean(axis=1)))
@@ -85,10 +88,6 @@ class EndPose(AbstractError):
 
     name: ClassVar[str] = "end-pose"
     unit: ClassVar[str] = "mm^2"
-    angle_scale: float = ANGLE_SCALE  # [m/rad]
-
-    def __post_init__(self) -> None:
-        positive(self.angle_scale, "error.angle_scale", "m/rad")
 
     def of(self, difference: FloatArray) -> FloatArray:
         return _squares(difference[:, -1:], self.angle_scale)[:, 0]
@@ -104,11 +103,10 @@ class Robust(AbstractError):
 
     name: ClassVar[str] = "robust"
     unit: ClassVar[str] = "mm^2"
-    angle_scale: float = ANGLE_SCALE  # [m/rad]
     distance: float = 2e-3  # c, above which the loss is linear [m]
 
     def __post_init__(self) -> None:
-        positive(self.angle_scale, "error.angle_scale", "m/rad")
+        AbstractError.__post_init__(self)
         positive(self.distance, "error.distance", "m")
 
     def of(self, difference: FloatArray) -> FloatArray:

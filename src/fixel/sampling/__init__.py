@@ -11,8 +11,7 @@ from fixel.sampling.offsets import (
     OffsetSample,
     OffsetScheme,
 )
-from fixel.sampling.plan import Plan
-from fixel.sampling.rehearsal import rehearse
+from fixel.sampling.plan import Plan, rehearse
 from fixel.sampling.rig import FixelLayout, PlannedShape, RegularPolygon, SamplingRig
 from fixel.sampling.thesis import thesis_plan
 

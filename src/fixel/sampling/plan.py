@@ -9,13 +9,15 @@ from itertools import product
 from typing import Final, NamedTuple, final
 
 import numpy as np
+import shapely
 
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, Fixel, LineDrive, PlannedExperiment, Pusher, Scene
+from fixel.model import Body, Disk, Fixel, LineDrive, PlannedExperiment, Pusher, Scene, placed
 from fixel.model.fields import settle
 from fixel.sampling.checks import PlanProblem, scene_problems
 from fixel.sampling.offsets import Offset, OffsetScheme
 from fixel.sampling.rig import FixelLayout, PlannedShape, SamplingRig, plain_name, shape_of
+from fixel.simulation import QuasiStatic, simulate_batch
 from fixel.typing import FloatArray
 
 OBJECT: Final = "object"
@@ -23,6 +25,11 @@ HEAD: Final = "actuator"
 
 # Experiments of one plan. Without this limit, a short file could fill the memory.
 MAX_EXPERIMENTS: Final = 100_000
+
+SAMPLES: Final = 61  # instants of the motion; one every 2.5 mm of the thesis's travel
+
+# [m] Distance that counts as touching, as in the thesis's own synthetic tactile sensors.
+TOUCH: Final = 0.95e-3
 
 
 class PlanEntry(NamedTuple):
@@ -219,3 +226,48 @@ def _refuse_repeats(names: Sequence[str], where: str) -> None:
             raise InvalidInput(
                 f"{where}[{k}].name", found=f"{name!r} twice", expected="different names"
             )
+
+
+class Rehearsal(NamedTuple):
+    """Results of a simulated plan.
+
+    Attributes
+    ----------
+    touched : dict from name to (n_fixel,) bool
+        Fixels to which the object came closer than 0.95 mm, by experiment.
+    problems : tuple of PlanProblem
+        Experiments that touch no fixel, or whose simulation did not finish.
+    """
+
+    touched: dict[str, list[bool]]
+    problems: tuple[PlanProblem, ...]
+
+
+def rehearse(plan: Plan) -> Rehearsal:
+    """Simulate every experiment once, quasi-statically, with nominal friction."""
+    # Repetitions have the same scene, so they are simulated once.
+    distinct: dict[Scene, PlannedExperiment] = {}
+    for experiment in plan.experiments:
+        distinct.setdefault(experiment.scene, experiment)
+    times = np.linspace(0.0, plan.rig.duration, SAMPLES)
+    results = simulate_batch(list(distinct), motion=QuasiStatic(), times=times)
+    assert isinstance(results, list)
+    touched: dict[str, list[bool]] = {}
+    problems = []
+    for (scene, experiment), result in zip(distinct.items(), results, strict=True):
+        contacts = _touched(scene, result.pose[0, :, 0])
+        touched[experiment.name] = contacts
+        if not result.converged[0]:
+            sentence = f"the simulation stopped after {result.stopped_at[0]:.3g} s"
+            problems.append(PlanProblem(experiment.name, sentence))
+        elif scene.fixels and not any(contacts):
+            problems.append(PlanProblem(experiment.name, "simulated, the object touches no fixel"))
+    return Rehearsal(touched, tuple(problems))
+
+
+def _touched(scene: Scene, poses: FloatArray) -> list[bool]:
+    """Return the fixels that the object touches in one of its poses (n, 3) [m, m, rad]."""
+    outline = scene.bodies[0].shape.outline
+    path = shapely.polygons([placed(outline, pose) for pose in poses])
+    pegs = [shapely.Polygon(placed(f.shape.outline, f.pose)) for f in scene.fixels]
+    return [bool((shapely.distance(path, peg) < TOUCH).any()) for peg in pegs]

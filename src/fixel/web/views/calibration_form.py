@@ -8,7 +8,6 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, StringConstraints
 
-from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
@@ -18,7 +17,13 @@ from fixel.web.values import Answer, FilterText, Id, RequestBody, Text
 from fixel.workflows import jobs
 from fixel.workflows.calibration.parameter_options import default_unknowns, usual
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.run import STORE_RESULT, ExperimentSelection, prepare, sampled
+from fixel.workflows.calibration.run import (
+    STORE_RESULT,
+    ExperimentSelection,
+    comparable,
+    prepare,
+    sampled,
+)
 from fixel.workflows.project.filters import view_of
 
 LOOKED_AT: Final = 12  # experiments from which the offer is made
@@ -134,16 +139,11 @@ class CalibrationForm(RequestBody):
             There are none.
         """
         found, _ = _matching(store, self.filter, self.experiments)
-        targets, ids, left_out = _targets(store, found)
-        if not targets:
-            reason = next(iter(left_out.values()), "")
-            raise InvalidInput(
-                "experiments",
-                found=f"none to calibrate with{f' ({reason})' if reason else ''}",
-                expected="one at least with a scene and measured poses, and no fault",
-                hint="try the filter on the page Experiments",
-            )
-        every = ExperimentSelection(ids=ids, targets=targets, left_out=left_out)
+        every = comparable(store, found)
+        every.check_some(
+            "with a scene and measured poses, and no fault",
+            "try the filter on the page Experiments",
+        )
         return every if self.sample is None else sampled(every, self.sample, self.seed)
 
 
@@ -151,7 +151,7 @@ def offer(store: Store, filter: str, ids: Sequence[int] = ()) -> CalibrationOffe
     """Return what can be calibrated for experiments that match a filter or have given ids."""
     found, faulty = _matching(store, filter, ids)
     step = max(1, len(found) // LOOKED_AT)
-    scenes = [target.case.scene for target in _targets(store, found[::step])[0]]
+    scenes = [target.case.scene for target in comparable(store, found[::step]).targets]
     first = [unknown.name for unknown in default_unknowns(scenes)] if scenes else []
     offered = []
     for name in dict.fromkeys((*first, *KNOWN_PARAMETERS)) if scenes else ():
@@ -213,15 +213,3 @@ def _matching(store: Store, filter: str, ids: Sequence[int]) -> tuple[list[int],
     every = store.experiment_ids(view)
     clean = every if "faulty" in view.marks else store.experiment_ids(view_of(f"{filter} is:clean"))
     return sorted(clean), len(every) - len(clean)
-
-
-def _targets(store: Store, ids: Sequence[int]) -> tuple[list[Target], list[int], dict[str, str]]:
-    targets, kept, left_out = [], [], {}
-    for number in ids:
-        experiment = store.experiment(number)
-        try:
-            targets.append(target_of(experiment))
-            kept.append(number)
-        except InvalidInput as problem:
-            left_out[experiment.key] = str(problem)
-    return targets, kept, left_out

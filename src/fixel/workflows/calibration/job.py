@@ -452,7 +452,7 @@ def _rows(
     left : int, optional
         Estimated number of points after these.
     **arrays
-        What a chunk receives beside its points.
+        What a chunk receives with its points.
     """
     size = max(1, ROLLOUTS_A_CHUNK // n_members)
     chunks = [
@@ -480,7 +480,7 @@ def residuals(inputs: Path, payload: bytes) -> bytes:
     begun = time.process_time()
     request, comparer = _load_job(inputs)
     members = np.arange(len(comparer.targets))
-    scale = request.made_error.angle_scale  # type: ignore[attr-defined]
+    scale = request.made_error.angle_scale
     noise = Noise(position_m=1e-3, angle_rad=1e-3 / scale, source="stated")
     frames = Frames(comparer, members)
     table = frames.residuals(noise)(arrays_of(payload)["points"])

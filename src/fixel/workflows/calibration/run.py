@@ -65,11 +65,22 @@ class ExperimentSelection:
     left_out: Mapping[str, str]
     sample_of: int | None = None
 
+    def check_some(self, which: str, hint: str) -> None:
+        """Raise `InvalidInput` if there are none."""
+        if not self.targets:
+            reason = next(iter(self.left_out.values()), "")
+            raise InvalidInput(
+                "experiments",
+                found=f"none to calibrate with{f' ({reason})' if reason else ''}",
+                expected=f"one at least {which}",
+                hint=hint,
+            )
+
 
 def select_experiments(
     store: Store, keys: Sequence[str], query: ExperimentQuery
 ) -> ExperimentSelection:
-    """Experiments by name, or by what they have in common.
+    """Select experiments by name, or by what they have in common.
 
     Named ones must be fit for it, and count once under whatever names; of a listing, those that are
     not are left out with a reason.
@@ -79,27 +90,24 @@ def select_experiments(
         ids = [summary.id for summary in store.experiments(query).rows]
         if not ids:
             check_known_names(store, query)
-    found: list[int] = []
-    targets: list[Target] = []
+    found = comparable(store, ids, strict=bool(keys))
+    found.check_some("with a scene and measured poses", "see what there is: fixel list")
+    return found
+
+
+def comparable(store: Store, ids: Sequence[int], *, strict: bool = False) -> ExperimentSelection:
+    """Select the experiments that can be compared with simulations; raise if `strict` and not."""
+    targets: dict[int, Target] = {}
     left_out: dict[str, str] = {}
-    for number in ids:
-        experiment = store.experiment(number)
+    for experiment_id in ids:
+        experiment = store.experiment(experiment_id)
         try:
-            targets.append(target_of(experiment))
-            found.append(number)
+            targets[experiment_id] = target_of(experiment)
         except InvalidInput as problem:
-            if keys:
+            if strict:
                 raise
             left_out[experiment.key] = str(problem)
-    if not targets:
-        reasons = next(iter(left_out.values()), "")
-        raise InvalidInput(
-            "experiments",
-            found=f"none to calibrate with{f' ({reasons})' if reasons else ''}",
-            expected="one at least with a scene and measured poses",
-            hint="see what there is: fixel list",
-        )
-    return ExperimentSelection(ids=found, targets=targets, left_out=left_out)
+    return ExperimentSelection(ids=list(targets), targets=list(targets.values()), left_out=left_out)
 
 
 def sampled(chosen: ExperimentSelection, count: int, seed: int) -> ExperimentSelection:

@@ -192,7 +192,7 @@ class _FoldFit:
         space = self.comparer.space
         members = self._learnt_from()
         frames = Frames(self.comparer, members)
-        scale = float(self.comparer.error.angle_scale)  # type: ignore[attr-defined]
+        scale = float(self.comparer.error.angle_scale)
         noise = Noise(position_m=1e-3, angle_rad=1e-3 / scale)
         # Every experiment counts alike, however long; residuals stay in millimetres.
         weight = np.sqrt(frames.weights / frames.weights.mean())

@@ -184,7 +184,7 @@ def _differs(one: CalibratedValues, model: CalibrationModel) -> str:
         return f"motion model ({one.motion.name})"
     if one.error.name != model.error.name:
         return f"error ({one.error.name})"
-    scales = [float(e.angle_scale) for e in (one.error, model.error)]  # type: ignore[attr-defined]
+    scales = [float(e.angle_scale) for e in (one.error, model.error)]
     return "" if scales[0] == scales[1] else f"angle scale ({1e3 * scales[0]:g} mm/rad)"
 
 

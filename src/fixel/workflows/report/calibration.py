@@ -146,7 +146,7 @@ def methods(one: CalibratedValues) -> tuple[str, ...]:
 
 def scale_of(one: CalibratedValues) -> float:
     """Length that the error counts an angle as [m/rad]."""
-    scale: float = one.error.angle_scale  # type: ignore[attr-defined]
+    scale: float = one.error.angle_scale
     return scale
 
 
