@@ -1,5 +1,7 @@
 """Pictures of domains that grow: what is drawn where, and the numbers behind it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -26,14 +28,19 @@ def _study(size=3):
     )
 
 
-def _errors():
-    errors = np.linspace(0.5, 30.0, 12).reshape(2, 6)
-    errors[1, 4:] = np.nan
-    return errors
+def _growth():
+    """A stand-in for the growth of two groups, the second of which ends early."""
+    matrix = np.linspace(0.5, 30.0, 12).reshape(2, 6).tolist()
+    matrix[1][4:] = [None, None]
+    groups = [
+        SimpleNamespace(shape=shape, layout="a", name=f"{shape} a")
+        for shape in ("square", "pentagon")
+    ]
+    return SimpleNamespace(groups=groups, matrix=matrix)
 
 
 def test_every_cell_of_the_matrix_has_its_number():
-    chart = GrowthMatrix(groups=("square a", "square b"), errors=_errors(), unit="mm^2")
+    chart = GrowthMatrix(growth=_growth(), unit="mm^2")
     texts = [text.get_text() for text in chart.figure().axes[0].texts]
     assert texts.count("none") == 2
     assert texts[0] == "0.5"
@@ -43,10 +50,7 @@ def test_every_cell_of_the_matrix_has_its_number():
 
 
 def test_steps_have_a_line_a_layout_and_the_average():
-    chart = GrowthSteps(
-        shapes=("square", "pentagon"), layouts=("a", "a"), errors=_errors(), threshold=5.0,
-        unit="mm^2",
-    )  # fmt: skip
+    chart = GrowthSteps(growth=_growth(), threshold=5.0, unit="mm^2")
     figure = chart.figure()
     assert [axes.get_title() for axes in figure.axes] == ["square", "pentagon"]
     labels = [text.get_text() for text in figure.legends[0].get_texts()]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from fixel.domain.along_axis import AxisStudy
+from fixel.domain.growth import Growth
 from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
@@ -59,90 +60,74 @@ def _line(k: int) -> Style:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrowthMatrix(AbstractChart):
-    """Largest error of every group at every step, as numbers on coloured cells.
+    """Largest error of every group at every step, as numbers on coloured cells."""
 
-    Parameters
-    ----------
-    groups : sequence of str
-    errors : (n_group, n_step) float64
-        Largest errors, NaN if missing.
-    unit : str
-    """
-
-    groups: Sequence[str]
-    errors: FloatArray
+    growth: Growth
     unit: str
 
     def figure(self) -> Figure:
         from matplotlib.colors import LogNorm
 
-        n, m = self.errors.shape
+        errors = error_matrix(self.growth)
+        n, m = errors.shape
         title = f"Largest error in the domain [{unit_text(self.unit)}]"
         figure = sheet(0.55 * WIDE + 0.28 * m, 0.55 + 0.165 * n, title)
         axes = figure.subplots()
-        shown = positive(self.errors)
+        shown = positive(errors)
         good = shown[np.isfinite(shown)]
         low, high = (float(good.min()), float(good.max())) if len(good) else (0.1, 1.0)
         norm = LogNorm(low, max(high, 1.001 * low))
         # Text is white on dark cells, so that every number can be read.
         axes.imshow(np.ma.masked_invalid(shown), norm=norm, cmap="Blues", aspect="auto")
         axes.set_facecolor(palette.FAINT)
-        for row, column_ in np.ndindex(n, m):
-            value = self.errors[row, column_]
+        for (row, k), value in np.ndenumerate(errors):
             dark = np.isfinite(value) and float(norm(max(float(value), low))) > 0.55
             text = f"{value:.3g}" if np.isfinite(value) else "none"
-            axes.text(column_, row, text, ha="center", va="center",
+            axes.text(k, row, text, ha="center", va="center",
                       color="white" if dark else palette.INK)  # fmt: skip
-        axes.set_yticks(range(n), self.groups)
+        axes.set_yticks(range(n), [group.name for group in self.growth.groups])
         axes.set_xticks(range(m), ["0\nnominal", *(f"{k}" for k in range(1, m))])
         axes.set_xlabel("step: so many from the nominal pose along x, y both ways, and θ")
         axes.tick_params(length=0.0)
         return figure
 
     def table(self) -> Table:
-        unit = column_unit(self.unit)
-        head = ("group", *(f"step_{k}_{unit}" for k in range(self.errors.shape[1])))
-        rows = zip(self.groups, self.errors, strict=True)
-        return Table(head, [(name, *errors) for name, errors in rows])
+        unit, errors = column_unit(self.unit), error_matrix(self.growth)
+        steps = {f"step_{k}_{unit}": own for k, own in enumerate(errors.T)}
+        return Table.from_columns({"group": [g.name for g in self.growth.groups], **steps})
+
+
+def error_matrix(growth: Growth) -> FloatArray:
+    """Return the largest errors (n_group, n_step) of a growth; nan where there is none."""
+    return np.array([[np.nan if x is None else x for x in row] for row in growth.matrix])
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrowthSteps(AbstractChart):
-    """Largest error against step: a panel per shape, a line per layout, and the average.
+    """Largest error against step: a panel per shape, a line per layout, and the average."""
 
-    Parameters
-    ----------
-    shapes, layouts : sequence of str
-        Shape and layout of each group.
-    errors : (n_group, n_step) float64
-        Largest errors, NaN if missing.
-    threshold : float
-    unit : str
-    """
-
-    shapes: Sequence[str]
-    layouts: Sequence[str]
-    errors: FloatArray
+    growth: Growth
     threshold: float
     unit: str
 
     def figure(self) -> Figure:
-        shapes = list(dict.fromkeys(self.shapes))
-        names = list(dict.fromkeys(self.layouts))
+        groups, errors = self.growth.groups, error_matrix(self.growth)
+        shapes = list(dict.fromkeys(group.shape for group in groups))
+        layouts = list(dict.fromkeys(group.layout for group in groups))
         figure = sheet(WIDE, 3.1)
         row = figure.subplots(1, len(shapes), squeeze=False, sharey=True)[0]
-        log_scale(row[0], "y", np.append(positive(self.errors).ravel(), self.threshold))
-        steps = np.arange(self.errors.shape[1])
+        log_scale(row[0], "y", np.append(positive(errors).ravel(), self.threshold))
+        steps = np.arange(errors.shape[1])
         for axes, shape in zip(row, shapes, strict=True):
             clean(axes)
-            own = [k for k, of in enumerate(self.shapes) if of == shape]
+            own = [k for k, group in enumerate(groups) if group.shape == shape]
             for k in own:
-                layout = self.layouts[k]
-                axes.plot(steps, positive(self.errors[k]), label=layout,
-                          **_line(names.index(layout)))  # fmt: skip
-            average = self._average(own)
-            axes.plot(steps, average, label="average", **AVERAGE)
+                layout = groups[k].layout
+                style = _line(layouts.index(layout))
+                axes.plot(steps, positive(errors[k]), label=layout, **style)
+            # NaN where a group has no error.
+            axes.plot(steps, errors[own].mean(axis=0), label="average", **AVERAGE)
             axes.axhline(self.threshold, label=_level(self.threshold, self.unit), **THRESHOLD)
             axes.set_title(shape)
             axes.set_xlabel("step of the growth")
@@ -151,18 +136,13 @@ class GrowthSteps(AbstractChart):
         legend_below(figure, row, most=5)
         return figure
 
-    def _average(self, own: Sequence[int]) -> FloatArray:
-        """Mean error over groups, NaN where a group has none."""
-        return np.asarray(self.errors[list(own)].mean(axis=0))
-
     def table(self) -> Table:
         head = ("shape", "layout", "step", f"largest_error_{column_unit(self.unit)}")
-        rows = [
-            (shape, layout, step, value)
-            for shape, layout, errors in zip(self.shapes, self.layouts, self.errors, strict=True)
-            for step, value in enumerate(errors)
-        ]
-        return Table(head, rows)
+        pairs = zip(self.growth.groups, error_matrix(self.growth), strict=True)
+        return Table(
+            head,
+            [(g.shape, g.layout, step, x) for g, row in pairs for step, x in enumerate(row)],
+        )
 
 
 @final

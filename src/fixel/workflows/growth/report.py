@@ -11,7 +11,7 @@ import numpy as np
 from fixel.domain.along_axis import AxisEdges, AxisStudy
 from fixel.domain.growth import AVERAGED, STORED
 from fixel.drawing.chart import display_unit, finite_list, unit_text
-from fixel.drawing.growth import AxisChart, GrowthMatrix, GrowthSteps
+from fixel.drawing.growth import AxisChart, GrowthMatrix, GrowthSteps, error_matrix
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.workflows.figures import Picture
@@ -19,15 +19,9 @@ from fixel.workflows.growth.explore import Exploration
 from fixel.workflows.sentences import sentences
 
 
-def matrix_of(found: Exploration) -> FloatArray:
-    """Return the largest errors (n_group, n_step); nan where there is none."""
-    rows = found.growth.matrix
-    return np.array([[math.nan if x is None else x for x in row] for row in rows])
-
-
 def headline(found: Exploration) -> tuple[str, ...]:
     """Return the main results as sentences, the most important first."""
-    matrix, groups = matrix_of(found), found.growth.groups
+    matrix, groups = error_matrix(found.growth), found.growth.groups
     shapes = [
         _shape_growth(shape, matrix[[group.shape == shape for group in groups]], found.threshold)
         for shape in dict.fromkeys(group.shape for group in groups)
@@ -168,23 +162,16 @@ def edges_table(found: Exploration) -> Table:
 
 def pictures(found: Exploration) -> Iterator[Picture]:
     """Yield charts of the matrix, of the growth step by step, and of each axis of each shape."""
-    matrix, unit, banner = matrix_of(found), found.unit, found.samples.banner
-    groups = found.growth.groups
+    unit, banner = found.unit, found.samples.banner
     yield Picture(
         "growth_matrix",
-        GrowthMatrix(groups=[g.name for g in groups], errors=matrix, unit=unit),
+        GrowthMatrix(growth=found.growth, unit=unit),
         banner,
         "Largest error of any experiment in the domain, by shape and layout, as the domain grows.",
     )
     yield Picture(
         "growth_steps",
-        GrowthSteps(
-            shapes=[g.shape for g in groups],
-            layouts=[g.layout for g in groups],
-            errors=matrix,
-            threshold=found.threshold,
-            unit=unit,
-        ),
+        GrowthSteps(growth=found.growth, threshold=found.threshold, unit=unit),
         banner,
         "The same against the step, with the average over layouts and the threshold.",
     )

@@ -10,6 +10,7 @@ from typing import Final, final
 from fixel.database.project import Project
 from fixel.domain.along_axis import SIZES
 from fixel.domain.growth import Index
+from fixel.drawing.growth import error_matrix
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.growth import report
 from fixel.workflows.growth.explore import Exploration, explore
@@ -99,7 +100,7 @@ def run_growth(
     shown = list(report.pictures(found))
     if notify is not None:
         notify(f"Drawing {len(shown)} pictures.")
-    kept = store_analysis(project, analysis, shown, {"largest_error": report.matrix_of(found)})
+    kept = store_analysis(project, analysis, shown, {"largest_error": error_matrix(found.growth)})
     return found, kept
 
 
