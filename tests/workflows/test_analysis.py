@@ -6,7 +6,7 @@ import pytest
 from fixel.database.project import Project
 from fixel.drawing.calibration import SecondsChart
 from fixel.table import Table
-from fixel.workflows.analysis import CONTENT, Analysis, load_analyses, rounded, store_analysis
+from fixel.workflows.analysis import CONTENT, Analysis, load_analyses, store_analysis
 from fixel.workflows.figures import Picture
 
 
@@ -54,9 +54,3 @@ def test_one_that_was_not_finished_is_not_there(project):
     one = store_analysis(project, _analysis())
     (one.folder / CONTENT).unlink()
     assert load_analyses(project) == []
-
-
-def test_the_rounding_of_simulations_is_no_number():
-    assert rounded(1.2e-13) == "0"
-    assert rounded(-3e-9, 4) == "0"
-    assert rounded(0.20584, 4) == "0.2058"
