@@ -15,7 +15,7 @@ from fixel.cli import main
 from fixel.cli.reproductions import refuse_picture
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.reproductions.replay import Replay, ReplayRequest, replay_dataset
-from fixel.reproductions.replay.request import columns_and_values, names_and_numbers, spread
+from fixel.reproductions.replay.base import columns_and_values, names_and_numbers, spread
 from fixel.reproductions.replay.trials import contact_mode
 
 MAKERS: dict[str, Callable[..., Path]] = {

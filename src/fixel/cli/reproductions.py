@@ -62,7 +62,7 @@ def replay(
 ) -> None:
     """Replay recorded pushes and report how far simulation and measurement lie apart."""
     from fixel.reproductions.replay import ReplayRequest, replay_dataset
-    from fixel.reproductions.replay.request import columns_and_values, names_and_numbers
+    from fixel.reproductions.replay.base import columns_and_values, names_and_numbers
 
     if plot is not None:
         refuse_picture(plot)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fixel.datasets.base import Importer, ImportPlan, Origin, remark
 from fixel.datasets.contact import pushed_scene
@@ -78,14 +77,14 @@ class CmuTripod(Importer):
         data = _read(source)
         pushes = data.table
         origin, path = Origin(), source / PUSHES
-        force = rate_of(data.force[data.force_rows[data.names[0]], 0])
-        robot = rate_of(data.robot[data.robot_rows[data.names[0]], 0])
+        force, robot = (rate_of(own[data.names[0]][:, 0]) for own in (data.force, data.robot))
+        n_force, n_robot = (sum(map(len, own.values())) for own in (data.force, data.robot))
         return ImportPlan(
             DATASET,
             source,
             (
-                f"{len(pushes)} pushes: force at {force:.0f} Hz ({len(data.force)} rows), finger at"
-                f" {robot:.0f} Hz ({len(data.robot)} rows), each on times of its own from the first"
+                f"{len(pushes)} pushes: force at {force:.0f} Hz ({n_force} rows), finger at"
+                f" {robot:.0f} Hz ({n_robot} rows), each on times of its own from the first"
                 " force reading.",
                 "The pose of the block is known before and after, not during (no-pose-during-push):"
                 " at 0 s and at the last reading of force or finger.",
@@ -113,10 +112,8 @@ class _TripodData:
     surface: list[str]
     support: list[str]
     log: list[str]
-    force: FloatArray  # (n, 3) [s, N, N]
-    force_rows: Mapping[str, NDArray[np.intp]]
-    robot: FloatArray  # (n, 4) [s, m, m, rad]
-    robot_rows: Mapping[str, NDArray[np.intp]]
+    force: Mapping[str, FloatArray]  # (n, 3) of each push [s, N, N]
+    robot: Mapping[str, FloatArray]  # (n, 4) of each push [s, m, m, rad]
     bodies: Mapping[tuple[str, str], Body]
     finger: Disk
 
@@ -127,7 +124,12 @@ def _read(folder: Path) -> _TripodData:
     names = table.text("push_id").tolist()
     refuse_repeated(names, table.source, "push_id")
     surface, support = table.text("surface").tolist(), table.text("support").tolist()
-    data = _TripodData(
+
+    def readings(table_of: CsvRows, values: FloatArray) -> dict[str, FloatArray]:
+        rows = rows_of(table_of.text("push_id"), table_of.source, names, table.source)
+        return {name: values[own] for name, own in rows.items()}
+
+    return _TripodData(
         table=table,
         names=names,
         poses=table.stacked(*POSES),
@@ -135,22 +137,11 @@ def _read(folder: Path) -> _TripodData:
         surface=surface,
         support=support,
         log=table.text("source_log").tolist(),
-        force=force.stacked("t", "fx_on_object", "fy_on_object"),
-        force_rows=rows_of(force.text("push_id")),
-        robot=_finger_path(robot),
-        robot_rows=rows_of(robot.text("push_id")),
+        force=readings(force, force.stacked("t", "fx_on_object", "fy_on_object")),
+        robot=readings(robot, _finger_path(robot)),
         bodies={key: _body(setup, *key) for key in sorted(set(zip(surface, support, strict=True)))},
         finger=Disk(member(setup, "pusher.radius_m_assumed_by_authors", SETUP)),
     )
-    for row, name in enumerate(names):
-        for rows, source in ((data.force_rows, force.source), (data.robot_rows, robot.source)):
-            if name not in rows:
-                raise InvalidInput(
-                    f"{table.source}, row {row + 1}",
-                    found=f"{name}, of which {source} has no row",
-                    expected="readings of every push",
-                )
-    return data
 
 
 def _finger_path(robot: CsvRows) -> FloatArray:
@@ -181,7 +172,7 @@ def _body(setup: dict[str, Any], surface: str, support: str) -> Body:
 
 def _push(data: _TripodData, row: int, provenance: Provenance) -> Experiment:
     name = data.names[row]
-    force, path = data.force[data.force_rows[name]], data.robot[data.robot_rows[name]]
+    force, path = data.force[name], data.robot[name]
     good = advancing(path[:, 0])
     path = path[good]
     path[:, 3] = np.unwrap(path[:, 3])

@@ -63,14 +63,7 @@ class CmuTwoPoint(Importer):
         table = read_table(file)
         readings = table.stacked(*MEASURED) * (1.0, MM, MM, 1.0, MM, MM, 1.0)
         lost, action = table.whole_numbers("obj_lost") > 0, table.whole_numbers("action_id")
-        rows = rows_of(table.text("run_id"))
-        for row, name in enumerate(names):
-            if len(rows.get(name, ())) < 2:
-                raise InvalidInput(
-                    f"{runs.source}, row {row + 1}",
-                    found=f"{name}, of which {table.source} has no readings",
-                    expected="readings of every run",
-                )
+        rows = rows_of(table.text("run_id"), table.source, names, runs.source, least=2)
         origin = Origin()
 
         def make() -> Iterator[Experiment]:

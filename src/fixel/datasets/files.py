@@ -224,11 +224,29 @@ def refuse_repeated(names: Iterable[str], source: str, column: str) -> None:
         seen.add(name)
 
 
-def rows_of(names: NDArray[np.str_]) -> dict[str, NDArray[np.intp]]:
-    """Row numbers of each name, in the order of the table."""
-    order = np.argsort(names, kind="stable")
-    found, first = np.unique(names[order], return_index=True)
-    return dict(zip(found.tolist(), np.split(order, first[1:]), strict=True))
+def rows_of(
+    keys: NDArray[np.str_], source: str, names: Sequence[str], listing: str, least: int = 1
+) -> dict[str, NDArray[np.intp]]:
+    """Row numbers of each key of a table; raise if a listed name has fewer rows than `least`.
+
+    Parameters
+    ----------
+    keys : (n,) str
+        Key of each row of the table `source`.
+    names : sequence of str
+        Names in the table `listing`, one in each row.
+    """
+    order = np.argsort(keys, kind="stable")
+    found, first = np.unique(keys[order], return_index=True)
+    rows = dict(zip(found.tolist(), np.split(order, first[1:]), strict=True))
+    for row, name in enumerate(names):
+        if len(rows.get(name, ())) < least:
+            raise InvalidInput(
+                f"{listing}, row {row + 1}",
+                found=f"{name}, of which {source} has {len(rows.get(name, ()))} rows",
+                expected=f"{least} or more readings of everything that is listed",
+            )
+    return rows
 
 
 def advancing(time: FloatArray) -> BoolArray:

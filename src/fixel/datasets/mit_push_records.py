@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -55,16 +55,9 @@ _NUMBERS = (
     ("push_angle_rad", "push_angle_t_rad", "t", 1.0),
 )
 
-_KEYS = {"object_pose": 4, "tip_pose": 3, "ft_wrench": 4}  # key -> minimum number of columns
-
-
-class _PushRecord(NamedTuple):
-    """Content of the file of one push; times are on its own clock."""
-
-    conditions: dict[str, str | float]
-    object_pose: FloatArray  # (n, 4) [s, m, m, rad]
-    tip_pose: FloatArray  # (n, 3 or 4) [s, m, m, rad]
-    ft_wrench: FloatArray  # (n, 4) [s, N, N, N m]
+# Tables of a file, time first, and their minimum numbers of columns: poses of object and tip
+# [s, m, m, rad], force and torque [s, N, N, N m].
+_KEYS = {"object_pose": 4, "tip_pose": 3, "ft_wrench": 4}
 
 
 def plan_of_records(source: Path, shapes_file: Path | None) -> ImportPlan:
@@ -125,11 +118,14 @@ def _shapes_near(path: Path, given: Path | None) -> dict[str, Shape]:
 
 
 def _experiment_of(path: Path, shapes: dict[str, Shape], origin: Origin) -> Experiment:
-    record = _hdf5(path) if path.suffix == ".h5" else _json(path)
-    (pose, tip, wrench), flags = _on_one_clock(record)
-    scene, body_flags = _scene(record, pose, tip, shapes)
-    surface, shape = str(record.conditions["surface"]), str(record.conditions["shape"])
-    speed = float(record.conditions.get("speed_m_s", 0.0))
+    content = _hdf5_tables(path) if path.suffix == ".h5" else read_json(path)
+    conditions = _conditions(path, content)
+    (pose, tip, wrench), flags = _on_one_clock(
+        *(_rows(path, key, content.get(key)) for key in _KEYS)
+    )
+    surface, shape = str(conditions["surface"]), str(conditions["shape"])
+    scene, body_flags = _scene(shape, pose, tip, shapes)
+    speed = float(conditions.get("speed_m_s", 0.0))
     return Experiment(
         dataset=DATASET,
         name=_stem(path),
@@ -147,18 +143,19 @@ def _experiment_of(path: Path, shapes: dict[str, Shape], origin: Origin) -> Expe
                 values=wrench[:, 1:],
             ),
         ),
-        conditions=record.conditions,
+        conditions=conditions,
         flags=(*flags, *body_flags, *known_doubts(surface, shape, speed)),
     )
 
 
-def _on_one_clock(record: _PushRecord) -> tuple[list[FloatArray], list[Flag]]:
-    """Tables of object, tip and wrench, with times counted from the first pose of the object."""
-    tip = record.tip_pose
+def _on_one_clock(
+    pose: FloatArray, tip: FloatArray, wrench: FloatArray
+) -> tuple[list[FloatArray], list[Flag]]:
+    """Count times from the first pose of the object, and drop rows whose time does not advance."""
     if tip.shape[1] == 3:
         tip = np.column_stack((tip, np.zeros(len(tip))))
-    begin, tables, flags = record.object_pose[0, 0], [], []
-    for rows in (record.object_pose, tip, record.ft_wrench):
+    begin, tables, flags = pose[0, 0], [], []
+    for rows in (pose, tip, wrench):
         good = advancing(rows[:, 0])
         used = rows[good]
         used[:, 0] -= begin
@@ -171,9 +168,8 @@ def _on_one_clock(record: _PushRecord) -> tuple[list[FloatArray], list[Flag]]:
 
 
 def _scene(
-    record: _PushRecord, pose: FloatArray, tip: FloatArray, shapes: dict[str, Shape]
+    name: str, pose: FloatArray, tip: FloatArray, shapes: dict[str, Shape]
 ) -> tuple[Scene | None, tuple[Flag, ...]]:
-    name = str(record.conditions["shape"])
     if name not in shapes:
         return None, (remark("no-shape", f"no outline of {name}"),)
     path = np.column_stack((tip[:, :3], np.zeros(len(tip))))
@@ -184,16 +180,11 @@ def _scene(
     return pushed_scene(body, TIP, path, friction=MU_PUSHER, fade=FADE)
 
 
-def _json(path: Path) -> _PushRecord:
-    content = read_json(path)
-    return _record(path, {key: content.get(key) for key in _KEYS}, content)
-
-
-def _hdf5(path: Path) -> _PushRecord:
+def _hdf5_tables(path: Path) -> dict[str, Any]:
     h5py = _h5py(path)
     try:
         with h5py.File(path, "r") as file:
-            return _record(path, {key: _dataset(h5py, file, key) for key in _KEYS}, {})
+            return {key: _dataset(h5py, file, key) for key in _KEYS}
     except OSError as problem:
         raise InvalidInput(path.name, found=str(problem), expected="an HDF5 file") from None
 
@@ -218,11 +209,6 @@ def _h5py(path: Path) -> Any:
             hint="pip install h5py, or convert the file to JSON with the same keys",
         ) from None
     return h5py
-
-
-def _record(path: Path, tables: Mapping[str, Any], about: Mapping[str, Any]) -> _PushRecord:
-    rows = {key: _rows(path, key, tables[key]) for key in _KEYS}
-    return _PushRecord(_conditions(path, about), **rows)
 
 
 def _rows(path: Path, key: str, given: Any) -> FloatArray:

@@ -93,14 +93,8 @@ class Rpi2dgad(Importer):
         readings = tracks.stacked("x_mm", "y_mm", "theta_rad", "z_mm") * (MM, MM, 1.0, MM)
         numbers = listed.whole_numbers("experiment_id").tolist()
         refuse_repeated(map(str, numbers), listed.source, "experiment_id")
-        rows = rows_of(tracks.whole_numbers("experiment_id").astype(np.str_))
-        for row, number in enumerate(numbers):
-            if str(number) not in rows:
-                raise InvalidInput(
-                    f"{listed.source}, row {row + 1}",
-                    found=f"experiment {number}, which {tracks.source} lacks",
-                    expected="a tracked object for every experiment",
-                )
+        tracked = tracks.whole_numbers("experiment_id").astype(np.str_)
+        rows = rows_of(tracked, tracks.source, [*map(str, numbers)], listed.source)
         complete = _complete(source)
         whole = sorted(set(complete) & set(numbers))
         origin = Origin()

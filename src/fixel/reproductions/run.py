@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Final
 
 from fixel.datasets.mit_push import has_pushes
 from fixel.drawing.chart import save_figure
@@ -34,25 +34,22 @@ PARTS: Final = ("mit",)  # parts of the benchmark
 MIT_PUSHES: Final = "mit_push_endpoints"  # its folder in the data folder
 
 
-class Part(NamedTuple):
-    """Reproduction: folder of its data and function that runs it."""
-
-    folder: str | None  # folder of its dataset; empty for the folder of all datasets, None for none
-    run: Callable[[RunOptions], Reproduction]
-
-
-REPRODUCTIONS: Final[Mapping[str, Part]] = MappingProxyType(
-    {
-        "cmu-tripod": Part("cmu_tripod_push", cmu_tripod.run),
-        "rpi-141": Part("rpi_2dgad", rpi_141.run),
-        "asme-table-1": Part(None, asme_2006.run_table_1),
-        "asme-figure-11": Part(None, asme_2006.run_figure_11),
-        "repeats": Part("cmu_two_point_push", repeats.run),
-        "promise": Part(MIT_PUSHES, promise.run),
-        "new-sides": Part(MIT_PUSHES, new_sides.run),
-        "coverage": Part(MIT_PUSHES, coverage.run),
-        "rates": Part("", rates.run),
-    }
+# Folder of the dataset (empty for the folder of all datasets, None for none), and function that
+# runs the reproduction.
+REPRODUCTIONS: Final[Mapping[str, tuple[str | None, Callable[[RunOptions], Reproduction]]]] = (
+    MappingProxyType(
+        {
+            "cmu-tripod": ("cmu_tripod_push", cmu_tripod.run),
+            "rpi-141": ("rpi_2dgad", rpi_141.run),
+            "asme-table-1": (None, asme_2006.run_table_1),
+            "asme-figure-11": (None, asme_2006.run_figure_11),
+            "repeats": ("cmu_two_point_push", repeats.run),
+            "promise": (MIT_PUSHES, promise.run),
+            "new-sides": (MIT_PUSHES, new_sides.run),
+            "coverage": (MIT_PUSHES, coverage.run),
+            "rates": ("", rates.run),
+        }
+    )
 )
 
 
@@ -84,14 +81,14 @@ def reproduce(
             "reproduction", found=repr(name), expected="one of " + ", ".join(REPRODUCTIONS)
         )
     begun = clock.perf_counter()
-    part = REPRODUCTIONS[name]
+    dataset, run = REPRODUCTIONS[name]
     options = RunOptions(
-        folder=Path() if part.folder is None else _folder(data, part.folder),
+        folder=Path() if dataset is None else _folder(data, dataset),
         progress=progress or _silent,
         quick=quick,
         fits=None if out is None else out / "fits",
     )
-    answer = replace(part.run(options), name=name, seconds=clock.perf_counter() - begun)
+    answer = replace(run(options), name=name, seconds=clock.perf_counter() - begun)
     if out is not None:
         answer.write(out)
     return answer

@@ -15,15 +15,18 @@ from fixel.errors import InvalidInput
 from fixel.kernels.codes import CONVERGED, STATUS_NAMES
 from fixel.model import Scene
 from fixel.reproductions.pushes import NOMINAL, read_mit_pushes
-from fixel.reproductions.replay.charts import pushes_figure
-from fixel.reproductions.replay.request import (
+from fixel.reproductions.replay.base import (
+    AbstractReplay,
+    Replay,
+    ReplayPart,
     ReplayRequest,
     matching,
     motion_named,
     settings_from,
     spread,
+    template,
 )
-from fixel.reproductions.replay.result import AbstractReplay, Replay, ReplayPart, template
+from fixel.reproductions.replay.charts import pushes_figure
 from fixel.reproductions.result import Row, errors_in_mm_and_deg, mean_and_median
 from fixel.simulation import BatchResult, simulate_batch
 from fixel.typing import FloatArray, IntArray

@@ -20,15 +20,18 @@ from fixel.errors import InvalidInput
 from fixel.kernels.codes import CONVERGED, STATUS_NAMES
 from fixel.model import Disk, Experiment, Scene, pose_error
 from fixel.reproductions.charts.pictures import WIDE, hide_spines
-from fixel.reproductions.replay.charts import style_of
-from fixel.reproductions.replay.request import (
+from fixel.reproductions.replay.base import (
+    AbstractReplay,
+    Replay,
+    ReplayPart,
     ReplayRequest,
     matching,
     motion_named,
     settings_from,
     spread,
+    template,
 )
-from fixel.reproductions.replay.result import AbstractReplay, Replay, ReplayPart, template
+from fixel.reproductions.replay.charts import style_of
 from fixel.reproductions.result import Row, mean_and_median, rms
 from fixel.simulation import BatchResult, simulate_batch
 from fixel.typing import FloatArray

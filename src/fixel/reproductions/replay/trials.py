@@ -13,15 +13,17 @@ from fixel.calibration.target import ON_CLOCK
 from fixel.datasets.rpi_2dgad import FRAME_RATE, LabSimulation, Rpi2dgad, lab_simulation
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Experiment, Parameters, PathDrive, Scene, Trajectory, Tripod, pose_error
-from fixel.reproductions.replay.charts import trial_figure
-from fixel.reproductions.replay.request import (
+from fixel.reproductions.replay.base import (
+    AbstractReplay,
+    Replay,
+    ReplayPart,
     ReplayRequest,
     matching,
     motion_named,
     settings_from,
     spread,
 )
-from fixel.reproductions.replay.result import AbstractReplay, Replay, ReplayPart
+from fixel.reproductions.replay.charts import trial_figure
 from fixel.reproductions.result import Row, rms
 from fixel.simulation import Simulation, StewartTrinkle, simulate
 from fixel.typing import BoolArray, FloatArray
@@ -155,7 +157,7 @@ class TrialReplay(AbstractReplay):
             "tripod_radius": support.radius,
             "mu_support": support.friction,
             "mu_pusher": scene.pushers[0].friction,
-            "mu_fixel": scene.fixels[0].friction,
+            **({"mu_fixel": scene.fixels[0].friction} if scene.fixels else {}),
             "gravity": scene.gravity,
         }
         return settings_from(nominal, self.request.settings)
