@@ -16,10 +16,10 @@ from fixel.drawing.calibration import (
 )
 from fixel.drawing.chart import display_unit, draw_chart, log_scale, positive
 from fixel.drawing.overlay import OverlayChart, Track
-from fixel.drawing.profiles import ParametersChart, ProfilePanel, ProfilesChart
+from fixel.drawing.profiles import ParametersChart, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
 from fixel.errors import InvalidInput
-from fixel.model.records import Estimate
+from fixel.model.records import Estimate, ProfileRecord
 from fixel.model.space import Unknown
 
 NONE = np.zeros(0, np.int64)
@@ -65,8 +65,17 @@ def rows(**changes):
 def profile(**changes):
     values = np.linspace(0.1, 0.5, 9)
     rises = ((values - 0.3) / 0.05) ** 2
-    panel = ProfilePanel("mu_pusher", "-", values, rises, 0.2, 0.4, 4.0, values, 2.0 * rises, 0.3)
-    return ProfilesChart(title="one", panels=[panel._replace(**changes)])
+    own = ProfileRecord(
+        label="mu_pusher",
+        values=values,
+        deviances=rises,
+        slice_values=values,
+        slice_deviances=2.0 * rises,
+        low=0.2,
+        high=0.4,
+        threshold=4.0,
+    )
+    return ProfilesChart(title="one", profiles=[replace(own, **changes)])
 
 
 def seconds(values):
@@ -130,8 +139,8 @@ CHARTS = {
     "half an interval": rows(high=0.4, best_fit=0.1, verdict="trades off with mu_fixel"),
     "nothing known": rows(verdict="not identified", label="mu_pusher[surface=plywood]"),
     "profile": profile(),
-    "open profile": profile(low=None, high=None, rises=np.full(9, 0.1)),
-    "failed profile": profile(rises=np.array([np.inf] * 4 + [0.0] + [np.inf] * 4)),
+    "open profile": profile(low=None, high=None, deviances=np.full(9, 0.1)),
+    "failed profile": profile(deviances=np.array([np.inf] * 4 + [0.0] + [np.inf] * 4)),
     "seconds": seconds([1.0, 2.0, 8.0]),
     "equal seconds": seconds([2.0, 2.0]),
     "no seconds": seconds([0.0]),
@@ -258,7 +267,7 @@ def test_profiles_keep_curve_and_slice_apart():
 def test_a_far_scan_does_not_squeeze_a_profile():
     values = np.array([0.25, 0.28, 0.30, 0.32, 0.35, 50.0])
     rises = np.array([16.0, 4.0, 0.0, 4.0, 11.0, 1e6])
-    left, right = profile(values=values, rises=rises).figure().axes[0].get_xlim()
+    left, right = profile(values=values, deviances=rises).figure().axes[0].get_xlim()
 
     assert 0.24 < left < 0.28
     assert 0.32 < right < 0.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
@@ -21,9 +21,8 @@ from fixel.drawing.chart import (
     sheet,
     shorten,
 )
-from fixel.model.records import Estimate
+from fixel.model.records import Estimate, ProfileRecord
 from fixel.table import Table
-from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -198,30 +197,15 @@ def _wrapped(verdict: str) -> str:
 # --- profiles -----------------------------------------------------------------------------------
 
 
-class ProfilePanel(NamedTuple):
-    """Profile of one parameter: rises of the deviance above its minimum."""
-
-    label: str
-    unit: str
-    values: FloatArray  # (k,) ascending
-    rises: FloatArray  # (k,) with the other parameters fitted at each value; inf if missing
-    low: float | None  # ends of the interval
-    high: float | None
-    threshold: float
-    slice_values: FloatArray  # (m,)
-    slice_rises: FloatArray  # (m,) with the other parameters fixed
-    best: float
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProfilesChart(AbstractChart):
-    """Rise of the deviance against the value, one panel per parameter.
+    """Rise of the deviance against the value, one profile per parameter.
 
     Parameters
     ----------
     title : str
-    panels : sequence of ProfilePanel
+    profiles : sequence of ProfileRecord
     level : float
         Confidence level of the intervals.
     misfits : bool
@@ -229,7 +213,7 @@ class ProfilesChart(AbstractChart):
     """
 
     title: str
-    panels: Sequence[ProfilePanel]
+    profiles: Sequence[ProfileRecord]
     level: float = 0.95
     misfits: bool = False
 
@@ -238,14 +222,14 @@ class ProfilesChart(AbstractChart):
         return f"{100 * self.level:g} % interval" + (", misfit left out" if self.misfits else "")
 
     def figure(self) -> Figure:
-        n = len(self.panels)
+        n = len(self.profiles)
         columns = min(n, COLUMNS) if n != 5 else 3
         rows = -(-n // columns)
         width = WIDE if columns > 2 else palette.COLUMN * columns
         figure = sheet(width, 0.55 + 1.75 * rows, self.title)
         grid = figure.subplots(rows, columns, squeeze=False)
-        for axes, panel in zip(grid.flat, self.panels, strict=False):
-            _draw_profile(axes, panel, self._interval)
+        for axes, profile in zip(grid.flat, self.profiles, strict=False):
+            _draw_profile(axes, profile, self._interval)
         for axes in grid.flat[n:]:
             axes.axis("off")
         for row in grid:
@@ -258,34 +242,37 @@ class ProfilesChart(AbstractChart):
                    "interval_low", "interval_high")  # fmt: skip
         rows = [
             (p.label, p.unit, name, value, rise, p.threshold, p.low, p.high)
-            for p in self.panels
+            for p in self.profiles
             for name, values, rises in (
-                ("profile", p.values, p.rises),
-                ("slice", p.slice_values, p.slice_rises),
+                ("profile", p.values, p.deviances),
+                ("slice", p.slice_values, p.slice_deviances),
             )
             for value, rise in zip(values, rises, strict=True)
         ]
         return Table(columns, rows)
 
 
-def _draw_profile(axes: Axes, panel: ProfilePanel, interval: str) -> None:
-    unit = display_unit(panel.unit)
-    left, right = _range(panel)
-    ends = (left if panel.low is None else panel.low, right if panel.high is None else panel.high)
+def _draw_profile(axes: Axes, profile: ProfileRecord, interval: str) -> None:
+    unit = display_unit(profile.unit)
+    left, right = _range(profile)
+    ends = (
+        left if profile.low is None else profile.low,
+        right if profile.high is None else profile.high,
+    )
     axes.axvspan(*(unit.factor * np.array(ends)), color=palette.TRAIL, alpha=0.25, linewidth=0.0,
                  label=interval)  # fmt: skip
     axes.axhline(1.0, color=palette.INK, linewidth=0.7, linestyle=(0, (1, 1)), label="threshold")
     for values, rises, style in (
-        (panel.slice_values, panel.slice_rises, _SLICE),
-        (panel.values, panel.rises, _PROFILE),
+        (profile.slice_values, profile.slice_deviances, _SLICE),
+        (profile.values, profile.deviances, _PROFILE),
     ):
         known = np.isfinite(rises)
-        axes.plot(unit.factor * values[known], rises[known] / panel.threshold, **style)
-    axes.plot([unit.factor * panel.best], [0.0], marker="o", markersize=4.0, color=palette.BODY,
+        axes.plot(unit.factor * values[known], rises[known] / profile.threshold, **style)
+    axes.plot([unit.factor * profile.best], [0.0], marker="o", markersize=4.0, color=palette.BODY,
               zorder=4, clip_on=False)  # fmt: skip
     axes.set_xlim(unit.factor * left, unit.factor * right)
     axes.set_ylim(0.0, SHOWN)
-    axes.set_xlabel(unit.on(panel.label))
+    axes.set_xlabel(unit.on(profile.label))
     axes.locator_params(axis="x", nbins=4)
     clean(axes)
 
@@ -305,24 +292,24 @@ _PROFILE: Final[Style] = {
 }
 
 
-def _range(panel: ProfilePanel) -> tuple[float, float]:
+def _range(profile: ProfileRecord) -> tuple[float, float]:
     """Range of values to show: where the profile is low, and one more value on either side."""
-    near = np.flatnonzero(panel.rises <= SHOWN * panel.threshold)
+    near = np.flatnonzero(profile.deviances <= SHOWN * profile.threshold)
     if not len(near):
-        return float(panel.values[0]), float(panel.values[-1])
-    first, last = max(0, near[0] - 1), min(len(panel.values) - 1, near[-1] + 1)
-    left, right = _cut(panel, first, near[0]), _cut(panel, last, near[-1])
+        return float(profile.values[0]), float(profile.values[-1])
+    first, last = max(0, near[0] - 1), min(len(profile.values) - 1, near[-1] + 1)
+    left, right = _cut(profile, first, near[0]), _cut(profile, last, near[-1])
     if left == right:
         right, left = right + 1e-3, left - 1e-3
     margin = 0.04 * (right - left)
     return left - margin, right + margin
 
 
-def _cut(panel: ProfilePanel, outer: int, inner: int) -> float:
+def _cut(profile: ProfileRecord, outer: int, inner: int) -> float:
     """Value between two others at which the profile exceeds the axes, so that far ones are cut."""
-    a, b = float(panel.values[inner]), float(panel.values[outer])
-    rise, far = float(panel.rises[inner]), float(panel.rises[outer])
+    a, b = float(profile.values[inner]), float(profile.values[outer])
+    rise, far = float(profile.deviances[inner]), float(profile.deviances[outer])
     if outer == inner or not np.isfinite(far):
         return a if outer == inner else b
-    share = (SHOWN * panel.threshold - rise) / (far - rise)
+    share = (SHOWN * profile.threshold - rise) / (far - rise)
     return a + (b - a) * min(1.0, max(0.0, share))

@@ -13,7 +13,7 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.model.experiment import Provenance
 from fixel.model.fields import Comparable, frozen, name_of, settle
-from fixel.model.parameters import Parameters
+from fixel.model.parameters import Parameters, info_of
 from fixel.model.trajectory import Trajectory
 from fixel.typing import FloatArray
 
@@ -167,6 +167,46 @@ class Estimate:
 
 
 _STORED: Final = ("label", "unit", "value", "low", "high", "verdict", "reason")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProfileRecord:
+    """Profile likelihood of one parameter, as stored with the result of a calibration.
+
+    Attributes
+    ----------
+    label : str
+    values : (n,) float64
+        Values of the parameter, ascending.
+    deviances : (n,) float64
+        Rise above the minimum, with the others fitted; inf where nothing could be evaluated.
+    slice_values, slice_deviances : (m,) float64
+        The same with the others fixed at the best fit.
+    low, high : float, optional
+        Ends of the interval.
+    threshold : float
+        Rise at the ends of the interval.
+    """
+
+    label: str
+    values: FloatArray
+    deviances: FloatArray
+    slice_values: FloatArray
+    slice_deviances: FloatArray
+    low: float | None
+    high: float | None
+    threshold: float
+
+    @property
+    def unit(self) -> str:
+        """Unit of the parameter."""
+        return info_of(self.label.partition("[")[0]).unit
+
+    @property
+    def best(self) -> float:
+        """Value with the smallest deviance."""
+        return float(self.values[int(np.argmin(self.deviances))])
 
 
 @final

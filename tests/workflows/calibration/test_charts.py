@@ -9,7 +9,7 @@ import pytest
 from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
 from fixel.errors import InvalidInput
-from fixel.model.records import Estimate
+from fixel.model.records import Estimate, ProfileRecord
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import run
@@ -17,7 +17,6 @@ from fixel.workflows.calibration.charts import draw_all, pictures_of
 from fixel.workflows.calibration.parameter_options import fitted
 from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.result import Curve
 
 PLANNED = thesis_plan().experiments
 QUICK = NamedOptions(name="pattern-search", options={"threshold_delta": 0.2})
@@ -142,7 +141,7 @@ def test_of_one_experiment(lab, tmp_path):
 def test_verdicts_and_profiles_are_drawn(lab, tmp_path):
     done = _done(lab, n=1, mode="each")
     values = np.linspace(0.1, 0.5, 7)
-    curve = Curve(
+    curve = ProfileRecord(
         label="mu_pusher",
         values=values,
         deviances=(values - 0.3) ** 2,

@@ -186,7 +186,7 @@ def _curves(one: CalibrationDetail) -> list[ProfileCurve]:
     return [
         ProfileCurve(
             label=curve.label,
-            unit=one.units.get(curve.label, ""),
+            unit=curve.unit,
             values=curve.values.tolist(),
             rises=curve.deviances.tolist(),
             slice_values=curve.slice_values.tolist(),

@@ -13,7 +13,7 @@ import numpy as np
 from fixel.calibration.target import Target
 from fixel.drawing.calibration import BEFORE, ErrorsChart, OffsetsChart, Quantity, SecondsChart
 from fixel.drawing.overlay import OverlayChart, Track
-from fixel.drawing.profiles import ParametersChart, ProfilePanel, ProfilesChart
+from fixel.drawing.profiles import ParametersChart, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
 from fixel.model import Parameters, placed
 from fixel.model.records import Estimate
@@ -21,7 +21,7 @@ from fixel.simulation import Simulation, simulate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.report_data import CalibrationReportData, title_of
-from fixel.workflows.calibration.result import Curve, FitKind, ParameterSet
+from fixel.workflows.calibration.result import FitKind, ParameterSet
 from fixel.workflows.calibration.run import Calibration
 from fixel.workflows.figures import Picture, make_folder, write_picture
 
@@ -286,27 +286,11 @@ def _other_sets(data: CalibrationReportData, one: ParameterSet) -> dict[str, Flo
 
 
 def _profiles_chart(data: CalibrationReportData, word: str, one: ParameterSet) -> ProfilesChart:
-    units = {unknown.label: unknown.unit for unknown in data.space.free}
     return ProfilesChart(
         title=title_of(data, one, word),
-        panels=[_panel(curve, units[curve.label]) for curve in one.profiles],
+        profiles=one.profiles,
         level=data.request.level,
         misfits=bool(one.misfit),
-    )
-
-
-def _panel(curve: Curve, unit: str) -> ProfilePanel:
-    return ProfilePanel(
-        label=curve.label,
-        unit=unit,
-        values=curve.values,
-        rises=curve.deviances,
-        low=curve.low,
-        high=curve.high,
-        threshold=curve.threshold,
-        slice_values=curve.slice_values,
-        slice_rises=curve.slice_deviances,
-        best=float(curve.values[int(np.argmin(curve.deviances))]),
     )
 
 

@@ -12,11 +12,11 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import FixelError
-from fixel.model.records import CalibrationRecord, Estimate
+from fixel.model.records import CalibrationRecord, Estimate, ProfileRecord
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.report_data import CalibrationReportData
-from fixel.workflows.calibration.result import Curve, ParameterSet
+from fixel.workflows.calibration.result import ParameterSet
 from fixel.workflows.calibration.run import Calibration, reopened
 from fixel.workflows.calibration.stored import parted
 
@@ -61,9 +61,8 @@ class CalibrationDetail(NamedTuple):
         Of every evaluation, shared out among the experiments where it is a sum.
     starts : list of Start
         The best first; none where there was one.
-    curves : tuple of Curve
+    curves : tuple of ProfileRecord
         Profiles, one an unknown.
-    units : dict from label to str
     level : float
         Of the intervals.
     misfit : list of str
@@ -82,8 +81,7 @@ class CalibrationDetail(NamedTuple):
     residuals: list[Residual]
     objective: FloatArray
     starts: list[Start]
-    curves: tuple[Curve, ...]
-    units: dict[str, str]
+    curves: tuple[ProfileRecord, ...]
     level: float
     misfit: list[str]
     noise: str
@@ -121,7 +119,6 @@ def load_detail(project: Project, store: Store, number: int) -> CalibrationDetai
         objective=_objective(record),
         starts=starts,
         curves=() if one is None else one.profiles,
-        units={estimate.label: estimate.unit for estimate in record.estimates},
         level=0.95 if data is None else data.request.level,
         misfit=misfit_of(record),
         noise="" if one is None else one.noise,

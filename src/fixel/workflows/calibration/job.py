@@ -51,12 +51,11 @@ from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
-from fixel.model.records import Estimate
+from fixel.model.records import Estimate, ProfileRecord
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.request import CalibrationRequest, read_targets
 from fixel.workflows.calibration.result import (
     CalibrationResult,
-    Curve,
     FitKind,
     ParameterSet,
     found_arrays,
@@ -590,10 +589,10 @@ def _frozen(comparer: Comparer) -> list[Estimate]:
     ]
 
 
-def _curves(labels: Sequence[str], found: Profiles) -> tuple[Curve, ...]:
+def _curves(labels: Sequence[str], found: Profiles) -> tuple[ProfileRecord, ...]:
     least = found.best.error
     return tuple(
-        Curve(
+        ProfileRecord(
             label=labels[one.unknown],
             values=one.values,
             deviances=one.deviances - least,

@@ -13,7 +13,7 @@ import numpy as np
 
 from fixel.calibration.study import Trace
 from fixel.io.array_bytes import arrays_of, bytes_of
-from fixel.model.records import Estimate
+from fixel.model.records import Estimate, ProfileRecord
 from fixel.typing import FloatArray
 
 SEARCHED: Final = "unknowns"  # in the method of a record: the searched parameters, as JSON
@@ -38,36 +38,6 @@ class FitKind(StrEnum):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Curve:
-    """Profile likelihood of one parameter, for a chart.
-
-    Attributes
-    ----------
-    label : str
-    values : (n,) float64
-        Values of the parameter, ascending.
-    deviances : (n,) float64
-        Rise above the minimum, with the others fitted; inf where nothing could be evaluated.
-    slice_values, slice_deviances : (m,) float64
-        The same with the others fixed at the best fit.
-    low, high : float, optional
-        Ends of the interval.
-    threshold : float
-        Rise at the ends of the interval.
-    """
-
-    label: str
-    values: FloatArray
-    deviances: FloatArray
-    slice_values: FloatArray
-    slice_deviances: FloatArray
-    low: float | None
-    high: float | None
-    threshold: float
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterSet:
     """Set of parameters for one experiment or for several.
 
@@ -84,7 +54,7 @@ class ParameterSet:
         Evaluations of the search; None without a search.
     estimates : tuple of Estimate
         One estimate per parameter.
-    profiles : tuple of Curve
+    profiles : tuple of ProfileRecord
         One profile per free parameter; empty if not requested.
     noise : str
         Source of the measurement noise assumed by the intervals.
@@ -107,7 +77,7 @@ class ParameterSet:
     errors: FloatArray
     trace: Trace | None = None
     estimates: tuple[Estimate, ...] = ()
-    profiles: tuple[Curve, ...] = ()
+    profiles: tuple[ProfileRecord, ...] = ()
     noise: str = ""
     misfit: tuple[str, ...] = ()
     misfit_ratio: float = math.nan
@@ -267,7 +237,7 @@ def found_of(arrays: dict[str, Any]) -> list[ParameterSet]:
             trace=None if entry["ended"] is None else _trace(entry, arrays, k),
             estimates=tuple(Estimate(**estimate) for estimate in entry["estimates"]),
             profiles=tuple(
-                Curve(**curve, **{name: arrays[f"{name}_{k}_{j}"] for name in CURVE})
+                ProfileRecord(**curve, **{name: arrays[f"{name}_{k}_{j}"] for name in CURVE})
                 for j, curve in enumerate(entry["profiles"])
             ),
             noise=entry["noise"],
