@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Event
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from fixel.formats.recording import Recording, is_recording, open_recording
 from fixel.formats.video_file import VideoFile, open_video
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
 from fixel.testbed.tactile import TactileReading
+
+FILM: Final = "film"  # instead of a port: the readings of the recording that is played
 
 
 @final

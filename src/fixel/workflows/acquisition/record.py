@@ -20,6 +20,7 @@ from fixel.formats.recording import (
 from fixel.formats.recording_video import warm_up
 from fixel.formats.rig_file import rig_of, save_rig
 from fixel.formats.scene_file import load_scene
+from fixel.testbed.file_source import FILM, PlayedTactile
 from fixel.testbed.frame_source import Stream
 from fixel.testbed.open_source import check_size, source_of
 from fixel.testbed.recorder import Recorder, RecordingSummary, Stop, TouchReader, Watch
@@ -28,7 +29,6 @@ from fixel.vision.marks import Rig
 
 ENDS: Final = ("key", "limit", "seated")
 CHOICES: Final = ("auto", *CODECS)
-FILM: Final = "film"  # instead of a port: the readings of the recording that is played
 
 
 @final
@@ -232,8 +232,6 @@ def _tactile(plan: RecordPlan) -> Iterator[TouchReader | None]:
         return
     kind, _, film = plan.tactile.partition(":")
     if kind == FILM:
-        from fixel.testbed.file_source import PlayedTactile
-
         yield PlayedTactile(film or plan.camera, in_turn=plan.fast)
         return
     from fixel.testbed.tactile import TactileReader

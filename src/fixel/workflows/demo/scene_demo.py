@@ -61,7 +61,7 @@ def run_demo(folder: Path, notify: Notify | None = None, progress: Progress | No
     ----------
     folder : Path
         Created if missing; files of the same names are replaced.
-    say, progress : callable, optional
+    notify, progress : callable, optional
         See `simulate_file`.
 
     Raises

@@ -19,14 +19,14 @@ from fixel.database import arrays, schema, tables
 from fixel.database.engine import open_engine, reading
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.errors import InvalidInput, StoreRefused, os_reason
-from fixel.io.atomic import written_whole
-from fixel.workflows.project.stored_content import (
+from fixel.database.stored_content import (
     RESTORE,
     Trouble,
     content_troubles,
     schema_troubles,
 )
+from fixel.errors import InvalidInput, StoreRefused, os_reason
+from fixel.io.atomic import written_whole
 
 OWNERS: Final = {
     "experiment": tables.experiment,
