@@ -50,7 +50,7 @@ def test_it_ends_when_the_fixels_say_so(
 ) -> None:
     played = film(tmp_path / "film", n=200, bits=lambda k: 0b100 if k >= 20 else 0)
     out = tmp_path / "r"
-    monkeypatch.setattr("fixel.workflows.acquisition.record.refuse_size", lambda *_: None)
+    monkeypatch.setattr("fixel.workflows.acquisition.record.check_size", lambda *_: None)
     code, said, _ = fixel(
         capsys, "record", "--camera", played, "--fast", "--tactile", "film", "--out", out,
         "--until", "seated", "--mode", "100", "--json", *(["--rig", rig] if rig else []),
