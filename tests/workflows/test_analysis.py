@@ -8,7 +8,6 @@ from fixel.drawing.calibration import SecondsChart
 from fixel.table import Table
 from fixel.workflows.analysis import CONTENT, Analysis, load_analyses, store_analysis
 from fixel.workflows.figures import Picture
-from fixel.workflows.sentences import rounded
 
 
 @pytest.fixture
