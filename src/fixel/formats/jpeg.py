@@ -102,7 +102,7 @@ def _fast(data: bytes, slow: Callable[..., Picture], mode: str, where: str) -> P
         import cv2
     except ImportError:
         return slow(data, where=where)
-    if END not in data:  # OpenCV would return the rest of a truncated picture as grey
+    if data.rfind(END) < 0:  # OpenCV would return the rest of a truncated picture as grey
         raise _spoilt(where, "it is truncated")
     try:
         whole = cv2.imdecode(

@@ -38,7 +38,7 @@ from fixel.formats.recording_files import (
     read_rows,
     write_end,
 )
-from fixel.formats.recording_video import Packet, PictureDecoder, packets
+from fixel.formats.recording_video import PictureDecoder, packets
 from fixel.formats.recording_writer import RESERVE, RecordingWriter
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
@@ -103,8 +103,8 @@ class Recording:
         """Yield time [s] and JPEG data of every frame; raise for the codec `exact`."""
         if self.header.codec == "exact":
             raise InvalidInput(str(self.folder), found="an exact recording", expected="JPEG")
-        for time, packet in zip(self.time, packets(self.video), strict=False):
-            yield float(time), packet.data
+        for time, (_, data) in zip(self.time, packets(self.video), strict=False):
+            yield float(time), data
 
     def frames(self) -> Iterator[Frame]:
         """Yield all frames in order, with their recorded times.
@@ -115,11 +115,11 @@ class Recording:
             A picture that cannot be decoded because the camera sent it corrupt.
         """
         decoder = PictureDecoder(self.header.size, exact=self.header.codec == "exact")
-        for k, packet in enumerate(packets(self.video)):
+        for k, (_, data) in enumerate(packets(self.video)):
             if k == self.n_frames:
                 return
             where = f"{self.video}, frame {k}"
-            frame = decoder.frame(float(self.time[k]), packet.data, where)
+            frame = decoder.frame(float(self.time[k]), data, where)
             if frame is None:
                 width, height = self.header.size
                 raise InvalidInput(
@@ -220,7 +220,7 @@ def _checked(folder: Path) -> _Agreement:
     rows = read_rows(folder / ROWS)
     matched = seen = 0
     for seen, packet in enumerate(packets(folder / VIDEO), 1):
-        fits = seen <= len(rows.rows) and _belong(rows.rows[seen - 1], packet)
+        fits = seen <= len(rows.rows) and _belong(rows.rows[seen - 1], *packet)
         matched += fits and matched == seen - 1
     strangers = min(seen, len(rows.rows)) - matched
     # Only the picture that was being written at the crash can be torn; more indicate other damage.
@@ -240,10 +240,8 @@ def _checked(folder: Path) -> _Agreement:
     return _Agreement(rows, matched, seen)
 
 
-def _belong(row: RecordingRow, packet: Packet) -> bool:
-    return (row.time_us, row.size) == (packet.time_us, len(packet.data)) and row.crc == zlib.crc32(
-        packet.data
-    )
+def _belong(row: RecordingRow, time_us: int, data: bytes) -> bool:
+    return (row.time_us, row.size) == (time_us, len(data)) and row.crc == zlib.crc32(data)
 
 
 def _problems(check: _Agreement, end: RecordingEnd | None) -> Iterator[str]:

@@ -42,20 +42,6 @@ class StoredPacket(NamedTuple):
     end: int
 
 
-class Packet(NamedTuple):
-    """Encoded picture in the video.
-
-    Attributes
-    ----------
-    time_us : int
-        Time of the picture [µs].
-    data : bytes
-    """
-
-    time_us: int
-    data: bytes
-
-
 @final
 class VideoSink:
     """Writer of pictures to a new video, without buffering in the process.
@@ -142,15 +128,15 @@ def warm_up() -> None:
     Image.preinit()
 
 
-def packets(path: Path) -> Iterator[Packet]:
-    """Yield all packets of a video, of which the last may be torn; none if it has no data."""
+def packets(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield time [µs] and data of all packets of a video; the last may be torn."""
     import av
 
     try:
         with av.open(str(path)) as container:
             for packet in container.demux(container.streams.video[0]):
                 if packet.size and packet.pts is not None:
-                    yield Packet(packet.pts, bytes(packet))
+                    yield packet.pts, bytes(packet)
     except (FileNotFoundError, PermissionError) as problem:
         raise InvalidInput(
             str(path), found=str(problem.strerror).lower(), expected="the video of a recording"

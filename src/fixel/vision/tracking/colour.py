@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -39,21 +39,14 @@ COVERED, BARE = 215.0, 40.0  # brightness of pictures of coverage
 MIN_INSIDE, MIN_AROUND = 4, 8  # pixels needed for a mean colour
 
 
-class Patch(NamedTuple):
-    """Patch of the right colour and size."""
-
-    pixel: FloatArray  # (2,) of its middle [px]
-    area: float  # [px^2]
-
-
 def find_patches(
     picture: Picture,
     wanted: tuple[Sticker, ...],
     stickers: tuple[Sticker, ...],
     camera: Camera,
     corner: FloatArray,
-) -> dict[str, list[Patch]]:
-    """Find all patches that may be the wanted stickers, by colour.
+) -> dict[str, list[FloatArray]]:
+    """Find all patches that may be the wanted stickers: their middles (2,) [px], by colour.
 
     Parameters
     ----------
@@ -72,31 +65,26 @@ def find_patches(
     )
     coloured = (saturation >= MIN_SATURATION) & (value >= MIN_BRIGHTNESS)
     kind = _nearest_hue(tuple(sticker.colour for sticker in stickers))[hue]
-    found: dict[str, list[Patch]] = {}
+    found: dict[str, list[FloatArray]] = {}
     for index, sticker in enumerate(stickers):
         if sticker not in wanted:
             continue
-        mask = ((kind == index) & coloured).astype(np.uint8)
-        n, _, boxes, middles = cv2.connectedComponentsWithStats(mask, connectivity=8)
+        mask = ((kind == index) & coloured).view(np.uint8)
+        _, _, boxes, middles = cv2.connectedComponentsWithStats(mask, connectivity=8)
+        _, _, wide, high, area = boxes[1:].T  # without the background
         full = np.pi * (sticker.diameter / 2.0 / camera.metres_per_pixel(sticker.height)) ** 2
-        found[sticker.colour] = [
-            Patch(middles[k] + corner, float(boxes[k][4]))
-            for k in range(1, n)
-            if AREA[0] * full < boxes[k][4] < AREA[1] * full and _round(boxes[k])
-        ]
+        fits = (AREA[0] * full < area) & (area < AREA[1] * full)
+        fits &= np.minimum(wide, high) >= ROUND * np.maximum(wide, high)
+        fits &= area >= ROUND * wide * high
+        found[sticker.colour] = list(middles[1:][fits] + corner)
     return found
 
 
-def _nearest_hue(colours: tuple[str, ...]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def _nearest_hue(colours: tuple[str, ...]) -> np.ndarray[tuple[int], np.dtype[np.int8]]:
     """Indices (256,) of the nearest colour for OpenCV's hues; -1 for none."""
     degrees = 2.0 * np.arange(256)[:, None]
     apart = np.abs((degrees - [HUES[c] for c in colours] + 180.0) % 360.0 - 180.0)
-    return np.where(apart.min(1) <= HUE_SLACK, apart.argmin(1), -1)
-
-
-def _round(box: np.ndarray[tuple[int], np.dtype[np.int32]]) -> bool:
-    _, _, width, height, area = box
-    return bool(min(width, height) >= ROUND * max(width, height) and area >= ROUND * width * height)
+    return np.where(apart.min(1) <= HUE_SLACK, apart.argmin(1), -1).astype(np.int8)
 
 
 def fit_sticker(

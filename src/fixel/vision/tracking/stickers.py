@@ -149,12 +149,12 @@ class _StickeredPart(PartFollower):
             if not candidates:
                 return None, f"no {sticker.colour} sticker in the picture"
             if len(candidates) > 1:
-                at = " and ".join(f"({p.pixel[0]:.0f}, {p.pixel[1]:.0f}) px" for p in candidates)
+                at = " and ".join(f"({u:.0f}, {v:.0f}) px" for u, v in candidates)
                 return None, (
                     f"{len(candidates)} things of one colour look like the {sticker.colour} "
                     f"sticker, at {at}: take the others away, or mask them"
                 )
-            places.append(self._camera.on_plane(candidates[0].pixel, sticker.height))
+            places.append(self._camera.on_plane(candidates[0], sticker.height))
         return np.array(places), ""
 
     def _where(self, frame: Frame) -> tuple[slice, slice]:
