@@ -13,6 +13,7 @@ passages are read as follows:
 
 from __future__ import annotations
 
+from functools import cache
 from math import pi
 from typing import Final
 
@@ -49,6 +50,7 @@ LAYOUTS: Final = (
 )
 
 
+@cache
 def thesis_plan() -> Plan:
     """Return the plan of the thesis with 420 experiments and our own peg coordinates."""
     return Plan(
