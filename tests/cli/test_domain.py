@@ -4,6 +4,7 @@ import json
 
 import pytest
 from tests.cli.shell import fixel
+from tests.fixtures import project_of
 
 from fixel.database.project import Project
 from fixel.sampling.thesis import thesis_plan
@@ -22,9 +23,7 @@ def project(tmp_path_factory):
         for p in thesis_plan().experiments[:21]
         if p.conditions["axis"] in ("nominal", "x", "theta")
     ]
-    with Project.create(folder).store() as store:
-        for experiment in SimulatedTestbed().run(planned):
-            store.add_experiment(experiment)
+    project_of(folder, SimulatedTestbed().run(planned))
     return folder
 
 

@@ -9,6 +9,7 @@ import subprocess
 import time
 
 import pytest
+from tests.fixtures import project_of
 
 from fixel.cli.main import run
 from fixel.database.project import Project
@@ -30,9 +31,7 @@ def fixel(capsys, *arguments):
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lab") / "lab"
-    with Project.create(folder).store() as store:
-        for experiment in SimulatedTestbed(seed=1).run(thesis_plan().experiments[:2]):
-            store.add_experiment(experiment)
+    project_of(folder, SimulatedTestbed(seed=1).run(thesis_plan().experiments[:2]))
     return folder
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 from tests.filtering.recordings import push
+from tests.fixtures import project_of
 from tests.uncertainty.forks import fork
 from typer.testing import CliRunner
 
@@ -22,12 +23,8 @@ def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("projects") / "my lab"
     recorded = push(duration=3.0)
     flag = Flag("no-fixels", "nobody knows where", False)
-    with Project.create(place).store() as store:
-        store.add_experiment(recorded)
-        store.add_experiment(replace(recorded, name="again"))
-        store.add_experiment(
-            replace(recorded, name="bare", scene=None, contact_mode="", flags=(flag,))
-        )
+    bare = replace(recorded, name="bare", scene=None, contact_mode="", flags=(flag,))
+    project_of(place, [recorded, replace(recorded, name="again"), bare])
     return place
 
 

@@ -5,6 +5,7 @@ import shlex
 
 import pytest
 import typer
+from tests.fixtures import project_of
 from typer.testing import CliRunner
 
 from fixel.cli.show import compare, show
@@ -33,10 +34,7 @@ BARE = Experiment(
 def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("projects") / "my lab"
     planned = PlannedExperiment(name="push", scene=grasp("seated"), conditions={"layout": "seated"})
-    with Project.create(place).store() as store:
-        store.add_experiment(BARE)
-        for experiment in SimulatedTestbed().run([planned]):
-            store.add_experiment(experiment)
+    project_of(place, [BARE, *SimulatedTestbed().run([planned])])
     return place
 
 

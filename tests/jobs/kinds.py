@@ -5,9 +5,9 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from tests.fixtures import project_of
 from tests.jobs.helpers import blocks_written, names_in
 
-from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
@@ -114,10 +114,8 @@ class Campaign(JobKind):
 
     def prepare(self, path, run=None):
         planned = thesis_plan().experiments[: self.experiments]
-        project = Project.create(path)
+        project = project_of(path, SimulatedTestbed.ideal().run(planned))
         with project.store() as store:
-            for experiment in SimulatedTestbed.ideal().run(planned):
-                store.add_experiment(experiment)
             chosen = calibrations.select_experiments(store, (), ExperimentQuery())
         return _to_be_run(calibrations.prepare(project, chosen, self._request(chosen)), run)
 

@@ -7,8 +7,8 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from tests.fixtures import project_of
 
-from fixel.database.project import Project
 from fixel.workflows.domain.request import DomainRequest
 from fixel.workflows.domain.run import map_domain
 from fixel.workflows.project.importing import import_plan
@@ -17,10 +17,7 @@ from fixel.workflows.project.importing import import_plan
 def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root: Path, tmp_path: Path) -> None:
     """Every sixth of 360 pushes; a published simulator is off by 2.7 mm on average there."""
     plan = import_plan(data_root / "mit_push_endpoints")
-    project = Project.create(tmp_path / "lab")
-    with project.store() as store:
-        for experiment in islice(plan.experiments(), 0, 360, 6):
-            store.add_experiment(experiment)
+    project = project_of(tmp_path / "lab", islice(plan.experiments(), 0, 360, 6))
     asked = DomainRequest(
         axes=("contact_angle_rad",),
         steps={"contact_angle_rad": np.pi / 4},

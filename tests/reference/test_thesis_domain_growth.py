@@ -10,10 +10,10 @@ from math import pi
 
 import numpy as np
 import pytest
+from tests.fixtures import project_of
 from tests.workflows.growing import comparer_of, planned
 
 from fixel.calibration.target import target_of
-from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
 from fixel.model import Parameters
 from fixel.simulation import QuasiStatic, simulate
@@ -31,10 +31,9 @@ PRINTED = {1: ("x1", "y1", "y-1", "y-5"), 2: ("x2", "y2", "y-2", "theta1")}
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
-    made = Project.create(tmp_path_factory.mktemp("campaign") / "lab")
+    experiments = SimulatedTestbed(seed=3).run(planned("pentagon", ("concave-tight",)))
+    made = project_of(tmp_path_factory.mktemp("campaign") / "lab", experiments)
     with made.store() as store:
-        for experiment in SimulatedTestbed(seed=3).run(planned("pentagon", ("concave-tight",))):
-            store.add_experiment(experiment)
         chosen = run.select_experiments(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.fixtures import project_of
 
 from fixel.database.project import Project
 from fixel.model import Flag
@@ -30,11 +31,8 @@ SCRIPTS = ["<img src=x onerror=window.hacked=1>", "</script><script>window.hacke
 def laboratory(tmp_path_factory) -> Path:
     """A project folder with 30 experiments of two shapes and some layouts; not to be changed."""
     folder = tmp_path_factory.mktemp("laboratory") / "my_lab"
-    project = Project.create(folder)
-    planned = thesis_plan().experiments[::14]
+    project = project_of(folder, SimulatedTestbed(seed=1).run(thesis_plan().experiments[::14]))
     with project.store() as store:
-        for experiment in SimulatedTestbed(seed=1).run(planned):
-            store.add_experiment(experiment)
         store.flag([3], Flag("misregistered", "starts 4.2 mm inside the pusher"))
         store.flag([5], Flag("late", "by 0.2 s", fault=False))
         _simulate(store, [1, 2, 3])

@@ -4,8 +4,8 @@ import shlex
 from pathlib import Path
 
 import pytest
+from tests.fixtures import project_of
 
-from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.model import Parameters
 from fixel.sampling import thesis_plan
@@ -18,10 +18,8 @@ HERE = Path("my_lab")
 
 @pytest.fixture(scope="module")
 def live(tmp_path_factory):
-    project = Project.create(tmp_path_factory.mktemp("compare") / "lab")
-    with project.store() as store:
-        for experiment in SimulatedTestbed(seed=1).run(thesis_plan().experiments[:2]):
-            store.add_experiment(experiment)
+    experiments = SimulatedTestbed(seed=1).run(thesis_plan().experiments[:2])
+    with project_of(tmp_path_factory.mktemp("compare") / "lab", experiments).store() as store:
         yield live_comparison.LiveComparison(store)
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import project_of
 
-from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate, ProfileRecord
@@ -25,10 +25,9 @@ QUICK = NamedOptions(name="pattern-search", options={"threshold_delta": 0.2})
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
     """A project, and the four experiments in it."""
-    project = Project.create(tmp_path_factory.mktemp("pictures") / "lab")
+    experiments = SimulatedTestbed.ideal().run([PLANNED[k] for k in (0, 1, 2, 7)])
+    project = project_of(tmp_path_factory.mktemp("pictures") / "lab", experiments)
     with project.store() as store:
-        for experiment in SimulatedTestbed.ideal().run([PLANNED[k] for k in (0, 1, 2, 7)]):
-            store.add_experiment(experiment)
         return project, run.select_experiments(store, (), ExperimentQuery())
 
 

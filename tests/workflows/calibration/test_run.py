@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.fixtures import project_of
 
 from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
@@ -47,10 +48,7 @@ def experiments():
 
 @pytest.fixture
 def project(tmp_path, experiments):
-    made = Project.create(tmp_path / "lab")
-    with made.store() as store:
-        for experiment in experiments:
-            store.add_experiment(experiment)
+    made = project_of(tmp_path / "lab", experiments)
     return made
 
 

@@ -1,9 +1,9 @@
 """Stored calibrations as models to simulate with."""
 
 import pytest
+from tests.fixtures import project_of
 
 from fixel.calibration.objective import RootMeanSquare
-from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
@@ -16,9 +16,7 @@ from fixel.workflows.calibration.stored import calibrated, parted
 @pytest.fixture
 def store(tmp_path):
     planned = thesis_plan().experiments[:2]
-    with Project.create(tmp_path / "lab").store() as store:
-        for experiment in SimulatedTestbed.ideal().run(planned):
-            store.add_experiment(experiment)
+    with project_of(tmp_path / "lab", SimulatedTestbed.ideal().run(planned)).store() as store:
         yield store
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.fixtures import project_of
 
 from fixel.calibration.objective import Comparer, Evaluation, MeanSquare, RootMeanSquare
 from fixel.calibration.target import targets_of
@@ -93,10 +94,7 @@ def test_a_start_that_some_group_cannot_have_is_refused_before_any_fit(tmp_path,
 
 
 def test_errors_beside_own_bests_are_refused_before_any_fit(tmp_path, monkeypatch):
-    project = Project.create(tmp_path / "lab")
-    with project.store() as store:
-        for experiment in SimulatedTestbed.ideal().run(planned(3)):
-            store.add_experiment(experiment)
+    project = project_of(tmp_path / "lab", SimulatedTestbed.ideal().run(planned(3)))
 
     def never(*_):
         raise AssertionError("held out before the refusal")

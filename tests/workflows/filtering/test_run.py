@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.filtering.recordings import push
+from tests.fixtures import project_of
 
-from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.workflows.filtering.run import filter_experiment
@@ -17,12 +17,9 @@ FEW = ParticleFilter(n_particles=40, priors={"mu_pusher": (0.2, 0.6)})
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
-    made = Project.create(tmp_path_factory.mktemp("projects") / "lab")
     recorded = push(duration=3.0)
-    with made.store() as store:
-        store.add_experiment(recorded)
-        store.add_experiment(replace(recorded, name="bare", pusher=None))
-    return made
+    bare = replace(recorded, name="bare", pusher=None)
+    return project_of(tmp_path_factory.mktemp("projects") / "lab", [recorded, bare])
 
 
 def test_a_run_is_kept_with_its_settings(project):

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.fixtures import project_of
 
 import fixel
 from fixel.database.project import Project
@@ -38,12 +39,10 @@ EVIL = '<script>alert("x")</script>'
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
     """A project with four experiments, one of a strange name, and a calibration of all of them."""
-    made = Project.create(tmp_path_factory.mktemp("report") / "lab")
     experiments = list(SimulatedTestbed.ideal().run([PLANNED[k] for k in (0, 1, 2, 7)]))
     experiments[3] = replace(experiments[3], name=EVIL)
+    made = project_of(tmp_path_factory.mktemp("report") / "lab", experiments)
     with made.store() as store:
-        for experiment in experiments:
-            store.add_experiment(experiment)
         chosen = run.select_experiments(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from tests.filtering.recordings import push
+from tests.fixtures import project_of
 from typer.testing import CliRunner
 
 from fixel.cli.main import app
@@ -27,10 +28,8 @@ FIT = ("tripod_radius_mm=20:60",)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("projects") / "lab"
-    with Project.create(place).store() as store:
-        for number in range(2):
-            recorded = push(seed=number + 1, duration=2.0)
-            store.add_experiment(replace(recorded, name=f"push-{number + 1}"))
+    pushes = (replace(push(seed=k, duration=2.0), name=f"push-{k}") for k in (1, 2))
+    project_of(place, pushes)
     return place
 
 
