@@ -10,7 +10,7 @@ import numpy as np
 
 from fixel.drawing.sensitivity import EnsembleChart, IndicesChart
 from fixel.model import Parameters
-from fixel.table import Table
+from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.indices import Indices
 from fixel.uncertainty.outcomes import FLAGS
@@ -100,28 +100,27 @@ def _largest_share(finding: Finding) -> dict[str, Any]:
 
 def _tables(found: Sequence[Finding]) -> list[Table]:
     head = (
-        "push", "flag", "amplification", "gain", "spread [mm]", "spread [deg]", "outcomes",
-        "contact modes",
-    )  # fmt: skip
-    tables = [Table(head, map(_row, found), title="Pushes, to avoid first", left=2)]
-    for finding in found:
-        if finding.indices is not None:
-            tables.append(_index_table(finding.subject.key, finding.indices))
-    return tables
-
-
-def _row(finding: Finding) -> tuple[str, ...]:
-    own = finding.sensitivity
-    return (
-        finding.subject.key,
-        own.flag,
-        f"{own.amplification:.2f}",
-        f"{own.gain:.2f}",
-        rounded(1e3 * own.after.position, 4),
-        rounded(math.degrees(own.after.angle), 4),
-        " + ".join(f"{share:.0%}" for share in own.share),
-        " ".join(f"{mode}: {share:.0%}" for mode, share in own.modes.items()),
+        *("push", "flag", Column("amplification", format=".2f"), Column("gain", format=".2f")),
+        *("spread [mm]", "spread [deg]", "outcomes", "contact modes"),
     )
+    rows = [
+        (
+            finding.subject.key,
+            own.flag,
+            own.amplification,
+            own.gain,
+            rounded(1e3 * own.after.position, 4),
+            rounded(math.degrees(own.after.angle), 4),
+            " + ".join(f"{share:.0%}" for share in own.share),
+            " ".join(f"{mode}: {share:.0%}" for mode, share in own.modes.items()),
+        )
+        for finding, own in ((finding, finding.sensitivity) for finding in found)
+    ]
+    some = [(f.subject.key, f.indices) for f in found if f.indices is not None]
+    return [
+        Table(head, rows, title="Pushes, to avoid first", left=2),
+        *(_index_table(key, indices) for key, indices in some),
+    ]
 
 
 def _index_table(key: str, own: Indices) -> Table:

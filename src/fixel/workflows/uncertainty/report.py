@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import asdict
 from math import degrees
 from typing import Any, Final
 
@@ -12,10 +13,12 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.drawing.chart import display_unit
 from fixel.model.records import CalibrationRecord
-from fixel.table import Table
+from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.bands import PARTS
 from fixel.uncertainty.discrepancy import LABEL
+from fixel.uncertainty.near_optimal import NearOptimal
+from fixel.uncertainty.posterior import Posterior
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.sentences import rounded, sentences
@@ -31,11 +34,17 @@ def keep_uncertainty(project: Project, found: Uncertainty, command: str = "") ->
     analysis = Analysis(
         kind="uncertainty",
         title=f"Uncertainty of {what_of(found)}",
-        question=_question(found),
+        question=asdict(found.request) | {"motion": found.motion},
         headline=_headline(found),
         warnings=_warnings(found),
         tables=tuple(_tables(found)),
-        methods=_methods(found),
+        methods=sentences(
+            "uncertainty",
+            "methods",
+            posterior=posterior,
+            noise=found.noise,
+            request=found.request,
+        ),
         references=REFERENCES,
         numbers=numbers_of(found),
         calibrations=() if found.calibration is None else (found.calibration.id,),
@@ -140,24 +149,6 @@ def _near(found: Uncertainty) -> dict[str, Any] | None:
     }
 
 
-# --- sentences ------------------------------------------------------------------------------------
-
-
-def _question(found: Uncertainty) -> dict[str, Any]:
-    request = found.request
-    return {
-        "experiments": list(request.experiments),
-        "held_out": list(request.held_out),
-        "calibration": request.calibration,
-        "fit": list(request.fit),
-        "motion": found.motion,
-        "noise": None if request.noise is None else list(request.noise),
-        "model_error": request.model_error,
-        "samples": request.samples,
-        "seed": request.seed,
-    }
-
-
 def _headline(found: Uncertainty) -> tuple[str, ...]:
     posterior, first = found.posterior, found.predicted[0]
     shares = first.prediction.shares
@@ -223,19 +214,6 @@ def _contradictions(found: Uncertainty, record: CalibrationRecord) -> Iterator[d
         }
 
 
-def _methods(found: Uncertainty) -> tuple[str, ...]:
-    return sentences(
-        "uncertainty",
-        "methods",
-        posterior=found.posterior,
-        noise=found.noise,
-        request=found.request,
-    )
-
-
-# --- tables ---------------------------------------------------------------------------------------
-
-
 def _tables(found: Uncertainty) -> Iterator[Table]:
     posterior = found.posterior
     low, middle, high = posterior.quantiles()
@@ -248,27 +226,22 @@ def _tables(found: Uncertainty) -> Iterator[Table]:
     head = ("parameter", "median", "2.5 %", "97.5 %", "likeliest", "prior", "unit")
     yield Table(head, rows, title="Parameters")
     if len(posterior.modes) > 1:
-        yield _mode_table(found)
+        yield _mode_table(posterior)
     yield _parts_table(found)
     yield _bounds_table(found)
     if found.near is not None:
-        yield _near_table(found)
+        yield _near_table(found.near, found.near_names)
 
 
-def _mode_table(found: Uncertainty) -> Table:
-    posterior = found.posterior
+def _mode_table(posterior: Posterior) -> Table:
     units = [display_unit(unit) for unit in posterior.units]
-    rows = [
-        (
-            str(k),
-            f"{100.0 * mode.weight:.0f}",
-            *(f"{u.text(a)} .. {u.text(b)}" for u, a, b in zip(units, mode.low, mode.high,
-                                                              strict=True)),
-        )
-        for k, mode in enumerate(posterior.modes, 1)
-    ]  # fmt: skip
+    rows = []
+    for k, mode in enumerate(posterior.modes, 1):
+        ends = zip(units, mode.low, mode.high, strict=True)
+        rows.append((k, 100.0 * mode.weight, *(f"{u.text(a)} .. {u.text(b)}" for u, a, b in ends)))
     names = [unit.on(label) for unit, label in zip(units, posterior.labels, strict=True)]
-    return Table(("mode", "probability [%]", *names), rows, title="Separate modes, 95 % of each")
+    head: tuple[Column | str, ...] = ("mode", Column("probability", "%", ".0f"), *names)
+    return Table(head, rows, title="Separate modes, 95 % of each")
 
 
 def _parts_table(found: Uncertainty) -> Table:
@@ -289,36 +262,23 @@ def _bounds_table(found: Uncertainty) -> Table:
     rows = []
     for one in found.predicted:
         bounds = one.prediction.bounds(0.9)
-        centre, radii = 1e3 * bounds.position.centre, 1e3 * bounds.position.radii
+        x, y = 1e3 * bounds.position.centre
+        a, b = 1e3 * bounds.position.radii
         angles = " .. ".join(f"{degrees(end):.2f}" for end in bounds.angle)
-        rows.append(
-            (
-                one.experiment.key,
-                "held out" if one.held_out else "",
-                f"{centre[0]:.2f}, {centre[1]:.2f}",
-                f"{radii[0]:.3g} x {radii[1]:.3g}",
-                angles,
-                f"{100.0 * one.levels[0]:.0f}",
-                f"{100.0 * one.levels[1]:.0f}",
-            )
-        )
-    head = (
+        place, held = (one.experiment.key, "held out" if one.held_out else "")
+        levels = [100.0 * level for level in one.levels]
+        rows.append((place, held, f"{x:.2f}, {y:.2f}", f"{a:.3g} x {b:.3g}", angles, *levels))
+    head: tuple[Column | str, ...] = (
         *("experiment", "", "centre [mm]", "half axes [mm]", "theta [deg]"),
-        *("position at [%]", "theta at [%]"),
+        *(Column(f"{name} at", "%", ".0f") for name in ("position", "theta")),
     )
     title = "Bounds of 90 % on the final pose; levels that just hold the measured one"
     return Table(head, rows, title=title)
 
 
-def _near_table(found: Uncertainty) -> Table:
-    near = found.near
-    assert near is not None
-    rows = tuple(
-        (str(k), str(c.size), f"{c.error:.4g}", *(f"{x:.4g}" for x in c.point))
-        for k, c in enumerate(near.clusters[:10], 1)
-    )
-    return Table(
-        ("cluster", "points", "error [mm²]", *found.near_names),
-        rows,
-        title=f"Evaluations of the calibration within {near.rise:.3g} mm² of its best, in clusters",
-    )
+def _near_table(near: NearOptimal, names: tuple[str, ...]) -> Table:
+    rows = [(k, c.size, c.error, *c.point) for k, c in enumerate(near.clusters[:10], 1)]
+    values = [Column(name, format=".4g") for name in names]
+    title = f"Evaluations of the calibration within {near.rise:.3g} mm² of its best, in clusters"
+    head: tuple[Column | str, ...] = ("cluster", "points", Column("error", "mm²", ".4g"), *values)
+    return Table(head, rows, title=title)
