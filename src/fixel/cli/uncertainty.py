@@ -97,14 +97,14 @@ def uncertainty(
     Priors are uniform within the bounds of the parameters.
     """
     from fixel.database.project import Project
-    from fixel.workflows.uncertainty.report import keep_uncertainty
+    from fixel.workflows.uncertainty.report import store_uncertainty
     from fixel.workflows.uncertainty.run import find_uncertainty
 
     request = options.request(experiments or [])
     require_folder(plot)
     project = Project.open(folder)
     found = find_uncertainty(project, request, _bar())
-    kept = keep_uncertainty(project, found, command_line())
+    kept = store_uncertainty(project, found, command_line())
     pictures = [] if plot is None else kept.copy_pictures(plot)
     files = {"folder": str(kept.folder), "pictures": [str(path) for path in pictures]}
     print_answer(

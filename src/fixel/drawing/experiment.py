@@ -23,7 +23,7 @@ from fixel.drawing.top_view import (
     extent_of,
     finish_page,
     readings,
-    swept,
+    swept_points,
     time_axes,
 )
 from fixel.drawing.view import Rectangle, ghosts
@@ -145,9 +145,11 @@ def _pusher_shape(experiment: Experiment) -> Shape | None:
 
 
 def _extent(experiment: Experiment, *tracks: Trajectory) -> Rectangle:
-    corners = [points for track in tracks for points in swept(_shape(experiment), track.pose)]
+    corners = [
+        points for track in tracks for points in swept_points(_shape(experiment), track.pose)
+    ]
     if experiment.pusher is not None:
-        corners += swept(_pusher_shape(experiment), experiment.pusher.pose)
+        corners += swept_points(_pusher_shape(experiment), experiment.pusher.pose)
     return extent_of(corners, () if experiment.scene is None else experiment.scene.fixels)
 
 

@@ -21,7 +21,7 @@ from fixel.drawing.top_view import (
     column_page,
     extent_of,
     finish_page,
-    swept,
+    swept_points,
     time_axes,
     touch_spans,
 )
@@ -72,9 +72,9 @@ def filter_figure(experiment: Experiment, estimates: FilterEstimates) -> Figure:
 
     scene, measured = _scene(experiment), _cut(experiment.trajectory, estimates)
     pusher = _pusher(experiment, estimates)
-    corners = swept(scene.pushers[0].shape, pusher.pose)
+    corners = swept_points(scene.pushers[0].shape, pusher.pose)
     for track in (measured, estimates.trajectory):
-        corners += swept(scene.bodies[0].shape, track.pose)
+        corners += swept_points(scene.bodies[0].shape, track.pose)
     names, n_fixel = estimates.prior.names, estimates.touch.shape[1]
     page = column_page(
         extent_of(corners, scene.fixels),

@@ -10,7 +10,7 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, AbstractChart, Style, clean, sheet, shorten, tint, unit_text
-from fixel.drawing.top_view import FEW_POSES, MAX_OUTLINES, MM, closed, frame_axes
+from fixel.drawing.top_view import FEW_POSES, MAX_OUTLINES, MM, closed_line, frame_axes
 from fixel.drawing.view import Rectangle
 from fixel.model import placed
 from fixel.model.trajectory import wrapped
@@ -122,19 +122,19 @@ def _draw_view(axes: Axes, chart: OverlayChart) -> None:
     frame_axes(axes, _extent(chart))
     start: Style = {"facecolor": tint(palette.FIXEL, 0.2), "edgecolor": palette.FIXEL}
     first = placed(chart.outline, chart.measured.pose[0])
-    axes.fill(*closed(first), label="object, start", linewidth=0.6, linestyle=DASHED, **start)
+    axes.fill(*closed_line(first), label="object, start", linewidth=0.6, linestyle=DASHED, **start)
     for name, track, style in chart.tracks:
         last = placed(chart.outline, track.pose[-1])
         label = f"{name}, end{_error(track, chart.unit)}"
-        axes.plot(*closed(last), label=label, zorder=4, **style)
+        axes.plot(*closed_line(last), label=label, zorder=4, **style)
         if len(track.time) > FEW_POSES:
             thin = style | {"linewidth": 0.6 * style["linewidth"]}
             axes.plot(*(track.pose[:, :2].T * MM.factor), zorder=3, **thin)
     for k, outline in enumerate(chart.fixels):
-        axes.fill(*closed(outline), color=palette.INK, zorder=5, linewidth=0.0,
+        axes.fill(*closed_line(outline), color=palette.INK, zorder=5, linewidth=0.0,
                   label="" if k else "fixel")  # fmt: skip
     for outline, line, label in zip(chart.pusher, (DASHED, "-"), ("start", "end"), strict=False):
-        axes.plot(*closed(outline), color=palette.PUSHER, linewidth=1.0, linestyle=line,
+        axes.plot(*closed_line(outline), color=palette.PUSHER, linewidth=1.0, linestyle=line,
                   label=f"pusher, {label}", zorder=2)  # fmt: skip
 
 

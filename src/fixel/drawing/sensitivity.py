@@ -20,7 +20,7 @@ from fixel.drawing.chart import (
     shorten,
     tint,
 )
-from fixel.drawing.top_view import closed
+from fixel.drawing.top_view import closed_line
 from fixel.drawing.view import unit_for
 from fixel.model import Scene, placed
 from fixel.table import Table
@@ -115,7 +115,7 @@ def _scene(axes: Axes, chart: EnsembleChart) -> None:
     unit = unit_for(float(np.ptp(placed(corners, body.pose), axis=0).max()))
 
     def outline_at(pose: FloatArray, outline: FloatArray = corners) -> FloatArray:
-        return closed(placed(outline, pose), unit)
+        return closed_line(placed(outline, pose), unit)
 
     for fixel in scene.fixels:
         axes.fill(*outline_at(fixel.pose, fixel.shape.outline), color=palette.FIXEL)

@@ -71,7 +71,7 @@ def add_outlines(
     return [Patch(label=label, **style)] if label else []
 
 
-def closed(outline: FloatArray, unit: DisplayUnit = MM) -> FloatArray:
+def closed_line(outline: FloatArray, unit: DisplayUnit = MM) -> FloatArray:
     """Return the corners of a closed line (2, n + 1) about an outline [m], in a unit."""
     return np.vstack((outline, outline[:1])).T * unit.factor
 
@@ -106,7 +106,7 @@ def add_name(axes: Axes, name: str, place: tuple[float, float], **style: Any) ->
 # --- extents ------------------------------------------------------------------------------------
 
 
-def swept(shape: Shape | None, poses: FloatArray) -> list[FloatArray]:
+def swept_points(shape: Shape | None, poses: FloatArray) -> list[FloatArray]:
     """Points that a motion covers [m]: outlines, or positions if the shape is unknown."""
     if shape is None:
         return [poses[:, :2]]

@@ -11,7 +11,7 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, AbstractChart, Style, clean, save_figure, sheet
-from fixel.drawing.top_view import closed
+from fixel.drawing.top_view import closed_line
 from fixel.model import placed, pose_error
 from fixel.table import Table
 from fixel.typing import FloatArray
@@ -160,7 +160,7 @@ def _from_above(axes: Axes, run: TrackedRun, poses: FloatArray, colour: str) -> 
         axes.fill(*(1e3 * fixel.T), color=palette.FIXEL, linewidth=0.0)
     for k in np.linspace(0, len(poses) - 1, OUTLINES).astype(int):
         line: Style = {"color": colour, "linewidth": 0.9, "alpha": 1.0 if k else 0.5}
-        axes.plot(*closed(placed(run.outline, poses[k])), **line)
+        axes.plot(*closed_line(placed(run.outline, poses[k])), **line)
     axes.plot(*(1e3 * poses[:, :2].T), color=palette.FORCE, linewidth=1.0)
     everything = np.vstack([placed(run.outline, pose) for pose in run.true] + [*run.fixels])
     low, high = 1e3 * everything.min(0) - ROOM, 1e3 * everything.max(0) + ROOM

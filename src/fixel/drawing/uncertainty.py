@@ -19,7 +19,7 @@ from fixel.drawing.chart import (
     sheet,
     tint,
 )
-from fixel.drawing.top_view import closed
+from fixel.drawing.top_view import closed_line
 from fixel.model import placed
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
@@ -142,7 +142,7 @@ class CornerChart(AbstractChart):
 
     def _label(self, k: int) -> str:
         own = self.posterior
-        return display_unit(own.units[k]).on(shown_label(own.labels[k])).replace(" [", "\n[")
+        return display_unit(own.units[k]).on(label_text(own.labels[k])).replace(" [", "\n[")
 
     def _legend(self, figure: Figure) -> None:
         from matplotlib.lines import Line2D
@@ -160,13 +160,13 @@ class CornerChart(AbstractChart):
 
     def table(self) -> Table:
         own = self.posterior
-        labels = [shown_label(label) for label in own.labels]
+        labels = [label_text(label) for label in own.labels]
         names = [x if u == "-" else f"{x}_{u}" for x, u in zip(labels, own.units, strict=True)]
         columns = dict(zip(names, own.samples.T, strict=True))
         return Table.from_columns({**columns, "mode": self.modes + 1})
 
 
-def shown_label(label: str) -> str:
+def label_text(label: str) -> str:
     """Label of a parameter for people."""
     return "model error" if label == LABEL else label
 
@@ -278,7 +278,7 @@ class FinalPoseChart(AbstractChart):
 
     def _whole(self, axes: Axes) -> None:
         def outline(pose: FloatArray) -> FloatArray:
-            return closed(placed(self.outline, pose))
+            return closed_line(placed(self.outline, pose))
 
         axes.plot(*outline(self.start), color=palette.FIXEL, linewidth=0.8,
                   linestyle=(0, (3, 2)), label="start")  # fmt: skip

@@ -33,7 +33,7 @@ from fixel.workflows.domain.run import map_domain
 from fixel.workflows.report.write import Report, write_report
 from fixel.workflows.sensitivity.request import SensitivityRequest
 from fixel.workflows.sensitivity.run import analyse_sensitivity
-from fixel.workflows.uncertainty.report import keep_uncertainty
+from fixel.workflows.uncertainty.report import store_uncertainty
 from fixel.workflows.uncertainty.run import UncertaintyRequest, find_uncertainty
 
 # One shape in one layout: the nominal pose, and steps along x, y and theta.
@@ -179,4 +179,4 @@ def _ask_posterior(project: Project, number: int, at: str) -> None:
     )
     found = find_uncertainty(project, request)
     asked = f"{FROM} --held-out {PREDICTED} --calibration {number} --samples 300"
-    keep_uncertainty(project, found, f"fixel uncertainty {asked} {at}")
+    store_uncertainty(project, found, f"fixel uncertainty {asked} {at}")

@@ -13,7 +13,7 @@ from fixel.drawing.uncertainty import (
     CornerChart,
     CoverageChart,
     FinalPoseChart,
-    shown_label,
+    label_text,
 )
 from fixel.model import Disk
 from fixel.typing import FloatArray
@@ -50,7 +50,7 @@ def _priors(posterior: Posterior) -> str:
         unit = display_unit(posterior.units[k])
         ends = f"{unit.text(posterior.low[k])} to {unit.text(posterior.high[k])} {unit.name}"
         log = " (of its logarithm)" * (label == LABEL)
-        parts.append(f"{shown_label(label)} {ends.rstrip()}{log}")
+        parts.append(f"{label_text(label)} {ends.rstrip()}{log}")
     return ", ".join(parts)
 
 

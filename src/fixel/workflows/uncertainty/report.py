@@ -28,7 +28,7 @@ from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty
 REFERENCES: Final = ("skilling2006", "feroz2009", "speagle2020", "kennedy2001")
 
 
-def keep_uncertainty(project: Project, found: Uncertainty, command: str = "") -> StoredAnalysis:
+def store_uncertainty(project: Project, found: Uncertainty, command: str = "") -> StoredAnalysis:
     """Store the result in its project, with charts."""
     posterior = found.posterior
     analysis = Analysis(
