@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any, Final
 
-import numpy as np
-
 Value = str | float | int | None
 
 MISSING: Final = "-"
@@ -168,5 +166,5 @@ class Table:
 
 
 def _plain(value: Any) -> Value:
-    own: Value = value.item() if isinstance(value, np.generic) else value
+    own: Value = value.item() if hasattr(value, "item") else value  # of NumPy, not imported here
     return None if isinstance(own, float) and not math.isfinite(own) else own

@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -83,3 +86,10 @@ def test_unknown_option_exits_two(capsys: pytest.CaptureFixture[str]) -> None:
 
     assert end.value.code == 2
     assert "--nonsense" in capsys.readouterr().err
+
+
+def test_the_list_of_commands_is_shown_without_heavy_packages() -> None:
+    code = "import sys, fixel.cli.main; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+
+    assert not {"numpy", "numba", "pydantic", "rich.table", "yaml"} & set(done.stdout.split())
