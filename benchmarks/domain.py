@@ -13,6 +13,7 @@ import numpy as np
 from benchmarks.figures import Figure, Size, at_least
 from fixel.calibration.objective import Comparer, MeanSquare
 from fixel.calibration.target import Target, same_configuration, targets_of
+from fixel.calibration.usual_parameters import default_unknowns
 from fixel.domain.cells import cells_of
 from fixel.domain.domain import NOT_TRUSTED, TRUSTED, Claim, DomainMap, domain_map
 from fixel.domain.evidence import HeldOutErrors
@@ -23,7 +24,6 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.parameter_options import default_unknowns
 from fixel.workflows.domain.evidence import coordinates_of
 from fixel.workflows.domain.held_out import Apart, CalibrationModel, calibrated_on, held_out
 

@@ -25,13 +25,14 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ANGLE_SCALE, Comparer
 from fixel.calibration.study import box_of
 from fixel.calibration.target import targets_of
+from fixel.calibration.usual_parameters import default_unknowns
 from fixel.model import Experiment, PlannedExperiment
 from fixel.model.space import ParameterSpace
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.parameter_options import default_unknowns, fitted
+from fixel.workflows.calibration.parameter_options import searched_unknowns
 
 # Seeds from here on were never looked at while the method was chosen; that used those from 1.
 FIRST_SEED: Final = 7001
@@ -96,7 +97,7 @@ def calibrated(
     """Run `fixel calibrate --optimiser least-squares` up to its profiles, for these parameters."""
     targets = targets_of(experiments)
     scenes = [target.case.scene for target in targets]
-    unknowns = fitted(names, scenes) if names else default_unknowns(scenes)
+    unknowns = searched_unknowns(names, scenes) if names else default_unknowns(scenes)
     space = ParameterSpace(unknowns=tuple(unknowns))
     comparer = Comparer(targets, space, motion=Dynamic(), threads=1)
     members = np.arange(len(targets))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.calibration.assess import Frames, assess, repeated
+from fixel.calibration.assess import Frames, assess, noise_from_repeated
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.target import target_of
@@ -118,11 +118,11 @@ def test_the_noise_is_that_of_repetitions_where_there_are_some():
         conditions = {**experiment.conditions, "repetition": float(k)}
         targets.append(target_of(replace(experiment, conditions=conditions)))
     comparer = Comparer(targets, _space())
-    noise = repeated(comparer, np.arange(4))
+    noise = noise_from_repeated(comparer, np.arange(4))
     assert noise.source == "repetitions"
     assert noise.position_m == pytest.approx(5e-5, rel=0.1)
     assert noise.angle_rad == pytest.approx(2e-3, rel=0.1)
-    assert repeated(comparer, np.arange(1)) is None
+    assert noise_from_repeated(comparer, np.arange(1)) is None
 
 
 def test_repetitions_of_last_poses_are_independent_measurements():
@@ -131,7 +131,7 @@ def test_repetitions_of_last_poses_are_independent_measurements():
         one = target_of(_experiment(2, seed=k))
         targets.append(one._replace(conditions={**one.conditions, "repetition": float(k)}))
     comparer = Comparer(targets, _space(), EndPose())
-    noise = repeated(comparer, np.arange(4))
+    noise = noise_from_repeated(comparer, np.arange(4))
     assert noise.correlation == 1.0
     assert noise.freedom == 6.0  # x and y of three poses about their mean
 

@@ -18,11 +18,11 @@ from fixel.calibration.honest import (
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import targets_of
+from fixel.calibration.usual_parameters import default_unknowns
 from fixel.model.space import ParameterSpace
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration.parameter_options import default_unknowns
 
 DEMO = thesis_plan().experiments[:21]
 # Every 30th push of the square: seven layouts, one push each.

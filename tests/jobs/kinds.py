@@ -17,7 +17,7 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.toy_work import MAKER, make_toy_work
 from fixel.workflows.calibration import run as calibrations
-from fixel.workflows.calibration.parameter_options import fitted
+from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.result import outcome_bytes, outcome_of
 from fixel.workflows.jobs import prepare_job
@@ -123,7 +123,7 @@ class Campaign(JobKind):
         scenes = [target.case.scene for target in chosen.targets]
         content = {
             "mode": "campaign",
-            "unknowns": fitted(self.fit, scenes),
+            "unknowns": searched_unknowns(self.fit, scenes),
             "optimiser": NamedOptions(
                 name="pattern-search", options={"threshold_delta": self.threshold}
             ),

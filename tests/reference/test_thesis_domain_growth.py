@@ -19,7 +19,7 @@ from fixel.model import Parameters
 from fixel.simulation import QuasiStatic, simulate
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import run
-from fixel.workflows.calibration.parameter_options import fitted
+from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.growth.explore import explore
 
@@ -38,7 +38,7 @@ def project(tmp_path_factory):
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
         mode="each",
-        unknowns=fitted(["mu_pusher", "tripod_radius_mm=10:60:40"], scenes),
+        unknowns=searched_unknowns(["mu_pusher", "tripod_radius_mm=10:60:40"], scenes),
         motion="quasistatic",
         optimiser=NamedOptions(name="pattern-search", options={"threshold_delta": 0.2}),
         verdicts=False,

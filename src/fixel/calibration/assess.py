@@ -191,7 +191,7 @@ def fit_steps(
     """
     own = distinct(comparer, members)
     chosen = Frames(comparer, own)
-    known = noise or repeated(comparer, own)
+    known = noise or noise_from_repeated(comparer, own)
     targets = [comparer.targets[m] for m in own.tolist()]
     ends = isinstance(comparer.error, EndPose)
     camera = None if ends else noise or noise_from_differences(targets)
@@ -428,7 +428,7 @@ class Frames:
         return table
 
 
-def repeated(comparer: Comparer, members: IntArray) -> Noise | None:
+def noise_from_repeated(comparer: Comparer, members: IntArray) -> Noise | None:
     """Noise from experiments that were done again under the same conditions; none without."""
     targets = [comparer.targets[m] for m in members.tolist()]
     groups = repetitions(targets, ends=isinstance(comparer.error, EndPose))

@@ -91,7 +91,7 @@ class SearchOptions:
 
     def request(self, chosen: "ExperimentSelection") -> "CalibrationRequest":
         """Return the request for the selected experiments, without stored sets of parameters."""
-        from fixel.workflows.calibration.parameter_options import held
+        from fixel.workflows.calibration.parameter_options import fixed_unknowns
         from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 
         n = len(chosen.targets)
@@ -99,7 +99,7 @@ class SearchOptions:
         if self.mode is not None:
             mode = require_one_of("--mode", self.mode, ("each", "joint", "campaign", "stored"))
         search, unknowns = self._search_and_unknowns(chosen)
-        fixed = held(self.hold or [])
+        fixed = fixed_unknowns(self.hold or [])
         names = {unknown.name for unknown in fixed}
         unknowns = [unknown for unknown in unknowns if unknown.name not in names] + fixed
         if not search.name:
@@ -130,11 +130,11 @@ class SearchOptions:
     def _search_and_unknowns(
         self, chosen: "ExperimentSelection"
     ) -> "tuple[NamedOptions, list[Any]]":
+        from fixel.calibration.usual_parameters import default_unknowns
         from fixel.workflows.calibration.parameter_options import (
-            default_unknowns,
-            fitted,
             from_dakota,
             read_space,
+            searched_unknowns,
         )
         from fixel.workflows.calibration.request import NamedOptions
 
@@ -145,7 +145,7 @@ class SearchOptions:
             return from_dakota(self.dakota)
         if self.space is not None:
             return search, list(read_space(self.space).unknowns)
-        return search, fitted(self.fit, scenes) if self.fit else default_unknowns(scenes)
+        return search, searched_unknowns(self.fit, scenes) if self.fit else default_unknowns(scenes)
 
     def _usual_optimiser(self, mode: str, chosen: "ExperimentSelection", n_free: int) -> str:
         from fixel.calibration.objective import EndPose
@@ -188,7 +188,7 @@ def calibrate(
     with project.store() as store:
         chosen = run.select_experiments(store, experiments or (), selection.query)
     if search.sample is not None:
-        chosen = run.sampled(chosen, search.sample, search.seed)
+        chosen = run.draw_sample(chosen, search.sample, search.seed)
     request = search.request(chosen)
     if request.mode == "stored":
         with project.store() as store:

@@ -14,7 +14,7 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.charts import draw_all, pictures_of
-from fixel.workflows.calibration.parameter_options import fitted
+from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 
@@ -35,7 +35,7 @@ def _done(lab, n=4, **changes):
     project, chosen = lab
     few = replace(chosen, ids=chosen.ids[:n], targets=chosen.targets[:n])
     scenes = [target.case.scene for target in few.targets]
-    unknowns = fitted(["mu_pusher", "tripod_radius_mm=10:60:30"], scenes)
+    unknowns = searched_unknowns(["mu_pusher", "tripod_radius_mm=10:60:30"], scenes)
     settings = {"unknowns": unknowns, "optimiser": QUICK, "verdicts": False} | changes
     folder = run.prepare(project, few, CalibrationRequest(**settings))
     run.run(folder)

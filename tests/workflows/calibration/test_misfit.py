@@ -21,14 +21,14 @@ from fixel.workflows.calibration import run
 from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.commands import enlarged_command
 from fixel.workflows.calibration.detail import load_detail
-from fixel.workflows.calibration.parameter_options import fitted
+from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.request import (
     LEAST_SQUARES,
     CalibrationRequest,
     NamedOptions,
 )
-from fixel.workflows.calibration.stored import calibrated, parameters_of, searched_space
+from fixel.workflows.calibration.stored import load_values, parameters_of, searched_space
 from fixel.workflows.demo.laboratory_demo import _beside_truth
 from fixel.workflows.report.calibration import calibration_warnings, parameters_section
 
@@ -46,7 +46,7 @@ def found(tmp_path_factory):
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
         mode="joint",
-        unknowns=fitted(["mu_pusher", "tripod_radius_mm=20:75:40"], scenes),
+        unknowns=searched_unknowns(["mu_pusher", "tripod_radius_mm=20:75:40"], scenes),
         optimiser=NamedOptions(name=LEAST_SQUARES),
         motion="quasistatic",
     )
@@ -61,7 +61,7 @@ def test_misfit_is_said_before_anything_else(found):
     assert lines[0].startswith("model misfit: residuals of ")
     assert float(done.outcome.found[-1].misfit_ratio) > 10.0
     with project.store() as store:
-        one = calibrated(store, done.ids[-1])
+        one = load_values(store, done.ids[-1])
         told = load_detail(project, store, done.ids[-1])
     assert calibration_warnings(one, {})[0] == lines[0] == told.misfit[0]
     summary = json.loads(json.dumps(done.summary()))["found"][-1]
@@ -72,7 +72,7 @@ def test_one_value_inside_its_interval_wherever_one_looks(found):
     project, done = found
     with project.store() as store:
         told = load_detail(project, store, done.ids[-1])
-        one = calibrated(store, done.ids[-1])
+        one = load_values(store, done.ids[-1])
     summary = done.summary()["found"][-1]
     chart = next(
         p.chart for p in pictures_of(CalibrationReportData(done)) if p.name == "parameters"
@@ -123,7 +123,7 @@ def enlarged(found):
     with project.store() as store:
         chosen = run.select_experiments(store, (), ExperimentQuery())
     scenes = [target.case.scene for target in chosen.targets]
-    unknowns = fitted(["mu_pusher", *LARGER], scenes)
+    unknowns = searched_unknowns(["mu_pusher", *LARGER], scenes)
     request = done.request.model_copy(update={"unknowns": unknowns})
     folder = run.prepare(project, chosen, request)
     run.run(folder)
@@ -144,7 +144,7 @@ def test_what_reads_a_calibration_simulates_with_its_pressure(found, enlarged):
     Steppers differ, so a hundredth of an error is left."""
     project, _ = found
     with project.store() as store:
-        one = calibrated(store, enlarged.ids[-1])
+        one = load_values(store, enlarged.ids[-1])
         for member in one.record.members:
             experiment = store.experiment(member.experiment_id)
             values, motion = parameters_of(store, one.id, experiment, Parameters())

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from tests.fixtures import project_of
 
+from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
 from fixel.errors import InvalidInput
@@ -24,7 +25,11 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import job, run
 from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.detail import list_calibrations
-from fixel.workflows.calibration.parameter_options import default_unknowns, fitted, held, read_space
+from fixel.workflows.calibration.parameter_options import (
+    fixed_unknowns,
+    read_space,
+    searched_unknowns,
+)
 from fixel.workflows.calibration.request import (
     CalibrationRequest,
     NamedOptions,
@@ -33,7 +38,7 @@ from fixel.workflows.calibration.request import (
     usual_optimiser,
 )
 from fixel.workflows.calibration.result import outcome_bytes, outcome_of, outliers
-from fixel.workflows.calibration.stored import calibrated, searched_space
+from fixel.workflows.calibration.stored import load_values, searched_space
 from fixel.workflows.jobs import run_here, status_of
 from fixel.workflows.project.filters import view_of
 
@@ -61,7 +66,7 @@ def chosen(project):
 def _request(chosen, **changes):
     scenes = [target.case.scene for target in chosen.targets]
     names = ["mu_pusher", "tripod_radius_mm=10:60:30"]
-    unknowns = fitted(names, scenes)
+    unknowns = searched_unknowns(names, scenes)
     return CalibrationRequest(
         **({"unknowns": unknowns, "optimiser": QUICK, "verdicts": False} | changes)
     )
@@ -102,7 +107,7 @@ def test_the_box_that_was_searched_is_found_again(project, chosen):
     request = _request(chosen, mode="joint")
     done = _done(project, chosen, request)
     with project.store() as store:
-        one = calibrated(store, done.ids[-1])
+        one = load_values(store, done.ids[-1])
     space = searched_space(project, one, [])
     assert space.labels == request.space.labels
     np.testing.assert_array_equal(space.low, request.space.low)
@@ -113,12 +118,12 @@ def test_the_box_that_was_searched_is_found_again(project, chosen):
 def test_the_box_that_was_searched_outlives_its_job(project, chosen):
     request = _request(chosen, mode="joint")
     scenes = [target.case.scene for target in chosen.targets]
-    kept = held(["mu_support=0.4"])
-    centre = fitted(["friction_centre_x_mm=-2:3"], scenes)
+    kept = fixed_unknowns(["mu_support=0.4"])
+    centre = searched_unknowns(["friction_centre_x_mm=-2:3"], scenes)
     request = request.model_copy(update={"unknowns": [*request.unknowns, *kept, *centre]})
     done = _done(project, chosen, request)
     with project.store() as store:
-        one = calibrated(store, done.ids[-1])
+        one = load_values(store, done.ids[-1])
     shutil.rmtree(done.folder)
     space = searched_space(project, one, scenes)
     assert space.labels == ("mu_pusher", "tripod_radius", "friction_centre_x")
@@ -293,16 +298,16 @@ def _many(chosen, speeds=3, each=20):
 
 def test_a_sample_keeps_the_share_of_every_condition_and_follows_its_seed(chosen):
     many = _many(chosen)  # 20, 40 and 60 of three speeds
-    few = run.sampled(many, 12, seed=1)
+    few = run.draw_sample(many, 12, seed=1)
     counts = np.bincount([t.conditions["speed"] for t in few.targets])
     assert counts.tolist() == [2, 4, 6]
-    assert few.ids == run.sampled(many, 12, seed=1).ids
-    assert few.ids != run.sampled(many, 12, seed=2).ids
+    assert few.ids == run.draw_sample(many, 12, seed=1).ids
+    assert few.ids != run.draw_sample(many, 12, seed=2).ids
     assert [t.key for t in few.targets] == [many.targets[k].key for k in few.ids]
-    assert run.sampled(many, 500, seed=1) == many
+    assert run.draw_sample(many, 500, seed=1) == many
     # Each experiment is as likely as any other.
     drawn = np.bincount(
-        np.concatenate([run.sampled(many, 30, seed).ids for seed in range(400)]), minlength=120
+        np.concatenate([run.draw_sample(many, 30, seed).ids for seed in range(400)]), minlength=120
     )
     assert drawn.sum() == 30 * 400
     assert np.abs(drawn - 100).max() < 45  # 5 standard deviations of a binomial count
@@ -382,18 +387,18 @@ def test_start_and_bounds_are_the_scenes_own(chosen):
     unknowns = {u.name: u for u in default_unknowns(scenes)}
     assert set(unknowns) == {"mu_pusher", "mu_fixel", "mu_support", "tripod_radius"}
     assert unknowns["tripod_radius"].nominal == scenes[0].bodies[0].support.radius
-    (radius,) = fitted(["tripod_radius_mm=10:60"], scenes)
+    (radius,) = searched_unknowns(["tripod_radius_mm=10:60"], scenes)
     assert (radius.low, radius.high) == pytest.approx((0.010, 0.060))
-    (angle,) = fitted(["start_theta_deg=-1:1:0"], scenes)
+    (angle,) = searched_unknowns(["start_theta_deg=-1:1:0"], scenes)
     assert angle.high == pytest.approx(np.pi / 180)
-    (mu,) = held(["mu_fixel=0.3"])
+    (mu,) = fixed_unknowns(["mu_fixel=0.3"])
     assert (mu.frozen, mu.nominal) == (True, 0.3)
 
 
 def test_a_table_may_be_searched_under_even_pressure(chosen):
     scene = chosen.targets[0].case.scene
     body = replace(scene.bodies[0], support=UniformPressure(friction=0.3))
-    found = fitted(TABLE_NAMES, [replace(scene, bodies=(body,))])
+    found = searched_unknowns(TABLE_NAMES, [replace(scene, bodies=(body,))])
     assert [u.name for u in found] == list(TABLE_NAMES)
     assert all(u.low == -u.high and u.nominal == 0.0 for u in found)
 
@@ -466,11 +471,11 @@ def test_parameters_that_no_experiment_could_inform(chosen):
     scenes = [target.case.scene for target in chosen.targets]
     bare = [replace(scene, fixels=()) for scene in scenes]
     with pytest.raises(InvalidInput, match="no fixel in any of the experiments"):
-        fitted(["mu_fixel"], bare)
+        searched_unknowns(["mu_fixel"], bare)
     with pytest.raises(InvalidInput, match="a body on Tripod"):
-        fitted(["support_1_x"], scenes)
+        searched_unknowns(["support_1_x"], scenes)
     with pytest.raises(InvalidInput, match="a body on Tripod"):
-        fitted(["table_bend_xy"], scenes)
+        searched_unknowns(["table_bend_xy"], scenes)
 
 
 def test_experiments_that_cannot_be_compared(project, experiments):

@@ -10,7 +10,7 @@ from fixel.model.records import CalibrationRecord, Estimate, Member
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import QuasiStatic
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration.stored import calibrated, parted
+from fixel.workflows.calibration.stored import load_values, split_label
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def test_values_of_an_experiment_are_those_shared_and_its_own(store):
         for shape, value in (("square", 0.3), ("pentagon", 0.4))
     ]
     number = store.add_calibration(_record([1, 2], estimates=estimates))
-    one = calibrated(store, number)
+    one = load_values(store, number)
     assert one.values({"shape": "square"}) == {"mu_pusher": 0.2, "mu_fixel": 0.3}
     assert one.values({"shape": "disc"}) == {"mu_pusher": 0.2}
     assert one.members == {1, 2}
@@ -44,7 +44,7 @@ def test_values_of_an_experiment_are_those_shared_and_its_own(store):
 
 def test_the_method_is_that_of_the_calibration(store):
     method = {"motion": "quasistatic", "error": "root-mean-square", "error.angle_scale": 0.5}
-    one = calibrated(store, store.add_calibration(_record([1], method=method)))
+    one = load_values(store, store.add_calibration(_record([1], method=method)))
     assert one.motion == QuasiStatic()
     assert one.error == RootMeanSquare(angle_scale=0.5)
 
@@ -52,23 +52,23 @@ def test_the_method_is_that_of_the_calibration(store):
 def test_the_newest_for_several_experiments_counts(store):
     joint = store.add_calibration(_record([1, 2], method={"how": "direct minimisation"}))
     alone = store.add_calibration(_record([2], method={"how": "alone"}))
-    assert calibrated(store).id == joint
-    assert calibrated(store, experiment=2).id == joint
-    assert calibrated(store, alone).id == alone
+    assert load_values(store).id == joint
+    assert load_values(store, experiment=2).id == joint
+    assert load_values(store, alone).id == alone
 
 
 def test_means_that_a_growing_domain_made_count_only_by_their_id(store):
     alone = store.add_calibration(_record([2], method={"how": "alone"}))
     mean = store.add_calibration(_record([1, 2], method={"how": "domain growth"}))
-    assert calibrated(store).id == alone
-    assert calibrated(store, mean).id == mean
+    assert load_values(store).id == alone
+    assert load_values(store, mean).id == mean
 
 
 def test_without_any_the_next_command_is_named(store):
     with pytest.raises(InvalidInput, match="fixel calibrate"):
-        calibrated(store)
+        load_values(store)
 
 
 def test_labels_come_apart():
-    assert parted("mu_pusher") == ("mu_pusher", {})
-    assert parted("mu[a=b, c=0.5]") == ("mu", {"a": "b", "c": "0.5"})
+    assert split_label("mu_pusher") == ("mu_pusher", {})
+    assert split_label("mu[a=b, c=0.5]") == ("mu", {"a": "b", "c": "0.5"})

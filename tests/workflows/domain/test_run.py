@@ -18,7 +18,7 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.simulation.stepper import Adaptive
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration.parameter_options import fitted
+from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.domain.evidence import coordinates_of, gather, noise_floor
 from fixel.workflows.domain.held_out import Apart, CalibrationModel, held_out, label_of, stepper_for
 from fixel.workflows.domain.request import DomainRequest, model_of, own_best
@@ -31,7 +31,9 @@ def planned(n=4):
 
 
 def model(targets, names=("mu_pusher",), error=None):
-    space = ParameterSpace(unknowns=tuple(fitted(names, [t.case.scene for t in targets])))
+    space = ParameterSpace(
+        unknowns=tuple(searched_unknowns(names, [t.case.scene for t in targets]))
+    )
     return CalibrationModel(space=space, motion=Dynamic(), error=error or MeanSquare())
 
 

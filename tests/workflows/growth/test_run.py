@@ -18,7 +18,7 @@ from fixel.domain.growth import ROWS, STORED, domain
 from fixel.errors import InvalidInput
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.calibration.result import FitKind
-from fixel.workflows.calibration.stored import calibrated
+from fixel.workflows.calibration.stored import load_values
 from fixel.workflows.growth import report
 from fixel.workflows.growth.explore import explore, threshold_in
 from fixel.workflows.growth.run import GrowthRequest, run_growth
@@ -76,7 +76,7 @@ def test_means_are_kept_once_with_weights_and_errors(lab, experiments, points, e
     assert step.method["how"] == FitKind.GROWTH
     # Means on the way are no answer to "the calibration of this project".
     with project.store() as store:
-        assert calibrated(store).id not in first.added
+        assert load_values(store).id not in first.added
 
 
 def test_a_stored_joint_calibration_counts_before_the_mean(lab, experiments):

@@ -24,9 +24,9 @@ from fixel.table import Table
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.analysis import Analysis, store_analysis
 from fixel.workflows.calibration import run
-from fixel.workflows.calibration.parameter_options import fitted
+from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.stored import CalibratedValues, calibrated
+from fixel.workflows.calibration.stored import CalibratedValues, load_values
 from fixel.workflows.figures import Picture
 from fixel.workflows.report.bibliography import bibtex, known_works, line, works
 from fixel.workflows.report.calibration import calibration_warnings
@@ -47,7 +47,7 @@ def project(tmp_path_factory):
     scenes = [target.case.scene for target in chosen.targets]
     request = CalibrationRequest(
         mode="joint",
-        unknowns=fitted(["mu_pusher", "tripod_radius_mm=10:60:30"], scenes),
+        unknowns=searched_unknowns(["mu_pusher", "tripod_radius_mm=10:60:30"], scenes),
         optimiser=NamedOptions(name="pattern-search", options={"threshold_delta": 0.2}),
         verdicts=False,
     )
@@ -64,7 +64,7 @@ def report(project, tmp_path_factory):
 
 def _kept(project, **changes):
     with project.store() as store:
-        number = calibrated(store).id
+        number = load_values(store).id
     chart = SecondsChart(keys=("a", "b"), seconds=np.array([0.1, 0.2]), evaluations=(1, 2))
     analysis = Analysis(
         kind="domain",
@@ -155,9 +155,9 @@ def test_figures_are_there_as_pdf(report):
 
 def test_numbers_of_the_calibration_are_those_stored(project, report):
     with project.store() as store:
-        errors = [member.error_mm2 for member in calibrated(store).record.members]
+        errors = [member.error_mm2 for member in load_values(store).record.members]
     table = next(t for s in report.content.sections for t in s.tables if "Root mean" in t.title)
-    assert table.rows[-1][0] == "calibrated"
+    assert table.rows[-1][0] == "load_values"
     assert float(table.rows[-1][1]) == pytest.approx(np.sqrt(errors).mean(), rel=5e-3)
 
 
@@ -168,7 +168,7 @@ def test_a_plain_answer_for_json(report):
 
 def test_verdicts_become_warnings(project):
     with project.store() as store:
-        one = calibrated(store)
+        one = load_values(store)
     verdicts = ("not identified", "at bound", "trades off with mu_pusher", "identified")
     estimates = tuple(
         Estimate(label=f"p{k}", unit="-", value=1.0, verdict=verdict)

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, StringConstraints
 
+from fixel.calibration.usual_parameters import default_unknowns, usual_unknown
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
@@ -15,14 +16,13 @@ from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.space import Unknown
 from fixel.web.values import Answer, FilterText, Id, RequestBody, Text
 from fixel.workflows import jobs
-from fixel.workflows.calibration.parameter_options import default_unknowns, usual
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.run import (
     STORE_RESULT,
     ExperimentSelection,
     comparable,
+    draw_sample,
     prepare,
-    sampled,
 )
 from fixel.workflows.project.filters import view_of
 
@@ -144,7 +144,7 @@ class CalibrationForm(RequestBody):
             "with a scene and measured poses, and no fault",
             "try the filter on the page Experiments",
         )
-        return every if self.sample is None else sampled(every, self.sample, self.seed)
+        return every if self.sample is None else draw_sample(every, self.sample, self.seed)
 
 
 def offer(store: Store, filter: str, ids: Sequence[int] = ()) -> CalibrationOffer:
@@ -158,7 +158,7 @@ def offer(store: Store, filter: str, ids: Sequence[int] = ()) -> CalibrationOffe
         # An experiment that can inform it, if there is one: fixels may stand in some only.
         scene = next((s for s in scenes if name != "mu_fixel" or s.fixels), scenes[0])
         try:
-            unknown = usual(name, scene)
+            unknown = usual_unknown(name, scene)
         except InvalidInput:
             continue
         offered.append(

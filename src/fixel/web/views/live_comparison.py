@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from fixel.calibration.target import scene_of
+from fixel.calibration.usual_parameters import default_unknowns, usual_unknown
 from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
@@ -24,7 +25,6 @@ from fixel.simulation.motion import MOTION_MODELS
 from fixel.simulation.stepper import Adaptive
 from fixel.web.values import Answer, Finite
 from fixel.web.views.motion_views import MotionView, compared_motion, stored_motion
-from fixel.workflows.calibration.parameter_options import default_unknowns, usual
 from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.compilation import INSTANT, get_ready
@@ -107,7 +107,7 @@ class LiveComparison:
         found = []
         for name in dict.fromkeys((*first, *KNOWN_PARAMETERS)):
             try:
-                unknown = usual(name, scene)
+                unknown = usual_unknown(name, scene)
                 simulate(scene, Parameters({name: unknown.nominal}), duration=INSTANT)
             except InvalidInput:
                 continue  # the name has no meaning in this scene

@@ -18,7 +18,7 @@ from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.result import ParameterSet
 from fixel.workflows.calibration.run import Calibration, reopened
-from fixel.workflows.calibration.stored import parted
+from fixel.workflows.calibration.stored import split_label
 
 WORST: Final = 3
 
@@ -95,23 +95,23 @@ class CalibrationDetail(NamedTuple):
         return self.residuals[:WORST]
 
 
-def load_detail(project: Project, store: Store, number: int) -> CalibrationDetail:
+def load_detail(project: Project, store: Store, calibration_id: int) -> CalibrationDetail:
     """Load the detail of a stored calibration."""
-    record = store.calibration(number)
+    record = store.calibration(calibration_id)
     calibration = one = data = None
     starts: list[Start] = []
     trouble = ""
     try:
         calibration = reopened(project, record)
-        if calibration is not None and number in calibration.ids:
-            one = calibration.outcome.found[calibration.ids.index(number)]
+        if calibration is not None and calibration_id in calibration.ids:
+            one = calibration.outcome.found[calibration.ids.index(calibration_id)]
             data = CalibrationReportData(calibration)
             starts = starts_of(data, one)
     except FixelError as problem:  # what is stored can be shown all the same
         calibration = one = data = None
         trouble = str(problem)
     return CalibrationDetail(
-        id=number,
+        id=calibration_id,
         record=record,
         unit=record.error_unit,
         rows=_rows(record, data, one),
@@ -159,7 +159,7 @@ def _rows(
     if data is None or one is None:
         values = dict(record.parameters)
         return [
-            replace(estimate, best_fit=values.get(parted(estimate.label)[0], estimate.value))
+            replace(estimate, best_fit=values.get(split_label(estimate.label)[0], estimate.value))
             for estimate in record.estimates
         ] or [
             Estimate(label=name, unit="", value=value, best_fit=value)
@@ -192,7 +192,7 @@ def keys_of(store: Store, ids: Sequence[int]) -> list[str]:
     from fixel.database.query import ALL_EXPERIMENTS
 
     known = {row.id: row.key for row in store.experiments(ALL_EXPERIMENTS).rows}
-    return [known.get(number, f"experiment {number}") for number in ids]
+    return [known.get(own, f"experiment {own}") for own in ids]
 
 
 def _objective(record: CalibrationRecord) -> FloatArray:
@@ -205,8 +205,15 @@ def _objective(record: CalibrationRecord) -> FloatArray:
 def _siblings(calibration: Calibration | None, store: Store) -> list[tuple[int, str]]:
     if calibration is None:
         return []
-    names = {number: record.name for number, record in store.calibration_summaries().items()}
-    return [(number, names[number]) for number in calibration.ids if number in names]
+    names = {
+        calibration_id: record.name
+        for calibration_id, record in store.calibration_summaries().items()
+    }
+    return [
+        (calibration_id, names[calibration_id])
+        for calibration_id in calibration.ids
+        if calibration_id in names
+    ]
 
 
 def _finite(value: float) -> float | None:
@@ -253,16 +260,16 @@ class CalibrationSummary:
 def list_calibrations(store: Store) -> list[CalibrationSummary]:
     """Stored calibrations, those of one job together, the newest first."""
     jobs: dict[str, list[tuple[int, CalibrationRecord]]] = {}
-    for number, record in store.calibration_summaries().items():
-        name = str(record.method.get("job", f" {number}"))
-        jobs.setdefault(name, []).append((number, record))
+    for calibration_id, record in store.calibration_summaries().items():
+        name = str(record.method.get("job", f" {calibration_id}"))
+        jobs.setdefault(name, []).append((calibration_id, record))
     found = [_listed(sets) for sets in jobs.values()]
     return sorted(found, key=lambda one: -one.id)
 
 
 def _listed(sets: list[tuple[int, CalibrationRecord]]) -> CalibrationSummary:
     together = [pair for pair in sets if len(pair[1].members) > 1]
-    number, record = together[-1] if together else sets[0]
+    calibration_id, record = together[-1] if together else sets[0]
     shown = [record] if together else [one for _, one in sets]
     before = [float(one.method.get("nominal_error", math.nan)) for one in shown]
     after = [float(np.mean(one.errors)) for one in shown]
@@ -271,7 +278,7 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> CalibrationSummary:
         if estimate.verdict:
             verdicts[estimate.word] = verdicts.get(estimate.word, 0) + 1
     return CalibrationSummary(
-        id=number,
+        id=calibration_id,
         name=record.name.partition(":")[0],
         how=str(record.method.get("how", "")),
         mode=str(record.method.get("mode", "")),

@@ -110,7 +110,7 @@ def comparable(store: Store, ids: Sequence[int], *, strict: bool = False) -> Exp
     return ExperimentSelection(ids=list(targets), targets=list(targets.values()), left_out=left_out)
 
 
-def sampled(chosen: ExperimentSelection, count: int, seed: int) -> ExperimentSelection:
+def draw_sample(chosen: ExperimentSelection, count: int, seed: int) -> ExperimentSelection:
     """A random part of the chosen experiments, in which every condition keeps its share.
 
     Parameters
@@ -157,8 +157,8 @@ def stored_points(store: Store, request: CalibrationRequest) -> list[list[float]
     """Values of the free unknowns in all stored calibrations that have them, each set once."""
     labels = request.space.labels
     points: dict[tuple[float, ...], None] = {}
-    for number in store.calibrations():
-        parameters = store.calibration(number).parameters
+    for calibration_id in store.calibrations():
+        parameters = store.calibration(calibration_id).parameters
         if all(label in parameters for label in labels):
             points[tuple(parameters[label] for label in labels)] = None
     return [list(point) for point in points]
@@ -251,9 +251,9 @@ class Calibration:
         }
 
 
-def _found(one: ParameterSet, number: int, outcome: CalibrationResult) -> dict[str, Any]:
+def _found(one: ParameterSet, calibration_id: int, outcome: CalibrationResult) -> dict[str, Any]:
     return {
-        "calibration": number,
+        "calibration": calibration_id,
         "how": one.how,
         "experiments": [outcome.keys[m] for m in one.members],
         "misfit": list(one.misfit),

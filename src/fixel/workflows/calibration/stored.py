@@ -20,7 +20,7 @@ from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import AbstractMotionModel, Dynamic
 from fixel.simulation.motion import MOTION_MODELS
 from fixel.workflows.calibration.job import REQUEST
-from fixel.workflows.calibration.parameter_options import fitted
+from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.result import SEARCHED, FitKind
 from fixel.workflows.calibration.run import request_of
 from fixel.workflows.jobs import JOBS
@@ -74,13 +74,13 @@ class CalibratedValues:
         """
         found = dict(self.record.parameters)
         for estimate in self.record.estimates:
-            name, where = parted(estimate.label)
+            name, where = split_label(estimate.label)
             if where and name not in found and _meets(conditions, where):
                 found[name] = estimate.value
         return found
 
 
-def parted(label: str) -> tuple[str, dict[str, str]]:
+def split_label(label: str) -> tuple[str, dict[str, str]]:
     """Split the label of a parameter into name and conditions: `"mu_pusher[surface=abs]"`."""
     match = _LABEL.fullmatch(label)
     if match is None:
@@ -94,21 +94,21 @@ def _meets(conditions: Mapping[str, str | float], where: Mapping[str, str]) -> b
     return all(str(conditions.get(name)) == value for name, value in where.items())
 
 
-def calibrated(
-    store: Store, number: int | None = None, experiment: int | None = None
+def load_values(
+    store: Store, calibration_id: int | None = None, experiment: int | None = None
 ) -> CalibratedValues:
     """Load a stored calibration.
 
     Parameters
     ----------
     store : Store
-    number : int, optional
+    calibration_id : int, optional
         Id of the calibration; by default the newest for several experiments, else the newest of
         all. Means computed by the growth of a domain are selected only by their id.
     experiment : int, optional
         Id of an experiment that must be a member, if no id of a calibration is given.
     """
-    own = newest(store, experiment) if number is None else number
+    own = newest_calibration(store, experiment) if calibration_id is None else calibration_id
     if own is None:
         raise InvalidInput(
             "calibration",
@@ -121,7 +121,7 @@ def calibrated(
 
 def parameters_of(
     store: Store,
-    number: int,
+    calibration_id: int,
     experiment: Experiment,
     changed: Parameters,
     motion: AbstractMotionModel | None = None,
@@ -131,7 +131,7 @@ def parameters_of(
     Parameters
     ----------
     store : Store
-    number : int
+    calibration_id : int
         Id of the calibration.
     experiment : Experiment
     changed : Parameters
@@ -139,17 +139,17 @@ def parameters_of(
     motion : AbstractMotionModel, optional
         Model that replaces the calibration's.
     """
-    one = calibrated(store, number)
+    one = load_values(store, calibration_id)
     values = one.values({**experiment.conditions, "experiment": experiment.key})
     known = {name: value for name, value in values.items() if name in KNOWN_PARAMETERS}
     return Parameters({**known, **changed}), motion or one.motion
 
 
-def newest(store: Store, experiment: int | None = None) -> int | None:
-    """Id of the calibration that `calibrated` loads by default; None without any."""
+def newest_calibration(store: Store, experiment: int | None = None) -> int | None:
+    """Id of the calibration that `load_values` loads by default; None without any."""
     known = [
-        CalibratedValues(number, record)
-        for number, record in reversed(store.calibration_summaries().items())
+        CalibratedValues(calibration_id, record)
+        for calibration_id, record in reversed(store.calibration_summaries().items())
         if record.method.get("how") != FitKind.GROWTH
     ]
     known = [one for one in known if experiment is None or experiment in one.members]
@@ -186,7 +186,7 @@ def _usual_space(
     held = {e.label for e in one.record.estimates if e.verdict == "frozen"}
     unknowns = []
     for label, value in found.items():
-        name, where = parted(label)
+        name, where = split_label(label)
         if where:
             raise InvalidInput(
                 f"calibration {one.id}",
@@ -194,7 +194,7 @@ def _usual_space(
                 expected="the job folder, which has the conditions and bounds",
                 hint="calibrate again, or name the parameters with --fit",
             )
-        (unknown,) = fitted([name], scenes)
+        (unknown,) = searched_unknowns([name], scenes)
         low, high = min(unknown.low, value), max(unknown.high, value)
         unknowns.append(replace(unknown, low=low, high=high, nominal=value, frozen=label in held))
     return ParameterSpace(unknowns=tuple(unknowns))

@@ -11,6 +11,7 @@ from typing import Final, final
 
 import numpy as np
 
+from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
@@ -22,7 +23,6 @@ from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import Notify
 from fixel.uncertainty.starts import StartError
 from fixel.workflows.calibration import run as calibration
-from fixel.workflows.calibration.parameter_options import default_unknowns
 from fixel.workflows.calibration.request import (
     LEAST_SQUARES,
     CalibrationRequest,

@@ -27,7 +27,7 @@ from fixel.simulation.pack import pusher_path
 from fixel.typing import FloatArray, Progress
 from fixel.workflows.analysis import ANALYSES
 from fixel.workflows.calibration.run import select_experiments
-from fixel.workflows.calibration.stored import newest
+from fixel.workflows.calibration.stored import newest_calibration
 from fixel.workflows.domain.held_out import (
     MAX_TRAINING,
     SQUARES,
@@ -121,7 +121,7 @@ def mark_of(store: Store, asked: DomainRequest, calibration: int | None) -> str:
 
 
 def _newest(store: Store, asked: DomainRequest) -> int | None:
-    return None if asked.calibration is not None or asked.fit else newest(store)
+    return None if asked.calibration is not None or asked.fit else newest_calibration(store)
 
 
 def _mark(asked: DomainRequest, ids: Sequence[int], latest: int | None) -> str:
@@ -129,7 +129,7 @@ def _mark(asked: DomainRequest, ids: Sequence[int], latest: int | None) -> str:
     question = asked.question()
     kept = {k: question[k] for k in ("calibration", "fit", "apart", "leave_out", "folds", "seed")}
     if asked.calibration is None and not asked.fit:
-        kept["newest"] = latest
+        kept["newest_calibration"] = latest
     of = [VERSION, kept, list(ids), repr(SQUARES), MAX_TRAINING]
     return hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()[:12]
 

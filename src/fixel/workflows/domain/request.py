@@ -12,6 +12,7 @@ import numpy as np
 
 from fixel.calibration.objective import MeanSquare
 from fixel.calibration.target import Target
+from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
 from fixel.database.query import Bound, ExperimentQuery
 from fixel.database.store import Store
@@ -21,9 +22,9 @@ from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace
 from fixel.simulation import Dynamic
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.parameter_options import default_unknowns, fitted
+from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.result import FitKind
-from fixel.workflows.calibration.stored import CalibratedValues, calibrated, searched_space
+from fixel.workflows.calibration.stored import CalibratedValues, load_values, searched_space
 from fixel.workflows.domain.held_out import CalibrationModel
 
 OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
@@ -124,7 +125,7 @@ def model_of(
     scenes = [target.case.scene for target in targets]
     one = _calibration(store, asked)
     if one is None or asked.fit:
-        unknowns = fitted(asked.fit, scenes) if asked.fit else default_unknowns(scenes)
+        unknowns = searched_unknowns(asked.fit, scenes) if asked.fit else default_unknowns(scenes)
         space = ParameterSpace(unknowns=tuple(unknowns))
         motion, error = (Dynamic(), MeanSquare()) if one is None else (one.motion, one.error)
         said = "parameters of --fit" if asked.fit else "the usual parameters, no calibration stored"
@@ -136,10 +137,10 @@ def model_of(
 
 def _calibration(store: Store, asked: DomainRequest) -> CalibratedValues | None:
     if asked.calibration is not None:
-        return calibrated(store, asked.calibration)
+        return load_values(store, asked.calibration)
     if asked.fit or not store.calibrations():
         return None
-    return calibrated(store)
+    return load_values(store)
 
 
 def own_best(

@@ -20,7 +20,7 @@ from fixel.typing import FloatArray, Notify
 from fixel.workflows.analysis import Kind, StoredAnalysis, load_analyses
 from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.calibration.run import Calibration, reopened
-from fixel.workflows.calibration.stored import CalibratedValues, calibrated
+from fixel.workflows.calibration.stored import CalibratedValues, load_values
 from fixel.workflows.figures import ENDINGS, make_folder
 from fixel.workflows.report.bibliography import bibtex, line, works
 from fixel.workflows.report.calibration import (
@@ -165,7 +165,7 @@ def gather(
     """
     tell = notify or (lambda _: None)
     with project.store() as store:
-        one = calibrated(store, number)
+        one = load_values(store, number)
         ids = sorted(one.members)
         data = data_of(store, ids)
         checksum = store.checksum(ids)

@@ -21,7 +21,12 @@ from fixel.uncertainty.indices import indices_of
 from fixel.uncertainty.outcomes import FLAGS, sensitivity_of
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
-from fixel.workflows.calibration.stored import CalibratedValues, calibrated, newest, parted
+from fixel.workflows.calibration.stored import (
+    CalibratedValues,
+    load_values,
+    newest_calibration,
+    split_label,
+)
 from fixel.workflows.figures import Picture
 from fixel.workflows.sensitivity.report import analysis_of, arrays_of, pictures_of
 from fixel.workflows.sensitivity.request import Finding, SensitivityRequest, Subject
@@ -89,7 +94,7 @@ def analyse_sensitivity(
     opened = project() if stored else None
     if opened is not None and request.calibration is None:
         with opened.store() as store:
-            request = replace(request, calibration=newest(store))
+            request = replace(request, calibration=newest_calibration(store))
     subjects, skipped = _subjects(things, request, opened)
     if not subjects:
         why = "; ".join(f"{key}: {reason}" for key, reason in list(skipped.items())[:3])
@@ -158,7 +163,7 @@ def _subjects(
     with project.store() as store:
         model = None
         if request.calibration is not None:
-            model = calibrated(store, request.calibration)
+            model = load_values(store, request.calibration)
         ids = {} if things else _all(store)
         for thing in things:
             if not is_scene_file(thing):
@@ -219,7 +224,7 @@ def _ranges(
     """Intervals of a calibration, if the data determine both ends."""
     found: dict[str, tuple[float, float]] = {}
     for estimate in model.record.estimates if model is not None else ():
-        name, _ = parted(estimate.label)
+        name, _ = split_label(estimate.label)
         low, high = estimate.low, estimate.high
         held = low is not None and high is not None and low < high
         if held and values.get(name) == estimate.value and not name.startswith("start_"):

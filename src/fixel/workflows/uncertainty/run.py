@@ -8,12 +8,13 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.calibration.assess import Frames, repeated
+from fixel.calibration.assess import Frames, noise_from_repeated
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Noise, noise_from_residuals
 from fixel.calibration.objective import Comparer
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target, target_of
+from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
@@ -28,8 +29,13 @@ from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
 from fixel.uncertainty.near_optimal import NearOptimal, near_optimal, rise_of
 from fixel.uncertainty.posterior import NestedSampling, Posterior, SamplerProgress
-from fixel.workflows.calibration.parameter_options import default_unknowns, fitted
-from fixel.workflows.calibration.stored import CalibratedValues, calibrated, newest, searched_space
+from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.stored import (
+    CalibratedValues,
+    load_values,
+    newest_calibration,
+    searched_space,
+)
 
 # Noise assumed by the rough fit from which the noise is estimated.
 FIRST_NOISE: Final = Noise(position_m=5e-4, angle_rad=5e-3)
@@ -152,7 +158,7 @@ def find_uncertainty(
         There is no such experiment or calibration.
     """
     with project.store() as store:
-        one = None if request.calibration is None else calibrated(store, request.calibration)
+        one = None if request.calibration is None else load_values(store, request.calibration)
         ids = _ids(store, request, one)
         held = list(dict.fromkeys(store.find(key) for key in request.held_out))
         if set(ids) & set(held):
@@ -162,8 +168,8 @@ def find_uncertainty(
                 expected="others",
             )
         experiments = [store.experiment(number) for number in (*ids, *held)]
-        known = newest(store, ids[0]) if one is None else None
-        compared = one if known is None else calibrated(store, known)
+        known = newest_calibration(store, ids[0]) if one is None else None
+        compared = one if known is None else load_values(store, known)
     targets = [target_of(experiment) for experiment in experiments]
     unknowns = _unknowns(project, request, one, targets[: len(ids)])
     motion = _motion(request, one)
@@ -219,7 +225,7 @@ def _unknowns(
     """Return the requested parameters, a calibration's with its bounds, or the usual ones."""
     scenes = [target.case.scene for target in targets]
     if request.fit:
-        return fitted(request.fit, scenes)
+        return searched_unknowns(request.fit, scenes)
     if one is None:
         return default_unknowns(scenes)
     space = searched_space(project, one, scenes)
@@ -252,7 +258,7 @@ def _noise(
         return Noise(position_m=request.noise[0], angle_rad=request.noise[1]), point
     if request.model_error:
         return camera_noise(comparer, members, point), point
-    known = repeated(comparer, own)
+    known = noise_from_repeated(comparer, own)
     return known or _left(comparer, own, point), point
 
 
