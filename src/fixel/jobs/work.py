@@ -261,7 +261,7 @@ class _Tally:
         self._open, self._ended = turn.left is None, False
         self._total = self._done + len(turn.chunks) + (turn.left or 0)
         self._count(known)
-        self._say()
+        self._report()
 
     def add(self, fresh: Answers) -> None:
         now = time.monotonic()
@@ -271,18 +271,18 @@ class _Tally:
             self._recent.append((now, self._fresh))
         while len(self._recent) > 2 and now - self._recent[0][0] > RATE_WINDOW_S:
             self._recent.popleft()
-        self._say()
+        self._report()
 
     def finish(self) -> None:
         """Report that all rounds are answered."""
         self._total, self._open, self._ended = self._done, False, True
-        self._say()
+        self._report()
 
     def _count(self, answers: Answers) -> None:
         self._done += len(answers)
         self._failed += sum(isinstance(answer, Failure) for answer in answers.values())
 
-    def _say(self) -> None:
+    def _report(self) -> None:
         if self._show is None:
             return
         begun, count = self._recent[0]

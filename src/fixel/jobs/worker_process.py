@@ -11,8 +11,8 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any, Final, final
 
@@ -102,7 +102,8 @@ class WorkerProcess:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _my_turn(self, nobody_waits: Callable[[], bool]) -> threading.Lock:
+    @contextmanager
+    def _my_turn(self, nobody_waits: Callable[[], bool]) -> Iterator[None]:
         until = time.monotonic() + self.limit
         while not self._turn.acquire(timeout=GLANCE):
             if nobody_waits():
@@ -111,7 +112,10 @@ class WorkerProcess:
                 raise JobRefused(
                     f"others have been computing for {self.limit:g} s", hint="try again"
                 )
-        return _HeldLock(self._turn)  # type: ignore[return-value]
+        try:
+            yield
+        finally:
+            self._turn.release()
 
     def _running(self, nobody_waits: Callable[[], bool]) -> Connection:
         """Return the pipe to the process; start it and wait until it is ready, if necessary."""
@@ -178,20 +182,6 @@ class WorkerProcess:
         if self._pipe is not None:
             self._pipe.close()
         self._process = self._pipe = None
-
-
-@final
-class _HeldLock:
-    """Context manager that releases a lock acquired before."""
-
-    def __init__(self, lock: threading.Lock) -> None:
-        self._lock = lock
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, *_: object) -> None:
-        self._lock.release()
 
 
 def _serve(
