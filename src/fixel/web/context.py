@@ -11,10 +11,10 @@ from fastapi import Depends, Request
 from fixel.database.project import Project
 from fixel.database.query import ExperimentQuery
 from fixel.drawing.thumbnail import thumbnail
+from fixel.web.views.calibration_detail import load_detail
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.web.views.domain_views import DomainViews
 from fixel.web.views.live_comparison import LiveComparison
-from fixel.workflows.calibration.detail import load_detail
 
 MAX_KEPT: Final = 64  # details of calibrations in memory
 MAX_THUMBNAILS: Final = 5000  # in memory; about 2 kB each

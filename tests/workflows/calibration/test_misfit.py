@@ -16,11 +16,11 @@ from fixel.database.query import ExperimentQuery
 from fixel.model import Parameters
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.web.views.calibration_detail import load_detail
 from fixel.web.views.live_comparison import LiveComparison
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.commands import enlarged_command
-from fixel.workflows.calibration.detail import load_detail
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.request import (
@@ -79,7 +79,7 @@ def test_one_value_inside_its_interval_wherever_one_looks(found):
     )
     report = {row[0]: row[1] for row in parameters_section(one, []).tables[0].rows}
     lines = lines_of(done, project.folder, [])
-    for row, drawn in zip(told.rows, chart.rows, strict=True):
+    for row, drawn in zip(told.parameters, chart.rows, strict=True):
         low = -math.inf if row.low is None else row.low
         high = math.inf if row.high is None else row.high
         assert low <= row.value <= high
@@ -90,7 +90,7 @@ def test_one_value_inside_its_interval_wherever_one_looks(found):
         assert table.split()[1] == f"{factor * row.value:.4g}"
         assert f"{row.label}={row.value:.4g}" in next(x for x in lines if x.startswith("Next: "))
         assert summary["best_fit"][row.label] == row.best_fit == one.record.parameters[row.label]
-    assert any(row.value != row.best_fit for row in told.rows)
+    assert any(row.value != row.best_fit for row in told.parameters)
 
 
 def test_the_radius_of_a_tripod_that_is_not_there_is_effective(found):
@@ -113,7 +113,7 @@ def test_a_larger_model_is_offered_as_a_command_once(found):
 
 
 def replace_name(request, name):
-    return request.unknowns[0].model_copy(update={"name": name})
+    return replace(request.unknowns[0], name=name)
 
 
 @pytest.fixture(scope="module")

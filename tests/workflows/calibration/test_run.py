@@ -22,9 +22,9 @@ from fixel.model.records import Estimate
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.web.views.calibration_detail import list_calibrations
 from fixel.workflows.calibration import job, run
 from fixel.workflows.calibration.commands import command_of
-from fixel.workflows.calibration.detail import list_calibrations
 from fixel.workflows.calibration.parameter_options import (
     fixed_unknowns,
     read_space,

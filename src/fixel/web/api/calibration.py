@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Final
 
 from fastapi import APIRouter, Query
 from pydantic import Field
 
-from fixel.model.records import Estimate
 from fixel.web.context import Context
-from fixel.web.values import Answer, Array, FilterText, Finite, Id, Number
+from fixel.web.values import Answer, FilterText, Id, Number
 from fixel.web.views import calibration_form, job_list
+from fixel.web.views.calibration_detail import (
+    CalibrationSummary,
+    StoredCalibration,
+    list_calibrations,
+)
 from fixel.web.views.calibration_form import CalibrationForm, CalibrationOffer
 from fixel.web.views.calibration_progress import CalibrationProgress, LiveProgress
 from fixel.workflows import jobs
-from fixel.workflows.calibration import detail
-from fixel.workflows.calibration.commands import python_of
-from fixel.workflows.calibration.detail import (
-    CalibrationDetail,
-    CalibrationSummary,
-    Residual,
-    Start,
-)
 
 MAX_LISTED: Final = 500
 
@@ -36,51 +31,6 @@ class CalibrationList(Answer):
     total: int
     running: list[CalibrationProgress]
     unreadable: list[str] = Field(description="why jobs of others cannot be shown")
-
-
-class ProfileCurve(Answer):
-    """Profile likelihood of one unknown: rise above the least with the others fitted."""
-
-    label: str
-    unit: str
-    values: list[float]
-    rises: list[Finite]
-    slice_values: list[float] = Field(description="the same with the others held")
-    slice_rises: list[Finite]
-    low: float | None
-    high: float | None
-    threshold: float = Field(description="rise at the ends of the interval")
-
-
-class Sibling(Answer):
-    """Another calibration of the same run."""
-
-    id: int
-    name: str
-
-
-class StoredCalibration(Answer):
-    """One stored calibration."""
-
-    id: int
-    name: str
-    unit: str = Field(description="of errors: mm^2 or mm")
-    level: float = Field(description="of the intervals")
-    parameters: list[Estimate]
-    residuals: list[Residual] = Field(description="the worst first")
-    worst: list[Residual]
-    objective: Array | None = Field(description="mean error at every evaluation; inf where failed")
-    starts: list[Start] = Field(description="the best first; empty where there was one")
-    curves: list[ProfileCurve]
-    misfit: list[str] = Field(description="warning that the model is wrong by more than the noise")
-    noise: str
-    note: str
-    ended: str
-    method: dict[str, str | float]
-    siblings: list[Sibling]
-    complete: bool = Field(description="whether its job is there, with profiles and starts")
-    command: str
-    python: str
 
 
 class CalibrationJob(Answer):
@@ -100,7 +50,7 @@ def calibrations(
 ) -> CalibrationList:
     # First: calibrations that are done become stored.
     running, unreadable = context.calibrations.unfinished()
-    every = detail.list_calibrations(context.store)
+    every = list_calibrations(context.store)
     return CalibrationList(
         calibrations=every[offset : offset + limit],
         total=len(every),
@@ -159,41 +109,4 @@ def calibration(context: Context, number: Number) -> StoredCalibration:
     one = context.calibration(number)
     if not one.complete:
         context.calibration.cache_clear()  # its job may be restored
-    return StoredCalibration(
-        id=one.id,
-        name=one.record.name,
-        unit=one.unit,
-        level=one.level,
-        parameters=one.rows,
-        residuals=one.residuals,
-        worst=one.worst,
-        objective=one.objective if len(one.objective) else None,
-        starts=one.starts,
-        curves=_curves(one),
-        misfit=one.misfit,
-        noise=one.noise,
-        note=one.note,
-        ended=str(one.record.method.get("ended", "")),
-        method={k: v for k, v in one.record.method.items() if v == v and v not in (math.inf,)},
-        siblings=[Sibling(id=id_, name=name) for id_, name in one.siblings],
-        complete=one.complete,
-        command=one.record.provenance.command,
-        python=python_of(context.folder, one.id),
-    )
-
-
-def _curves(one: CalibrationDetail) -> list[ProfileCurve]:
-    return [
-        ProfileCurve(
-            label=curve.label,
-            unit=curve.unit,
-            values=curve.values.tolist(),
-            rises=curve.deviances.tolist(),
-            slice_values=curve.slice_values.tolist(),
-            slice_rises=curve.slice_deviances.tolist(),
-            low=curve.low,
-            high=curve.high,
-            threshold=curve.threshold,
-        )
-        for curve in one.curves
-    ]
+    return one

@@ -80,6 +80,11 @@ class CalibratedValues:
         return found
 
 
+def misfit_of(record: CalibrationRecord) -> list[str]:
+    """Return the warning stored with a calibration that the model is wrong, by sentences."""
+    return str(record.method.get("misfit", "")).splitlines()
+
+
 def split_label(label: str) -> tuple[str, dict[str, str]]:
     """Split the label of a parameter into name and conditions: `"mu_pusher[surface=abs]"`."""
     match = _LABEL.fullmatch(label)

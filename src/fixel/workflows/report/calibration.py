@@ -14,10 +14,9 @@ from fixel.model.records import Estimate
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.charts import pictures_of
-from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.run import Calibration
-from fixel.workflows.calibration.stored import CalibratedValues
+from fixel.workflows.calibration.stored import CalibratedValues, misfit_of
 from fixel.workflows.figures import write_picture
 from fixel.workflows.report.content import Figure, Section
 from fixel.workflows.sentences import sentences

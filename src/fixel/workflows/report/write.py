@@ -18,9 +18,8 @@ from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.typing import FloatArray, Notify
 from fixel.workflows.analysis import Kind, StoredAnalysis, load_analyses
-from fixel.workflows.calibration.detail import misfit_of
 from fixel.workflows.calibration.run import Calibration, reopened
-from fixel.workflows.calibration.stored import CalibratedValues, load_values
+from fixel.workflows.calibration.stored import CalibratedValues, load_values, misfit_of
 from fixel.workflows.figures import ENDINGS, make_folder
 from fixel.workflows.report.bibliography import bibtex, line, works
 from fixel.workflows.report.calibration import (

@@ -20,7 +20,7 @@ from fixel.uncertainty.discrepancy import LABEL
 from fixel.uncertainty.near_optimal import NearOptimal
 from fixel.uncertainty.posterior import Posterior
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
-from fixel.workflows.calibration.detail import misfit_of
+from fixel.workflows.calibration.stored import misfit_of
 from fixel.workflows.sentences import rounded, sentences
 from fixel.workflows.uncertainty.charts import curves_of, pictures_of, what_of
 from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty

@@ -1,106 +1,100 @@
-"""A stored calibration, as one who has to believe it wants to see it."""
+"""Stored calibrations: the list, and everything about a single one."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Final, NamedTuple, final
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
+from pydantic import Field
 
 from fixel.database.project import Project
+from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.errors import FixelError
-from fixel.model.records import CalibrationRecord, Estimate, ProfileRecord
+from fixel.model.records import CalibrationRecord, Estimate
 from fixel.typing import FloatArray
+from fixel.web.values import Answer, Array, Finite
+from fixel.workflows.calibration.commands import python_of
 from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.result import ParameterSet
 from fixel.workflows.calibration.run import Calibration, reopened
-from fixel.workflows.calibration.stored import split_label
+from fixel.workflows.calibration.stored import misfit_of, split_label
 
 WORST: Final = 3
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Residual:
-    """One experiment."""
+class Residual(Answer):
+    """An experiment, and how far the simulation is from it."""
 
     id: int
     key: str
-    before: float | None  # in the unit of the error
-    after: float | None
+    before: Finite
+    after: Finite
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Start:
+class Start(Answer):
     """End of one of several searches."""
 
-    error: float | None  # None where it found nothing
-    point: list[float]
+    error: Finite
+    point: list[float] = Field(description="in the order of `parameters`")
     evaluations: int
-    good: bool  # as good as the best, or nearly
+    good: bool = Field(description="as good as the best, or nearly")
 
 
-class CalibrationDetail(NamedTuple):
-    """All there is to see.
+class ProfileCurve(Answer):
+    """Profile likelihood of one unknown: rise above the least with the others fitted."""
 
-    Attributes
-    ----------
-    id : int
-    record : CalibrationRecord
-    unit : str
-        Of errors, `"mm^2"` or `"mm"`.
-    rows : list of Estimate
-    residuals : list of Residual
-        The worst first.
-    objective : (n,) float64
-        Of every evaluation, shared out among the experiments where it is a sum.
-    starts : list of Start
-        The best first; none where there was one.
-    curves : tuple of ProfileRecord
-        Profiles, one an unknown.
-    level : float
-        Of the intervals.
-    misfit : list of str
-        Warning that the model is wrong by more than the noise explains; empty where it is not.
-    noise, note : str
-    siblings : list of (int, str)
-        Ids and names of the sets that came of the same job.
-    complete : bool
-        Whether its job is still there; without it there are no profiles and no starts.
-    """
+    label: str
+    unit: str
+    values: list[float]
+    rises: list[Finite]
+    slice_values: list[float] = Field(description="the same with the others held")
+    slice_rises: list[Finite]
+    low: float | None
+    high: float | None
+    threshold: float = Field(description="rise at the ends of the interval")
+
+
+class Sibling(Answer):
+    """Another calibration of the same run."""
 
     id: int
-    record: CalibrationRecord
-    unit: str
-    rows: list[Estimate]
-    residuals: list[Residual]
-    objective: FloatArray
-    starts: list[Start]
-    curves: tuple[ProfileRecord, ...]
-    level: float
-    misfit: list[str]
+    name: str
+
+
+class StoredCalibration(Answer):
+    """One stored calibration."""
+
+    id: int
+    name: str
+    unit: str = Field(description="of errors: mm^2 or mm")
+    level: float = Field(description="of the intervals")
+    parameters: list[Estimate]
+    residuals: list[Residual] = Field(description="the worst first")
+    worst: list[Residual]
+    objective: Array | None = Field(description="mean error at every evaluation; inf where failed")
+    starts: list[Start] = Field(description="the best first; empty where there was one")
+    curves: list[ProfileCurve]
+    misfit: list[str] = Field(description="warning that the model is wrong by more than the noise")
     noise: str
     note: str
-    siblings: list[tuple[int, str]]
-    complete: bool
+    ended: str
+    method: dict[str, str | float]
+    siblings: list[Sibling]
+    complete: bool = Field(description="whether its job is there, with profiles and starts")
+    command: str
+    python: str
 
-    @property
-    def worst(self) -> list[Residual]:
-        """The experiments to look at first."""
-        return self.residuals[:WORST]
 
-
-def load_detail(project: Project, store: Store, calibration_id: int) -> CalibrationDetail:
-    """Load the detail of a stored calibration."""
+def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCalibration:
+    """Load everything about a stored calibration."""
     record = store.calibration(calibration_id)
     calibration = one = data = None
     starts: list[Start] = []
-    trouble = ""
+    error = ""
     try:
         calibration = reopened(project, record)
         if calibration is not None and calibration_id in calibration.ids:
@@ -109,22 +103,28 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> Calibrat
             starts = starts_of(data, one)
     except FixelError as problem:  # what is stored can be shown all the same
         calibration = one = data = None
-        trouble = str(problem)
-    return CalibrationDetail(
+        error = str(problem)
+    residuals = _residuals(store, record, calibration, one)
+    return StoredCalibration(
         id=calibration_id,
-        record=record,
+        name=record.name,
         unit=record.error_unit,
-        rows=_rows(record, data, one),
-        residuals=_residuals(store, record, calibration, one),
+        level=0.95 if data is None else data.request.level,
+        parameters=_estimates(record, data, one),
+        residuals=residuals,
+        worst=residuals[:WORST],
         objective=_objective(record),
         starts=starts,
-        curves=() if one is None else one.profiles,
-        level=0.95 if data is None else data.request.level,
+        curves=[] if one is None else _curves(one),
         misfit=misfit_of(record),
         noise="" if one is None else one.noise,
-        note=trouble if one is None else one.note,
+        note=error if one is None else one.note,
+        ended=str(record.method.get("ended", "")),
+        method={k: v for k, v in record.method.items() if v == v and v not in (math.inf,)},
         siblings=_siblings(calibration, store),
         complete=one is not None,
+        command=record.provenance.command,
+        python=python_of(project.folder.resolve(), calibration_id),
     )
 
 
@@ -138,22 +138,34 @@ def starts_of(data: CalibrationReportData, one: ParameterSet) -> list[Start]:
     shared = len(one.members) if data.request.combine == "sum" else 1
     found = [
         Start(
-            _finite(end.error / shared),
-            end.point.tolist(),
-            count,
-            math.isfinite(end.error) and end.error <= best * (1.0 + NEARLY),
+            error=end.error / shared,
+            point=end.point.tolist(),
+            evaluations=count,
+            good=math.isfinite(end.error) and end.error <= best * (1.0 + NEARLY),
         )
         for end, count in zip(ends, evaluations, strict=True)
     ]
     return sorted(found, key=lambda start: math.inf if start.error is None else start.error)
 
 
-def misfit_of(record: CalibrationRecord) -> list[str]:
-    """Warning that was stored with a calibration, one sentence each."""
-    return str(record.method.get("misfit", "")).splitlines()
+def _curves(one: ParameterSet) -> list[ProfileCurve]:
+    return [
+        ProfileCurve(
+            label=curve.label,
+            unit=curve.unit,
+            values=curve.values.tolist(),
+            rises=curve.deviances.tolist(),
+            slice_values=curve.slice_values.tolist(),
+            slice_rises=curve.slice_deviances.tolist(),
+            low=curve.low,
+            high=curve.high,
+            threshold=curve.threshold,
+        )
+        for curve in one.profiles
+    ]
 
 
-def _rows(
+def _estimates(
     record: CalibrationRecord, data: CalibrationReportData | None, one: ParameterSet | None
 ) -> list[Estimate]:
     if data is None or one is None:
@@ -177,84 +189,47 @@ def _residuals(
     before: list[float] = [math.nan] * len(record.members)
     if calibration is not None and one is not None:
         before = calibration.outcome.nominal[list(one.members)].tolist()
-    keys = keys_of(store, [member.experiment_id for member in record.members])
+    keys = {row.id: row.key for row in store.experiments(ALL_EXPERIMENTS).rows}
+    ids = [member.experiment_id for member in record.members]
     found = [
-        Residual(member.experiment_id, key, _finite(start), _finite(error))
-        for member, error, key, start in zip(
-            record.members, record.errors, keys, before, strict=True
-        )
+        Residual(id=id_, key=keys.get(id_, f"experiment {id_}"), before=start, after=error)
+        for id_, start, error in zip(ids, before, record.errors, strict=True)
     ]
     return sorted(found, key=lambda r: -math.inf if r.after is None else -r.after)
 
 
-def keys_of(store: Store, ids: Sequence[int]) -> list[str]:
-    """Names of experiments, deleted and replaced ones too."""
-    from fixel.database.query import ALL_EXPERIMENTS
-
-    known = {row.id: row.key for row in store.experiments(ALL_EXPERIMENTS).rows}
-    return [known.get(own, f"experiment {own}") for own in ids]
-
-
-def _objective(record: CalibrationRecord) -> FloatArray:
-    if record.evaluations is None:
-        return np.zeros(0)
+def _objective(record: CalibrationRecord) -> FloatArray | None:
+    if record.evaluations is None or len(record.evaluations.error) == 0:
+        return None
     share = len(record.members) if record.method.get("combine") == "sum" else 1
     return np.asarray(record.evaluations.error / share)
 
 
-def _siblings(calibration: Calibration | None, store: Store) -> list[tuple[int, str]]:
+def _siblings(calibration: Calibration | None, store: Store) -> list[Sibling]:
     if calibration is None:
         return []
     names = {
         calibration_id: record.name
         for calibration_id, record in store.calibration_summaries().items()
     }
-    return [
-        (calibration_id, names[calibration_id])
-        for calibration_id in calibration.ids
-        if calibration_id in names
-    ]
+    return [Sibling(id=id_, name=names[id_]) for id_ in calibration.ids if id_ in names]
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+class CalibrationSummary(Answer):
+    """Result of one run of a calibration."""
 
-
-# --- the list -----------------------------------------------------------------------------------
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class CalibrationSummary:
-    """Result of one job, or a calibration without a job.
-
-    Attributes
-    ----------
-    id : int
-        Of the calibration to open: the last set for several experiments, else the first.
-    name, how, mode, optimiser, unit, created_utc : str
-    sets : int
-        Calibrations that came of it.
-    experiments : int
-    before, after : float or None
-        Mean errors.
-    verdicts : dict from verdict to int
-        Unknowns of the set to open.
-    evaluations : int
-    """
-
-    id: int
+    id: int = Field(description="of the calibration to open")
     name: str
     how: str
     mode: str
     optimiser: str
-    unit: str
+    unit: str = Field(description="of the errors: mm^2 or mm")
     created_utc: str
-    sets: int
+    sets: int = Field(description="calibrations that came of it")
     experiments: int
-    before: float | None
-    after: float | None
-    verdicts: dict[str, int]
+    before: Finite = Field(description="mean error at the nominal values")
+    after: Finite
+    verdicts: dict[str, int] = Field(description="how many unknowns have each")
 
 
 def list_calibrations(store: Store) -> list[CalibrationSummary]:
@@ -287,7 +262,7 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> CalibrationSummary:
         created_utc=record.provenance.created,
         sets=len(sets),
         experiments=len({m.experiment_id for _, one in sets for m in one.members}),
-        before=_finite(float(np.mean(before))),
-        after=_finite(float(np.mean(after))),
+        before=float(np.mean(before)),
+        after=float(np.mean(after)),
         verdicts=verdicts if together or len(sets) == 1 else {},
     )
