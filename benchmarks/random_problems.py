@@ -18,11 +18,11 @@ import math
 import numpy as np
 
 from fixel.kernels.allocate import empty_problem, empty_workspace
-from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
 from fixel.kernels.assembly import set_stiffness
 from fixel.kernels.codes import DYNAMIC, FIRST_ORDER, QUASI_STATIC
 from fixel.kernels.jit import allocating_kernel, entry, kernel
-from fixel.kernels.solve import PATIENT, TOLERANCE, solve
+from fixel.kernels.solve import PATIENT_TRIALS, TOLERANCE, solve
 from fixel.typing import FloatArray, IntArray
 
 MAX_BODIES = 6
@@ -82,15 +82,15 @@ def fill(
     snug = degenerate == 1 and kind == 4
     twins = degenerate == 1 and kind == 0
     strength = _spread(random, 1e-3, 10.0)
-    problem.size[0] = 3 * n_body + n_drive
-    problem.size[1] = n_contact
-    problem.size[3] = 3 * n_body
+    problem.size[N_DOF] = 3 * n_body + n_drive
+    problem.size[N_CONTACT] = n_contact
+    problem.size[N_FREE_DOF] = 3 * n_body
     _draw_motion(problem, aim, place, random, n_body, n_drive)
     _draw_bodies(problem, random, motion, strength, n_body, heavy)
     n_support = 0
     if motion != FIRST_ORDER:
         n_support = _draw_supports(problem, random, strength, n_body, collinear, motion)
-    problem.size[2] = n_support + n_drive
+    problem.size[N_ELEMENT] = n_support + n_drive
     _draw_drives(problem, aim, random, strength, n_support, n_drive)
     set_stiffness(problem, n_support)
     for i in range(n_contact):
@@ -234,7 +234,7 @@ def _draw_drives(
     problem: Problem, aim: FloatArray, random: IntArray, strength: float, first: int, n_drive: int
 ) -> None:
     for d in range(n_drive):
-        o = problem.size[3] + d
+        o = problem.size[N_FREE_DOF] + d
         e = first + d
         for k in range(3):
             problem.inertia[o, k] = 0.0
@@ -282,7 +282,7 @@ def _draw_contact(
     problem.tangent[i, 0] = -ny
     problem.tangent[i, 1] = nx
     problem.tangent[i, 2] = rx * nx + ry * ny
-    if 0 <= second < problem.size[3]:
+    if 0 <= second < problem.size[N_FREE_DOF]:
         rx = px - place[b, 0]
         ry = py - place[b, 1]
         problem.normal[i, 3] = -nx
@@ -332,14 +332,14 @@ def _draw_room(problem: Problem, aim: FloatArray, random: IntArray, i: int, snug
 @kernel
 def shift(problem: Problem, aim: FloatArray, random: IntArray, motion: int) -> None:
     """Change a solved problem to one that could be its next step; the impulses are unchanged."""
-    for o in range(0, problem.size[3], 3):
+    for o in range(0, problem.size[N_FREE_DOF], 3):
         if motion == DYNAMIC:
             for k in range(3):
                 problem.momentum[o + k] = problem.inertia[o + k, k] * problem.velocity[o + k]
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         if _uniform(random) < 0.2:
             problem.bias[i, 0] += _spread(random, 1e-4, 0.3)
-    for e in range(problem.size[2]):
+    for e in range(problem.size[N_ELEMENT]):
         problem.element_limit[e] *= _between(random, 0.9, 1.1) if motion == DYNAMIC else 1.0
 
 
@@ -378,16 +378,16 @@ def solve_many(
     for seed in range(first, first + count):
         motion, _ = fill(problem, aim, place, random, seed)
         share = _uniform(random)
-        for i in range(problem.size[0]):
+        for i in range(problem.size[N_DOF]):
             # Cold start: from rest, from v*, or from a share of v*.
             guess[i] = aim[i] * (0.0 if share < 0.3 else (1.0 if share < 0.6 else share))
             problem.velocity[i] = guess[i]
         for warm in range(2):
             if warm == 1:
                 shift(problem, aim, random, motion)
-                for i in range(problem.size[0]):
+                for i in range(problem.size[N_DOF]):
                     guess[i] = problem.velocity[i]
-            off, fell_back = solve(problem, work, guess, solver, effort, PATIENT)
+            off, fell_back = solve(problem, work, guess, solver, effort, PATIENT_TRIALS)
             tally[0] += 1.0
             tally[1] += fell_back
             if off <= TOLERANCE:

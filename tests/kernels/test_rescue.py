@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 from fixel.kernels import codes, single
 from fixel.kernels.gauss_seidel import gauss_seidel, nearest_in_polygon
 from fixel.kernels.proximal import proximal_newton
-from fixel.kernels.solve import PATIENT, TOLERANCE
+from fixel.kernels.solve import PATIENT_TRIALS, TOLERANCE
 from fixel.testing.contracts import step_problem
 
 FLOOR = math.pi / 2
@@ -107,17 +107,17 @@ def many_bodies(n: int, coupled: bool):
 @pytest.mark.parametrize("n", [3, 8, 20])
 def test_rows_of_bodies_island_by_island(n, coupled):
     problem, work = many_bodies(n, coupled)
-    residual, _ = single.solve_problem(problem, work, np.zeros(3 * n + 2), codes.NEWTON, 0, PATIENT)
+    residual, _ = single.solve_problem(problem, work, np.zeros(3 * n + 2), codes.NEWTON, 0, PATIENT_TRIALS)
     assert residual <= TOLERANCE
 
 
 def test_an_island_is_solved_as_if_it_were_alone():
     many, work = many_bodies(8, coupled=False)
-    single.solve_problem(many, work, np.zeros(26), codes.NEWTON, 0, PATIENT)
+    single.solve_problem(many, work, np.zeros(26), codes.NEWTON, 0, PATIENT_TRIALS)
     for b in range(8):
         one, own = many_bodies(1, coupled=False)
         one.momentum[:3] = many.momentum[3 * b : 3 * b + 3]
-        single.solve_problem(one, own, np.zeros(5), codes.NEWTON, 0, PATIENT)
+        single.solve_problem(one, own, np.zeros(5), codes.NEWTON, 0, PATIENT_TRIALS)
         assert many.velocity[3 * b : 3 * b + 3] == pytest.approx(one.velocity[:3], abs=1e-9)
 
 
@@ -154,7 +154,7 @@ def test_certificates_against_linear_programming():
         may_jam = single.has_no_solution(problem, work, np.zeros(5))
         assert proof != _has_motion(problem, 0.0 * problem.friction)
         assert may_jam != _has_motion(problem, problem.friction)
-        off, _ = single.solve_problem(problem, work, np.zeros(5), codes.NEWTON, 0, PATIENT)
+        off, _ = single.solve_problem(problem, work, np.zeros(5), codes.NEWTON, 0, PATIENT_TRIALS)
         solved = off <= TOLERANCE
         assert solved or may_jam
         assert not (solved and proof)
@@ -169,7 +169,7 @@ def test_nothing_is_tried_where_a_jam_is_proven():
     jaws = ((0.0, -1.0, 0.3), (math.pi, -1.0, 0.3))
     problem, work = step_problem((0.0, 0.0, 0.0), jaws)
     problem.velocity[:3] = 0.3, -0.2, 0.1
-    residual, fell_back = single.solve_problem(problem, work, np.zeros(5), codes.NEWTON, 0, PATIENT)
+    residual, fell_back = single.solve_problem(problem, work, np.zeros(5), codes.NEWTON, 0, PATIENT_TRIALS)
     assert residual > 0.1
     assert fell_back == 1
     assert problem.velocity[:3] == pytest.approx([0.3, -0.2, 0.1], abs=0.0)

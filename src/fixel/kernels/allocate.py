@@ -3,13 +3,12 @@ step."""
 
 import numpy as np
 
-from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.arrays import N_PLACE, Problem, Workspace
 from fixel.kernels.islands import island_room
 from fixel.kernels.jit import allocating_kernel
 from fixel.kernels.josephy import MOST_CONTACTS, MOST_DRIVES
 from fixel.kernels.linear import DENSE_LIMIT
 
-PLACES = 9  # columns of Problem.contact_place
 SPARE = 2  # entries behind the last degree of freedom, so that every block may be read three wide
 
 
@@ -27,7 +26,7 @@ def empty_problem(n_dof: int, n_contact: int, n_element: int) -> Problem:
         contact_dof=np.zeros((n_contact, 2), np.int64),
         contact_key=np.zeros(n_contact, np.int64),
         contact_body=np.zeros((n_contact, 2), np.int64),
-        contact_place=np.zeros((n_contact, PLACES)),
+        contact_place=np.zeros((n_contact, N_PLACE)),
         normal=np.zeros((n_contact, 6)),
         tangent=np.zeros((n_contact, 6)),
         bias=np.zeros((n_contact, 2)),

@@ -58,6 +58,24 @@ class State(NamedTuple):
     middle: FloatArray  # (n_dof + 2,) velocity at the middle of the last step
 
 
+# Entries of `Problem.size`, the numbers in use.
+N_DOF = 0
+N_CONTACT = 1
+N_ELEMENT = 2
+N_FREE_DOF = 3  # degrees of freedom of the free bodies
+# Columns of `Problem.contact_place`.
+GAP = 0
+NORMAL_X = 1  # into the first body
+NORMAL_Y = 2
+POINT_X = 3
+POINT_Y = 4
+OVERLAP = 5  # to take back apart from the velocities
+GIVEN_BACK = 6  # part of the bias that is restitution
+DRIVEN_NORMAL = 7  # part of the bias that is prescribed motion
+HALVINGS = 8  # how often less was given back
+N_PLACE = 9
+
+
 class Problem(NamedTuple):
     """The mixed complementarity problem of one step; docs/theory/contact.md gives the equations.
 
@@ -65,7 +83,7 @@ class Problem(NamedTuple):
     _|_ normal v + normal_bias >= 0, Coulomb on the tangents, maximum dissipation on the elements.
     """
 
-    size: IntArray  # (4,) n_dof, n_contact, n_element in use, n_dof of the free bodies
+    size: IntArray  # (4,) see N_DOF
     inertia: FloatArray  # (n_dof + 2, 3) row of each degree of freedom within its own block
     momentum: FloatArray  # (n_dof + 2,)
     velocity: FloatArray  # (n_dof + 2,) unknown; in: the guess, out: the solution
@@ -75,10 +93,7 @@ class Problem(NamedTuple):
     )
     contact_key: IntArray  # (n_contact,) names the pair of features, the same from step to step
     contact_body: IntArray  # (n_contact, 2)
-    # (n_contact, 9) gap, normal x, y (into the first body), point x, y; overlap to take back apart
-    # from the velocities, part of the bias that is restitution, part that is prescribed motion, how
-    # often less was given back
-    contact_place: FloatArray
+    contact_place: FloatArray  # (n_contact, N_PLACE) see GAP
     normal: FloatArray  # (n_contact, 6) row of the normal velocity, three columns a body
     tangent: FloatArray  # (n_contact, 6)
     bias: FloatArray  # (n_contact, 2) normal (gap / step and prescribed motion), tangential
@@ -132,14 +147,13 @@ class StepMethod(NamedTuple):
     effort: int  # most sweeps of Gauss-Seidel
 
 
-class TimeSettings(NamedTuple):
-    """Times and tolerances of one rollout, scaled."""
-
-    duration: float
-    step: float  # fixed step, or the first step of an adaptive stepper
-    tolerance: float  # of position, per step of an adaptive stepper
-    smallest: float
-    largest: float
+# Entries of `RolloutRecord.count` and `total`.
+SAMPLES = 0  # written
+CONTACT_ROWS = 1  # written
+STEPS_TAKEN = 2
+FALLBACKS = 3  # solves that needed one
+REACHED = 0  # time
+WORST_RESIDUAL = 1
 
 
 class RolloutRecord(NamedTuple):
@@ -152,8 +166,8 @@ class RolloutRecord(NamedTuple):
     contact: (
         FloatArray  # (n_row, 11) sample, two bodies, gap, normal (2), point (2), forces (2), step
     )
-    count: IntArray  # type: ignore[assignment]  # (4,) samples written, contact rows written, steps taken, steps that fell back
-    total: FloatArray  # (2,) time reached, worst residual
+    count: IntArray  # type: ignore[assignment]  # (4,) zeros at first; see SAMPLES
+    total: FloatArray  # (2,) zeros at first; see REACHED
 
 
 class Batch(NamedTuple):
@@ -173,7 +187,7 @@ class Batch(NamedTuple):
     sides: IntArray  # (n_rollout,)
     pose: FloatArray  # (body rows, 3) at time zero
     velocity: FloatArray  # (free rows, 3) at time zero
-    pace: FloatArray  # (n_rollout, 5) fields of TimeSettings
+    pace: FloatArray  # (n_rollout, N_PACE) see step_control.py
 
 
 class BatchRecord(NamedTuple):

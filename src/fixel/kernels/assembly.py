@@ -18,7 +18,17 @@ See docs/theory/contact.md. The three models differ in `inertia` and `momentum` 
 import math
 
 from fixel.kernels import codes
-from fixel.kernels.arrays import Model, Problem, State
+from fixel.kernels.arrays import (
+    N_DOF,
+    N_FREE_DOF,
+    NORMAL_X,
+    NORMAL_Y,
+    POINT_X,
+    POINT_Y,
+    Model,
+    Problem,
+    State,
+)
 from fixel.kernels.jit import kernel
 from fixel.typing import FloatArray
 
@@ -163,8 +173,8 @@ def assemble_elements(
 def set_stiffness(problem: Problem, n_element: int) -> None:
     """Write the typical impulse per unit velocity of each block: its inertia plus its friction
     limits."""
-    n_free_dof = problem.size[3]
-    n_dof = problem.size[0]
+    n_free_dof = problem.size[N_FREE_DOF]
+    n_dof = problem.size[N_DOF]
     largest = 0.0
     for o in range(0, n_free_dof, 3):
         problem.stiffness[o] = problem.inertia[o, 0]
@@ -194,10 +204,10 @@ def assemble_contact(
     at unit speed."""
     a = problem.contact_body[i, 0]
     b = problem.contact_body[i, 1]
-    nx = problem.contact_place[i, 1]
-    ny = problem.contact_place[i, 2]
-    px = problem.contact_place[i, 3]
-    py = problem.contact_place[i, 4]
+    nx = problem.contact_place[i, NORMAL_X]
+    ny = problem.contact_place[i, NORMAL_Y]
+    px = problem.contact_place[i, POINT_X]
+    py = problem.contact_place[i, POINT_Y]
     normal = problem.normal
     tangent = problem.tangent
     rx = px - pose[a, 0]

@@ -1,6 +1,6 @@
 """Many rollouts in one call, independent of each other and bit for bit of the threads."""
 
-from fixel.kernels.arrays import Batch, BatchRecord, Model, RolloutRecord, StepMethod, TimeSettings
+from fixel.kernels.arrays import Batch, BatchRecord, Model, RolloutRecord, StepMethod
 from fixel.kernels.jit import allocating_kernel, entry, spliced_kernel
 from fixel.kernels.rollout import rollout
 
@@ -63,9 +63,6 @@ def _rollout(
 ) -> None:
     a = batch.begin[r]
     z = a + batch.count[r]
-    pace = TimeSettings(
-        batch.pace[r, 0], batch.pace[r, 1], batch.pace[r, 2], batch.pace[r, 3], batch.pace[r, 4]
-    )
     own = RolloutRecord(
         record.time[r],
         record.pose[r],
@@ -80,7 +77,7 @@ def _rollout(
         batch.pose[a[BODY] : z[BODY]],
         batch.velocity[a[FREE] : z[FREE]],
         method,
-        pace,
+        batch.pace[r],
         own,
         every_step,
     )

@@ -12,8 +12,9 @@ STEP_TOO_SMALL: Final = 5
 MAX_STEPS: Final = 6
 THROWN: Final = 7
 
-# Status of a stepper that takes its last step back.
+# What a stepper decides besides: to take its last step back, or to try another length.
 UNDO: Final = -2
+RETRY: Final = -3
 
 STATUS_NAMES: Final = (
     "converged",

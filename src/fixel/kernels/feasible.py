@@ -1,6 +1,6 @@
 """Is there a motion at all? Two certificates that prescribed motions squeeze the bodies."""
 
-from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.arrays import N_CONTACT, N_DOF, Problem, Workspace
 from fixel.kernels.jit import kernel
 from fixel.kernels.linear import solve_dense
 
@@ -31,8 +31,8 @@ def squeezed(problem: Problem, work: Workspace, rubbing: bool) -> bool:
     ``n - mu t``, or on the normals.
     """
     sides = 2 if rubbing else 1
-    n_contact = problem.size[1]
-    n_dof = problem.size[0]
+    n_contact = problem.size[N_CONTACT]
+    n_dof = problem.size[N_DOF]
     z = work.contact_change  # amounts of the two edges; then the two sought in this turn
     chosen = work.active  # edges whose amounts are free, as 2 contact + side
     n = 0
@@ -120,9 +120,9 @@ def _edge_bias(problem: Problem, i: int, side: int, rubbing: bool) -> float:
 def _what_is_left(problem: Problem, work: Workspace, rubbing: bool) -> float:
     """``rows^T p`` into `work.right`; returns ``bias . p + 1``."""
     bias = 1.0
-    for o in range(problem.size[0]):
+    for o in range(problem.size[N_DOF]):
         work.right[o] = 0.0
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         for side in range(2):
             amount = work.contact_change[i, side]
             if amount != 0.0:

@@ -9,7 +9,7 @@ Source: Jourdan, Alart & Jean (1998) for the contacts; Rockafellar (1976) for th
 
 import math
 
-from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
 from fixel.kernels.jit import kernel
 from fixel.kernels.linear import invert_block
 from fixel.typing import FloatArray
@@ -33,8 +33,8 @@ def gauss_seidel(problem: Problem, work: Workspace, tolerance: float, max_sweeps
 @kernel
 def _prepare(problem: Problem, work: Workspace) -> None:
     """Invert every block of the inertia, and compute the velocities from the impulses."""
-    n_dof = problem.size[0]
-    n_free = problem.size[3]
+    n_dof = problem.size[N_DOF]
+    n_free = problem.size[N_FREE_DOF]
     v = problem.velocity
     inverse = work.inverse
     for o in range(0, n_free, 3):
@@ -57,7 +57,7 @@ def _prepare(problem: Problem, work: Workspace) -> None:
     for o in range(n_dof):
         work.centre[o] = v[o]
         right[o] = problem.momentum[o] + work.pull[o] * v[o]
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         for side in range(2):
             o = problem.contact_dof[i, side]
             if o >= 0:
@@ -66,7 +66,7 @@ def _prepare(problem: Problem, work: Workspace) -> None:
                         problem.normal[i, 3 * side + k] * problem.impulse[i, 0]
                         + problem.tangent[i, 3 * side + k] * problem.impulse[i, 1]
                     )
-    for e in range(problem.size[2]):
+    for e in range(problem.size[N_ELEMENT]):
         o = problem.element_dof[e]
         for j in range(3):
             for k in range(3):
@@ -83,7 +83,7 @@ def _prepare(problem: Problem, work: Workspace) -> None:
 @kernel
 def _pull(problem: Problem, work: Workspace) -> float:
     """Move the proximal centres to the present velocities."""
-    n_free = problem.size[3]
+    n_free = problem.size[N_FREE_DOF]
     v = problem.velocity
     largest = 0.0
     for o in range(0, n_free, 3):
@@ -102,7 +102,7 @@ def _pull(problem: Problem, work: Workspace) -> float:
             )
             v[o + k] += dv
             largest = max(largest, abs(dv))
-    for o in range(n_free, problem.size[0]):
+    for o in range(n_free, problem.size[N_DOF]):
         dv = work.inverse[o, 0] * work.pull[o] * (v[o] - work.centre[o])
         work.centre[o] = v[o]
         v[o] += dv
@@ -115,7 +115,7 @@ def _compliance(
     problem: Problem, work: Workspace, rows: FloatArray, i: int, start: int, o: int
 ) -> float:
     """Velocity along a row of block o per unit impulse along it."""
-    n_free = problem.size[3]
+    n_free = problem.size[N_FREE_DOF]
     total = 0.0
     if o >= n_free:
         return rows[i, start] * rows[i, start] * work.inverse[o, 0]
@@ -129,7 +129,7 @@ def _compliance(
 def _push(problem: Problem, work: Workspace, o: int, x: float, y: float, z: float) -> float:
     """Apply an impulse (x, y, z) to block o; returns the largest velocity change."""
     v = problem.velocity
-    if o >= problem.size[3]:
+    if o >= problem.size[N_FREE_DOF]:
         dv = work.inverse[o, 0] * x
         v[o] += dv
         return abs(dv)
@@ -145,7 +145,7 @@ def _push(problem: Problem, work: Workspace, o: int, x: float, y: float, z: floa
 def _sweep_contacts(problem: Problem, work: Workspace) -> float:
     v = problem.velocity
     largest = 0.0
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         for direction in range(2):
             rows = problem.normal if direction == 0 else problem.tangent
             u = problem.bias[i, direction]
@@ -186,7 +186,7 @@ def _sweep_elements(problem: Problem, work: Workspace) -> float:
     row = problem.element_row
     p = problem.element_impulse
     largest = 0.0
-    for e in range(problem.size[2]):
+    for e in range(problem.size[N_ELEMENT]):
         o = problem.element_dof[e]
         stiff = math.inf
         for j in range(3):

@@ -11,7 +11,7 @@ Source: George & Liu (1981), section 4.3, for the numbering.
 
 from typing import NamedTuple
 
-from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
 from fixel.kernels.jit import kernel
 from fixel.kernels.view import view
 from fixel.typing import FloatArray, IntArray
@@ -95,7 +95,7 @@ def choose_contacts(problem: Problem, islands: Islands, everything: bool) -> int
     """
     added = 0
     v = problem.velocity
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         if islands.contact_in[i] > 0:
             islands.contact_in[i] = 1
             continue
@@ -134,22 +134,22 @@ def find_islands(problem: Problem, islands: Islands) -> int:
     On return `islands.island[block]` is the smallest block of its island, and `islands.sequence`
     lists the bodies in reverse Cuthill-McKee order.
     """
-    n_body = problem.size[3] // 3
-    n_block = n_body + problem.size[0] - problem.size[3]
+    n_body = problem.size[N_FREE_DOF] // 3
+    n_block = n_body + problem.size[N_DOF] - problem.size[N_FREE_DOF]
     island = islands.island
     degree = islands.degree
     for b in range(n_block + 1):
         island[b] = b
         degree[b] = 0
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         second = problem.contact_dof[i, 1]
         if islands.contact_in[i] == 0 or second < 0:
             continue
-        a = _root(island, block_of(problem.size[3], problem.contact_dof[i, 0]))
-        b = _root(island, block_of(problem.size[3], second))
+        a = _root(island, block_of(problem.size[N_FREE_DOF], problem.contact_dof[i, 0]))
+        b = _root(island, block_of(problem.size[N_FREE_DOF], second))
         # The smaller number stays the root.
         island[max(a, b)] = min(a, b)
-        if second < problem.size[3]:
+        if second < problem.size[N_FREE_DOF]:
             degree[problem.contact_dof[i, 0] // 3] += 1
             degree[second // 3] += 1
     for b in range(n_block):
@@ -168,9 +168,9 @@ def _list_neighbours(problem: Problem, islands: Islands, n_body: int) -> None:
     for b in range(n_body):
         first[b + 1] = first[b] + islands.degree[b]
         islands.sequence[b] = first[b]
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         second = problem.contact_dof[i, 1]
-        if islands.contact_in[i] == 0 or second < 0 or second >= problem.size[3]:
+        if islands.contact_in[i] == 0 or second < 0 or second >= problem.size[N_FREE_DOF]:
             continue
         a = problem.contact_dof[i, 0] // 3
         b = second // 3
@@ -225,9 +225,9 @@ def mark_changed(problem: Problem, islands: Islands, n_block: int, everything: b
     all."""
     for b in range(n_block):
         islands.first[b] = 1 if everything else 0
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         if islands.contact_in[i] == 2:
-            block = block_of(problem.size[3], problem.contact_dof[i, 0])
+            block = block_of(problem.size[N_FREE_DOF], problem.contact_dof[i, 0])
             islands.first[islands.island[block]] = 1
 
 
@@ -238,7 +238,7 @@ def gather(
     """Copy one island into `islands.part`, numbered by `islands.sequence`, and its guess into
     `islands.guess`."""
     part = islands.part
-    n_body = problem.size[3] // 3
+    n_body = problem.size[N_FREE_DOF] // 3
     n_dof = 0
     for k in range(n_body):
         b = islands.sequence[k]
@@ -247,13 +247,13 @@ def gather(
             for j in range(3):
                 _copy_dof(problem, islands, guess, 3 * b + j, n_dof + j)
             n_dof += 3
-    part.size[3] = n_dof
-    for d in range(problem.size[0] - problem.size[3]):
+    part.size[N_FREE_DOF] = n_dof
+    for d in range(problem.size[N_DOF] - problem.size[N_FREE_DOF]):
         if islands.island[n_body + d] == island:
             islands.place[n_body + d] = n_dof
-            _copy_dof(problem, islands, guess, problem.size[3] + d, n_dof)
+            _copy_dof(problem, islands, guess, problem.size[N_FREE_DOF] + d, n_dof)
             n_dof += 1
-    part.size[0] = n_dof
+    part.size[N_DOF] = n_dof
     _gather_contacts(problem, work.profile, islands, island)
     _gather_elements(problem, islands, island)
 
@@ -274,18 +274,21 @@ def _copy_dof(
 @kernel
 def _gather_contacts(problem: Problem, profile: IntArray, islands: Islands, island: int) -> None:
     part = islands.part
-    for k in range(part.size[0]):
+    for k in range(part.size[N_DOF]):
         profile[k] = k - k % 3 + 3
     n = 0
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         a = problem.contact_dof[i, 0]
-        if islands.contact_in[i] == 0 or islands.island[block_of(problem.size[3], a)] != island:
+        if (
+            islands.contact_in[i] == 0
+            or islands.island[block_of(problem.size[N_FREE_DOF], a)] != island
+        ):
             continue
-        part.contact_dof[n, 0] = islands.place[block_of(problem.size[3], a)]
+        part.contact_dof[n, 0] = islands.place[block_of(problem.size[N_FREE_DOF], a)]
         b = problem.contact_dof[i, 1]
         part.contact_dof[n, 1] = -1
         if b >= 0:
-            part.contact_dof[n, 1] = islands.place[block_of(problem.size[3], b)]
+            part.contact_dof[n, 1] = islands.place[block_of(problem.size[N_FREE_DOF], b)]
         for k in range(6):
             part.normal[n, k] = problem.normal[i, k]
             part.tangent[n, k] = problem.tangent[i, k]
@@ -293,14 +296,14 @@ def _gather_contacts(problem: Problem, profile: IntArray, islands: Islands, isla
             part.bias[n, k] = problem.bias[i, k]
             part.impulse[n, k] = problem.impulse[i, k]
         part.friction[n] = problem.friction[i]
-        if 0 <= b < problem.size[3]:
+        if 0 <= b < problem.size[N_FREE_DOF]:
             low = min(part.contact_dof[n, 0], part.contact_dof[n, 1])
             high = max(part.contact_dof[n, 0], part.contact_dof[n, 1])
             profile[low] = max(profile[low], high + 3)
         n += 1
-    part.size[1] = n
+    part.size[N_CONTACT] = n
     reach = 0
-    for k in range(part.size[3]):
+    for k in range(part.size[N_FREE_DOF]):
         reach = max(reach, profile[k])
         profile[k] = reach
 
@@ -309,8 +312,8 @@ def _gather_contacts(problem: Problem, profile: IntArray, islands: Islands, isla
 def _gather_elements(problem: Problem, islands: Islands, island: int) -> None:
     part = islands.part
     n = 0
-    for e in range(problem.size[2]):
-        block = block_of(problem.size[3], problem.element_dof[e])
+    for e in range(problem.size[N_ELEMENT]):
+        block = block_of(problem.size[N_FREE_DOF], problem.element_dof[e])
         if islands.island[block] != island:
             continue
         part.element_dof[n] = islands.place[block]
@@ -322,31 +325,33 @@ def _gather_elements(problem: Problem, islands: Islands, island: int) -> None:
             for k in range(3):
                 part.element_row[n, j, k] = problem.element_row[e, j, k]
         n += 1
-    part.size[2] = n
+    part.size[N_ELEMENT] = n
 
 
 @kernel
 def scatter(problem: Problem, islands: Islands, island: int) -> None:
     """Copy the solution of one island back into the problem."""
     part = islands.part
-    n_body = problem.size[3] // 3
+    n_body = problem.size[N_FREE_DOF] // 3
     for b in range(n_body):
         if islands.island[b] == island:
             for k in range(3):
                 problem.velocity[3 * b + k] = part.velocity[islands.place[b] + k]
-    for d in range(problem.size[0] - problem.size[3]):
+    for d in range(problem.size[N_DOF] - problem.size[N_FREE_DOF]):
         if islands.island[n_body + d] == island:
-            problem.velocity[problem.size[3] + d] = part.velocity[islands.place[n_body + d]]
+            problem.velocity[problem.size[N_FREE_DOF] + d] = part.velocity[
+                islands.place[n_body + d]
+            ]
     n = 0
-    for i in range(problem.size[1]):
-        block = block_of(problem.size[3], problem.contact_dof[i, 0])
+    for i in range(problem.size[N_CONTACT]):
+        block = block_of(problem.size[N_FREE_DOF], problem.contact_dof[i, 0])
         if islands.contact_in[i] > 0 and islands.island[block] == island:
             for k in range(2):
                 problem.impulse[i, k] = part.impulse[n, k]
             n += 1
     n = 0
-    for e in range(problem.size[2]):
-        if islands.island[block_of(problem.size[3], problem.element_dof[e])] == island:
+    for e in range(problem.size[N_ELEMENT]):
+        if islands.island[block_of(problem.size[N_FREE_DOF], problem.element_dof[e])] == island:
             for k in range(3):
                 problem.element_impulse[e, k] = part.element_impulse[n, k]
             n += 1

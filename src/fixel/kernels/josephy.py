@@ -13,7 +13,7 @@ so that Lemke's method ends with a solution unless prescribed motions jam a body
 
 import math
 
-from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
 from fixel.kernels.gauss_seidel import friction_answer
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.linear import invert_block
@@ -40,26 +40,26 @@ def josephy(problem: Problem, work: Workspace, turn: int, way: int) -> bool:
     Solutions of the linear problem may lead to each other in a cycle. Another `way` finds other
     solutions, and later iterations take part of the step only.
     """
-    n_contact = problem.size[1]
-    n_element = problem.size[2]
-    n_drive = problem.size[0] - problem.size[3]
+    n_contact = problem.size[N_CONTACT]
+    n_element = problem.size[N_ELEMENT]
+    n_drive = problem.size[N_DOF] - problem.size[N_FREE_DOF]
     n_support = 0
-    while n_support < n_element and problem.element_dof[n_support] < problem.size[3]:
+    while n_support < n_element and problem.element_dof[n_support] < problem.size[N_FREE_DOF]:
         n_support += 1
     if not is_small(problem) or n_element - n_support != n_drive:
         return False
     pull = FLOOR
-    for o in range(0, problem.size[3], 3):
+    for o in range(0, problem.size[N_FREE_DOF], 3):
         if problem.inertia[o, 0] < LIGHT * problem.stiffness[o]:
             pull = PULL
     # Without contacts and drives: every body separately on its supports.
-    problem.size[1] = 0
-    problem.size[2] = n_support
+    problem.size[N_CONTACT] = 0
+    problem.size[N_ELEMENT] = n_support
     linearise_any(problem, work, COMPLIANCE, pull, False, False)
-    problem.size[1] = n_contact
-    problem.size[2] = n_element
+    problem.size[N_CONTACT] = n_contact
+    problem.size[N_ELEMENT] = n_element
     m = work.matrix
-    for o in range(0, problem.size[3], 3):
+    for o in range(0, problem.size[N_FREE_DOF], 3):
         invert_block(
             work.inverse, o, m[o, o], m[o, o + 1], m[o, o + 2], m[o + 1, o + 1], m[o + 1, o + 2],
             m[o + 2, o + 2],
@@ -73,10 +73,10 @@ def josephy(problem: Problem, work: Workspace, turn: int, way: int) -> bool:
 @kernel
 def is_small(problem: Problem) -> bool:
     """Whether a problem has few enough contacts, drives and unknowns for this method."""
-    n_drive = problem.size[0] - problem.size[3]
+    n_drive = problem.size[N_DOF] - problem.size[N_FREE_DOF]
     return (
-        problem.size[0] <= MAX_UNKNOWNS
-        and problem.size[1] <= MOST_CONTACTS
+        problem.size[N_DOF] <= MAX_UNKNOWNS
+        and problem.size[N_CONTACT] <= MOST_CONTACTS
         and n_drive <= MOST_DRIVES
     )
 
@@ -89,7 +89,7 @@ def _coupling(
     total = 0.0
     for side in range(2):
         o = problem.contact_dof[i, side]
-        if o < 0 or o >= problem.size[3]:
+        if o < 0 or o >= problem.size[N_FREE_DOF]:
             continue
         for other in range(2):
             if problem.contact_dof[j, other] == o:
@@ -111,9 +111,9 @@ def _write_tableau(problem: Problem, work: Workspace, n_support: int, way: int) 
     speed. Unknowns of drive d from 4 n + 2 d: speed below, and above, the commanded one. Rows of
     a drive: unused part of its force limit. The `way` selects among several solutions.
     """
-    n_contact = problem.size[1]
-    n_free = problem.size[3]
-    n_drive = problem.size[0] - n_free
+    n_contact = problem.size[N_CONTACT]
+    n_free = problem.size[N_FREE_DOF]
+    n_drive = problem.size[N_DOF] - n_free
     n = 4 * n_contact + 2 * n_drive
     t = work.tableau
     v = problem.velocity
@@ -295,10 +295,10 @@ def _pivot(t: FloatArray, row: int, column: int, n: int) -> None:
 def _take_answer(problem: Problem, work: Workspace, n_support: int, share: float) -> float:
     """Take the impulses of the tableau's solution and a share of the change to its velocities;
     returns the largest change of velocity."""
-    n_contact = problem.size[1]
-    n_free = problem.size[3]
-    n_drive = problem.size[0] - n_free
-    n_element = problem.size[2]
+    n_contact = problem.size[N_CONTACT]
+    n_free = problem.size[N_FREE_DOF]
+    n_drive = problem.size[N_DOF] - n_free
+    n_element = problem.size[N_ELEMENT]
     n = 4 * n_contact + 2 * n_drive
     t = work.tableau
     v = problem.velocity
@@ -356,14 +356,14 @@ def _take_answer(problem: Problem, work: Workspace, n_support: int, share: float
             )
             change = max(change, abs(right[o + k]))
             right[o + k] *= share
-    for o in range(n_free, problem.size[0]):
+    for o in range(n_free, problem.size[N_DOF]):
         right[o] = 0.0
     # Update the elements' impulses from their velocities; those of contacts are already set.
-    problem.size[1] = 0
-    problem.size[2] = n_support
+    problem.size[N_CONTACT] = 0
+    problem.size[N_ELEMENT] = n_support
     step_all(problem, work, COMPLIANCE)
-    problem.size[1] = n_contact
-    problem.size[2] = n_element
+    problem.size[N_CONTACT] = n_contact
+    problem.size[N_ELEMENT] = n_element
     # Linearised where it sticks, an element gets an impulse far above its limit; linearised there
     # again, nearly none. So project it to its friction law at its slip velocity.
     p = problem.element_impulse

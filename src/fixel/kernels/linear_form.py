@@ -16,7 +16,7 @@ ends at a solution of it; Rockafellar (1976) for the proximal pull.
 import math
 from typing import Final
 
-from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.lemke import MAX_PIVOTS, SOLVED, Tableau, lemke, resolve
 
@@ -36,8 +36,8 @@ SETTLED = 1e-10  # impulse left in the proximal pull, which is the momentum resi
 @kernel
 def tableau_size(problem: Problem, sides_for_discs: int) -> int:
     """Rows of the linear form of the present step; -1 where it has none."""
-    rows = 4 * problem.size[1]
-    for e in range(problem.size[2]):
+    rows = 4 * problem.size[N_CONTACT]
+    for e in range(problem.size[N_ELEMENT]):
         m = _directions(problem, e, sides_for_discs)
         if m == 0:
             return -1
@@ -147,10 +147,10 @@ def _insist(tableau: Tableau, n: int, max_pivots: int) -> int:
 @kernel
 def _invert_blocks(problem: Problem, work: Workspace, share: float) -> bool:
     """Write proximal masses and the inverse of every block; returns whether any mass is used."""
-    n_free = problem.size[3]
+    n_free = problem.size[N_FREE_DOF]
     d = problem.inertia
     pulled = False
-    for o in range(problem.size[0]):
+    for o in range(problem.size[N_DOF]):
         own = d[o, o % 3] if o < n_free else d[o, 0]
         pull = share * problem.stiffness[o]
         work.pull[o] = 0.0 if own > pull else pull
@@ -176,7 +176,7 @@ def _invert_blocks(problem: Problem, work: Workspace, share: float) -> bool:
         for i in range(3):
             for j in range(3):
                 work.inverse[o + i, j] /= determinant
-    for o in range(n_free, problem.size[0]):
+    for o in range(n_free, problem.size[N_DOF]):
         work.inverse[o, 0] = 1.0 / (d[o, 0] + work.pull[o])
         work.inverse[o, 1] = 0.0
         work.inverse[o, 2] = 0.0
@@ -186,7 +186,7 @@ def _invert_blocks(problem: Problem, work: Workspace, share: float) -> bool:
 @kernel
 def _write_rows(problem: Problem, tableau: Tableau, sides_for_discs: int) -> None:
     """Write lever, block and bias of every row: normal, two tangents, slip; or directions, slip."""
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         r = 4 * i
         for side in range(2):
             o = problem.contact_dof[i, side]
@@ -201,9 +201,9 @@ def _write_rows(problem: Problem, tableau: Tableau, sides_for_discs: int) -> Non
         tableau.bias[r + 1] = problem.bias[i, 1]
         tableau.bias[r + 2] = -problem.bias[i, 1]
         tableau.bias[r + 3] = 0.0
-    r = 4 * problem.size[1]
+    r = 4 * problem.size[N_CONTACT]
     row = problem.element_row
-    for e in range(problem.size[2]):
+    for e in range(problem.size[N_ELEMENT]):
         m = _directions(problem, e, sides_for_discs)
         for j in range(m):
             c = math.cos(2.0 * math.pi * j / m)
@@ -236,14 +236,14 @@ def _write_matrix(
             tableau.matrix[c, r] = 0.0
         _write_compliance(problem, work, tableau, n, r)
     r = 0
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         _scale_group(tableau, r, 3)
         for j in range(1, 3):
             tableau.matrix[r + j, r + 3] = 1.0
             tableau.matrix[r + 3, r + j] = -1.0
         tableau.matrix[r + 3, r] = problem.friction[i]
         r += 4
-    for e in range(problem.size[2]):
+    for e in range(problem.size[N_ELEMENT]):
         m = _directions(problem, e, sides_for_discs)
         _scale_group(tableau, r, m)
         for j in range(m):
@@ -281,7 +281,7 @@ def _respond(
 ) -> tuple[float, float, float]:
     """Velocity of block o under the impulse (x, y, z)."""
     inverse = work.inverse
-    if o >= problem.size[3]:
+    if o >= problem.size[N_FREE_DOF]:
         return inverse[o, 0] * x, 0.0, 0.0
     return (
         inverse[o, 0] * x + inverse[o, 1] * y + inverse[o, 2] * z,
@@ -305,14 +305,14 @@ def _scale_group(tableau: Tableau, start: int, m: int) -> None:
 @kernel
 def _write_vector(problem: Problem, work: Workspace, tableau: Tableau, n: int) -> None:
     """Write the vector b: velocities along every row without impulses, and the limits."""
-    n_free = problem.size[3]
+    n_free = problem.size[N_FREE_DOF]
     v = problem.velocity
     right = work.right
-    for o in range(problem.size[0]):
+    for o in range(problem.size[N_DOF]):
         right[o] = problem.momentum[o] + work.pull[o] * work.centre[o]
     for o in range(0, n_free, 3):
         v[o], v[o + 1], v[o + 2] = _respond(problem, work, o, right[o], right[o + 1], right[o + 2])
-    for o in range(n_free, problem.size[0]):
+    for o in range(n_free, problem.size[N_DOF]):
         v[o] = work.inverse[o, 0] * right[o]
     for r in range(n):
         u = tableau.bias[r]
@@ -328,12 +328,12 @@ def _write_vector(problem: Problem, work: Workspace, tableau: Tableau, n: int) -
 def _read_impulses(problem: Problem, tableau: Tableau, sides_for_discs: int) -> None:
     """Compute the impulses of contacts and elements from the solution."""
     z = tableau.answer
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         r = 4 * i
         problem.impulse[i, 0] = tableau.scale[r] * z[r]
         problem.impulse[i, 1] = tableau.scale[r] * (z[r + 1] - z[r + 2])
-    r = 4 * problem.size[1]
-    for e in range(problem.size[2]):
+    r = 4 * problem.size[N_CONTACT]
+    for e in range(problem.size[N_ELEMENT]):
         m = _directions(problem, e, sides_for_discs)
         for k in range(3):
             problem.element_impulse[e, k] = 0.0
@@ -349,7 +349,7 @@ def _read_impulses(problem: Problem, tableau: Tableau, sides_for_discs: int) -> 
 @kernel
 def _read_velocity(problem: Problem, work: Workspace, tableau: Tableau, n: int) -> float:
     """Compute velocities from the solution, also as new centres; returns the largest pull."""
-    n_free = problem.size[3]
+    n_free = problem.size[N_FREE_DOF]
     v = problem.velocity
     right = work.right
     for r in range(n):
@@ -361,10 +361,10 @@ def _read_velocity(problem: Problem, work: Workspace, tableau: Tableau, n: int) 
                     right[o + k] += p * tableau.lever[r, 3 * side + k]
     for o in range(0, n_free, 3):
         v[o], v[o + 1], v[o + 2] = _respond(problem, work, o, right[o], right[o + 1], right[o + 2])
-    for o in range(n_free, problem.size[0]):
+    for o in range(n_free, problem.size[N_DOF]):
         v[o] = work.inverse[o, 0] * right[o]
     left = 0.0
-    for o in range(problem.size[0]):
+    for o in range(problem.size[N_DOF]):
         left = max(left, work.pull[o] * abs(v[o] - work.centre[o]))
         work.centre[o] = v[o]
     return left

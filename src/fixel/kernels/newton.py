@@ -13,7 +13,7 @@ Source: Alart & Curnier (1991) for the map; the compliance is a proximal step as
 
 import math
 
-from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
 from fixel.kernels.jit import kernel
 from fixel.kernels.linear import solve_dense, solve_envelope
 
@@ -52,12 +52,14 @@ def newton(problem: Problem, work: Workspace, tolerance: float, max_iterations: 
 def solve_linear(problem: Problem, work: Workspace, dense: bool) -> bool:
     """Solve the system that `linearise` wrote; the velocity change replaces `work.right`."""
     if dense:
-        return solve_dense(work.matrix, work.right, problem.size[0])
+        return solve_dense(work.matrix, work.right, problem.size[N_DOF])
     reach = 0
-    for k in range(problem.size[3]):
+    for k in range(problem.size[N_FREE_DOF]):
         reach = max(reach, work.active[k])
         work.active[k] = reach
-    return solve_envelope(work.matrix, work.active, work.right, problem.size[3], problem.size[0])
+    return solve_envelope(
+        work.matrix, work.active, work.right, problem.size[N_FREE_DOF], problem.size[N_DOF]
+    )
 
 
 @kernel
@@ -92,8 +94,8 @@ def linearise(
     float
         Largest entry of the natural map; where `proximal`, largest change of impulse.
     """
-    n_dof = problem.size[0]
-    n_free = problem.size[3]
+    n_dof = problem.size[N_DOF]
+    n_free = problem.size[N_FREE_DOF]
     v = problem.velocity
     matrix = work.matrix
     right = work.right
@@ -129,8 +131,8 @@ def linearise(
 
 @kernel
 def _clear_envelope(problem: Problem, work: Workspace) -> None:
-    n_dof = problem.size[0]
-    n_free = problem.size[3]
+    n_dof = problem.size[N_DOF]
+    n_free = problem.size[N_FREE_DOF]
     matrix = work.matrix
     for k in range(n_free):
         for j in range(k, work.profile[k]):
@@ -154,7 +156,7 @@ def _add_elements(problem: Problem, work: Workspace, epsilon: float, proximal: b
     right = work.right
     matrix = work.matrix
     worst = 0.0
-    for e in range(problem.size[2]):
+    for e in range(problem.size[N_ELEMENT]):
         o = problem.element_dof[e]
         rho = problem.stiffness[o]
         limit = problem.element_limit[e]
@@ -281,7 +283,7 @@ def _add_contacts(
     matrix = work.matrix
     worst = 0.0
     largest = 0.0
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         a = problem.contact_dof[i, 0]
         b = problem.contact_dof[i, 1]
         mu = problem.friction[i]
@@ -364,7 +366,7 @@ def _add_contacts(
 @kernel
 def _widen(problem: Problem, work: Workspace, a: int, b: int) -> None:
     """Extend the envelope from one of two coupled blocks to the other."""
-    if max(a, b) < problem.size[3]:
+    if max(a, b) < problem.size[N_FREE_DOF]:
         last = max(a, b) + 3
         for k in range(min(a, b), min(a, b) + 3):
             work.active[k] = max(work.active[k], last)
@@ -375,7 +377,7 @@ def step_all(problem: Problem, work: Workspace, epsilon: float) -> None:
     """Change the velocities by the solution in `work.right`, and the impulses accordingly."""
     dv = work.right
     p = problem.impulse
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         state = int(work.contact_change[i, 3])
         p[i, 0] += work.contact_change[i, 0]
         p[i, 1] += work.contact_change[i, 1]
@@ -402,7 +404,7 @@ def step_all(problem: Problem, work: Workspace, epsilon: float) -> None:
             p[i, 1] -= work.contact_change[i, 2] * stiff * dn
     change = work.element_change
     row = problem.element_row
-    for e in range(problem.size[2]):
+    for e in range(problem.size[N_ELEMENT]):
         o = problem.element_dof[e]
         ux = 0.0
         uy = 0.0
@@ -416,5 +418,5 @@ def step_all(problem: Problem, work: Workspace, epsilon: float) -> None:
         problem.element_impulse[e, 0] += change[e, 0] - kappa * (ux - cross * change[e, 4])
         problem.element_impulse[e, 1] += change[e, 1] - kappa * (uy - cross * change[e, 5])
         problem.element_impulse[e, 2] += change[e, 2] - kappa * (uz - cross * change[e, 6])
-    for i in range(problem.size[0]):
+    for i in range(problem.size[N_DOF]):
         problem.velocity[i] += dv[i]

@@ -15,7 +15,7 @@ Alart & Curnier (1991) for the springs.
 
 import math
 
-from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import EPSILON, FLOOR, linearise, solve_linear, step_all
@@ -32,14 +32,14 @@ def linearise_any(
     problem: Problem, work: Workspace, epsilon: float, pull: float, proximal: bool, tresca: bool
 ) -> float:
     """Call `linearise` for a problem of any size, not inlined."""
-    dense = problem.size[0] <= DENSE_LIMIT
+    dense = problem.size[N_DOF] <= DENSE_LIMIT
     return linearise(problem, work, epsilon, pull, dense, proximal, tresca)
 
 
 @large_kernel
 def solve_any(problem: Problem, work: Workspace) -> bool:
     """Call `solve_linear` for a problem of any size, not inlined."""
-    return solve_linear(problem, work, problem.size[0] <= DENSE_LIMIT)
+    return solve_linear(problem, work, problem.size[N_DOF] <= DENSE_LIMIT)
 
 
 @kernel
@@ -100,7 +100,7 @@ def proximal_newton(
     wait = patience
     _follow(problem, work, 1.0)
     for _ in range(rounds):
-        for i in range(problem.size[0]):
+        for i in range(problem.size[N_DOF]):
             work.centre[i] = problem.velocity[i]
         balanced = False
         tresca = False
@@ -109,7 +109,7 @@ def proximal_newton(
             if attempt == 1:
                 # Coulomb's coupling prevented convergence.
                 wait = PATIENCE
-                for i in range(problem.size[0]):
+                for i in range(problem.size[N_DOF]):
                     problem.velocity[i] = work.centre[i]
             change, balanced = _balance(problem, work, sigma, tresca)
             if balanced or tresca:
@@ -125,7 +125,7 @@ def proximal_newton(
             continue
         _take_answers(problem, work)
         _follow(problem, work, share if tresca else 1.0)
-        for i in range(problem.size[0]):
+        for i in range(problem.size[N_DOF]):
             drift = abs(problem.velocity[i] - work.centre[i])
             change = max(change, problem.stiffness[i] * drift / sigma)
         if sigma >= cap and change <= tolerance:
@@ -143,7 +143,7 @@ def _balance(problem: Problem, work: Workspace, sigma: float, tresca: bool) -> t
     Returns the largest difference between the impulses of a spring and of its constraint, and
     whether the balance was found.
     """
-    n_dof = problem.size[0]
+    n_dof = problem.size[N_DOF]
     v = problem.velocity
     searching = False
     low = 0.0
@@ -201,8 +201,8 @@ def _balance(problem: Problem, work: Workspace, sigma: float, tresca: bool) -> t
 @kernel
 def _curvature(problem: Problem, work: Workspace) -> float:
     """Compute ``d^T J d`` of the search direction d and the matrix that `linearise` wrote."""
-    n_dof = problem.size[0]
-    n_free = problem.size[3]
+    n_dof = problem.size[N_DOF]
+    n_free = problem.size[N_FREE_DOF]
     dense = n_dof <= DENSE_LIMIT
     search = work.search
     total = 0.0
@@ -218,7 +218,7 @@ def _curvature(problem: Problem, work: Workspace) -> float:
 @kernel
 def _follow(problem: Problem, work: Workspace, share: float) -> None:
     """Change the given friction limits towards Coulomb's by a share."""
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         own = problem.friction[i] * problem.impulse[i, 0]
         work.contact_change[i, 4] += share * (own - work.contact_change[i, 4])
 
@@ -226,9 +226,9 @@ def _follow(problem: Problem, work: Workspace, share: float) -> None:
 @kernel
 def _take_answers(problem: Problem, work: Workspace) -> None:
     """Set the impulses to those of the springs."""
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         for k in range(2):
             problem.impulse[i, k] += work.contact_change[i, k]
-    for e in range(problem.size[2]):
+    for e in range(problem.size[N_ELEMENT]):
         for k in range(3):
             problem.element_impulse[e, k] += work.element_change[e, k]

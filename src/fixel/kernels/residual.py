@@ -2,7 +2,7 @@
 
 import math
 
-from fixel.kernels.arrays import Problem
+from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem
 from fixel.kernels.jit import kernel
 from fixel.typing import FloatArray
 
@@ -23,15 +23,15 @@ def residual(problem: Problem, left_over: FloatArray) -> float:
     left_over : (n_dof + 2,) float64
         Scratch; on return the momentum residual of each degree of freedom.
     """
-    n_dof = problem.size[0]
+    n_dof = problem.size[N_DOF]
     v = problem.velocity
     worst = 0.0
     for i in range(n_dof):
-        block = i - i % 3 if i < problem.size[3] else i
+        block = i - i % 3 if i < problem.size[N_FREE_DOF] else i
         left_over[i] = -problem.momentum[i]
         for k in range(3):
             left_over[i] += problem.inertia[i, k] * v[block + k]
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         p_n = problem.impulse[i, 0]
         p_t = problem.impulse[i, 1]
         u_n = problem.bias[i, 0]
@@ -49,7 +49,7 @@ def residual(problem: Problem, left_over: FloatArray) -> float:
         worst = max(worst, abs(min(p_n, u_n)), abs(p_t - min(reach, max(-reach, p_t - u_t))))
         if not (math.isfinite(u_n) and math.isfinite(u_t) and math.isfinite(p_n + p_t)):
             return math.inf
-    for i in range(problem.size[2]):
+    for i in range(problem.size[N_ELEMENT]):
         dof = problem.element_dof[i]
         row = problem.element_row
         p_x, p_y, p_z = problem.element_impulse[i]

@@ -3,7 +3,7 @@
 import math
 
 from fixel.kernels import codes
-from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, Problem, Workspace
 from fixel.kernels.feasible import squeezed
 from fixel.kernels.gauss_seidel import gauss_seidel
 from fixel.kernels.islands import (
@@ -33,8 +33,8 @@ STILL_VELOCITY = 1e-9  # velocity below which the answer of the step before is t
 QUICK_ITERATIONS = 10  # Newton from the step before: 2 or 3 are the rule
 ITERATIONS = 12  # Newton from where the recovery got to
 # Trials of the recovery: each starts where the last one got to, every eighth from no impulses.
-PATIENT = 98
-HASTY = 8
+PATIENT_TRIALS = 98
+HASTY_TRIALS = 8
 TURNS = 6  # of pivoting; one to three are the rule
 GIVE_UP = 5  # after this trial ask whether friction may jam: nothing was ever found later then
 CLOSE_RESIDUAL = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
@@ -49,10 +49,11 @@ def solve(
     """Solve the problem in place; returns (residual, 1 if a fallback was needed).
 
     Few unknowns: a few steps of Newton from the impulses of the step before, or what `finish` can
-    do in so many `trials`: HASTY where a shorter step may be tried instead, else PATIENT.
+    do in so many `trials`: HASTY_TRIALS where a shorter step may be tried instead, else
+    PATIENT_TRIALS.
     """
     way = sweeps if solver == codes.GAUSS_SEIDEL else 0
-    if way == 0 and problem.size[0] <= DENSE_LIMIT:
+    if way == 0 and problem.size[N_DOF] <= DENSE_LIMIT:
         if at_rest(problem):
             worst = residual(problem, work.right)
             if worst <= NEWTON_TOLERANCE:
@@ -77,7 +78,7 @@ def finish(
             return worst, 0
         forget(problem, guess)
         save(problem, work)
-    if problem.size[0] > DENSE_LIMIT:
+    if problem.size[N_DOF] > DENSE_LIMIT:
         return solve_large(problem, work, guess, trials)
     return recover(problem, work, guess, False, trials)
 
@@ -95,7 +96,7 @@ def solve_large(
     """Solve island by island."""
     islands = islands_of(problem, work)
     fell_back = 0
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         islands.contact_in[i] = 0
     for turn in range(ROUNDS):
         added = choose_contacts(problem, islands, turn == ROUNDS - 1)
@@ -130,7 +131,7 @@ def recover(
     small = is_small(problem)
     # Asked first where contacts are few, at less than the cost of a trial: a step that can be
     # shortened is given up where friction may jam, another only where a jam is proven.
-    if small and squeezed(problem, work, trials <= HASTY):
+    if small and squeezed(problem, work, trials <= HASTY_TRIALS):
         return residual(problem, work.right), 1
     stiffness = 100.0
     worst = math.inf
@@ -192,31 +193,31 @@ def polish(problem: Problem, work: Workspace, iterations: int, stiffness: float)
 def at_rest(problem: Problem) -> bool:
     """Whether nothing moves."""
     fastest = 0.0
-    for i in range(problem.size[0]):
+    for i in range(problem.size[N_DOF]):
         fastest = max(fastest, abs(problem.velocity[i]))
     return fastest <= STILL_VELOCITY
 
 
 @kernel
 def save(problem: Problem, work: Workspace) -> None:
-    for i in range(problem.size[0]):
+    for i in range(problem.size[N_DOF]):
         work.search[i, 2] = problem.velocity[i]
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         for k in range(2):
             work.old_impulse[i, k] = problem.impulse[i, k]
-    for e in range(problem.size[2]):
+    for e in range(problem.size[N_ELEMENT]):
         for k in range(3):
             work.element_change[e, 8 + k] = problem.element_impulse[e, k]
 
 
 @kernel
 def restore(problem: Problem, work: Workspace) -> None:
-    for i in range(problem.size[0]):
+    for i in range(problem.size[N_DOF]):
         problem.velocity[i] = work.search[i, 2]
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         for k in range(2):
             problem.impulse[i, k] = work.old_impulse[i, k]
-    for e in range(problem.size[2]):
+    for e in range(problem.size[N_ELEMENT]):
         for k in range(3):
             problem.element_impulse[e, k] = work.element_change[e, 8 + k]
 
@@ -224,12 +225,12 @@ def restore(problem: Problem, work: Workspace) -> None:
 @kernel
 def forget(problem: Problem, guess: FloatArray) -> None:
     """Go back to the guessed velocities and no impulses."""
-    for i in range(problem.size[0]):
+    for i in range(problem.size[N_DOF]):
         problem.velocity[i] = guess[i]
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         problem.impulse[i, 0] = 0.0
         problem.impulse[i, 1] = 0.0
-    for e in range(problem.size[2]):
+    for e in range(problem.size[N_ELEMENT]):
         for k in range(3):
             problem.element_impulse[e, k] = 0.0
 
@@ -238,9 +239,9 @@ def forget(problem: Problem, guess: FloatArray) -> None:
 def wander(problem: Problem, turn: int) -> None:
     """Move the velocities to somewhere else of the same size, another place each turn."""
     size = 0.1
-    for i in range(problem.size[0]):
+    for i in range(problem.size[N_DOF]):
         size = max(size, abs(problem.velocity[i]))
-    for i in range(problem.size[0]):
+    for i in range(problem.size[N_DOF]):
         place = (i + 1) * turn * 0.6180339887498949
         problem.velocity[i] += size * (2.0 * (place - math.floor(place)) - 1.0)
 

@@ -4,7 +4,25 @@ bodies."""
 import math
 
 from fixel.kernels import codes
-from fixel.kernels.arrays import Model, Problem, State, Workspace
+from fixel.kernels.arrays import (
+    DRIVEN_NORMAL,
+    GAP,
+    GIVEN_BACK,
+    HALVINGS,
+    N_CONTACT,
+    N_DOF,
+    N_ELEMENT,
+    N_FREE_DOF,
+    NORMAL_X,
+    NORMAL_Y,
+    OVERLAP,
+    POINT_X,
+    POINT_Y,
+    Model,
+    Problem,
+    State,
+    Workspace,
+)
 from fixel.kernels.assembly import (
     assemble_bodies,
     assemble_contact,
@@ -111,7 +129,7 @@ def prepare_contacts(
         work.near_count[0] = find_near_pairs(model, pose, n_free, n_moving, work.reach[0], work)
         if work.near_count[0] < 0:
             return False
-    n_old = problem.size[1] if ratio > 0.0 else 0
+    n_old = problem.size[N_CONTACT] if ratio > 0.0 else 0
     for i in range(n_old):
         work.old_key[i] = problem.contact_key[i]
         work.old_impulse[i, 0] = problem.impulse[i, 0]
@@ -120,8 +138,8 @@ def prepare_contacts(
     if n_contact < 0:
         return False
     warm_start(problem, n_contact, work.old_key, work.old_impulse, n_old, ratio)
-    problem.size[1] = n_contact
-    problem.size[3] = 3 * n_free
+    problem.size[N_CONTACT] = n_contact
+    problem.size[N_FREE_DOF] = 3 * n_free
     return True
 
 
@@ -157,8 +175,8 @@ def prepare_rows(
             _prepare_drive(model, state, d, step, span, problem, n_element, dof)
             n_element += 1
             dof += 1
-    problem.size[0] = dof
-    problem.size[2] = n_element
+    problem.size[N_DOF] = dof
+    problem.size[N_ELEMENT] = n_element
     for e in range(n_element):
         for k in range(3):
             # After a failed solve there may be no number to multiply.
@@ -168,7 +186,7 @@ def prepare_rows(
     set_stiffness(problem, n_support)
     for i in range(dof):
         problem.velocity[i] = guess[i]
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         _prepare_contact(model, state, motion, time, step, lead, guess, pose, problem, i)
 
 
@@ -239,8 +257,8 @@ def _prepare_contact(
         dof = model.drive_dof[d]
         dx, dy, da, _ = path_direction(model.path_start, model.path, d, state.path_time[d], step)
     assemble_contact(problem, i, pose, n_free, dof, dx, dy, da)
-    nx = problem.contact_place[i, 1]
-    ny = problem.contact_place[i, 2]
+    nx = problem.contact_place[i, NORMAL_X]
+    ny = problem.contact_place[i, NORMAL_Y]
     ahead = 0.0  # normal motion expected from the step's start to where the rows are taken
     before = 0.0  # normal velocity before the step
     first = problem.contact_dof[i, 0]
@@ -251,12 +269,12 @@ def _prepare_contact(
         if second >= 0:
             ahead += problem.normal[i, 3 + k] * guess[second + k]
             before += problem.normal[i, 3 + k] * state.velocity[second + k]
-    gap = problem.contact_place[i, 0] - lead * ahead  # at the step's start
+    gap = problem.contact_place[i, GAP] - lead * ahead  # at the step's start
     driven_n = 0.0  # normal and tangential motion of a rigid pusher over the step
     driven_t = 0.0
     if driven and dof < 0:
-        rx = problem.contact_place[i, 3] - pose[b, 0]
-        ry = problem.contact_place[i, 4] - pose[b, 1]
+        rx = problem.contact_place[i, POINT_X] - pose[b, 0]
+        ry = problem.contact_place[i, POINT_Y] - pose[b, 1]
         x0, y0, a0 = path_pose(model.path_start, model.path, d, time)
         x1, y1, a1 = path_pose(model.path_start, model.path, d, time + step)
         mx = x1 - x0 - ry * (a1 - a0)
@@ -287,10 +305,10 @@ def _prepare_contact(
         # Newton's law of impact in place of the gap: leave with `bounce` times the approach.
         given_back = (bounce * approach - driven_n) - bias_n
         bias_n += given_back
-    problem.contact_place[i, 5] = overlap
-    problem.contact_place[i, 6] = given_back
-    problem.contact_place[i, 7] = -driven_n
-    problem.contact_place[i, 8] = 0.0
+    problem.contact_place[i, OVERLAP] = overlap
+    problem.contact_place[i, GIVEN_BACK] = given_back
+    problem.contact_place[i, DRIVEN_NORMAL] = -driven_n
+    problem.contact_place[i, HALVINGS] = 0.0
     problem.bias[i, 0] = bias_n
     problem.bias[i, 1] = -driven_t / step
 
@@ -306,25 +324,25 @@ def creates_energy(model: Model, state: State, problem: Problem) -> bool:
     elastic = False
     energy = 0.0
     scale = 0.0
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         p_n = problem.impulse[i, 0]
         p_t = problem.impulse[i, 1]
         if p_n <= 0.0:
             continue
-        elastic = elastic or problem.contact_place[i, 6] != 0.0
+        elastic = elastic or problem.contact_place[i, GIVEN_BACK] != 0.0
         slip = problem.bias[i, 1]
         for side in range(2):
             dof = problem.contact_dof[i, side]
             if dof >= 0:
                 for k in range(3):
                     slip += problem.tangent[i, 3 * side + k] * problem.velocity[dof + k]
-        leaving = problem.contact_place[i, 7] - problem.bias[i, 0]
+        leaving = problem.contact_place[i, DRIVEN_NORMAL] - problem.bias[i, 0]
         energy += p_n * leaving + p_t * slip
         scale += p_n * (1e-7 * abs(leaving) + 1e-9)
     if not elastic:
         return False
-    n_free_dof = problem.size[3]
-    for e in range(problem.size[2]):
+    n_free_dof = problem.size[N_FREE_DOF]
+    for e in range(problem.size[N_ELEMENT]):
         dof = problem.element_dof[e]
         if dof < n_free_dof:
             for j in range(3):
@@ -339,11 +357,11 @@ def creates_energy(model: Model, state: State, problem: Problem) -> bool:
         energy += 0.5 * change * (force - inertia * change)
     if energy <= scale:
         return False
-    for i in range(problem.size[1]):
-        kept = problem.contact_place[i, 6]
-        approach = kept if problem.contact_place[i, 8] >= 2.0 else 0.5 * kept
-        problem.contact_place[i, 8] += 1.0
-        problem.contact_place[i, 6] = kept - approach
+    for i in range(problem.size[N_CONTACT]):
+        kept = problem.contact_place[i, GIVEN_BACK]
+        approach = kept if problem.contact_place[i, HALVINGS] >= 2.0 else 0.5 * kept
+        problem.contact_place[i, HALVINGS] += 1.0
+        problem.contact_place[i, GIVEN_BACK] = kept - approach
         problem.bias[i, 0] -= approach
     return True
 
@@ -358,20 +376,20 @@ def _part(model: Model, state: State, step: float, problem: Problem) -> None:
     Source: Cline & Pai (2003), post-stabilisation.
     """
     overlapping = False
-    for i in range(problem.size[1]):
-        overlapping = overlapping or problem.contact_place[i, 5] > 0.0
-        problem.contact_place[i, 6] = 0.0
+    for i in range(problem.size[N_CONTACT]):
+        overlapping = overlapping or problem.contact_place[i, OVERLAP] > 0.0
+        problem.contact_place[i, GIVEN_BACK] = 0.0
     if not overlapping:
         return
-    n_dof = problem.size[3]
+    n_dof = problem.size[N_FREE_DOF]
     shift = problem.momentum  # of this step; no longer needed
     for o in range(n_dof):
         shift[o] = 0.0
     for _ in range(SWEEPS):
         largest = 0.0
-        for i in range(problem.size[1]):
+        for i in range(problem.size[N_CONTACT]):
             weight = 0.0
-            wanted = problem.contact_place[i, 5] - step * problem.bias[i, 0]
+            wanted = problem.contact_place[i, OVERLAP] - step * problem.bias[i, 0]
             for side in range(2):
                 dof = problem.contact_dof[i, side]
                 if dof >= 0:
@@ -384,9 +402,9 @@ def _part(model: Model, state: State, step: float, problem: Problem) -> None:
                             wanted -= n * shift[dof + k]
             if weight == 0.0:
                 continue
-            push = max(0.0, problem.contact_place[i, 6] + wanted / weight)
-            more = push - problem.contact_place[i, 6]
-            problem.contact_place[i, 6] = push
+            push = max(0.0, problem.contact_place[i, GIVEN_BACK] + wanted / weight)
+            more = push - problem.contact_place[i, GIVEN_BACK]
+            problem.contact_place[i, GIVEN_BACK] = push
             largest = max(largest, abs(more) * weight)
             for side in range(2):
                 dof = problem.contact_dof[i, side]
@@ -411,7 +429,7 @@ def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
     its velocity along the normal of a contact, by a large part of the change or, if `smooth`, of
     the velocity; or by more than forces explain, unless `smooth`.
     """
-    n_dof = problem.size[3]
+    n_dof = problem.size[N_FREE_DOF]
     v = problem.velocity
     scratch = problem.stiffness  # of this step; no longer needed. Size, impulse, mark.
     for o in range(0, n_dof, 3):
@@ -424,7 +442,7 @@ def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
                 problem.momentum[k] - problem.inertia[k, k - o] * state.velocity[k]
             )
         scratch[o + 2] = 0.0
-    for e in range(problem.size[2]):
+    for e in range(problem.size[N_ELEMENT]):
         if problem.element_dof[e] < n_dof:
             scratch[problem.element_dof[e] + 1] += problem.element_limit[e]
             scratch[problem.element_dof[e] + 2] = RUBBED
@@ -432,10 +450,10 @@ def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
         for o in range(0, n_dof, 3):
             if scratch[o] > 2.0 * scratch[o + 1] / problem.inertia[o, 0]:
                 scratch[o + 2] = BLOCKED
-    for i in range(problem.size[1]):
+    for i in range(problem.size[N_CONTACT]):
         if problem.impulse[i, 0] <= 0.0:
             continue
-        along = math.inf if problem.contact_place[i, 6] != 0.0 else 0.0
+        along = math.inf if problem.contact_place[i, GIVEN_BACK] != 0.0 else 0.0
         for side in range(2):
             o = problem.contact_dof[i, side]
             if o >= 0:
@@ -459,7 +477,7 @@ def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
     spreading = True
     while spreading:  # from body to body: only together do they keep from gaining energy
         spreading = False
-        for i in range(problem.size[1]):
+        for i in range(problem.size[N_CONTACT]):
             o = problem.contact_dof[i, 0]
             other = problem.contact_dof[i, 1]
             if problem.impulse[i, 0] <= 0.0 or not 0 <= other < n_dof:
@@ -497,8 +515,8 @@ def move(model: Model, state: State, step: float, problem: Problem, ahead: int) 
     first = 0
     if ahead > 0:
         _carry_on(state, problem, ahead == 2)
-        first = problem.size[3]
-    for i in range(problem.size[0]):
+        first = problem.size[N_FREE_DOF]
+    for i in range(problem.size[N_DOF]):
         state.middle[i] = v[i]
         if i >= first:
             state.velocity[i] = v[i]

@@ -11,7 +11,16 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.kernels import batch as kernel
-from fixel.kernels.arrays import Batch, BatchRecord, StepMethod
+from fixel.kernels.arrays import (
+    FALLBACKS,
+    REACHED,
+    SAMPLES,
+    STEPS_TAKEN,
+    WORST_RESIDUAL,
+    Batch,
+    BatchRecord,
+    StepMethod,
+)
 from fixel.model import Parameters, Scene
 from fixel.simulation.motion import AbstractMotionModel, Dynamic
 from fixel.simulation.pack import PackedBatch, Variation, stack
@@ -236,10 +245,10 @@ def _unpack(
         status=record.status,
         time=times,
         pose=shape_poses(packed, record.pose),
-        stopped_at=record.total[:, 0] * units.time,
-        steps=record.count[:, 2].copy(),
-        fallbacks=record.count[:, 3].copy(),
-        max_residual=record.total[:, 1].copy(),
+        stopped_at=record.total[:, REACHED] * units.time,
+        steps=record.count[:, STEPS_TAKEN].copy(),
+        fallbacks=record.count[:, FALLBACKS].copy(),
+        max_residual=record.total[:, WORST_RESIDUAL].copy(),
         force=record.drive[:, -1, :, 0] * units.force,
         stalled=record.drive[:, -1, :, 1] > 0.0,
     )
@@ -248,8 +257,8 @@ def _unpack(
 def _hold_last(record: BatchRecord) -> None:
     """Repeat the last pose of rollouts that stopped early in the samples they did not reach."""
     n_sample = record.time.shape[1]
-    for r in np.nonzero(record.count[:, 0] < n_sample)[0]:
-        written = record.count[r, 0]
+    for r in np.nonzero(record.count[:, SAMPLES] < n_sample)[0]:
+        written = record.count[r, SAMPLES]
         last = written - 1
         for array in (record.pose, record.drive):
             array[r, written:] = array[r, last] if last >= 0 else 0.0

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.kernels.arrays import BatchRecord
+from fixel.kernels.arrays import REACHED, SAMPLES, BatchRecord
 from fixel.model import Scene
 from fixel.simulation.batch import refuse_plugins, roll
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
@@ -155,7 +155,7 @@ class Ensemble:
                 at += len(own)
                 status[own] = part_record.status
                 pose[own] = _track(part, part_record)
-                reached[own] = part_record.total[:, 0] * part.units.time
+                reached[own] = part_record.total[:, REACHED] * part.units.time
         for k in np.flatnonzero(ready & (status != codes.CONVERGED)):
             reasons[k] = f"{codes.STATUS_NAMES[int(status[k])]} at {reached[k]:.4g} s"
         return EnsembleOutcome(status, pose, reached, reasons)
@@ -287,7 +287,7 @@ def _padded(track: FloatArray, n: int) -> FloatArray:
 def _track(packed: PackedBatch, record: BatchRecord) -> FloatArray:
     """Poses (n, n_sample, 3) of the first body; the last one repeated after an early stop."""
     pose = shape_poses(packed, record.pose)[:, :, 0]
-    written = record.count[:, 0]
+    written = record.count[:, SAMPLES]
     n_sample = pose.shape[1]
     for r in np.flatnonzero(written < n_sample):
         # A rollout that stopped before its first sample has none to repeat, as its status shows.

@@ -9,7 +9,11 @@ import numpy as np
 
 from fixel.kernels import batch as kernel
 from fixel.kernels import codes, single
+from fixel.kernels import step_control as at
 from fixel.kernels.arrays import (
+    CONTACT_ROWS,
+    N_DOF,
+    SAMPLES,
     BatchRecord,
     Model,
     Problem,
@@ -48,14 +52,17 @@ class _Loop:
         wide = self.problem.momentum.size
         n_driven = self.model.force_limit.size
         self.state = State(self.pose.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
-        self.last_span = 0.0  # of the impulses in the problem
-        self.span = 0.0  # time over which forces acted up to the velocity of the last solve
-        self.staggered = motion.kind == codes.DYNAMIC and stepper.adaptive
-        self.time = 0.0
+        self.control = np.zeros(at.N_CONTROL)
+        staggered = motion.kind == codes.DYNAMIC and stepper.adaptive
+        single.begin_control(self.control, batch.pace[0], stepper.adaptive, staggered)
         self.fallbacks = 0
-        pace = batch.pace[0]
         single.begin(
-            self.model, self.state, batch.velocity, float(pace[1]), self.problem, self.work
+            self.model,
+            self.state,
+            batch.velocity,
+            float(batch.pace[0, at.STEP]),
+            self.problem,
+            self.work,
         )
 
     def attempt(
@@ -68,19 +75,19 @@ class _Loop:
     ) -> Attempt:
         """Try one step: contacts, the model's rows, the shared rows, the solver."""
         model, state, problem, work = self.model, self.state, self.problem, self.work
-        ahead = lead * step
-        kind = self.motion.kind
-        self.span = span = 0.5 * step if self.staggered else step
-        ratio = span / self.last_span if self.last_span > 0.0 else 0.0
+        control, kind, ahead = self.control, self.motion.kind, lead * step
+        time = float(control[at.TIME])
+        span = 0.5 * step if control[at.STAGGERED] else step
+        ratio = span / float(control[at.LAST_SPAN]) if control[at.LAST_SPAN] > 0.0 else 0.0
+        control[at.SPAN] = span
         if not single.contacts(
-            model, state, self.time, step, ahead, guess, self.pose, problem, work, ratio
+            model, state, time, step, ahead, guess, self.pose, problem, work, ratio
         ):
             return Attempt(codes.CONTACT_OVERFLOW, math.inf)
         n_support = self.motion.assemble(model, state, span, self.pose, problem)
         single.rows(
-            model, state, kind, self.time, step, span, ahead, guess, self.pose, problem, n_support,
-            ratio,
-        )  # fmt: skip
+            model, state, kind, time, step, span, ahead, guess, self.pose, problem, n_support, ratio
+        )
         if least < math.inf:
             closing = float(single.closing_time(problem, guess, step, lead, least))
             if closing < math.inf:
@@ -91,17 +98,43 @@ class _Loop:
             solved = residual <= TOLERANCE
             if not (solved and single.gains_energy(model, state, problem)):
                 break
-        self.last_span = span if solved else 0.0
+        control[at.LAST_SPAN] = span if solved else 0.0
         if not solved:
-            jams = single.has_no_solution(problem, work, guess)
-            return Attempt(codes.MAX_ITERATIONS, residual, jams=jams)
-        if single.is_thrown(model, state, self.time, step, problem):
+            if single.has_no_solution(problem, work, guess):
+                return Attempt(codes.JAMMED, residual)
+            failed = codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS
+            return Attempt(failed, residual)
+        if single.is_thrown(model, state, time, step, problem):
             return Attempt(codes.THROWN, residual)
-        bounces = single.bounces(model, state, kind, self.time, step, problem)
+        bounces = single.bounces(model, state, kind, time, step, problem)
         return Attempt(codes.CONVERGED, residual, bounces)
 
+    def past(self, before: State) -> Past:
+        """Return the last two steps."""
+        state, control = self.state, self.control
+        return Past(
+            state.middle.copy(),
+            before.middle,
+            float(control[at.LAST]),
+            float(control[at.EARLIER]),
+            state.velocity.copy(),
+        )
 
-def roll_plainly(
+    def limits(self) -> StepLimits:
+        """Return the bounds on the next step."""
+        control = self.control
+        single.limit_step(self.model, self.state, control)
+        return StepLimits(
+            left=float(control[at.LEFT]),
+            tolerance=float(control[at.TOLERANCE]),
+            smallest=float(control[at.SMALLEST]),
+            largest=float(control[at.LARGEST]),
+            inertial=self.motion.kind == codes.DYNAMIC,
+            eventful=control[at.EVENTFUL] == 1.0,
+        )
+
+
+def rollout_in_python(
     packed: PackedBatch,
     motion: AbstractMotionModel,
     stepper: AbstractStepper,
@@ -111,101 +144,61 @@ def roll_plainly(
 ) -> BatchRecord:
     """Simulate one rollout step by step; results equal those of the compiled loop."""
     loop = _Loop(packed, motion, stepper, solver, method.max_contacts)
-    duration, step, tolerance, smallest, largest = (float(x) for x in packed.batch.pace[0])
-    step = min(step, duration)
-    scaled = None if times is None else times / packed.units.time
-    samples = _SampleCollector(loop, scaled, duration, step)
+    control = loop.control
+    samples = _SampleCollector(loop, None if times is None else times / packed.units.time)
     status = codes.CONVERGED
     worst = 0.0
-    steps = 0
-    before = State(*(np.array(a) for a in loop.state))
-    last_taken = earlier_taken = earliest_taken = 0.0
-    undone = 0
-    eventful = True  # as in the compiled loop
-    careful_until = careful = 0.0
-    time_before = 0.0
-    older = before
-    while loop.time < duration * (1.0 - 1e-12):
-        if steps + undone >= method.max_steps:
+    before = older = _copied(loop.state)
+    while control[at.TIME] < control[at.DURATION] * (1.0 - 1e-12):
+        if control[at.STEPS] + control[at.UNDONE] >= method.max_steps:
             status = codes.MAX_STEPS
             break
-        inertial = motion.kind == codes.DYNAMIC
-        left = duration - loop.time
-        if loop.time < careful_until - smallest:
-            step = min(step, careful)
-        if stepper.adaptive:
-            left = single.time_to_corner(loop.model, loop.state, loop.time, step, left, tolerance)
-        limits = StepLimits(left, tolerance, smallest, largest, inertial, eventful)
-        past = Past(
-            loop.state.middle.copy(),
-            before.middle,
-            last_taken,
-            earlier_taken,
-            loop.state.velocity.copy(),
-        )
+        limits, past = loop.limits(), loop.past(before)
+        step = float(control[at.STEP])
         advance = stepper.advance(loop.attempt, loop.problem, past, step, limits)
-        if advance.status == codes.UNDO:
-            careful_until = loop.time + 0.5 * last_taken
-            careful = step = advance.next_step
-            loop.time = time_before
-            loop.state = State(*(np.array(a) for a in before))
-            before = older
-            last_taken, earlier_taken, earliest_taken = earlier_taken, earliest_taken, 0.0
-            eventful = True
+        status = advance.status
+        if status == codes.UNDO:
+            single.take_back(control)
+            loop.state, before = _copied(before), older
             samples.undo()
-            steps -= 1
-            undone += 1
             continue
-        if advance.status != codes.CONVERGED:
-            status = _reason(loop, advance.status, advance.residual)
+        if status != codes.CONVERGED:
             break
         worst = max(worst, advance.residual)
-        older = before
-        before = State(*(np.array(a) for a in loop.state))
-        time_before = loop.time
-        eventful = advance.event
-        taken = advance.step
-        ahead = 0 if not loop.staggered else 2 if advance.smooth else 1
-        motion.move(loop.model, loop.state, advance.step, loop.problem, ahead)
-        n_dof = loop.problem.size[0]
+        older, before = before, _copied(loop.state)
+        control[at.TRIAL], control[at.STEP] = advance.step, advance.next_step
+        control[at.EVENTFUL], control[at.SMOOTH] = advance.event, advance.smooth
+        motion.move(
+            loop.model, loop.state, advance.step, loop.problem, int(single.carried(control))
+        )
+        n_dof = loop.problem.size[N_DOF]
         loop.state.middle[:n_dof] = loop.problem.velocity[:n_dof]  # since a plug-in may not set it
-        loop.time += advance.step
-        steps += 1
-        earliest_taken, earlier_taken, last_taken = earlier_taken, last_taken, taken
-        step = advance.next_step
-        samples.take(before, taken, loop.span)
-    if status != codes.CONVERGED and steps and not samples.every_step:
+        single.end_step(control)
+        samples.take(before, advance.step, float(control[at.SPAN]))
+    if status != codes.CONVERGED and control[at.STEPS] and not samples.every_step:
         # Without contacts and forces, since the problem was not solved.
-        samples.stop_at(loop.time)
-        samples.take(before, 0.0, taken)
-    return samples.finish(status, steps, worst)
+        samples.stop_at(float(control[at.TIME]))
+        samples.take(before, 0.0, float(control[at.LAST]))
+    return samples.finish(status, worst)
 
 
-def _reason(loop: _Loop, status: int, residual: float) -> int:
-    if status != codes.MAX_ITERATIONS:
-        return status
-    if math.isinf(residual):
-        return codes.NON_FINITE
-    locked = single.has_no_solution(loop.problem, loop.work, loop.state.velocity)
-    return codes.JAMMED if locked else codes.MAX_ITERATIONS
+def _copied(state: State) -> State:
+    return State(*(np.array(a) for a in state))
 
 
 class _SampleCollector:
     """Collector of samples, as in the compiled loop."""
 
-    def __init__(
-        self, loop: _Loop, times: FloatArray | None, duration: float, first_step: float
-    ) -> None:
+    def __init__(self, loop: _Loop, times: FloatArray | None) -> None:
         self.loop = loop
         self.times = np.zeros(0) if times is None else times
         self.every_step = times is None
-        self.duration = duration
         self.n_driven = loop.model.force_limit.size
         self.shape = (loop.model.mass.size + self.n_driven, 3)
         self.rows: list[RolloutRecord] = []
         self.done = 0
         self.counts: list[int] = []
-        self.take(loop.state, 0.0, first_step)
+        self.take(loop.state, 0.0, float(loop.control[at.STEP]))
 
     def take(self, before: State, moved: float, span: float) -> None:
         """Write the samples in the last `moved` of time; forces acted for `span`."""
@@ -221,13 +214,14 @@ class _SampleCollector:
             np.zeros(4, np.int64),
             np.zeros(2),
         )
-        written = single.sample(
-            loop.model, before, loop.state, loop.time - moved, loop.time, span, loop.problem,
-            record, self.every_step, self.duration,
+        single.write_samples(
+            loop.model, before, loop.state, loop.control, moved, span, loop.problem, record,
+            self.every_step,
         )  # fmt: skip
+        written = int(record.count[SAMPLES])
         self.counts.append(written)
         if written:
-            contact = record.contact[: record.count[1]]
+            contact = record.contact[: record.count[CONTACT_ROWS]]
             contact[:, 0] += self.done
             self.rows.append(
                 RolloutRecord(
@@ -253,9 +247,11 @@ class _SampleCollector:
         """Set `time` as the last sample."""
         self.times = np.append(self.times[: self.done], time)
 
-    def finish(self, status: int, steps: int, worst: float) -> BatchRecord:
+    def finish(self, status: int, worst: float) -> BatchRecord:
         """Return all samples as a batch of one."""
         joined = [np.concatenate([row[k] for row in self.rows])[None] for k in range(5)]
-        count = np.array([[self.done, joined[4].shape[1], steps, self.loop.fallbacks]], np.int64)
-        total = np.array([[self.loop.time, worst]])
+        control = self.loop.control
+        counts = [self.done, joined[4].shape[1], int(control[at.STEPS]), self.loop.fallbacks]
+        count = np.array([counts], np.int64)
+        total = np.array([[control[at.TIME], worst]])
         return BatchRecord._make([*joined, count, total, np.array([status], np.int64)])

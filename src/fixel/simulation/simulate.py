@@ -15,11 +15,18 @@ from numpy.typing import NDArray
 from fixel.errors import InvalidInput, SolveFailed
 from fixel.kernels import batch as kernel
 from fixel.kernels import codes
-from fixel.kernels.arrays import BatchRecord, StepMethod
+from fixel.kernels.arrays import (
+    CONTACT_ROWS,
+    REACHED,
+    STEPS_TAKEN,
+    WORST_RESIDUAL,
+    BatchRecord,
+    StepMethod,
+)
 from fixel.model import Parameters, Scene
 from fixel.simulation.motion import AbstractMotionModel, Dynamic
 from fixel.simulation.pack import PackedBatch, Variation, pack
-from fixel.simulation.plain import roll_plainly
+from fixel.simulation.plain import rollout_in_python
 from fixel.simulation.result import CONTACT_FIELDS, PusherTrace, Simulation
 from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
@@ -28,6 +35,7 @@ from fixel.typing import FloatArray
 
 MAX_STEPS = 1_000_000  # of a stepper without a limit
 MAX_SAMPLES = 200_000
+USUAL_SAMPLES = 1_000  # steps of an adaptive stepper, of which most scenes take fewer
 CONTACTS_PER_BODY = 8  # rows of the contact table per sample and moving body
 
 
@@ -87,7 +95,7 @@ def simulate(
     times = None if output_interval is None else sample_times(duration, output_interval)
     seconds = clock.perf_counter()
     if plain or not compiled:
-        record = roll_plainly(packed, motion, stepper, solver, method, times)
+        record = rollout_in_python(packed, motion, stepper, solver, method, times)
     else:
         record = _roll_compiled(packed, stepper, method, duration, times)
     seconds = clock.perf_counter() - seconds
@@ -224,22 +232,25 @@ def _roll_compiled(
         record = empty_record(packed, len(times), per_sample * len(times), times)
         kernel.roll(packed.batch, method, record, False, 0, 1)
         return record
+    room = USUAL_SAMPLES
     if stepper.first_step is not None:
-        n_sample = math.ceil(duration / stepper.first_step * (1.0 + 1e-9)) + 2
-    else:
-        # The number of steps of an adaptive stepper is known only after a rollout.
-        probe = empty_record(packed, 0, 0)
-        kernel.roll(packed.batch, method, probe, False, 0, 1)
-        n_sample = int(probe.count[0, 2]) + 1
-    if n_sample > MAX_SAMPLES:
-        raise InvalidInput(
-            "output_interval",
-            found=f"none, with {n_sample} steps",
-            expected=f"at most {MAX_SAMPLES} samples",
-            hint=f"give an output_interval of {duration / 1000:.3g} s, say",
-        )
-    record = empty_record(packed, n_sample, per_sample * n_sample)
-    kernel.roll(packed.batch, method, record, True, 0, 1)
+        room = math.ceil(duration / stepper.first_step * (1.0 + 1e-9)) + 2
+    while True:
+        if room > MAX_SAMPLES:
+            raise InvalidInput(
+                "output_interval",
+                found=f"none, with {room} steps",
+                expected=f"at most {MAX_SAMPLES} samples",
+                hint=f"give an output_interval of {duration / 1000:.3g} s, say",
+            )
+        record = empty_record(packed, room, per_sample * room)
+        kernel.roll(packed.batch, method, record, True, 0, 1)
+        n_sample = int(record.count[0, STEPS_TAKEN]) + 1
+        if n_sample <= room:
+            break
+        room = n_sample  # rare: all steps of an adaptive stepper, once more
+    if stepper.first_step is None:
+        record.count[0, CONTACT_ROWS] = min(record.count[0, CONTACT_ROWS], per_sample * n_sample)
     return record
 
 
@@ -292,7 +303,7 @@ def _unpack(
     poses = shape_poses(packed, record.pose[0, :n_sample])
     twists = record.twist[0, :n_sample] * _scales(packed).twist
     moving = scene.names[: poses.shape[1]]
-    reached = float(record.total[0, 0]) * units.time
+    reached = float(record.total[0, REACHED]) * units.time
     status = int(record.status[0])
     pushers = {}
     for k, pusher in enumerate(scene.pushers):
@@ -316,7 +327,7 @@ def _unpack(
         pushers=pushers,
         steps=steps,
         fallbacks=fallbacks,
-        max_residual=float(record.total[0, 1]),
+        max_residual=float(record.total[0, WORST_RESIDUAL]),
         wall_time_s=seconds,
         version=_version(),
     )

@@ -9,7 +9,7 @@ from typing import ClassVar, final
 from fixel.errors import InvalidInput
 from fixel.kernels import codes, single
 from fixel.kernels.arrays import Problem, Workspace
-from fixel.kernels.solve import HASTY, PATIENT, TOLERANCE
+from fixel.kernels.solve import HASTY_TRIALS, PATIENT_TRIALS, TOLERANCE
 from fixel.typing import FloatArray
 
 
@@ -60,7 +60,7 @@ class Newton(AbstractSolver):
     def solve(
         self, problem: Problem, work: Workspace, guess: FloatArray, hasty: bool = False
     ) -> tuple[float, int]:
-        return single.solve_problem(problem, work, guess, self.kind, 0, _trials(hasty))
+        return _solved(problem, work, guess, self.kind, 0, hasty)
 
 
 @final
@@ -88,9 +88,7 @@ class GaussSeidel(AbstractSolver):
     def solve(
         self, problem: Problem, work: Workspace, guess: FloatArray, hasty: bool = False
     ) -> tuple[float, int]:
-        return single.solve_problem(
-            problem, work, guess, self.kind, self.max_sweeps, _trials(hasty)
-        )
+        return _solved(problem, work, guess, self.kind, self.max_sweeps, hasty)
 
 
 @final
@@ -123,12 +121,15 @@ class Lemke(AbstractSolver):
         residual = float(single.solve_by_pivoting(problem, work, self.max_pivots))
         if residual <= TOLERANCE:
             return residual, 0
-        residual, _ = single.solve_problem(problem, work, guess, codes.NEWTON, 0, _trials(hasty))
-        return residual, 1
+        return _solved(problem, work, guess, codes.NEWTON, 0, hasty)[0], 1
 
 
-def _trials(hasty: bool) -> int:
-    return HASTY if hasty else PATIENT
+def _solved(
+    problem: Problem, work: Workspace, guess: FloatArray, kind: int, sweeps: int, hasty: bool
+) -> tuple[float, int]:
+    trials = HASTY_TRIALS if hasty else PATIENT_TRIALS
+    residual, fell_back = single.solve_problem(problem, work, guess, kind, sweeps, trials)
+    return float(residual), int(fell_back)
 
 
 SOLVERS: tuple[type[AbstractSolver], ...] = (Newton, GaussSeidel, Lemke)

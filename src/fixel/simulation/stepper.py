@@ -11,32 +11,18 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes, single
+from fixel.kernels import step_control as at
 from fixel.kernels.arrays import Problem
-from fixel.kernels.rollout import (
-    CAUTION,
-    CUT,
-    EVENT,
-    EXPONENT,
-    GROWTH,
-    INSIST,
-    JUMP,
-    PREDICTED,
-    RENEWED,
-    SECOND_ORDER,
-    SHRINK,
-)
-from fixel.kernels.solve import TOLERANCE
 from fixel.typing import FloatArray
 
 
 class Attempt(NamedTuple):
     """Result of one attempt at a step."""
 
-    status: int  # codes.CONVERGED, CONTACT_OVERFLOW, MAX_ITERATIONS or THROWN
+    status: int  # of `step_control.judge_step`
     residual: float
     bounces: bool = False  # whether a contact gives back speed
     closing: float = math.inf  # when a gap closes inside the step, which was then not solved
-    jams: bool = False  # whether an unsolved step may have no solution
 
 
 class Advance(NamedTuple):
@@ -114,10 +100,43 @@ class StepLimits(NamedTuple):
     eventful: bool = True  # whether something is known to happen where the step starts
 
 
-def _fixed(attempt: Try, past: Past, step: float, lead: float, limits: StepLimits) -> Advance:
-    trial = limits.left if limits.left < step * (1.0 + 1e-9) else step
-    status, residual, *_ = attempt(trial, lead, past.velocity)
-    return Advance(status, trial, step, residual)
+def _advance(
+    stepper: AbstractStepper,
+    attempt: Try,
+    problem: Problem,
+    past: Past,
+    step: float,
+    limits: StepLimits,
+) -> Advance:
+    """Find the next step with the decisions of the compiled loop, in kernels/step_control.py."""
+    control = np.zeros(at.N_CONTROL)
+    control[at.ADAPTIVE] = stepper.adaptive
+    control[at.STAGGERED] = limits.inertial
+    control[at.STEP], control[at.LEFT] = step, limits.left
+    control[at.TOLERANCE] = limits.tolerance
+    control[at.SMALLEST], control[at.LARGEST] = limits.smallest, limits.largest
+    control[at.LAST], control[at.EARLIER] = past.last, past.earlier
+    control[at.EVENTFUL] = limits.eventful
+    guess = past.velocity.copy()
+    single.choose_trial(control)
+    decision, residual = codes.RETRY, math.inf
+    while decision == codes.RETRY:
+        single.predict_velocity(control, past.velocity, past.before, guess)
+        trial, min_gap = float(control[at.TRIAL]), float(control[at.MIN_GAP])
+        hasty = control[at.HASTY] == 1.0
+        status, residual, bounces, closing = attempt(trial, stepper.lead, guess, min_gap, hasty)
+        control[at.BOUNCES], control[at.CLOSING] = bounces, closing
+        decision = int(
+            single.judge_step(control, problem, guess, past.reached, status, float(residual))
+        )
+    return Advance(
+        status=decision,
+        step=float(control[at.TRIAL]),
+        next_step=float(control[at.STEP]),
+        residual=residual,
+        event=control[at.EVENTFUL] == 1.0,
+        smooth=control[at.SMOOTH] == 1.0,
+    )
 
 
 @final
@@ -144,7 +163,7 @@ class StewartTrinkle(AbstractStepper):
     def advance(
         self, attempt: Try, problem: Problem, past: Past, step: float, limits: StepLimits
     ) -> Advance:
-        return _fixed(attempt, past, step, self.lead, limits)
+        return _advance(self, attempt, problem, past, step, limits)
 
 
 @final
@@ -171,7 +190,7 @@ class Midpoint(AbstractStepper):
     def advance(
         self, attempt: Try, problem: Problem, past: Past, step: float, limits: StepLimits
     ) -> Advance:
-        return _fixed(attempt, past, step, self.lead, limits)
+        return _advance(self, attempt, problem, past, step, limits)
 
 
 @final
@@ -226,109 +245,7 @@ class Adaptive(AbstractStepper):
     def advance(
         self, attempt: Try, problem: Problem, past: Past, step: float, limits: StepLimits
     ) -> Advance:
-        """Advance with the same decisions as the compiled loop in kernels/rollout.py."""
-        trial = min(step, limits.left)
-        if trial < limits.left < 1.5 * trial:
-            trial = 0.5 * limits.left
-        rate, guess = 0.0, past.velocity
-        guessed = PREDICTED
-        predicting = True
-        growth = GROWTH
-        unsolved = 0
-        resumed = 0.0  # the step to go on with after a bounce or a closing gap
-        while True:
-            if predicting:
-                rate, guess = _predict(past, trial)
-                predicting = False
-            least = limits.tolerance if guessed == PREDICTED else math.inf
-            hasty = trial > limits.smallest and unsolved % INSIST != INSIST - 1
-            status, residual, bounces, closing, jams = attempt(
-                trial, self.lead, guess, least, hasty
-            )
-            if status == codes.CONTACT_OVERFLOW:
-                return Advance(status, trial, trial, residual)
-            if closing < math.inf:
-                resumed = max(resumed, trial)
-                trial, guessed = max(closing * (1.0 - 1e-6), limits.smallest), CUT
-                continue
-            if not residual <= TOLERANCE:
-                unsolved += not jams
-                if trial > limits.smallest:
-                    trial, guessed, predicting = 0.25 * trial, PREDICTED, True
-                    continue
-                return Advance(codes.MAX_ITERATIONS, trial, trial, residual)
-            if status == codes.THROWN:
-                if trial > limits.smallest:
-                    trial, guessed, predicting = 0.25 * trial, PREDICTED, True
-                    continue
-                return Advance(status, trial, trial, residual)
-            if bounces and trial > limits.smallest:
-                resumed = max(resumed, trial)
-                trial, guessed = max(limits.smallest, 0.25 * trial), PREDICTED
-                predicting = True
-                continue
-            change = float(single.largest_change(problem, guess))
-            jumped = change > JUMP * float(single.largest_speed(problem))
-            if (
-                not limits.eventful
-                and guessed != RENEWED
-                and min(past.last, trial) > limits.smallest
-                and 0.25 * past.last * change > EVENT * limits.tolerance
-            ):
-                if trial > past.last:
-                    trial = past.last
-                    predicting, guessed = True, PREDICTED
-                    continue
-                return Advance(codes.UNDO, trial, 0.5 * past.last, residual)
-            error = 0.5 * trial * change
-            if rate > 0.0 and not jumped:
-                error *= SECOND_ORDER
-            if limits.inertial:
-                error = max(error, trial * float(single.untouched_change(problem, past.reached)))
-                if jumped or guessed == RENEWED:
-                    forced = trial * float(single.forced_change(problem, past.reached))
-                    if forced > limits.tolerance and trial > limits.smallest:
-                        growth = 1.0
-                        shrink = CAUTION * limits.tolerance / forced
-                        trial = max(limits.smallest, trial * shrink)
-                        guessed, predicting = PREDICTED, True
-                        continue
-                    error = max(error, forced)
-            if error <= limits.tolerance or trial <= limits.smallest:
-                ratio = limits.tolerance / max(error, 1e-30)
-                growth = min(growth, CAUTION * ratio**EXPONENT)
-                following = trial * max(0.5, growth)
-                if trial < step and trial >= limits.left:
-                    following = max(following, step)  # cut short by the end of the straight
-                if resumed > 0.0 and (trial <= limits.smallest or guessed == CUT):
-                    following = resumed
-                event = guessed == CUT or (trial < step and trial >= limits.left)
-                return Advance(
-                    codes.CONVERGED,
-                    trial,
-                    min(following, limits.largest),
-                    residual,
-                    event,
-                    rate > 0.0 and not jumped,
-                )
-            if jumped:
-                rate, guess = 0.0, np.array(problem.velocity)
-                if guessed != RENEWED:
-                    guessed = RENEWED
-                    continue
-            growth = 1.0
-            shrink = max(SHRINK, CAUTION * (limits.tolerance / error) ** EXPONENT)
-            trial = max(limits.smallest, trial * shrink)
-            predicting = guessed != RENEWED
-            guessed = PREDICTED
-
-
-def _predict(past: Past, step: float) -> tuple[float, FloatArray]:
-    guess = past.velocity.copy()
-    rate = single.predict(
-        past.velocity, past.before, guess.size - 2, step, past.last, past.earlier, guess
-    )
-    return float(rate), guess
+        return _advance(self, attempt, problem, past, step, limits)
 
 
 def _refuse_step(where: str, step: float) -> None:

@@ -1,0 +1,506 @@
+"""Control of the steps: how long a step is, the velocity expected over it, whether it is taken.
+
+The compiled loop (`rollout.py`) and the plain one (`simulation/plain.py`) call these functions, so
+that nothing is decided twice. docs/theory/stepping.md explains the rules.
+"""
+
+import math
+
+from fixel.kernels import codes
+from fixel.kernels.arrays import (
+    GAP,
+    N_CONTACT,
+    N_DOF,
+    N_ELEMENT,
+    N_FREE_DOF,
+    NORMAL_X,
+    NORMAL_Y,
+    POINT_X,
+    POINT_Y,
+    Model,
+    Problem,
+    State,
+)
+from fixel.kernels.jit import kernel, large_kernel
+from fixel.kernels.path import path_direction, path_pose, straight_time
+from fixel.kernels.step import RECOVERY
+from fixel.typing import FloatArray
+
+GROWTH_LIMIT = 3.0  # the step grows at most so much from one step to the next
+SHRINK = 0.3  # and shrinks at most so much after a rejection
+CAUTION = 0.9  # aim at this part of the tolerance
+EVENT = 10.0  # tolerances: where something happens, inside a step, need not be known better
+JUMP = 0.1  # of the velocity: a change from step to step that is no smooth motion's
+# Of the change from a velocity expected on a line, times half the step: what a second-order step is
+# wrong by. A twelfth for equal steps; twice that to be safe.
+SECOND_ORDER = 1.0 / 6.0
+# Where the expected velocity of a trial comes from.
+PREDICTED = 0  # the steps before
+CUT = 1  # the same, for a step that ends where a gap closes
+RENEWED = 2  # the solution of the same trial, which begins with a jump
+INSIST = 3  # one of so many unsolved trials of a step is not given up early, jams not counted
+EXPONENT = 0.4  # of the change of step with the error's: between second and third order
+BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
+MAX_MOTION = (
+    1.0  # characteristic length, or radian: a step that moves a body further is out of its depth
+)
+SUDDEN = 3.0  # times the fastest motion in sight, which a step looks ahead for; see step._margin
+
+# Entries of a control, an array of floats; 1 for true. The first are those of `Batch.pace`.
+DURATION = 0
+STEP = 1  # proposed length of the next step; in a batch the fixed or first one
+TOLERANCE = 2  # of position, per step of an adaptive stepper
+SMALLEST = 3  # lengths of adaptive steps
+LARGEST = 4
+N_PACE = 5
+ADAPTIVE = 5  # whether steps are chosen, not fixed
+STAGGERED = 6  # whether forces act up to the middle of a step before its velocity is solved for
+TIME = 7  # the start of the next step
+STEPS = 8  # taken so far
+UNDONE = 9  # taken back so far
+LAST = 10  # lengths of the last three steps, so that two are known after one is taken back
+EARLIER = 11
+EARLIEST = 12
+TIME_BEFORE = 13  # the start of the last step
+EVENTFUL = 14  # whether it is known that something happens where the step begins
+CAREFUL = 15  # longest step until CAREFUL_UNTIL, after a step was taken back
+CAREFUL_UNTIL = 16
+LAST_SPAN = 17  # over which the impulses in the problem acted; zero for no impulses
+# Of the step at hand.
+LEFT = 18  # time to the end, or to where a pusher's command changes
+TRIAL = 19  # length that is tried
+GUESSED = 20  # where the expected velocity comes from
+PREDICTING = 21  # whether it has to be computed
+RATE = 22  # how far along the line of the last two velocities it lies; zero for not at all
+MIN_GAP = 23  # the step ends where a wider gap closes; infinite for no matter where
+HASTY = 24  # whether to give up early, since a shorter step can be tried
+UNSOLVED = 25  # trials that no solver could solve, though there was no jam
+GROWTH = 26  # most from this step to the next
+RESUMED = 27  # the step to go on with after a bounce or a closing gap
+SPAN = 28  # over which forces act before the velocity that is solved for
+CLOSING = 29  # when a gap closes inside the trial; infinite for none
+BOUNCES = 30  # whether a contact of the trial gives back speed
+SMOOTH = 31  # whether velocities changed as expected
+N_CONTROL = 32
+
+
+@kernel
+def begin_control(control: FloatArray, pace: FloatArray, adaptive: bool, staggered: bool) -> None:
+    """Write the control of a rollout at time zero into zeros."""
+    for i in range(N_PACE):
+        control[i] = pace[i]
+    control[STEP] = min(control[STEP], control[DURATION])
+    control[ADAPTIVE] = 1.0 if adaptive else 0.0
+    control[STAGGERED] = 1.0 if staggered else 0.0
+    control[EVENTFUL] = 1.0
+
+
+@kernel
+def limit_step(model: Model, state: State, control: FloatArray) -> None:
+    """Begin a step: how long it may be, at most."""
+    if control[TIME] < control[CAREFUL_UNTIL] - control[SMALLEST]:
+        control[STEP] = min(control[STEP], control[CAREFUL])
+    control[LEFT] = control[DURATION] - control[TIME]
+    if control[ADAPTIVE] == 1.0:
+        control[LEFT] = time_to_corner(
+            model, state, control[TIME], control[STEP], control[LEFT], control[TOLERANCE]
+        )
+
+
+@kernel
+def choose_trial(control: FloatArray) -> None:
+    """Choose the first trial of a step, from the proposed length and the time that is left."""
+    left = control[LEFT]
+    trial = min(control[STEP], left)
+    if control[ADAPTIVE] == 1.0 and trial < left < 1.5 * trial:
+        trial = 0.5 * left
+    elif trial > left * (1.0 - 1e-9):
+        trial = left
+    control[RATE] = 0.0
+    control[UNSOLVED] = 0.0
+    control[GROWTH] = GROWTH_LIMIT
+    control[RESUMED] = 0.0
+    control[SMOOTH] = 0.0
+    _try_next(control, trial, PREDICTED, True)
+
+
+@kernel
+def _try_next(control: FloatArray, trial: float, guessed: int, predicting: bool) -> int:
+    """Set the next trial; returns RETRY."""
+    adaptive = control[ADAPTIVE] == 1.0
+    control[TRIAL] = trial
+    control[GUESSED] = guessed
+    control[PREDICTING] = 1.0 if predicting else 0.0
+    control[CLOSING] = math.inf
+    control[BOUNCES] = 0.0
+    control[MIN_GAP] = control[TOLERANCE] if adaptive and guessed == PREDICTED else math.inf
+    insisting = control[UNSOLVED] % INSIST == INSIST - 1
+    control[HASTY] = 1.0 if adaptive and trial > control[SMALLEST] and not insisting else 0.0
+    return codes.RETRY
+
+
+@large_kernel
+def predict_velocity(
+    control: FloatArray, velocity: FloatArray, before: FloatArray, guess: FloatArray
+) -> None:
+    """Write the velocity expected over the trial, unless the guess is to stay.
+
+    On the line through the velocities of the last two steps; where they differ by a jump, or there
+    are no two, that of the last.
+    """
+    if control[PREDICTING] == 0.0:
+        return
+    control[PREDICTING] = 0.0
+    n_dof = guess.size - 2
+    last = control[LAST]
+    earlier = control[EARLIER]
+    change = 0.0
+    size = 0.0
+    for i in range(n_dof):
+        change = max(change, abs(velocity[i] - before[i]))
+        size = max(size, abs(velocity[i]), abs(before[i]))
+    rate = 0.0
+    if control[ADAPTIVE] == 1.0 and earlier > 0.0 and change < JUMP * size:
+        rate = (control[TRIAL] + last) / (last + earlier)
+    for i in range(n_dof):
+        guess[i] = velocity[i] + rate * (velocity[i] - before[i])
+    control[RATE] = rate
+
+
+@large_kernel
+def judge_step(
+    control: FloatArray,
+    problem: Problem,
+    guess: FloatArray,
+    velocity: FloatArray,
+    status: int,
+    residual: float,
+) -> int:
+    """Judge a trial: CONVERGED to take it, UNDO to take the last step back, RETRY with another
+    trial, else the status with which the rollout ends.
+
+    Parameters
+    ----------
+    control : FloatArray
+        In: `CLOSING` and `BOUNCES` of the trial. Out: the next trial or the next step.
+    problem : Problem
+        With the solution of the trial.
+    guess : FloatArray
+        The velocity that was expected; the one to expect next, after a jump.
+    velocity : FloatArray
+        Velocity where the step begins.
+    status : int
+        Of the trial: CONVERGED, CONTACT_OVERFLOW, JAMMED (unsolved, may have no solution),
+        MAX_ITERATIONS or NON_FINITE (unsolved), or THROWN.
+    residual : float
+        Of the trial.
+    """
+    trial = control[TRIAL]
+    smallest = control[SMALLEST]
+    tolerance = control[TOLERANCE]
+    adaptive = control[ADAPTIVE] == 1.0
+    renewed = control[GUESSED] == RENEWED
+    if status == codes.CONTACT_OVERFLOW:
+        return status
+    if control[CLOSING] < math.inf:
+        # A gap closes inside the step: end the step there, and go on as planned.
+        control[RESUMED] = max(control[RESUMED], trial)
+        return _try_next(control, max(control[CLOSING] * (1.0 - 1e-6), smallest), CUT, False)
+    if status != codes.CONVERGED:
+        if not (adaptive and trial > smallest):
+            return codes.NON_FINITE if math.isinf(residual) and status == codes.JAMMED else status
+        if status != codes.JAMMED and status != codes.THROWN:
+            control[UNSOLVED] += 1.0
+        return _try_next(control, 0.25 * trial, PREDICTED, True)
+    if not adaptive:
+        return codes.CONVERGED
+    if control[BOUNCES] == 1.0 and trial > smallest:
+        # A bounce turns the velocity round: step up to it, and take it in the smallest step.
+        control[RESUMED] = max(control[RESUMED], trial)
+        return _try_next(control, max(smallest, 0.25 * trial), PREDICTED, True)
+    change = largest_change(problem, guess)
+    jumped = change > JUMP * largest_speed(problem)
+    if not renewed and missed_event(control, change):
+        if trial <= control[LAST]:
+            return codes.UNDO
+        return _try_next(control, control[LAST], PREDICTED, True)
+    error = 0.5 * trial * change
+    smooth = control[RATE] > 0.0 and not jumped
+    if smooth:
+        error *= SECOND_ORDER
+    if control[STAGGERED] == 1.0:
+        # Over the whole step velocities change twice as much as up to its middle.
+        error = max(error, trial * untouched_change(problem, velocity))
+        if jumped or renewed:
+            forced = trial * forced_change(problem, velocity)
+            if forced > tolerance and trial > smallest:
+                control[GROWTH] = 1.0
+                shrink = CAUTION * tolerance / forced
+                return _try_next(control, max(smallest, trial * shrink), PREDICTED, True)
+            error = max(error, forced)
+    if error <= tolerance or trial <= smallest:
+        control[SMOOTH] = 1.0 if smooth else 0.0
+        propose_step(control, error)
+        return codes.CONVERGED
+    if jumped:
+        control[RATE] = 0.0
+        for i in range(guess.size - 2):
+            guess[i] = problem.velocity[i]
+        if not renewed:
+            # It jumped at the step's start: take the new velocity as the guess, once.
+            return _try_next(control, trial, RENEWED, False)
+    control[GROWTH] = 1.0
+    shrink = max(SHRINK, CAUTION * (tolerance / error) ** EXPONENT)
+    return _try_next(control, max(smallest, trial * shrink), PREDICTED, not renewed)
+
+
+@kernel
+def missed_event(control: FloatArray, change: float) -> bool:
+    """Whether the velocity changed by `change` where nothing is known to happen, and the last step
+    can be taken back."""
+    return (
+        control[EVENTFUL] == 0.0
+        and min(control[LAST], control[TRIAL]) > control[SMALLEST]
+        and 0.25 * control[LAST] * change > EVENT * control[TOLERANCE]
+    )
+
+
+@kernel
+def propose_step(control: FloatArray, error: float) -> None:
+    """Propose the length of the step after one that is taken with this error."""
+    trial = control[TRIAL]
+    was_cut = control[GUESSED] == CUT
+    growth = CAUTION * (control[TOLERANCE] / max(error, 1e-30)) ** EXPONENT
+    following = trial * max(0.5, min(control[GROWTH], growth))
+    cut_short = trial < control[STEP] and trial >= control[LEFT]
+    if cut_short:
+        following = max(following, control[STEP])
+    if control[RESUMED] > 0.0 and (trial <= control[SMALLEST] or was_cut):
+        following = control[RESUMED]
+    control[STEP] = min(following, control[LARGEST])
+    control[EVENTFUL] = 1.0 if was_cut or cut_short else 0.0
+
+
+@kernel
+def carried(control: FloatArray) -> int:
+    """Return how `step.move` carries on velocities: not at all, or 2 where they changed smoothly,
+    else 1."""
+    if control[STAGGERED] == 0.0:
+        return 0
+    return 2 if control[SMOOTH] == 1.0 else 1
+
+
+@kernel
+def end_step(control: FloatArray) -> None:
+    """Go on to the end of the step that is taken."""
+    control[TIME_BEFORE] = control[TIME]
+    control[EARLIEST] = control[EARLIER]
+    control[EARLIER] = control[LAST]
+    control[LAST] = control[TRIAL]
+    control[TIME] += control[TRIAL]
+    control[STEPS] += 1.0
+
+
+@kernel
+def take_back(control: FloatArray) -> None:
+    """Go back to the start of the last step, to look in steps half as long for what happened there,
+    or since."""
+    control[CAREFUL] = 0.5 * control[LAST]
+    control[CAREFUL_UNTIL] = control[TIME] + control[CAREFUL]
+    control[STEP] = control[CAREFUL]
+    control[TIME] = control[TIME_BEFORE]
+    control[LAST] = control[EARLIER]
+    control[EARLIER] = control[EARLIEST]
+    control[EARLIEST] = 0.0
+    control[EVENTFUL] = 1.0
+    control[STEPS] -= 1.0
+    control[UNDONE] += 1.0
+
+
+@kernel
+def time_to_corner(
+    model: Model, state: State, time: float, step: float, left: float, slack: float
+) -> float:
+    """Return the time until a pusher's command changes, at most `left`.
+
+    Looks half a step further than `step`, so that no sliver of a step is left over.
+    """
+    for d in range(model.force_limit.size):
+        own = time if model.drive_dof[d] < 0 else state.path_time[d]
+        ahead = min(left, 1.5 * step)
+        straight = straight_time(model.path_start, model.path, d, own, ahead, slack)
+        if straight < ahead:
+            left = straight
+    return left
+
+
+@kernel
+def closing_time(
+    problem: Problem, guess: FloatArray, step: float, lead: float, least: float
+) -> float:
+    """When the first gap wider than `least` closes at the guessed velocity; infinite where that is
+    not inside the step, or next to one of its ends."""
+    earliest = math.inf
+    for i in range(problem.size[N_CONTACT]):
+        motion = 0.0
+        slide = 0.0
+        a = problem.contact_dof[i, 0]
+        b = problem.contact_dof[i, 1]
+        spin = abs(guess[a + 2])
+        arm = math.hypot(problem.normal[i, 2], problem.tangent[i, 2])
+        for k in range(3):
+            motion += problem.normal[i, k] * guess[a + k]
+            slide += problem.tangent[i, k] * guess[a + k]
+            if b >= 0:
+                motion += problem.normal[i, 3 + k] * guess[b + k]
+                slide += problem.tangent[i, 3 + k] * guess[b + k]
+        if 0 <= b < problem.size[N_FREE_DOF]:
+            spin += abs(guess[b + 2])
+            arm += math.hypot(problem.normal[i, 5], problem.tangent[i, 5])
+        # bias is the gap at the step's end, over the step, were the bodies to stand still.
+        end = step * (motion + problem.bias[i, 0])
+        gap = problem.contact_place[i, GAP]
+        rate = (gap - end) / ((1.0 - lead) * step)
+        start = gap + lead * step * rate
+        # Of the way from the start to the rows, what bends away from a line.
+        bent = 0.5 * (lead * step) ** 2 * spin * (spin * arm + 2.0 * abs(slide))
+        if rate > 0.0 and start > least + bent:
+            earliest = min(earliest, start / rate)
+    return earliest if 0.02 * step < earliest < 0.98 * step else math.inf
+
+
+@large_kernel
+def bounces(
+    model: Model, state: State, motion: int, time: float, step: float, problem: Problem
+) -> bool:
+    """Whether a contact with restitution is loaded in this step, and was approached."""
+    if motion != codes.DYNAMIC:
+        return False
+    n_free = model.mass.size
+    for i in range(problem.size[N_CONTACT]):
+        a = problem.contact_body[i, 0]
+        b = problem.contact_body[i, 1]
+        if problem.impulse[i, 0] <= 0.0 or model.restitution[a, b] == 0.0:
+            continue
+        before = 0.0
+        second = problem.contact_dof[i, 1]
+        for k in range(3):
+            before += problem.normal[i, k] * state.velocity[problem.contact_dof[i, 0] + k]
+            if second >= 0:
+                before += problem.normal[i, 3 + k] * state.velocity[second + k]
+        d = b - n_free
+        if second < 0 and d < model.force_limit.size:
+            dx, dy, da, speed = path_direction(model.path_start, model.path, d, time, step)
+            x, y, _ = path_pose(model.path_start, model.path, d, time)
+            rx = problem.contact_place[i, POINT_X] - x
+            ry = problem.contact_place[i, POINT_Y] - y
+            nx = problem.contact_place[i, NORMAL_X]
+            ny = problem.contact_place[i, NORMAL_Y]
+            before -= speed * (nx * (dx - ry * da) + ny * (dy + rx * da))
+        if before < -BOUNCE:
+            return True
+    return False
+
+
+@kernel
+def is_thrown(model: Model, state: State, time: float, step: float, problem: Problem) -> bool:
+    """Whether a body would move further than the step's rows are valid, without a visible cause.
+
+    Where surfaces almost oppose each other, a body that is squeezed between them finds room only
+    by turning about a lever of no length: a million times as fast as it was asked to.
+    """
+    fastest = largest_speed(problem)
+    return step * fastest > MAX_MOTION and fastest > SUDDEN * fastest_in_sight(
+        model, state, time, step, problem
+    )
+
+
+@large_kernel
+def fastest_in_sight(
+    model: Model, state: State, time: float, step: float, problem: Problem
+) -> float:
+    """Largest speed that bodies had, that forces give them over the step, that pushers prescribe,
+    or at which overlaps are taken back."""
+    fastest = RECOVERY
+    for i in range(problem.size[N_FREE_DOF]):
+        own = abs(state.velocity[i])
+        inertia = problem.inertia[i, i % 3]
+        if inertia > 0.0:
+            own = max(own, abs(problem.momentum[i]) / inertia)
+        fastest = max(fastest, own)
+    for d in range(model.force_limit.size):
+        own_time = time if model.drive_dof[d] < 0 else state.path_time[d]
+        fastest = max(fastest, path_direction(model.path_start, model.path, d, own_time, step)[3])
+    return fastest
+
+
+@kernel
+def largest_change(problem: Problem, guess: FloatArray) -> float:
+    """Largest difference between solved and guessed velocity, over bodies and drives."""
+    largest = 0.0
+    v = problem.velocity
+    for o in range(0, problem.size[N_FREE_DOF], 3):
+        dx = v[o] - guess[o]
+        dy = v[o + 1] - guess[o + 1]
+        largest = max(largest, math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2]))
+    for o in range(problem.size[N_FREE_DOF], problem.size[N_DOF]):
+        largest = max(largest, abs(v[o] - guess[o]))
+    return largest
+
+
+@kernel
+def largest_speed(problem: Problem) -> float:
+    """Largest speed of the solved velocity, over bodies and drives."""
+    largest = 0.0
+    v = problem.velocity
+    for o in range(0, problem.size[N_FREE_DOF], 3):
+        speed = math.sqrt(v[o] * v[o] + v[o + 1] * v[o + 1])
+        largest = max(largest, speed + abs(v[o + 2]))
+    for o in range(problem.size[N_FREE_DOF], problem.size[N_DOF]):
+        largest = max(largest, abs(v[o]))
+    return largest
+
+
+@kernel
+def untouched_change(problem: Problem, guess: FloatArray) -> float:
+    """Largest difference as in `largest_change`, over bodies without loaded contacts only."""
+    largest = 0.0
+    v = problem.velocity
+    for o in range(0, problem.size[N_FREE_DOF], 3):
+        touched = False
+        for i in range(problem.size[N_CONTACT]):
+            if problem.impulse[i, 0] > 0.0 and (
+                problem.contact_dof[i, 0] == o or problem.contact_dof[i, 1] == o
+            ):
+                touched = True
+        if not touched:
+            dx = v[o] - guess[o]
+            dy = v[o + 1] - guess[o + 1]
+            largest = max(largest, math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2]))
+    return largest
+
+
+@large_kernel
+def forced_change(problem: Problem, before: FloatArray) -> float:
+    """Largest change of velocity over the step that forces can explain.
+
+    A jump is over at once, and no reason for short steps. What the wrenches and the friction of
+    supports may have done took time, and a step that begins with a jump has nothing to be compared
+    with that would show how much.
+    """
+    largest = 0.0
+    v = problem.velocity
+    for o in range(0, problem.size[N_FREE_DOF], 3):
+        dx = v[o] - before[o]
+        dy = v[o + 1] - before[o + 1]
+        change = math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - before[o + 2])
+        if change <= largest:
+            continue
+        impulse = 0.0
+        for k in range(o, o + 3):
+            impulse += abs(problem.momentum[k] - problem.inertia[k, k - o] * before[k])
+        for e in range(problem.size[N_ELEMENT]):
+            if problem.element_dof[e] == o:
+                impulse += problem.element_limit[e]
+        largest = max(largest, min(change, 2.0 * impulse / problem.inertia[o, 0]))
+    return largest
