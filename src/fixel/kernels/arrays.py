@@ -135,6 +135,49 @@ class Workspace(NamedTuple):
     near_count: IntArray  # (1,) near pairs in use; -1 for not found yet
 
 
+# Entries of the control of the steps, an array of floats; 1 for true. The first are those of
+# `Batch.pace`.
+DURATION = 0
+STEP = 1  # proposed length of the next step; in a batch the fixed or first one
+TOLERANCE = 2  # of position, per step of an adaptive stepper
+SMALLEST = 3  # lengths of adaptive steps
+LARGEST = 4
+N_PACE = 5
+ADAPTIVE = 5  # whether steps are chosen, not fixed
+INERTIAL = 6  # whether the motion model is the dynamic one
+STAGGERED = 7  # whether forces act up to the middle of a step before its velocity is solved for
+ELASTIC = 8  # whether contacts may give back speed
+TIME = 9  # the start of the next step
+STEPS = 10  # taken so far
+UNDONE = 11  # taken back so far
+LAST = 12  # lengths of the last three steps, so that two are known after one is taken back
+EARLIER = 13
+EARLIEST = 14
+TIME_BEFORE = 15  # the start of the last step
+EVENTFUL = 16  # whether it is known that something happens where the step begins
+CAREFUL = 17  # longest step until CAREFUL_UNTIL, after a step was taken back
+CAREFUL_UNTIL = 18
+LAST_SPAN = 19  # over which the impulses in the problem acted; zero for no impulses
+# Of the step at hand.
+LEFT = 20  # time to the end, or to where a pusher's command changes
+TRIAL = 21  # length that is tried
+GUESSED = 22  # where the expected velocity comes from
+PREDICTING = 23  # whether it has to be computed
+RATE = 24  # how far along the line of the last two velocities it lies; zero for not at all
+MIN_GAP = 25  # the step ends where a wider gap closes; infinite for no matter where
+HASTY = 26  # whether to give up early, since a shorter step can be tried
+UNSOLVED = 27  # trials that no solver could solve, though there was no jam
+GROWTH = 28  # most from this step to the next
+RESUMED = 29  # the step to go on with after a bounce or a closing gap
+LEAD = 30  # from the step's start to where its rows are taken
+SPAN = 31  # over which forces act before the velocity that is solved for
+RATIO = 32  # of the impulses expected to those of the problem; zero to expect none
+CLOSING = 33  # when a gap closes inside the trial; infinite for none
+BOUNCES = 34  # whether a contact of the trial gives back speed
+SMOOTH = 35  # whether velocities changed as expected
+N_CONTROL = 36
+
+
 class StepMethod(NamedTuple):
     """Method of stepping, the same for every rollout of a batch."""
 
@@ -187,7 +230,7 @@ class Batch(NamedTuple):
     sides: IntArray  # (n_rollout,)
     pose: FloatArray  # (body rows, 3) at time zero
     velocity: FloatArray  # (free rows, 3) at time zero
-    pace: FloatArray  # (n_rollout, N_PACE) see step_control.py
+    pace: FloatArray  # (n_rollout, N_PACE) see DURATION
 
 
 class BatchRecord(NamedTuple):

@@ -10,11 +10,26 @@ import numpy as np
 from fixel.kernels import codes
 from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import (
+    BOUNCES,
+    CLOSING,
     CONTACT_ROWS,
+    DURATION,
+    ELASTIC,
     FALLBACKS,
+    HASTY,
+    LAST,
+    LAST_SPAN,
+    MIN_GAP,
+    N_CONTROL,
     REACHED,
     SAMPLES,
+    SPAN,
+    STEP,
+    STEPS,
     STEPS_TAKEN,
+    TIME,
+    TRIAL,
+    UNDONE,
     WORST_RESIDUAL,
     Model,
     Problem,
@@ -30,21 +45,6 @@ from fixel.kernels.samples import is_due, write_samples
 from fixel.kernels.solve import HASTY_TRIALS, PATIENT_TRIALS, TOLERANCE, locked, solve
 from fixel.kernels.step import creates_energy, move, prepare_step
 from fixel.kernels.step_control import (
-    BOUNCES,
-    CLOSING,
-    DURATION,
-    HASTY,
-    LAST,
-    LAST_SPAN,
-    MIN_GAP,
-    N_CONTROL,
-    SPAN,
-    STAGGERED,
-    STEP,
-    STEPS,
-    TIME,
-    TRIAL,
-    UNDONE,
     begin_control,
     bounces,
     carried,
@@ -55,6 +55,7 @@ from fixel.kernels.step_control import (
     judge_step,
     limit_step,
     predict_velocity,
+    start_trial,
     take_back,
 )
 from fixel.typing import FloatArray
@@ -121,9 +122,8 @@ def rollout(
     rows = start.copy()
     guess = np.zeros(wide)
     control = np.zeros(N_CONTROL)
-    adaptive = method.adaptive == 1
     begin(model, state, velocity, pace[STEP], problem, work)
-    begin_control(control, pace, adaptive, adaptive and method.motion == codes.DYNAMIC)
+    begin_control(control, pace, method.adaptive == 1, method.motion == codes.DYNAMIC)
     return _run(
         model, state, before, older, control, guess, rows, problem, work, method, record, every_step
     )
@@ -167,7 +167,7 @@ def _run(
     record: RolloutRecord,
     every_step: bool,
 ) -> int:
-    elastic = method.motion == codes.DYNAMIC and is_elastic(model)
+    control[ELASTIC] = 1.0 if is_elastic(model) and method.motion == codes.DYNAMIC else 0.0
     status = codes.CONVERGED
     samples = contact_rows = 0  # in the record before the last step
     write_samples(model, before, state, control, 0.0, control[STEP], problem, record, every_step)
@@ -182,7 +182,7 @@ def _run(
         while status == codes.RETRY:
             predict_velocity(control, state.middle, before.middle, guess)
             solved, residual = _solve_trial(
-                model, state, control, guess, rows, problem, work, method, elastic, record
+                model, state, control, guess, rows, problem, work, method, record
             )
             status = judge_step(control, problem, guess, state.velocity, solved, residual)
         if status == codes.UNDO:
@@ -223,18 +223,13 @@ def _solve_trial(
     problem: Problem,
     work: Workspace,
     method: StepMethod,
-    elastic: bool,
     record: RolloutRecord,
 ) -> tuple[int, float]:
     """Write and solve the problem of a trial; returns the status and residual for `judge_step`."""
     trial = control[TRIAL]
-    lead = method.lead * trial
-    span = 0.5 * trial if control[STAGGERED] == 1.0 else trial
-    control[SPAN] = span
-    ready = prepare_step(
-        model, state, method.motion, control[TIME], trial, span, lead, guess, rows, problem, work,
-        control[LAST_SPAN],
-    )  # fmt: skip
+    elastic = control[ELASTIC] == 1.0
+    start_trial(control, trial, method.lead)
+    ready = prepare_step(model, state, control, method.motion, guess, rows, problem, work)
     if not ready:
         return codes.CONTACT_OVERFLOW, math.inf
     if control[MIN_GAP] < math.inf:
@@ -252,10 +247,10 @@ def _solve_trial(
         if locked(problem, work, guess):
             return codes.JAMMED, residual
         return codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS, residual
-    control[LAST_SPAN] = span
-    if is_thrown(model, state, control[TIME], trial, problem):
+    control[LAST_SPAN] = control[SPAN]
+    if is_thrown(model, state, control, problem):
         return codes.THROWN, residual
-    if elastic and bounces(model, state, method.motion, control[TIME], trial, problem):
+    if elastic and bounces(model, state, control, problem):
         control[BOUNCES] = 1.0
     return codes.CONVERGED, residual
 

@@ -2,6 +2,7 @@
 
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
+    DURATION,
     N_CONTACT,
     N_FREE_DOF,
     NORMAL_X,
@@ -9,6 +10,7 @@ from fixel.kernels.arrays import (
     POINT_X,
     POINT_Y,
     SAMPLES,
+    TIME,
     Model,
     Problem,
     RolloutRecord,
@@ -17,7 +19,6 @@ from fixel.kernels.arrays import (
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.path import path_direction, path_pose
 from fixel.kernels.step import ALONG
-from fixel.kernels.step_control import DURATION, TIME
 from fixel.typing import FloatArray
 
 TOUCHING = 1e-5  # of the characteristic length: gap below which a pair counts as touching

@@ -3,12 +3,13 @@ bodies."""
 
 import math
 
-from fixel.kernels import codes
 from fixel.kernels.arrays import (
     DRIVEN_NORMAL,
     GAP,
     GIVEN_BACK,
     HALVINGS,
+    INERTIAL,
+    LEAD,
     N_CONTACT,
     N_DOF,
     N_ELEMENT,
@@ -18,6 +19,10 @@ from fixel.kernels.arrays import (
     OVERLAP,
     POINT_X,
     POINT_Y,
+    RATIO,
+    SPAN,
+    TIME,
+    TRIAL,
     Model,
     Problem,
     State,
@@ -46,10 +51,11 @@ RECOVERY = 1.0  # of the characteristic speed: how fast an overlap is taken back
 
 @kernel
 def place_rows(
-    model: Model, state: State, time: float, lead: float, velocity: FloatArray, pose: FloatArray
+    model: Model, state: State, control: FloatArray, velocity: FloatArray, pose: FloatArray
 ) -> None:
-    """Write into `pose` the configuration at which a step's rows are taken, `lead` after its
-    start."""
+    """Write into `pose` the configuration at which a step's rows are taken."""
+    time = control[TIME]
+    lead = control[LEAD]
     n_free = model.mass.size
     n_driven = model.force_limit.size
     for b in range(n_free):
@@ -76,30 +82,22 @@ def place_rows(
 def prepare_step(
     model: Model,
     state: State,
+    control: FloatArray,
     motion: int,
-    time: float,
-    step: float,
-    span: float,
-    lead: float,
     guess: FloatArray,
     pose: FloatArray,
     problem: Problem,
     work: Workspace,
-    last_span: float,
 ) -> bool:
-    """Write the problem of the step from `time` to ``time + step``; False where contacts overflow.
+    """Write the problem of the trial of a step; False where contacts overflow.
 
-    `guess` is the velocity expected over the step; rows are taken `lead` after its start, at the
-    configuration left in `pose`. Forces act for `span`; `last_span` is that of the impulses which
-    the problem still holds, zero for none.
+    `guess` is the velocity expected over the step. Rows are taken at the configuration left in
+    `pose`.
     """
-    ratio = span / last_span if last_span > 0.0 else 0.0
-    if not prepare_contacts(model, state, time, step, lead, guess, pose, problem, work, ratio):
+    if not prepare_contacts(model, state, control, guess, pose, problem, work):
         return False
-    n_support = prepare_bodies(model, state, motion, span, pose, problem)
-    prepare_rows(
-        model, state, motion, time, step, span, lead, guess, pose, problem, n_support, ratio
-    )
+    n_support = prepare_bodies(model, state, motion, control[SPAN], pose, problem)
+    prepare_rows(model, state, control, guess, pose, problem, n_support)
     return True
 
 
@@ -107,22 +105,19 @@ def prepare_step(
 def prepare_contacts(
     model: Model,
     state: State,
-    time: float,
-    step: float,
-    lead: float,
+    control: FloatArray,
     guess: FloatArray,
     pose: FloatArray,
     problem: Problem,
     work: Workspace,
-    ratio: float,
 ) -> bool:
-    """Write the contacts of the bodies, with `ratio` times their previous impulses;
-    False on overflow."""
+    """Write the contacts of the bodies, with their impulses expected; False on overflow."""
     n_free = model.mass.size
     n_moving = n_free + model.force_limit.size
-    place_rows(model, state, time, lead, guess, pose)
+    ratio = control[RATIO]
+    place_rows(model, state, control, guess, pose)
     place_bodies(model, pose, n_moving, work)
-    margin = _margin(model, state, time, step, guess)
+    margin = _margin(model, state, control[TIME], control[TRIAL], guess)
     travelled = moved(model, pose, work.anchor, n_moving)
     if work.near_count[0] < 0 or margin + 2.0 * travelled > work.reach[0]:
         work.reach[0] = max(LIST_REACH, 2.0 * margin)
@@ -156,23 +151,19 @@ def prepare_bodies(
 def prepare_rows(
     model: Model,
     state: State,
-    motion: int,
-    time: float,
-    step: float,
-    span: float,
-    lead: float,
+    control: FloatArray,
     guess: FloatArray,
     pose: FloatArray,
     problem: Problem,
     n_support: int,
-    ratio: float,
 ) -> None:
     """Write the drives, the stiffness of every block, the contact rows and the guess."""
+    ratio = control[RATIO]
     dof = 3 * model.mass.size
     n_element = n_support
     for d in range(model.force_limit.size):
         if model.drive_dof[d] >= 0:
-            _prepare_drive(model, state, d, step, span, problem, n_element, dof)
+            _prepare_drive(model, state, control, d, problem, n_element, dof)
             n_element += 1
             dof += 1
     problem.size[N_DOF] = dof
@@ -187,19 +178,12 @@ def prepare_rows(
     for i in range(dof):
         problem.velocity[i] = guess[i]
     for i in range(problem.size[N_CONTACT]):
-        _prepare_contact(model, state, motion, time, step, lead, guess, pose, problem, i)
+        _prepare_contact(model, state, control, guess, pose, problem, i)
 
 
 @spliced_kernel
 def _prepare_drive(
-    model: Model,
-    state: State,
-    d: int,
-    step: float,
-    span: float,
-    problem: Problem,
-    e: int,
-    dof: int,
+    model: Model, state: State, control: FloatArray, d: int, problem: Problem, e: int, dof: int
 ) -> None:
     """A force-limited drive is friction in one dimension: it holds its commanded speed up to its
     limit."""
@@ -207,9 +191,9 @@ def _prepare_drive(
     problem.element_sides[e] = 0
     problem.element_row[e, 0, 0] = 1.0
     problem.element_bias[e, 0] = -path_direction(
-        model.path_start, model.path, d, state.path_time[d], step
+        model.path_start, model.path, d, state.path_time[d], control[TRIAL]
     )[3]
-    problem.element_limit[e] = span * model.force_limit[d]
+    problem.element_limit[e] = control[SPAN] * model.force_limit[d]
     problem.inertia[dof, 0] = 0.0
     problem.momentum[dof] = 0.0
 
@@ -234,16 +218,16 @@ def _margin(model: Model, state: State, time: float, step: float, guess: FloatAr
 def _prepare_contact(
     model: Model,
     state: State,
-    motion: int,
-    time: float,
-    step: float,
-    lead: float,
+    control: FloatArray,
     guess: FloatArray,
     pose: FloatArray,
     problem: Problem,
     i: int,
 ) -> None:
     n_free = model.mass.size
+    time = control[TIME]
+    step = control[TRIAL]
+    inertial = control[INERTIAL] == 1.0
     a = problem.contact_body[i, 0]
     b = problem.contact_body[i, 1]
     problem.friction[i] = model.friction[a, b]
@@ -269,7 +253,7 @@ def _prepare_contact(
         if second >= 0:
             ahead += problem.normal[i, 3 + k] * guess[second + k]
             before += problem.normal[i, 3 + k] * state.velocity[second + k]
-    gap = problem.contact_place[i, GAP] - lead * ahead  # at the step's start
+    gap = problem.contact_place[i, GAP] - control[LEAD] * ahead  # at the step's start
     driven_n = 0.0  # normal and tangential motion of a rigid pusher over the step
     driven_t = 0.0
     if driven and dof < 0:
@@ -287,11 +271,11 @@ def _prepare_contact(
     driven_n /= step
     overlap = 0.0
     room = step  # time in which the gap is to be closed, or an overlap taken back
-    if motion == codes.DYNAMIC and driven and gap < 0.0:
+    if inertial and driven and gap < 0.0:
         # A pusher may have to give way, at a velocity of its own. A short step must not turn the
         # error of a long one into a blow.
         room = max(step, GENTLY)
-    elif motion == codes.DYNAMIC and gap < -NO_OVERLAP:
+    elif inertial and gap < -NO_OVERLAP:
         # Velocities that take it back would stay as kinetic energy: `_part` moves the bodies.
         overlap = min(-gap, RECOVERY * step)
         gap = 0.0
@@ -301,7 +285,7 @@ def _prepare_contact(
     bounce = model.restitution[a, b]
     approach = before - driven_n
     given_back = 0.0
-    if bounce > 0.0 and motion == codes.DYNAMIC and approach < 0.0 and gap + step * approach < 0.0:
+    if bounce > 0.0 and inertial and approach < 0.0 and gap + step * approach < 0.0:
         # Newton's law of impact in place of the gap: leave with `bounce` times the approach.
         given_back = (bounce * approach - driven_n) - bias_n
         bias_n += given_back

@@ -8,15 +8,51 @@ import math
 
 from fixel.kernels import codes
 from fixel.kernels.arrays import (
+    ADAPTIVE,
+    BOUNCES,
+    CAREFUL,
+    CAREFUL_UNTIL,
+    CLOSING,
+    DURATION,
+    EARLIER,
+    EARLIEST,
+    EVENTFUL,
     GAP,
+    GROWTH,
+    GUESSED,
+    HASTY,
+    INERTIAL,
+    LARGEST,
+    LAST,
+    LAST_SPAN,
+    LEAD,
+    LEFT,
+    MIN_GAP,
     N_CONTACT,
     N_DOF,
     N_ELEMENT,
     N_FREE_DOF,
+    N_PACE,
     NORMAL_X,
     NORMAL_Y,
     POINT_X,
     POINT_Y,
+    PREDICTING,
+    RATE,
+    RATIO,
+    RESUMED,
+    SMALLEST,
+    SMOOTH,
+    SPAN,
+    STAGGERED,
+    STEP,
+    STEPS,
+    TIME,
+    TIME_BEFORE,
+    TOLERANCE,
+    TRIAL,
+    UNDONE,
+    UNSOLVED,
     Model,
     Problem,
     State,
@@ -46,52 +82,16 @@ MAX_MOTION = (
 )
 SUDDEN = 3.0  # times the fastest motion in sight, which a step looks ahead for; see step._margin
 
-# Entries of a control, an array of floats; 1 for true. The first are those of `Batch.pace`.
-DURATION = 0
-STEP = 1  # proposed length of the next step; in a batch the fixed or first one
-TOLERANCE = 2  # of position, per step of an adaptive stepper
-SMALLEST = 3  # lengths of adaptive steps
-LARGEST = 4
-N_PACE = 5
-ADAPTIVE = 5  # whether steps are chosen, not fixed
-STAGGERED = 6  # whether forces act up to the middle of a step before its velocity is solved for
-TIME = 7  # the start of the next step
-STEPS = 8  # taken so far
-UNDONE = 9  # taken back so far
-LAST = 10  # lengths of the last three steps, so that two are known after one is taken back
-EARLIER = 11
-EARLIEST = 12
-TIME_BEFORE = 13  # the start of the last step
-EVENTFUL = 14  # whether it is known that something happens where the step begins
-CAREFUL = 15  # longest step until CAREFUL_UNTIL, after a step was taken back
-CAREFUL_UNTIL = 16
-LAST_SPAN = 17  # over which the impulses in the problem acted; zero for no impulses
-# Of the step at hand.
-LEFT = 18  # time to the end, or to where a pusher's command changes
-TRIAL = 19  # length that is tried
-GUESSED = 20  # where the expected velocity comes from
-PREDICTING = 21  # whether it has to be computed
-RATE = 22  # how far along the line of the last two velocities it lies; zero for not at all
-MIN_GAP = 23  # the step ends where a wider gap closes; infinite for no matter where
-HASTY = 24  # whether to give up early, since a shorter step can be tried
-UNSOLVED = 25  # trials that no solver could solve, though there was no jam
-GROWTH = 26  # most from this step to the next
-RESUMED = 27  # the step to go on with after a bounce or a closing gap
-SPAN = 28  # over which forces act before the velocity that is solved for
-CLOSING = 29  # when a gap closes inside the trial; infinite for none
-BOUNCES = 30  # whether a contact of the trial gives back speed
-SMOOTH = 31  # whether velocities changed as expected
-N_CONTROL = 32
-
 
 @kernel
-def begin_control(control: FloatArray, pace: FloatArray, adaptive: bool, staggered: bool) -> None:
+def begin_control(control: FloatArray, pace: FloatArray, adaptive: bool, inertial: bool) -> None:
     """Write the control of a rollout at time zero into zeros."""
     for i in range(N_PACE):
         control[i] = pace[i]
     control[STEP] = min(control[STEP], control[DURATION])
     control[ADAPTIVE] = 1.0 if adaptive else 0.0
-    control[STAGGERED] = 1.0 if staggered else 0.0
+    control[INERTIAL] = 1.0 if inertial else 0.0
+    control[STAGGERED] = 1.0 if adaptive and inertial else 0.0
     control[EVENTFUL] = 1.0
 
 
@@ -137,6 +137,16 @@ def _try_next(control: FloatArray, trial: float, guessed: int, predicting: bool)
     insisting = control[UNSOLVED] % INSIST == INSIST - 1
     control[HASTY] = 1.0 if adaptive and trial > control[SMALLEST] and not insisting else 0.0
     return codes.RETRY
+
+
+@kernel
+def start_trial(control: FloatArray, step: float, lead: float) -> None:
+    """Set how a trial of this length is prepared: rows taken `lead` of it after its start."""
+    span = 0.5 * step if control[STAGGERED] == 1.0 else step
+    control[TRIAL] = step
+    control[LEAD] = lead * step
+    control[SPAN] = span
+    control[RATIO] = span / control[LAST_SPAN] if control[LAST_SPAN] > 0.0 else 0.0
 
 
 @large_kernel
@@ -336,10 +346,10 @@ def time_to_corner(
 
 @kernel
 def closing_time(
-    problem: Problem, guess: FloatArray, step: float, lead: float, least: float
+    problem: Problem, guess: FloatArray, step: float, lead: float, min_gap: float
 ) -> float:
-    """When the first gap wider than `least` closes at the guessed velocity; infinite where that is
-    not inside the step, or next to one of its ends."""
+    """When the first gap wider than `min_gap` closes at the guessed velocity; infinite where that
+    is not inside the step, or next to one of its ends."""
     earliest = math.inf
     for i in range(problem.size[N_CONTACT]):
         motion = 0.0
@@ -364,18 +374,18 @@ def closing_time(
         start = gap + lead * step * rate
         # Of the way from the start to the rows, what bends away from a line.
         bent = 0.5 * (lead * step) ** 2 * spin * (spin * arm + 2.0 * abs(slide))
-        if rate > 0.0 and start > least + bent:
+        if rate > 0.0 and start > min_gap + bent:
             earliest = min(earliest, start / rate)
     return earliest if 0.02 * step < earliest < 0.98 * step else math.inf
 
 
 @large_kernel
-def bounces(
-    model: Model, state: State, motion: int, time: float, step: float, problem: Problem
-) -> bool:
+def bounces(model: Model, state: State, control: FloatArray, problem: Problem) -> bool:
     """Whether a contact with restitution is loaded in this step, and was approached."""
-    if motion != codes.DYNAMIC:
+    if control[INERTIAL] == 0.0:
         return False
+    time = control[TIME]
+    step = control[TRIAL]
     n_free = model.mass.size
     for i in range(problem.size[N_CONTACT]):
         a = problem.contact_body[i, 0]
@@ -403,12 +413,14 @@ def bounces(
 
 
 @kernel
-def is_thrown(model: Model, state: State, time: float, step: float, problem: Problem) -> bool:
+def is_thrown(model: Model, state: State, control: FloatArray, problem: Problem) -> bool:
     """Whether a body would move further than the step's rows are valid, without a visible cause.
 
     Where surfaces almost oppose each other, a body that is squeezed between them finds room only
     by turning about a lever of no length: a million times as fast as it was asked to.
     """
+    time = control[TIME]
+    step = control[TRIAL]
     fastest = largest_speed(problem)
     return step * fastest > MAX_MOTION and fastest > SUDDEN * fastest_in_sight(
         model, state, time, step, problem

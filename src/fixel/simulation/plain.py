@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
+from fixel.kernels import arrays as at
 from fixel.kernels import batch as kernel
 from fixel.kernels import codes, single
-from fixel.kernels import step_control as at
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
     N_DOF,
@@ -53,8 +53,8 @@ class _Loop:
         n_driven = self.model.force_limit.size
         self.state = State(self.pose.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
         self.control = np.zeros(at.N_CONTROL)
-        staggered = motion.kind == codes.DYNAMIC and stepper.adaptive
-        single.begin_control(self.control, batch.pace[0], stepper.adaptive, staggered)
+        self.inertial = motion.kind == codes.DYNAMIC
+        single.begin_control(self.control, batch.pace[0], stepper.adaptive, self.inertial)
         self.fallbacks = 0
         single.begin(
             self.model,
@@ -75,19 +75,13 @@ class _Loop:
     ) -> Attempt:
         """Try one step: contacts, the model's rows, the shared rows, the solver."""
         model, state, problem, work = self.model, self.state, self.problem, self.work
-        control, kind, ahead = self.control, self.motion.kind, lead * step
-        time = float(control[at.TIME])
-        span = 0.5 * step if control[at.STAGGERED] else step
-        ratio = span / float(control[at.LAST_SPAN]) if control[at.LAST_SPAN] > 0.0 else 0.0
-        control[at.SPAN] = span
-        if not single.contacts(
-            model, state, time, step, ahead, guess, self.pose, problem, work, ratio
-        ):
+        control = self.control
+        single.start_trial(control, step, lead)
+        if not single.contacts(model, state, control, guess, self.pose, problem, work):
             return Attempt(codes.CONTACT_OVERFLOW, math.inf)
+        span = float(control[at.SPAN])
         n_support = self.motion.assemble(model, state, span, self.pose, problem)
-        single.rows(
-            model, state, kind, time, step, span, ahead, guess, self.pose, problem, n_support, ratio
-        )
+        single.rows(model, state, control, guess, self.pose, problem, n_support)
         if least < math.inf:
             closing = float(single.closing_time(problem, guess, step, lead, least))
             if closing < math.inf:
@@ -104,9 +98,9 @@ class _Loop:
                 return Attempt(codes.JAMMED, residual)
             failed = codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS
             return Attempt(failed, residual)
-        if single.is_thrown(model, state, time, step, problem):
+        if single.is_thrown(model, state, control, problem):
             return Attempt(codes.THROWN, residual)
-        bounces = single.bounces(model, state, kind, time, step, problem)
+        bounces = single.bounces(model, state, control, problem)
         return Attempt(codes.CONVERGED, residual, bounces)
 
     def past(self, before: State) -> Past:
@@ -129,7 +123,7 @@ class _Loop:
             tolerance=float(control[at.TOLERANCE]),
             smallest=float(control[at.SMALLEST]),
             largest=float(control[at.LARGEST]),
-            inertial=self.motion.kind == codes.DYNAMIC,
+            inertial=self.inertial,
             eventful=control[at.EVENTFUL] == 1.0,
         )
 

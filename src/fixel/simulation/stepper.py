@@ -10,8 +10,8 @@ from typing import ClassVar, NamedTuple, Protocol, final
 import numpy as np
 
 from fixel.errors import InvalidInput
+from fixel.kernels import arrays as at
 from fixel.kernels import codes, single
-from fixel.kernels import step_control as at
 from fixel.kernels.arrays import Problem
 from fixel.typing import FloatArray
 
