@@ -22,7 +22,7 @@ from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Proble
 from fixel.kernels.assembly import set_stiffness
 from fixel.kernels.codes import DYNAMIC, FIRST_ORDER, QUASI_STATIC
 from fixel.kernels.jit import allocating_kernel, entry, kernel
-from fixel.kernels.solve import PATIENT_TRIALS, TOLERANCE, solve
+from fixel.kernels.solve import MAX_ATTEMPTS, TOLERANCE, solve
 from fixel.typing import FloatArray, IntArray
 
 MAX_BODIES = 6
@@ -387,7 +387,7 @@ def solve_many(
                 shift(problem, aim, random, motion)
                 for i in range(problem.size[N_DOF]):
                     guess[i] = problem.velocity[i]
-            off, fell_back = solve(problem, work, guess, solver, effort, PATIENT_TRIALS)
+            off, fell_back = solve(problem, work, guess, solver, effort, MAX_ATTEMPTS)
             tally[0] += 1.0
             tally[1] += fell_back
             if off <= TOLERANCE:

@@ -18,7 +18,7 @@ from fixel.simulation import (
     simulate,
     simulate_batch,
 )
-from fixel.simulation.stepper import Advance
+from fixel.simulation.stepper import StepResult
 from fixel.testing.contracts import MotionModelContract, SolverContract, StepperContract
 from fixel.testing.scenes import sliding_block
 
@@ -66,7 +66,7 @@ class Growing(AbstractStepper):
     def advance(self, attempt, problem, past, step, limits):
         trial = min(step, limits.left)
         status, residual, *_ = attempt(trial, 0.0, past.velocity)
-        return Advance(status, trial, min(1.1 * step, 0.05), residual)
+        return StepResult(status, trial, min(1.1 * step, 0.05), residual)
 
 
 @final
@@ -77,7 +77,7 @@ class Counting(AbstractSolver):
     name: ClassVar[str] = "counting"
     calls: list
 
-    def solve(self, problem, work, guess, hasty=False):
+    def solve(self, problem, work, guess, give_up_early=False):
         self.calls.append(1)
         return Newton().solve(problem, work, guess)
 

@@ -6,12 +6,12 @@ import numba
 import numpy as np
 import pytest
 from numba import njit
+from tests.kernels.entries import measure_contacts
 
-from fixel.kernels import single
+from fixel.kernels import entries
 from fixel.kernels.arrays import Model, Problem, Workspace
 from fixel.kernels.contacts import find_contacts, find_near_pairs, moved, place_bodies, warm_start
 from fixel.kernels.gap import FEATURES
-from fixel.kernels.measure import measure_contacts
 
 N_BODY = 40
 N_FREE = 25
@@ -84,7 +84,7 @@ def model_of(pieces):
 def scene_of(pieces, pose, *, n_pair=2000, n_contact=2000):
     model = model_of(pieces)
     n_piece = len(pieces)
-    problem, work = single.empty(3, n_contact, 0, len(model.vertex), n_piece, len(pose), n_pair)
+    problem, work = entries.empty(3, n_contact, 0, len(model.vertex), n_piece, len(pose), n_pair)
     work.extent[:, 2] = model.piece_bound[:, 2]
     place_bodies_(model, pose, len(pose), work)
     return Scene(model, pose, problem, work)

@@ -5,10 +5,10 @@ Tolerances: coordinates of order one, so 1e-12 is a thousand roundings.
 
 import numpy as np
 import pytest
+from tests.kernels.entries import measure_contacts
 
 from fixel.errors import InvalidInput
 from fixel.kernels.gap import COINCIDENT, FIRST_VERTEX, VERTEX_VERTEX
-from fixel.kernels.measure import measure_contacts
 from fixel.model.shape import Disk, Polygon
 from fixel.simulation.geometry import contact_pieces, gap
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numba import njit
 
-from fixel.kernels import single
+from fixel.kernels import entries
 from fixel.kernels.arrays import Problem, Workspace
-from fixel.kernels.josephy import MOST_CONTACTS, josephy
+from fixel.kernels.josephy import MAX_CONTACTS, josephy
 from fixel.kernels.newton import newton
 
 TOLERANCE = 1e-9  # the judge's
@@ -33,7 +33,7 @@ def newton_alone(problem: Problem, work: Workspace, iterations: int) -> float:
 def body(momentum, contacts, inertia=1.0):
     """One free body; contacts are (direction of the normal, arm, bias, friction)."""
     n = len(contacts)
-    problem, work = single.empty(3, n, 0, 0, 0, 0, 0)
+    problem, work = entries.empty(3, n, 0, 0, 0, 0, 0)
     problem.size[:] = 3, n, 0, 3
     problem.inertia[:3] = inertia * np.eye(3)
     problem.momentum[:3] = momentum
@@ -44,7 +44,7 @@ def body(momentum, contacts, inertia=1.0):
         problem.tangent[i, :3] = -s, c, 0.3
         problem.bias[i, 0] = bias
         problem.friction[i] = friction
-    single.set_stiffness(problem, 0)
+    entries.set_stiffness(problem, 0)
     return problem, work
 
 
@@ -54,7 +54,7 @@ def seating(limit=STIFF_DRIVE):
     Before the step the block slides along with the pusher; by its end the peg is met, and only the
     drive gives way.
     """
-    problem, work = single.empty(4, 3, 4, 0, 0, 0, 0)
+    problem, work = entries.empty(4, 3, 4, 0, 0, 0, 0)
     problem.size[:] = 4, 3, 4, 3
     problem.inertia[:3] = 0.17 * np.eye(3)
     problem.momentum[:3] = 0.1639, 0.0136, -0.0098
@@ -79,7 +79,7 @@ def seating(limit=STIFF_DRIVE):
     problem.element_row[3, 0, 0] = 1.0
     problem.element_bias[3, 0] = -1.0
     problem.element_limit[3] = limit
-    single.set_stiffness(problem, 3)
+    entries.set_stiffness(problem, 3)
     problem.velocity[:4] = 0.9678, 0.0795, -0.0587, 1.0
     problem.impulse[0] = 0.7038, -0.2041
     problem.impulse[1] = 0.2171, 0.0219
@@ -98,7 +98,7 @@ def test_a_linear_problem_takes_one_turn(inertia):
     problem, work = body(inertia * np.array([-1.0, -2.0, 0.5]), walls, inertia)
     turns_of(problem, work, 1)
     # Every block is pulled towards where it was by 1e-11 of its stiffness.
-    assert single.judge(problem, work.right) <= 1e-11 * max(1.0, inertia)
+    assert entries.judge(problem, work.right) <= 1e-11 * max(1.0, inertia)
     assert (problem.impulse[:3, 0] >= 0.0).all()
 
 
@@ -106,20 +106,20 @@ def test_the_same_contact_twice():
     walls = [(math.pi / 2, 0.1, 0.0, 0.5)] * 3
     problem, work = body((-1.0, -2.0, 0.5), walls)
     turns_of(problem, work, 1)
-    assert single.judge(problem, work.right) <= TOLERANCE
+    assert entries.judge(problem, work.right) <= TOLERANCE
 
 
 def test_newton_alone_goes_in_circles_where_a_part_seats():
     problem, work = seating()
     newton_alone(problem, work, 60)
-    assert single.judge(problem, work.right) > 1e-4
+    assert entries.judge(problem, work.right) > 1e-4
 
 
 def test_a_part_that_seats_stalls_the_drive():
     problem, work = seating()
     turns_of(problem, work, 3)
     newton_alone(problem, work, 10)
-    assert single.judge(problem, work.right) <= TOLERANCE
+    assert entries.judge(problem, work.right) <= TOLERANCE
     assert problem.element_impulse[3, 0] == pytest.approx(STIFF_DRIVE)
     assert 0.0 < problem.velocity[3] < 1.0
     # The peg takes what the pusher gives.
@@ -130,12 +130,12 @@ def test_a_part_that_seats_stalls_the_drive():
 def test_it_does_so_at_any_strength(limit):
     problem, work = seating(limit)
     guess = problem.velocity.copy()
-    residual, _ = single.solve_problem(problem, work, guess, 0, 0, 8)
+    residual, _ = entries.solve_problem(problem, work, guess, 0, 0, 8)
     assert residual <= TOLERANCE
 
 
 def test_more_contacts_than_it_is_for_are_left_alone():
-    walls = [(0.3 * i, 0.1, 0.0, 0.5) for i in range(MOST_CONTACTS + 1)]
+    walls = [(0.3 * i, 0.1, 0.0, 0.5) for i in range(MAX_CONTACTS + 1)]
     problem, work = body((-1.0, -2.0, 0.5), walls)
     problem.velocity[:3] = 0.1, 0.2, 0.3
     assert not turns_of(problem, work, 1)
@@ -146,4 +146,4 @@ def test_walls_that_squeeze_have_no_answer():
     problem, work = body((0.0, 0.0, 0.0), [(0.0, 0.0, -1.0, 0.0), (math.pi, 0.0, -1.0, 0.0)])
     turns_of(problem, work, 4)
     assert np.isfinite(problem.velocity[:3]).all()
-    assert single.judge(problem, work.right) > TOLERANCE
+    assert entries.judge(problem, work.right) > TOLERANCE

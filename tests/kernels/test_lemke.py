@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from tests.kernels.entries import solve_lcp
 
 from fixel.kernels.lemke import (
     INACCURATE,
@@ -12,7 +13,6 @@ from fixel.kernels.lemke import (
     RAY,
     SOLVED,
 )
-from fixel.kernels.measure_lcp import solve_lcp
 from fixel.typing import FloatArray
 
 LCP_TOLERANCE = 1e-10  # natural map of every answer called solved, n <= 60

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 from numba import njit
+from tests.kernels.entries import solve_problem
 
-from fixel.kernels import single
+from fixel.kernels import entries
 from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.lemke import RAY, SOLVED, allocate_tableau
 from fixel.kernels.linear_form import NO_ROOM, NOT_LINEAR, solve_linear_form
-from fixel.kernels.measure_lcp import solve_problem
 from fixel.model import Body, Polygon, Scene, UniformPressure
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, QuasiStatic
 from fixel.simulation.simulate import simulate
@@ -31,7 +31,7 @@ def in_tableau_of(rows: int, problem: Problem, work: Workspace) -> int:
 def empty(n_free: int, n_drive: int, n_contact: int, n_element: int) -> tuple[Problem, Workspace]:
     """Problem and workspace without rows yet."""
     n_dof = 3 * n_free + n_drive
-    problem, work = single.empty(n_dof, n_contact, n_element, 0, 0, 0, 0)
+    problem, work = entries.empty(n_dof, n_contact, n_element, 0, 0, 0, 0)
     problem.size[:] = n_dof, n_contact, n_element, 3 * n_free
     return problem, work
 

@@ -3,8 +3,7 @@
 import numba
 import pytest
 
-from fixel.kernels.jit import entry, kernel
-from fixel.kernels.linking import KNOWN_NUMBA
+from fixel.kernels.jit import KNOWN_NUMBA, entry, kernel
 
 compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 

@@ -8,10 +8,10 @@ import pytest
 from numba import njit
 from scipy.optimize import linprog
 
-from fixel.kernels import codes, single
+from fixel.kernels import codes, entries
 from fixel.kernels.gauss_seidel import gauss_seidel, nearest_in_polygon
 from fixel.kernels.proximal import proximal_newton
-from fixel.kernels.solve import PATIENT_TRIALS, TOLERANCE
+from fixel.kernels.solve import MAX_ATTEMPTS, TOLERANCE
 from fixel.testing.contracts import step_problem
 
 FLOOR = math.pi / 2
@@ -27,21 +27,21 @@ polygon = njit(lambda x, y, limit, sides: nearest_in_polygon(x, y, limit, sides)
 def test_sweeps_settle_on_the_answer():
     problem, work = step_problem((-1.0, -2.0, 0.5), WALLS, limit=0.25)
     assert swept(problem, work, 1000) <= 1e-14
-    assert single.judge(problem, work.right) <= TOLERANCE
+    assert entries.judge(problem, work.right) <= TOLERANCE
 
 
 def test_sweeps_of_a_body_without_inertia():
     problem, work = step_problem((-0.6, -2.0, 0.0), WALLS, limit=2.0)
     problem.inertia[:] = 0.0
-    single.set_stiffness(problem, 1)
+    entries.set_stiffness(problem, 1)
     swept(problem, work, 100_000)
-    assert single.judge(problem, work.right) <= TOLERANCE
+    assert entries.judge(problem, work.right) <= TOLERANCE
 
 
 def test_proximal_steps_arrive_as_well():
     problem, work = step_problem((-1.0, -2.0, 0.5), WALLS, limit=0.25)
     proximal(problem, work, 30)
-    assert single.judge(problem, work.right) <= 1e-6
+    assert entries.judge(problem, work.right) <= 1e-6
 
 
 @pytest.mark.parametrize("sides", [4, 7, 16])
@@ -61,14 +61,14 @@ def test_nearest_point_of_a_polygon(sides):
 
 def test_no_certificate_where_there_is_a_way_out():
     problem, work = step_problem((0.0, 0.0, 0.0), ((0.0, -1.0, 0.2), (2.0, -1.0, 0.2)))
-    assert not single.has_no_solution(problem, work, np.zeros(5))
+    assert not entries.may_jam(problem, work)
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_a_certificate_where_there_is_none(friction):
     jaws = ((0.0, -1.0, friction), (math.pi, -1.0, friction))
     problem, work = step_problem((0.0, 0.0, 0.0), jaws)
-    assert single.has_no_solution(problem, work, np.zeros(5))
+    assert entries.may_jam(problem, work)
 
 
 def test_friction_holds_a_wedge_that_would_slip_out_without():
@@ -78,13 +78,13 @@ def test_friction_holds_a_wedge_that_would_slip_out_without():
     for friction, held in ((0.1, False), (0.25, True)):
         jaws = ((half, -1.0, friction), (math.pi - half, -1.0, friction))
         problem, work = step_problem((0.0, 0.0, 0.0), jaws)
-        assert single.has_no_solution(problem, work, np.zeros(5)) is held
+        assert entries.may_jam(problem, work) is held
 
 
 def many_bodies(n: int, coupled: bool):
     """A row of bodies that fall on a floor; neighbours push each other sideways where coupled."""
     n_contact = n + (n - 1 if coupled else 0)
-    problem, work = single.empty(3 * n, n_contact, 0, 0, 0, 0, 0)
+    problem, work = entries.empty(3 * n, n_contact, 0, 0, 0, 0, 0)
     problem.size[:] = 3 * n, n_contact, 0, 3 * n
     for b in range(n):
         problem.inertia[3 * b : 3 * b + 3] = np.eye(3)
@@ -99,7 +99,7 @@ def many_bodies(n: int, coupled: bool):
         problem.normal[c] = -1.0, 0.0, 0.1, 1.0, 0.0, 0.1
         problem.tangent[c] = 0.0, -1.0, 0.5, 0.0, 1.0, 0.5
         problem.friction[c] = 0.2
-    single.set_stiffness(problem, 0)
+    entries.set_stiffness(problem, 0)
     return problem, work
 
 
@@ -107,17 +107,19 @@ def many_bodies(n: int, coupled: bool):
 @pytest.mark.parametrize("n", [3, 8, 20])
 def test_rows_of_bodies_island_by_island(n, coupled):
     problem, work = many_bodies(n, coupled)
-    residual, _ = single.solve_problem(problem, work, np.zeros(3 * n + 2), codes.NEWTON, 0, PATIENT_TRIALS)
+    residual, _ = entries.solve_problem(
+        problem, work, np.zeros(3 * n + 2), codes.NEWTON, 0, MAX_ATTEMPTS
+    )
     assert residual <= TOLERANCE
 
 
 def test_an_island_is_solved_as_if_it_were_alone():
     many, work = many_bodies(8, coupled=False)
-    single.solve_problem(many, work, np.zeros(26), codes.NEWTON, 0, PATIENT_TRIALS)
+    entries.solve_problem(many, work, np.zeros(26), codes.NEWTON, 0, MAX_ATTEMPTS)
     for b in range(8):
         one, own = many_bodies(1, coupled=False)
         one.momentum[:3] = many.momentum[3 * b : 3 * b + 3]
-        single.solve_problem(one, own, np.zeros(5), codes.NEWTON, 0, PATIENT_TRIALS)
+        entries.solve_problem(one, own, np.zeros(5), codes.NEWTON, 0, MAX_ATTEMPTS)
         assert many.velocity[3 * b : 3 * b + 3] == pytest.approx(one.velocity[:3], abs=1e-9)
 
 
@@ -129,7 +131,7 @@ def _random_squeeze(rng):
     if rng.random() < 0.5:
         problem.inertia[:] = 0.0
         problem.momentum[:] = 0.0
-        single.set_stiffness(problem, 1)
+        entries.set_stiffness(problem, 1)
     problem.normal[:, 2] = rng.normal(size=len(walls))
     problem.tangent[:, 2] = rng.normal(size=len(walls))
     problem.bias[:, 1] = rng.normal(size=len(walls)) * rng.choice([0.0, 1.0])
@@ -150,11 +152,11 @@ def test_certificates_against_linear_programming():
     proven = held = slipped = 0
     for _ in range(400):
         problem, work = _random_squeeze(rng)
-        proof = single.is_proven_unsolvable(problem, work)
-        may_jam = single.has_no_solution(problem, work, np.zeros(5))
+        proof = entries.is_proven_unsolvable(problem, work)
+        may_jam = entries.may_jam(problem, work)
         assert proof != _has_motion(problem, 0.0 * problem.friction)
         assert may_jam != _has_motion(problem, problem.friction)
-        off, _ = single.solve_problem(problem, work, np.zeros(5), codes.NEWTON, 0, PATIENT_TRIALS)
+        off, _ = entries.solve_problem(problem, work, np.zeros(5), codes.NEWTON, 0, MAX_ATTEMPTS)
         solved = off <= TOLERANCE
         assert solved or may_jam
         assert not (solved and proof)
@@ -169,7 +171,9 @@ def test_nothing_is_tried_where_a_jam_is_proven():
     jaws = ((0.0, -1.0, 0.3), (math.pi, -1.0, 0.3))
     problem, work = step_problem((0.0, 0.0, 0.0), jaws)
     problem.velocity[:3] = 0.3, -0.2, 0.1
-    residual, fell_back = single.solve_problem(problem, work, np.zeros(5), codes.NEWTON, 0, PATIENT_TRIALS)
+    residual, fell_back = entries.solve_problem(
+        problem, work, np.zeros(5), codes.NEWTON, 0, MAX_ATTEMPTS
+    )
     assert residual > 0.1
     assert fell_back == 1
     assert problem.velocity[:3] == pytest.approx([0.3, -0.2, 0.1], abs=0.0)

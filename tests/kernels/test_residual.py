@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from fixel.kernels import single
+from fixel.kernels import entries
 from fixel.testing.contracts import step_problem
 
 OFF = 1e-3
@@ -20,7 +20,7 @@ def solved():
 
 
 def judged(problem, work):
-    return single.judge(problem, work.right)
+    return entries.judge(problem, work.right)
 
 
 def test_an_answer_has_none():

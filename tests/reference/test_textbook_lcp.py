@@ -10,9 +10,9 @@ import itertools
 
 import numpy as np
 import pytest
+from tests.kernels.entries import solve_lcp
 
 from fixel.kernels.lemke import RAY, SOLVED
-from fixel.kernels.measure_lcp import solve_lcp
 from fixel.typing import FloatArray
 
 CPS_3 = np.array([[0, 0, 10, 20], [0, 0, 30, 15], [10, 20, 0, 0], [30, 15, 0, 0]], float)

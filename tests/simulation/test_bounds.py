@@ -14,9 +14,10 @@ from fixel.simulation import (
     simulate,
     simulate_batch,
 )
-from fixel.simulation.pack import Variation
-from fixel.simulation.plain import roll_plainly
-from fixel.simulation.simulate import method_of, pack_with
+from fixel.simulation.pack import pack
+from fixel.simulation.plain import rollout_in_python
+from fixel.simulation.simulate import method_of
+from fixel.simulation.vary import Variation
 from fixel.testing.scenes import grasp
 
 # Steps in which Newton ran off to velocities of 1e240 whose squares are no numbers, [m, m, rad].
@@ -79,10 +80,10 @@ def test_both_loops_end_alike(stepper):
     motion, solver = FirstOrder(), Newton()
     values = {name: np.array(value) for name, value in FRICTION.items()}
     variation = Variation(values, SQUEEZED[None, None], HEAD[None])
-    packed = pack_with(grasp("seated"), motion, stepper, variation, 1, 1 / 30)
+    packed = pack(grasp("seated"), motion, stepper, variation, 1, 1 / 30)
     method = method_of(motion, stepper, solver, 4096)
     times = np.array([0.0, 1 / 30])
-    plain = roll_plainly(packed, motion, stepper, solver, method, times)
+    plain = rollout_in_python(packed, motion, stepper, solver, method, times)
     compiled = squeezed(stepper)
     assert plain.status[0] == compiled.status[0]
     assert plain.count[0, 2] == compiled.steps[0]

@@ -7,7 +7,6 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.kernels import batch as families
-from fixel.kernels import codes
 from fixel.model import (
     Body,
     Ellipsoid,
@@ -18,16 +17,21 @@ from fixel.model import (
     Scene,
     SupportPoints,
 )
-from fixel.simulation.pack import Variation, characteristic_units, pack, pusher_path, stack
+from fixel.simulation import Adaptive, Dynamic, FirstOrder, QuasiStatic
+from fixel.simulation.pack import characteristic_units, pack, pusher_path, stack
+from fixel.simulation.vary import Variation
 from fixel.testing.scenes import box, grasp, heap, micro_push, sliding_block
 
 NET = np.array([(0.04, 0.0), (0.0, 0.04), (-0.04, 0.0), (0.0, -0.04)])
 
 
-def _pack(scene, parameters=None, n=1, motion=codes.DYNAMIC, start=None):
+DYNAMIC = Dynamic()
+
+
+def _pack(scene, parameters=None, n=1, motion=DYNAMIC, start=None):
     values = {k: np.asarray(v, float) for k, v in (parameters or {}).items()}
     variation = Variation(values, start, None)
-    return pack(scene, motion, variation, n, step=None, tolerance=None, largest=0.2, duration=1.0)
+    return pack(scene, motion, Adaptive(), variation, n, 1.0)
 
 
 def _one(packed, r):
@@ -159,7 +163,7 @@ def test_parameters_that_have_nothing_to_change_are_refused():
         _pack(Scene(bodies=(disk,), duration=1.0), {"mu_support": [0.2]})
 
 
-@pytest.mark.parametrize("motion", [codes.QUASI_STATIC, codes.FIRST_ORDER])
+@pytest.mark.parametrize("motion", [QuasiStatic(), FirstOrder()])
 def test_motion_without_inertia_needs_support_friction(motion):
     loose = replace(sliding_block().bodies[0], support=NoSupport())
     with pytest.raises(InvalidInput, match=r"bodies\[0\]\.support.*'block'"):

@@ -104,6 +104,6 @@ def test_compiling_is_announced_only_when_the_cache_is_cold(scene, monkeypatch):
     assert said == [compilation.COMPILING]
 
     (scene.parent / "no-such-folder").mkdir()
-    (scene.parent / "no-such-folder" / "batch.roll-1.nbc").touch()
+    (scene.parent / "no-such-folder" / "batch.rollout_batch-1.nbc").touch()
     simulate_file(scene, notify=said.append)
     assert len(said) == 1

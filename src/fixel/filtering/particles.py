@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple, final
@@ -16,8 +15,9 @@ from fixel.model import Scene, wrapped
 from fixel.simulation import Newton, StewartTrinkle
 from fixel.simulation.batch import simulate_packed
 from fixel.simulation.geometry import pack_shapes
-from fixel.simulation.pack import Template, Variation
+from fixel.simulation.pack import Template
 from fixel.simulation.simulate import method_of
+from fixel.simulation.vary import Variation
 from fixel.typing import BoolArray, FloatArray
 
 FRAME: Final = 1.0 / 30.0  # [s] for which model error is given
@@ -148,7 +148,7 @@ class Mechanics:
         self._stride = STRIDE * self._reach
         motion, stepper = options.motion, StewartTrinkle(step=FRAME)
         self._method = method_of(motion, stepper, Newton(), MOST_CONTACTS)
-        self._template = Template(scene, motion.kind, step=FRAME, tolerance=None, largest=math.inf)
+        self._template = Template(scene, motion, stepper)
 
     def begun(self, unknowns: Unknowns, free: FloatArray) -> Particles:
         """Return particles at the start."""

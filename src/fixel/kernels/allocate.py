@@ -6,7 +6,7 @@ import numpy as np
 from fixel.kernels.arrays import N_PLACE, Problem, Workspace
 from fixel.kernels.islands import island_room
 from fixel.kernels.jit import allocating_kernel
-from fixel.kernels.josephy import MOST_CONTACTS, MOST_DRIVES
+from fixel.kernels.josephy import MAX_CONTACTS, MAX_DRIVES
 from fixel.kernels.linear import DENSE_LIMIT
 
 SPARE = 2  # entries behind the last degree of freedom, so that every block may be read three wide
@@ -53,7 +53,7 @@ def empty_workspace(
 ) -> Workspace:
     """Allocate the workspace for a problem and a scene of these sizes."""
     wide = n_dof + SPARE
-    n_row = 4 * min(n_contact, MOST_CONTACTS) + 2 * MOST_DRIVES
+    n_row = 4 * min(n_contact, MAX_CONTACTS) + 2 * MAX_DRIVES
     # Islands are for large problems only.
     n_float = 0
     n_index = 0

@@ -58,7 +58,7 @@ def select(batch: Batch, r: int) -> Model:
 
 
 @spliced_kernel
-def _rollout(
+def _rollout_one(
     batch: Batch, method: StepMethod, record: BatchRecord, every_step: bool, r: int
 ) -> None:
     a = batch.begin[r]
@@ -90,9 +90,9 @@ def select_one(batch: Batch, r: int) -> Model:
 
 
 @entry
-def roll(
+def rollout_batch(
     batch: Batch, method: StepMethod, record: BatchRecord, every_step: bool, first: int, last: int
 ) -> None:
     """Simulate rollouts `first` to ``last - 1`` without Python's lock, for use in threads."""
     for r in range(first, last):
-        _rollout(batch, method, record, every_step, r)
+        _rollout_one(batch, method, record, every_step, r)

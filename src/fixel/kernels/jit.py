@@ -6,25 +6,98 @@ anywhere, since it changes results. The name of the cache folder contains a dige
 sources, because Numba checks only the file of the entry function and would run the old code of an
 edited callee.
 
+Helpers are compiled to intermediate code only, which their callers link. Numba compiles each
+function to machine code, in case Python calls it, and optimises callees again at every level above.
+Our helpers are called by kernels only. They stop at unoptimised intermediate code, and the entry
+that contains them is optimised once. The first simulation after installation takes 35 s instead of
+47 s, with the same speed afterwards and results equal bit for bit. This uses internals of Numba: a
+pass of our own installs a code library of our own before code is generated. docs/decisions/0009
+gives the reasons.
+
 Environment: ``FIXEL_CACHE_DIR`` moves the cache; ``NUMBA_DISABLE_JIT=1`` runs every kernel as
 plain Python.
 """
 
 import hashlib
+import math
 import os
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
 from numba import types
-
-from fixel.kernels.linking import KNOWN_NUMBA, HelperCompiler
+from numba.core import cgutils, codegen, compiler, compiler_machinery, typed_passes
+from numba.extending import intrinsic
+from numba.np import arrayobj
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+KNOWN_NUMBA = ((0, 68),)  # versions with which `HelperCompiler` is tested
 
 # Numba's type information is incomplete.
 _njit: Any = numba.njit
 _config: Any = numba.config
+_codegen: Any = codegen
+_compiler: Any = compiler
+_machinery: Any = compiler_machinery
+_passes: Any = typed_passes
+
+
+class _NoEnvironment:
+    """Proxy of the code generator that ignores `set_env`, since no code has an environment."""
+
+    def __init__(self, generator: Any) -> None:
+        self._generator = generator
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._generator, name)
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Do nothing: only code that calls Python needs an environment."""
+
+
+class _Intermediate(_codegen.JITCodeLibrary):  # type: ignore[misc]
+    """Code library that is linked into others; its functions have no addresses."""
+
+    @property
+    def codegen(self) -> _NoEnvironment:
+        return _NoEnvironment(self._codegen)
+
+    def _optimize_final_module(self) -> None:
+        """Do nothing: the library that links this one is optimised."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        return 0
+
+
+@_machinery.register_pass(mutates_CFG=False, analysis_only=True)
+class _TakeIntermediate(_machinery.FunctionPass):  # type: ignore[misc]
+    """Pass that installs the library before the code generation would create an ordinary one."""
+
+    _name = "fixel_take_intermediate"
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = _Intermediate(state.targetctx.codegen(), state.func_id.func_qualname)
+        return True
+
+
+class HelperCompiler(_compiler.CompilerBase):  # type: ignore[misc]
+    """Compiler pipeline of Numba for functions that only compiled code calls."""
+
+    def define_pipelines(self) -> list[Any]:
+        passes = _compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.add_pass_after(_TakeIntermediate, _passes.NopythonTypeInference)
+        passes.finalize()
+        return [passes]
+
 
 # error_model="numpy": division by zero follows IEEE without a test; the kernels have their own
 # guards.
@@ -33,7 +106,7 @@ _FLAGS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 # The code that unpacks NamedTuples for calls from Python is longer than most helpers: without it
 # the first simulation after installation takes 46 s instead of 64 s.
 _INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, **_FLAGS}
-# With other versions of Numba than `linking` was written for, helpers are compiled as usual.
+# With other versions of Numba than `HelperCompiler` was written for, helpers are compiled as usual.
 if numba.version_info.short in KNOWN_NUMBA:
     _INNER["pipeline_class"] = HelperCompiler
 
@@ -122,3 +195,37 @@ def entry(function: Function) -> Function:
     no threading layer, works in forked processes, and allows Ctrl-C between ranges.
     """
     return _cached(function, nogil=True)
+
+
+def _view(typing_context: Any, buffer: Any, start: Any, shape: Any) -> Any:
+    """Create a view of shape `shape` from entry `start` of the one-dimensional `buffer`, which must
+    outlive it."""
+    result = types.Array(buffer.dtype, shape.count, "C")
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = arrayobj.make_array(buffer)(context, builder, arguments[0]).data
+        item = context.get_abi_sizeof(context.get_data_type(buffer.dtype))
+        word = context.get_value_type(types.intp)
+        lengths = cgutils.unpack_tuple(builder, arguments[2])
+        strides = [word(item)]
+        for length in reversed(lengths[1:]):
+            strides.insert(0, builder.mul(strides[0], length))
+        array = arrayobj.make_array(result)(context, builder)
+        arrayobj.populate_array(
+            array,
+            data=builder.gep(data, [arguments[1]]),
+            shape=lengths,
+            strides=strides,
+            itemsize=word(item),
+            meminfo=None,
+        )
+        return array._getvalue()
+
+    return result(buffer, types.intp, types.UniTuple(types.intp, shape.count)), generate
+
+
+def _view_in_python(buffer: Any, start: int, shape: tuple[int, ...]) -> Any:
+    return buffer[start : start + math.prod(shape)].reshape(shape)
+
+
+view: Any = _view_in_python if _config.DISABLE_JIT else intrinsic(_view)

@@ -21,8 +21,8 @@ from fixel.kernels.newton import FLOOR, step_all
 from fixel.kernels.proximal import linearise_any
 from fixel.typing import FloatArray
 
-MOST_CONTACTS = 12
-MOST_DRIVES = 4
+MAX_CONTACTS = 12
+MAX_DRIVES = 4
 MAX_UNKNOWNS = 36
 COMPLIANCE = 1e-5  # of an element that sticks, relative to its block's
 PULL = 1e-4  # towards the present velocity, relative to its block's stiffness, where a body
@@ -76,8 +76,8 @@ def is_small(problem: Problem) -> bool:
     n_drive = problem.size[N_DOF] - problem.size[N_FREE_DOF]
     return (
         problem.size[N_DOF] <= MAX_UNKNOWNS
-        and problem.size[N_CONTACT] <= MOST_CONTACTS
-        and n_drive <= MOST_DRIVES
+        and problem.size[N_CONTACT] <= MAX_CONTACTS
+        and n_drive <= MAX_DRIVES
     )
 
 

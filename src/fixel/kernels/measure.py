@@ -1,4 +1,4 @@
-"""Entries for Python: gaps of many pairs of shapes, contacts of many pairs of convex pieces.
+"""Entry for Python: gaps of many pairs of shapes.
 
 Simulations do not use them; they find contacts with `contacts.find_contacts`.
 """
@@ -141,41 +141,3 @@ def _nearest_pieces(
             if n > 0:
                 for k in range(5):
                     found[k] = place[0, k]
-
-
-@entry
-def measure_contacts(
-    world: FloatArray, real: IntArray, start: IntArray, radius: FloatArray, margin: float
-) -> tuple[IntArray, FloatArray, IntArray]:
-    """Compute contacts of many pairs of convex pieces in world coordinates.
-
-    Parameters
-    ----------
-    world : (n_vertex, 2) float64
-    real : (n_vertex,) int64
-        1 where the edge from this vertex is no seam.
-    start : (n, 3) int64
-        Pair i is ``world[start[i, 0]:start[i, 1]]`` and ``world[start[i, 1]:start[i, 2]]``.
-    radius : (n, 2) float64
-        Radius of disks, zero for polygons.
-    margin : float
-        Largest gap of the contacts.
-
-    Returns
-    -------
-    count : (n,) int64
-    place : (n, 2, 5) float64
-        Contacts as in `arrays.Problem.contact_place`; NaN where there are fewer than two.
-    key : (n, 2) int64
-        Feature codes, -1 where there are none.
-    """
-    n = start.shape[0]
-    count = np.empty(n, np.int64)
-    place = np.full((n, 2, 5), math.nan)
-    key = np.full((n, 2), -1)
-    for i in range(n):
-        s, m, e = start[i]
-        count[i] = contact_pair(
-            world, real, s, m, radius[i, 0], m, e, radius[i, 1], margin, place[i], key[i], 0
-        )
-    return count, place, key

@@ -16,7 +16,7 @@ from fixel.kernels.arrays import (
     DURATION,
     ELASTIC,
     FALLBACKS,
-    HASTY,
+    GIVE_UP_EARLY,
     LAST,
     LAST_SPAN,
     MIN_GAP,
@@ -42,15 +42,15 @@ from fixel.kernels.contacts import place_bodies
 from fixel.kernels.jit import allocating_kernel, kernel, large_kernel, spliced_kernel
 from fixel.kernels.path import path_direction
 from fixel.kernels.samples import is_due, write_samples
-from fixel.kernels.solve import HASTY_TRIALS, PATIENT_TRIALS, TOLERANCE, locked, solve
+from fixel.kernels.solve import MAX_ATTEMPTS, MAX_ATTEMPTS_EARLY, TOLERANCE, may_jam, solve
 from fixel.kernels.step import creates_energy, move, prepare_step
 from fixel.kernels.step_control import (
     begin_control,
     bounces,
-    carried,
     choose_trial,
     closing_time,
     end_step,
+    extrapolation,
     is_thrown,
     judge_step,
     limit_step,
@@ -199,7 +199,7 @@ def _run(
         _copy_state(state, before)
         samples = record.count[SAMPLES]
         contact_rows = record.count[CONTACT_ROWS]
-        move(model, state, control[TRIAL], problem, carried(control))
+        move(model, state, control[TRIAL], problem, extrapolation(control))
         end_step(control)
         if is_due(control, record, every_step):
             write_samples(
@@ -236,15 +236,17 @@ def _solve_trial(
         control[CLOSING] = closing_time(problem, guess, trial, method.lead, control[MIN_GAP])
         if control[CLOSING] < math.inf:
             return codes.CONVERGED, math.inf
-    trials = HASTY_TRIALS if control[HASTY] == 1.0 else PATIENT_TRIALS
+    max_attempts = MAX_ATTEMPTS_EARLY if control[GIVE_UP_EARLY] == 1.0 else MAX_ATTEMPTS
     while True:
-        residual, fell_back = solve(problem, work, guess, method.solver, method.effort, trials)
+        residual, fell_back = solve(
+            problem, work, guess, method.solver, method.effort, max_attempts
+        )
         record.count[FALLBACKS] += fell_back
         if not (elastic and residual <= TOLERANCE and creates_energy(model, state, problem)):
             break
     if not residual <= TOLERANCE:
         control[LAST_SPAN] = 0.0
-        if locked(problem, work, guess):
+        if may_jam(problem, work):
             return codes.JAMMED, residual
         return codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS, residual
     control[LAST_SPAN] = control[SPAN]

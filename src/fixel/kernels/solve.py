@@ -4,7 +4,7 @@ import math
 
 from fixel.kernels import codes
 from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, Problem, Workspace
-from fixel.kernels.feasible import squeezed
+from fixel.kernels.feasible import is_squeezed
 from fixel.kernels.gauss_seidel import gauss_seidel
 from fixel.kernels.islands import (
     ROUNDS,
@@ -33,8 +33,8 @@ STILL_VELOCITY = 1e-9  # velocity below which the answer of the step before is t
 QUICK_ITERATIONS = 10  # Newton from the step before: 2 or 3 are the rule
 ITERATIONS = 12  # Newton from where the recovery got to
 # Trials of the recovery: each starts where the last one got to, every eighth from no impulses.
-PATIENT_TRIALS = 98
-HASTY_TRIALS = 8
+MAX_ATTEMPTS = 98
+MAX_ATTEMPTS_EARLY = 8
 TURNS = 6  # of pivoting; one to three are the rule
 GIVE_UP = 5  # after this trial ask whether friction may jam: nothing was ever found later then
 CLOSE_RESIDUAL = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
@@ -44,16 +44,21 @@ SWEEPS = 300  # of Gauss-Seidel before the second start, twice and three times a
 
 @spliced_kernel
 def solve(
-    problem: Problem, work: Workspace, guess: FloatArray, solver: int, sweeps: int, trials: int
+    problem: Problem,
+    work: Workspace,
+    guess: FloatArray,
+    solver: int,
+    sweeps: int,
+    max_attempts: int,
 ) -> tuple[float, int]:
     """Solve the problem in place; returns (residual, 1 if a fallback was needed).
 
-    Few unknowns: a few steps of Newton from the impulses of the step before, or what `finish` can
-    do in so many `trials`: HASTY_TRIALS where a shorter step may be tried instead, else
-    PATIENT_TRIALS.
+    Few unknowns: a few steps of Newton from the impulses of the step before, or what
+    `solve_fallback` can do in `max_attempts`: MAX_ATTEMPTS_EARLY where a shorter step may be tried
+    instead, else MAX_ATTEMPTS.
     """
-    way = sweeps if solver == codes.GAUSS_SEIDEL else 0
-    if way == 0 and problem.size[N_DOF] <= DENSE_LIMIT:
+    first_sweeps = sweeps if solver == codes.GAUSS_SEIDEL else 0
+    if first_sweeps == 0 and problem.size[N_DOF] <= DENSE_LIMIT:
         if at_rest(problem):
             worst = residual(problem, work.right)
             if worst <= NEWTON_TOLERANCE:
@@ -63,12 +68,12 @@ def solve(
         worst = residual(problem, work.right)
         if worst <= TOLERANCE:
             return worst, 0
-    return finish(problem, work, guess, way, trials)
+    return solve_fallback(problem, work, guess, first_sweeps, max_attempts)
 
 
 @spliced_kernel
-def finish(
-    problem: Problem, work: Workspace, guess: FloatArray, sweeps: int, trials: int
+def solve_fallback(
+    problem: Problem, work: Workspace, guess: FloatArray, sweeps: int, max_attempts: int
 ) -> tuple[float, int]:
     """What is left to do where `solve` has not tried or not succeeded."""
     if sweeps > 0:
@@ -76,11 +81,11 @@ def finish(
         worst = residual(problem, work.right)
         if worst <= TOLERANCE:
             return worst, 0
-        forget(problem, guess)
+        reset_to_guess(problem, guess)
         save(problem, work)
     if problem.size[N_DOF] > DENSE_LIMIT:
-        return solve_large(problem, work, guess, trials)
-    return recover(problem, work, guess, False, trials)
+        return solve_large(problem, work, guess, max_attempts)
+    return recover(problem, work, guess, False, max_attempts)
 
 
 @large_kernel
@@ -91,7 +96,7 @@ def sweep(problem: Problem, work: Workspace, sweeps: int) -> float:
 
 @spliced_kernel
 def solve_large(
-    problem: Problem, work: Workspace, guess: FloatArray, trials: int
+    problem: Problem, work: Workspace, guess: FloatArray, max_attempts: int
 ) -> tuple[float, int]:
     """Solve island by island."""
     islands = islands_of(problem, work)
@@ -107,7 +112,7 @@ def solve_large(
         for b in range(n_block):
             if islands.island[b] == b and islands.first[b] == 1:
                 gather(problem, work, islands, guess, b)
-                _, more = recover(islands.part, work, islands.guess, True, trials)
+                _, more = recover(islands.part, work, islands.guess, True, max_attempts)
                 fell_back = max(fell_back, more)
                 scatter(problem, islands, b)
     return residual(problem, work.right), fell_back
@@ -115,7 +120,7 @@ def solve_large(
 
 @large_kernel
 def recover(
-    problem: Problem, work: Workspace, guess: FloatArray, fresh: bool, trials: int
+    problem: Problem, work: Workspace, guess: FloatArray, fresh: bool, max_attempts: int
 ) -> tuple[float, int]:
     """Solve a problem of any size by every means there are.
 
@@ -131,15 +136,15 @@ def recover(
     small = is_small(problem)
     # Asked first where contacts are few, at less than the cost of a trial: a step that can be
     # shortened is given up where friction may jam, another only where a jam is proven.
-    if small and squeezed(problem, work, trials <= HASTY_TRIALS):
+    if small and is_squeezed(problem, work, max_attempts <= MAX_ATTEMPTS_EARLY):
         return residual(problem, work.right), 1
     stiffness = 100.0
     worst = math.inf
-    for trial in range(trials):
+    for trial in range(max_attempts):
         if trial % 8 == 1:
-            forget(problem, guess)
+            reset_to_guess(problem, guess)
             if trial > 9:
-                wander(problem, trial // 8)
+                perturb(problem, trial // 8)
             stiffness = 10.0
             if trial > 1:
                 sweep(problem, work, SWEEPS * min(trial // 8, 3))
@@ -162,7 +167,7 @@ def recover(
                 return worst, 1
             if not more:
                 break
-        if trial == GIVE_UP and squeezed(problem, work, True):
+        if trial == GIVE_UP and is_squeezed(problem, work, True):
             break
         stiffness = min(stiffness, 1e4)
     return worst, 1
@@ -223,7 +228,7 @@ def restore(problem: Problem, work: Workspace) -> None:
 
 
 @kernel
-def forget(problem: Problem, guess: FloatArray) -> None:
+def reset_to_guess(problem: Problem, guess: FloatArray) -> None:
     """Go back to the guessed velocities and no impulses."""
     for i in range(problem.size[N_DOF]):
         problem.velocity[i] = guess[i]
@@ -236,7 +241,7 @@ def forget(problem: Problem, guess: FloatArray) -> None:
 
 
 @kernel
-def wander(problem: Problem, turn: int) -> None:
+def perturb(problem: Problem, turn: int) -> None:
     """Move the velocities to somewhere else of the same size, another place each turn."""
     size = 0.1
     for i in range(problem.size[N_DOF]):
@@ -247,7 +252,7 @@ def wander(problem: Problem, turn: int) -> None:
 
 
 @large_kernel
-def locked(problem: Problem, work: Workspace, guess: FloatArray) -> bool:
+def may_jam(problem: Problem, work: Workspace) -> bool:
     """Return whether prescribed motions and friction may squeeze the bodies, so that a solution
     need not exist."""
-    return squeezed(problem, work, True)
+    return is_squeezed(problem, work, True)

@@ -276,7 +276,7 @@ def _prepare_contact(
         # error of a long one into a blow.
         room = max(step, GENTLY)
     elif inertial and gap < -NO_OVERLAP:
-        # Velocities that take it back would stay as kinetic energy: `_part` moves the bodies.
+        # Velocities that take it back would stay as kinetic energy: `_separate` moves the bodies.
         overlap = min(-gap, RECOVERY * step)
         gap = 0.0
     # A deep overlap (a measured start, say) is taken back at no more than the characteristic speed,
@@ -351,7 +351,7 @@ def creates_energy(model: Model, state: State, problem: Problem) -> bool:
 
 
 @large_kernel
-def _part(model: Model, state: State, step: float, problem: Problem) -> None:
+def _separate(model: Model, state: State, step: float, problem: Problem) -> None:
     """Move overlapping bodies apart, by the shortest way in the metric of their inertia.
 
     Gauss-Seidel over the contacts, at the end of the step, on positions alone. Prescribed and
@@ -404,7 +404,7 @@ def _part(model: Model, state: State, step: float, problem: Problem) -> None:
 
 
 @large_kernel
-def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
+def _extrapolate(state: State, problem: Problem, smooth: bool) -> None:
     """Carry the velocities of bodies from the middle of a step, where they were solved for, to its
     end.
 
@@ -477,11 +477,11 @@ def _carry_on(state: State, problem: Problem, smooth: bool) -> None:
 
 
 @kernel
-def move(model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
+def move(model: Model, state: State, step: float, problem: Problem, extrapolation: int) -> None:
     """Take the step: update poses and velocities from the problem's velocity.
 
-    `ahead`: 0 where the problem's velocity is that of the step's end; where it is that of its
-    middle, 2 if velocities changed smoothly, else 1.
+    `extrapolation`: 0 where the problem's velocity is that of the step's end; where it is that of
+    its middle, 2 if velocities changed smoothly, else 1.
     """
     n_free = model.mass.size
     v = problem.velocity
@@ -497,11 +497,11 @@ def move(model: Model, state: State, step: float, problem: Problem, ahead: int) 
             share = v[dof] / speed if speed > 0.0 else 1.0
             state.path_time[d] = min(last, state.path_time[d] + step * share)
     first = 0
-    if ahead > 0:
-        _carry_on(state, problem, ahead == 2)
+    if extrapolation > 0:
+        _extrapolate(state, problem, extrapolation == 2)
         first = problem.size[N_FREE_DOF]
     for i in range(problem.size[N_DOF]):
         state.middle[i] = v[i]
         if i >= first:
             state.velocity[i] = v[i]
-    _part(model, state, step, problem)
+    _separate(model, state, step, problem)

@@ -18,9 +18,9 @@ from fixel.kernels.arrays import (
     EARLIEST,
     EVENTFUL,
     GAP,
+    GIVE_UP_EARLY,
     GROWTH,
     GUESSED,
-    HASTY,
     INERTIAL,
     LARGEST,
     LAST,
@@ -135,7 +135,9 @@ def _try_next(control: FloatArray, trial: float, guessed: int, predicting: bool)
     control[BOUNCES] = 0.0
     control[MIN_GAP] = control[TOLERANCE] if adaptive and guessed == PREDICTED else math.inf
     insisting = control[UNSOLVED] % INSIST == INSIST - 1
-    control[HASTY] = 1.0 if adaptive and trial > control[SMALLEST] and not insisting else 0.0
+    control[GIVE_UP_EARLY] = (
+        1.0 if adaptive and trial > control[SMALLEST] and not insisting else 0.0
+    )
     return codes.RETRY
 
 
@@ -292,7 +294,7 @@ def propose_step(control: FloatArray, error: float) -> None:
 
 
 @kernel
-def carried(control: FloatArray) -> int:
+def extrapolation(control: FloatArray) -> int:
     """Return how `step.move` carries on velocities: not at all, or 2 where they changed smoothly,
     else 1."""
     if control[STAGGERED] == 0.0:

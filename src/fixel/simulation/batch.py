@@ -23,20 +23,20 @@ from fixel.kernels.arrays import (
 )
 from fixel.model import Parameters, Scene
 from fixel.simulation.motion import AbstractMotionModel, Dynamic
-from fixel.simulation.pack import PackedBatch, Variation, stack
+from fixel.simulation.pack import PackedBatch, pack, stack
 from fixel.simulation.result import BatchResult
 from fixel.simulation.simulate import (
     empty_record,
     is_compiled,
     method_of,
     one_variation,
-    pack_with,
     positive_time,
     refuse_method,
     shape_poses,
 )
 from fixel.simulation.solver import AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
+from fixel.simulation.vary import Variation
 from fixel.typing import FloatArray
 
 
@@ -102,7 +102,7 @@ def simulate_batch(
     refuse_method(scene, solver)
     variation, n = _variation(scene, parameters, start, waypoints)
     seconds = positive_time("duration", scene.duration if duration is None else duration)
-    packed = pack_with(scene, motion, stepper, variation, n, seconds)
+    packed = pack(scene, motion, stepper, variation, n, seconds)
     return simulate_packed(scene, packed, method, _moments(times, seconds), threads)
 
 
@@ -122,7 +122,7 @@ def simulate_packed(
         Number of threads; all cores by default.
     """
     record = empty_record(packed, len(moments), 0, moments)
-    roll(packed.batch, method, record, threads)
+    rollout_in_threads(packed.batch, method, record, threads)
     return _unpack(scene, packed, record, moments)
 
 
@@ -211,7 +211,9 @@ def _moments(times: ArrayLike | None, duration: float) -> FloatArray:
     return moments
 
 
-def roll(batch: Batch, method: StepMethod, record: BatchRecord, threads: int | None) -> None:
+def rollout_in_threads(
+    batch: Batch, method: StepMethod, record: BatchRecord, threads: int | None
+) -> None:
     """Distribute the rollouts among threads, in ranges small enough to balance the load."""
     n = len(record.status)
     n_threads = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
@@ -219,12 +221,12 @@ def roll(batch: Batch, method: StepMethod, record: BatchRecord, threads: int | N
     if n_threads < 1:
         raise InvalidInput("threads", found=threads, expected="at least 1")
     if n_threads == 1 or n < 2:
-        kernel.roll(batch, method, record, False, 0, n)
+        kernel.rollout_batch(batch, method, record, False, 0, n)
         return
     size = max(1, min(64, n // (4 * n_threads)))
     with ThreadPoolExecutor(n_threads) as pool:
         futures = [
-            pool.submit(kernel.roll, batch, method, record, False, k, min(n, k + size))
+            pool.submit(kernel.rollout_batch, batch, method, record, False, k, min(n, k + size))
             for k in range(0, n, size)
         ]
         try:
@@ -280,7 +282,7 @@ def _simulate_scenes(
     for scene in scenes:
         refuse_method(scene, solver)
         seconds = positive_time("duration", scene.duration if duration is None else duration)
-        packed.append(pack_with(scene, motion, stepper, one_variation(None), 1, seconds))
+        packed.append(pack(scene, motion, stepper, one_variation(None), 1, seconds))
         moments.append(_moments(times, seconds))
     if not packed:
         return []
@@ -289,7 +291,7 @@ def _simulate_scenes(
     record = empty_record(whole, len(moments[0]), 0)
     for r, part in enumerate(packed):
         record.time[r] = moments[r] / part.units.time
-    roll(batch, method, record, threads)
+    rollout_in_threads(batch, method, record, threads)
     results = []
     for r, (scene, part) in enumerate(zip(scenes, packed, strict=True)):
         n_driven = len(scene.pushers)

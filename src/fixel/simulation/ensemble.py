@@ -18,12 +18,11 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.kernels.arrays import REACHED, SAMPLES, BatchRecord
 from fixel.model import Scene
-from fixel.simulation.batch import refuse_plugins, roll
+from fixel.simulation.batch import refuse_plugins, rollout_in_threads
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.pack import (
     PackedBatch,
     Template,
-    Variation,
     fastest_motion,
     pusher_path,
     stack,
@@ -31,7 +30,7 @@ from fixel.simulation.pack import (
 from fixel.simulation.simulate import empty_record, method_of, shape_poses
 from fixel.simulation.solver import AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
-from fixel.simulation.vary import infeasible
+from fixel.simulation.vary import Variation, infeasible
 from fixel.typing import FloatArray, IntArray
 
 # Largest number of poses recorded in one pass by all rollouts; more need several passes.
@@ -202,20 +201,12 @@ class Ensemble:
         for part, own in zip(packed, rows, strict=True):
             record.time[at : at + len(own)] = self._times[which[own]] / part.units.time
             at += len(own)
-        roll(batch, self._method, record, self._threads)
+        rollout_in_threads(batch, self._method, record, self._threads)
         return record
 
     def _template(self, key: Any, keys: list[Any]) -> Template:
         scene = self.cases[keys.index(key)].scene
-        adaptive = self.stepper if isinstance(self.stepper, Adaptive) else None
-        return Template(
-            scene,
-            self.motion.kind,
-            step=self.stepper.first_step,
-            tolerance=adaptive.tolerance if adaptive else None,
-            largest=adaptive.largest_step if adaptive else math.inf,
-            speed=_round_speed(scene) or None,
-        )
+        return Template(scene, self.motion, self.stepper, _round_speed(scene) or None)
 
     def _stacked_paths(self) -> tuple[IntArray, list[FloatArray | None]]:
         """Stack paths (n_case, n_waypoint, 4) of each template; return also indices of cases."""

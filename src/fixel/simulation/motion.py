@@ -11,7 +11,7 @@ import abc
 from dataclasses import dataclass
 from typing import ClassVar, final
 
-from fixel.kernels import codes, single
+from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Model, Problem, State
 from fixel.typing import FloatArray
 
@@ -47,11 +47,13 @@ class AbstractMotionModel(abc.ABC):
         """
 
     @abc.abstractmethod
-    def move(self, model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
+    def move(
+        self, model: Model, state: State, step: float, problem: Problem, extrapolation: int
+    ) -> None:
         """Take the step: velocities become the problem's, poses follow.
 
-        `ahead` is 0 where the problem's velocities are those of the step's end. Where they are
-        those of its middle, it is 2 if they changed smoothly, else 1.
+        `extrapolation` is 0 where the problem's velocities are those of the step's end. Where they
+        are those of its middle, it is 2 if they changed smoothly, else 1.
         """
 
 
@@ -73,10 +75,12 @@ class Dynamic(AbstractMotionModel):
     def assemble(
         self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
     ) -> int:
-        return int(single.assemble(model, state, self.kind, step, pose, problem))
+        return int(entries.assemble(model, state, self.kind, step, pose, problem))
 
-    def move(self, model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
-        single.move_bodies(model, state, step, problem, ahead)
+    def move(
+        self, model: Model, state: State, step: float, problem: Problem, extrapolation: int
+    ) -> None:
+        entries.move_bodies(model, state, step, problem, extrapolation)
 
 
 @final
@@ -97,10 +101,12 @@ class QuasiStatic(AbstractMotionModel):
     def assemble(
         self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
     ) -> int:
-        return int(single.assemble(model, state, self.kind, step, pose, problem))
+        return int(entries.assemble(model, state, self.kind, step, pose, problem))
 
-    def move(self, model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
-        single.move_bodies(model, state, step, problem, ahead)
+    def move(
+        self, model: Model, state: State, step: float, problem: Problem, extrapolation: int
+    ) -> None:
+        entries.move_bodies(model, state, step, problem, extrapolation)
 
 
 @final
@@ -121,10 +127,12 @@ class FirstOrder(AbstractMotionModel):
     def assemble(
         self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
     ) -> int:
-        return int(single.assemble(model, state, self.kind, step, pose, problem))
+        return int(entries.assemble(model, state, self.kind, step, pose, problem))
 
-    def move(self, model: Model, state: State, step: float, problem: Problem, ahead: int) -> None:
-        single.move_bodies(model, state, step, problem, ahead)
+    def move(
+        self, model: Model, state: State, step: float, problem: Problem, extrapolation: int
+    ) -> None:
+        entries.move_bodies(model, state, step, problem, extrapolation)
 
 
 MOTION_MODELS: tuple[type[AbstractMotionModel], ...] = (Dynamic, QuasiStatic, FirstOrder)

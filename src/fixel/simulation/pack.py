@@ -7,7 +7,7 @@ then of the same size for a part of 1.6 mm and a block of 107 mm.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from statistics import median
 from typing import NamedTuple, final
 
@@ -17,7 +17,16 @@ from numpy.typing import ArrayLike, NDArray
 from fixel.errors import InvalidInput
 from fixel.kernels import batch as families
 from fixel.kernels import codes
-from fixel.kernels.arrays import Batch, Model
+from fixel.kernels.arrays import (
+    DURATION,
+    LARGEST,
+    N_PACE,
+    SMALLEST,
+    STEP,
+    TOLERANCE,
+    Batch,
+    Model,
+)
 from fixel.model import (
     Body,
     Disk,
@@ -31,19 +40,9 @@ from fixel.model import (
     support_points,
 )
 from fixel.simulation.geometry import contact_pieces
-from fixel.simulation.vary import (
-    Elements,
-    Values,
-    grown_by,
-    heavier_by,
-    moves,
-    outline_of,
-    varied_elements,
-    varied_friction,
-    varied_path,
-    varied_plane,
-    varied_start,
-)
+from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.stepper import AbstractStepper, Adaptive
+from fixel.simulation.vary import Elements, Variation, VariedScene, composed, vary
 from fixel.typing import FloatArray, IntArray
 
 # Share of the time in which the fastest body moves by one characteristic length; friction impulses
@@ -53,11 +52,12 @@ TYPICAL_STEP = 0.01
 # [m/s] Slower motion counts as standing still.
 SLOWEST = 1e-34
 # Characteristic values whose squares and products do not overflow.
-SMALLEST, LARGEST = 1e-100, 1e100
+MIN_SCALE, MAX_SCALE = 1e-100, 1e100
 
 # Of position in one adaptive step, in characteristic lengths: 95 % of random grasps then end
 # within 0.1 mm and 0.1 degree of the converged result (docs/theory/stepping.md).
-TOLERANCE = 1e-5
+DEFAULT_TOLERANCE = 1e-5
+SMALLEST_STEP = 1e-7  # of an adaptive stepper, scaled
 
 
 class Units(NamedTuple):
@@ -95,7 +95,7 @@ def characteristic_units(scene: Scene, speed: float | None = None) -> Units:
         scales = [*units, units.speed, units.force, units.torque]
     except (OverflowError, ZeroDivisionError):
         scales = [math.inf]
-    if not all(SMALLEST < scale < LARGEST for scale in scales):
+    if not all(MIN_SCALE < scale < MAX_SCALE for scale in scales):
         length = median(math.sqrt(b.moment_of_inertia / b.mass) for b in scene.bodies)
         raise InvalidInput(
             "scene",
@@ -299,15 +299,6 @@ def refuse_motion(scene: Scene, motion_kind: int) -> None:
             )
 
 
-class Variation(NamedTuple):
-    """Quantities that differ between rollouts of one scene; None for those that do not."""
-
-    parameters: Mapping[str, FloatArray]  # name -> (n,)
-    start: FloatArray | None = None  # (n, n_free, 3) poses of the free bodies' shape frames
-    path: FloatArray | None = None  # (n_path, n_sample, 4) waypoints of the one pusher
-    path_of: IntArray | None = None  # (n,) index of the path of a rollout; its own by default
-
-
 class PackedBatch(NamedTuple):
     """Batch of rollouts of one scene, and the data to convert it back to SI units."""
 
@@ -319,36 +310,14 @@ class PackedBatch(NamedTuple):
 
 def pack(
     scene: Scene,
-    motion_kind: int,
+    motion: AbstractMotionModel,
+    stepper: AbstractStepper,
     variation: Variation,
     n: int,
-    *,
-    step: float | None,
-    tolerance: float | None,
-    largest: float,
     duration: float,
 ) -> PackedBatch:
-    """Pack the arrays of `n` rollouts of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-    motion_kind : int
-        Motion model: codes.DYNAMIC, QUASI_STATIC or FIRST_ORDER.
-    variation : Variation
-    n : int
-        Number of rollouts.
-    step : float or None
-        Fixed or first step [s].
-    tolerance : float or None
-        Tolerance of position per step of an adaptive stepper [m].
-    largest : float
-        Longest step of an adaptive stepper, scaled.
-    duration : float
-        Simulated time [s].
-    """
-    template = Template(scene, motion_kind, step=step, tolerance=tolerance, largest=largest)
-    return template.packed(variation, n, duration)
+    """Pack the arrays of `n` rollouts of a scene, which last `duration` [s]."""
+    return Template(scene, motion, stepper).packed(variation, n, duration)
 
 
 @final
@@ -358,8 +327,8 @@ class Template:
     Parameters
     ----------
     scene : Scene
-    motion_kind, step, tolerance, largest
-        Method as for `pack`.
+    motion, stepper
+        Method.
     speed : float, optional
         Characteristic speed [m/s]; the scene's own by default.
     """
@@ -367,35 +336,20 @@ class Template:
     def __init__(
         self,
         scene: Scene,
-        motion_kind: int,
-        *,
-        step: float | None,
-        tolerance: float | None,
-        largest: float,
+        motion: AbstractMotionModel,
+        stepper: AbstractStepper,
         speed: float | None = None,
     ) -> None:
-        refuse_motion(scene, motion_kind)
+        refuse_motion(scene, motion.kind)
         self.scene = scene
-        self.motion_kind = motion_kind
+        self.motion_kind = motion.kind
         self.units = characteristic_units(scene, speed)
         self.com = np.array([b.com for b in scene.bodies], np.float64).reshape(-1, 2)
         self._elements = _elements(scene)
         self._friction, restitution = _pair_tables(scene)
         self._pieces = _pieces(scene)
-        self._pace = self._paced(step, tolerance, largest)
+        self._pace = _pace(stepper, self.units)
         self._model = self._constant(restitution)
-
-    def _paced(self, step: float | None, tolerance: float | None, largest: float) -> FloatArray:
-        units = self.units
-        return np.array(
-            [
-                0.0,
-                TYPICAL_STEP if step is None else step / units.time,
-                TOLERANCE if tolerance is None else tolerance / units.length,
-                1e-7,
-                largest,
-            ]
-        )
 
     def _constant(self, restitution: FloatArray) -> Model:
         """Create the model with fields that no parameter changes; others are empty or nominal."""
@@ -447,34 +401,32 @@ class Template:
 
     def packed(self, variation: Variation, n: int, duration: ArrayLike) -> PackedBatch:
         """Pack the arrays of `n` rollouts, with one duration [s] each or one for all."""
-        scene, units, values = self.scene, self.units, variation.parameters
+        scene, units = self.scene, self.units
         length = units.length
         rows = _FamilyRows(n)
         n_body, n_driven = len(scene.names), len(scene.pushers)
-        start = varied_start(scene, variation.start, values)
-        elements = varied_elements(scene, self._elements, values, start)
-        ratio = heavier_by(scene, values)
+        varied = vary(scene, self._elements, self._friction, variation)
+        elements, friction, ratio = varied.elements, varied.friction, varied.mass_ratio
         point, limit, arm, drag = self._scaled(elements, n, rows, ratio is not None)
-        friction = varied_friction(scene, self._friction, values)
         rows.place(families.PAIR, n_body * n_body, own=friction.ndim == 3)
-        radius, bound = self._radii(values, rows)
+        radius, bound = self._radii(varied.growth, rows)
         rows.place(families.PIECE_START, len(self._pieces.start))
         rows.place(families.VERTEX, len(self._pieces.vertex))
         rows.place(families.DRIVEN, n_driven)
         rows.place(families.PATH_START, n_driven + 1)
-        path, path_start = self._paths(variation, float(np.max(duration)), rows)
-        pose = self._poses(start, rows)
+        path, path_start = self._paths(variation, varied, float(np.max(duration)), rows)
+        pose = self._poses(varied.start, rows)
         factors, frame = self._map()
         rows.place(families.MAP, factors.size)
         model = self._model
         copies = {name: n if own else 1 for name, own in rows.own.items()}
         per_free, per_pair = copies[families.FREE], copies[families.PAIR]
         per_piece, per_element = copies[families.PIECE], copies[families.ELEMENT]
-        plane = np.broadcast_to(varied_plane(scene, values), (n, 3))
+        plane = np.broadcast_to(varied.plane, (n, 3))
         velocity = np.array([b.velocity for b in scene.bodies], np.float64).reshape(-1, 3)
         velocity = velocity / (np.array([length, length, 1.0]) / units.time)
         pace = np.tile(self._pace, (n, 1))
-        pace[:, 0] = np.asarray(duration) / units.time
+        pace[:, DURATION] = np.asarray(duration) / units.time
         batch = Batch(
             begin=rows.begin,
             count=rows.count,
@@ -507,7 +459,7 @@ class Template:
             velocity=np.tile(velocity, (per_free, 1)),
             pace=pace,
         )
-        return PackedBatch(batch, units, self.com, outline_of(values))
+        return PackedBatch(batch, units, self.com, varied.outline)
 
     def _scaled(
         self, elements: Elements, n: int, rows: _FamilyRows, heavier: bool
@@ -537,9 +489,8 @@ class Template:
             np.ascontiguousarray(drag.reshape(-1, 3, 3)),
         )
 
-    def _radii(self, values: Values, rows: _FamilyRows) -> tuple[FloatArray, FloatArray]:
+    def _radii(self, grown: FloatArray | None, rows: _FamilyRows) -> tuple[FloatArray, FloatArray]:
         """Return scaled rounding radii and bounding circles of pieces, with enlarged pushers."""
-        grown = grown_by(self.scene, values)
         radius, bound = self._model.piece_radius, self._model.piece_bound
         rows.place(families.PIECE, len(radius), own=grown is not None)
         if grown is None:
@@ -553,14 +504,14 @@ class Template:
         return np.ascontiguousarray((radius + more).reshape(-1)), wide.reshape(-1, 3)
 
     def _paths(
-        self, variation: Variation, duration: float, rows: _FamilyRows
+        self, variation: Variation, varied: VariedScene, duration: float, rows: _FamilyRows
     ) -> tuple[FloatArray, IntArray]:
         """Return the waypoints of all pushers, and the index of the first of each."""
-        path = variation.path
+        path, registration = variation.path, varied.registration
         if path is None:
             waypoints = [pusher_path(p, duration) for p in self.scene.pushers]
             start = np.cumsum([0, *(len(p) for p in waypoints)]).astype(np.int64)
-            if not moves(variation.parameters) or not waypoints:
+            if registration is None or not waypoints:
                 rows.place(families.PATH, int(start[-1]))
                 return (np.concatenate(waypoints) if waypoints else np.zeros((0, 4))), start
             if len(waypoints) > 1:
@@ -571,9 +522,10 @@ class Template:
                 )
             path = waypoints[0][None]
         of = variation.path_of
-        moved = varied_path(path if of is None else path[of], variation.parameters)
-        if moved is not None:
-            path, of = moved, None
+        if registration is not None:
+            own = path if of is None else path[of]
+            path, of = np.array(np.broadcast_to(own, (len(registration), *own.shape[1:]))), None
+            path[:, :, 1:] = composed(registration[:, None], own[:, :, 1:])
         n_sample = path.shape[1]
         rows.place(families.PATH, n_sample, own=True)
         if of is not None:
@@ -616,6 +568,19 @@ class _FamilyRows:
         self.own[family] = own
         if own:
             self.begin[:, family] = rows * np.arange(len(self.begin))
+
+
+def _pace(stepper: AbstractStepper, units: Units) -> FloatArray:
+    """Return the row of `Batch.pace` of a stepper, for no duration yet."""
+    step, tolerance, largest = stepper.first_step, None, math.inf
+    if isinstance(stepper, Adaptive):
+        tolerance, largest = stepper.tolerance, stepper.largest_step
+    pace = np.zeros(N_PACE)
+    pace[STEP] = TYPICAL_STEP if step is None else step / units.time
+    pace[TOLERANCE] = DEFAULT_TOLERANCE if tolerance is None else tolerance / units.length
+    pace[SMALLEST] = SMALLEST_STEP
+    pace[LARGEST] = largest
+    return pace
 
 
 def _spring(body: Body, units: Units) -> list[float]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from fixel.kernels import arrays as at
 from fixel.kernels import batch as kernel
-from fixel.kernels import codes, single
+from fixel.kernels import codes, entries
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
     N_DOF,
@@ -26,7 +26,7 @@ from fixel.kernels.solve import TOLERANCE
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.pack import PackedBatch
 from fixel.simulation.solver import AbstractSolver
-from fixel.simulation.stepper import AbstractStepper, Attempt, Past, StepLimits
+from fixel.simulation.stepper import AbstractStepper, StepHistory, StepLimits, StepTrial
 from fixel.typing import FloatArray
 
 
@@ -48,15 +48,15 @@ class _Loop:
         self.pose = np.array(batch.pose[: batch.count[0, kernel.BODY]])
         self.problem: Problem
         self.work: Workspace
-        self.problem, self.work = single.allocate(self.model, max_contacts)
+        self.problem, self.work = entries.allocate(self.model, max_contacts)
         wide = self.problem.momentum.size
         n_driven = self.model.force_limit.size
         self.state = State(self.pose.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
         self.control = np.zeros(at.N_CONTROL)
         self.inertial = motion.kind == codes.DYNAMIC
-        single.begin_control(self.control, batch.pace[0], stepper.adaptive, self.inertial)
+        entries.begin_control(self.control, batch.pace[0], stepper.adaptive, self.inertial)
         self.fallbacks = 0
-        single.begin(
+        entries.begin(
             self.model,
             self.state,
             batch.velocity,
@@ -70,43 +70,43 @@ class _Loop:
         step: float,
         lead: float,
         guess: FloatArray,
-        least: float = math.inf,
-        hasty: bool = False,
-    ) -> Attempt:
+        min_gap: float = math.inf,
+        give_up_early: bool = False,
+    ) -> StepTrial:
         """Try one step: contacts, the model's rows, the shared rows, the solver."""
         model, state, problem, work = self.model, self.state, self.problem, self.work
         control = self.control
-        single.start_trial(control, step, lead)
-        if not single.contacts(model, state, control, guess, self.pose, problem, work):
-            return Attempt(codes.CONTACT_OVERFLOW, math.inf)
+        entries.start_trial(control, step, lead)
+        if not entries.contacts(model, state, control, guess, self.pose, problem, work):
+            return StepTrial(codes.CONTACT_OVERFLOW, math.inf)
         span = float(control[at.SPAN])
         n_support = self.motion.assemble(model, state, span, self.pose, problem)
-        single.rows(model, state, control, guess, self.pose, problem, n_support)
-        if least < math.inf:
-            closing = float(single.closing_time(problem, guess, step, lead, least))
+        entries.rows(model, state, control, guess, self.pose, problem, n_support)
+        if min_gap < math.inf:
+            closing = float(entries.closing_time(problem, guess, step, lead, min_gap))
             if closing < math.inf:
-                return Attempt(codes.CONVERGED, math.inf, closing=closing)
+                return StepTrial(codes.CONVERGED, math.inf, closing=closing)
         while True:
-            residual, fell_back = self.solver.solve(problem, work, guess, hasty)
+            residual, fell_back = self.solver.solve(problem, work, guess, give_up_early)
             self.fallbacks += fell_back
             solved = residual <= TOLERANCE
-            if not (solved and single.gains_energy(model, state, problem)):
+            if not (solved and entries.gains_energy(model, state, problem)):
                 break
         control[at.LAST_SPAN] = span if solved else 0.0
         if not solved:
-            if single.has_no_solution(problem, work, guess):
-                return Attempt(codes.JAMMED, residual)
+            if entries.may_jam(problem, work):
+                return StepTrial(codes.JAMMED, residual)
             failed = codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS
-            return Attempt(failed, residual)
-        if single.is_thrown(model, state, control, problem):
-            return Attempt(codes.THROWN, residual)
-        bounces = single.bounces(model, state, control, problem)
-        return Attempt(codes.CONVERGED, residual, bounces)
+            return StepTrial(failed, residual)
+        if entries.is_thrown(model, state, control, problem):
+            return StepTrial(codes.THROWN, residual)
+        bounces = entries.bounces(model, state, control, problem)
+        return StepTrial(codes.CONVERGED, residual, bounces)
 
-    def past(self, before: State) -> Past:
+    def past(self, before: State) -> StepHistory:
         """Return the last two steps."""
         state, control = self.state, self.control
-        return Past(
+        return StepHistory(
             state.middle.copy(),
             before.middle,
             float(control[at.LAST]),
@@ -117,7 +117,7 @@ class _Loop:
     def limits(self) -> StepLimits:
         """Return the bounds on the next step."""
         control = self.control
-        single.limit_step(self.model, self.state, control)
+        entries.limit_step(self.model, self.state, control)
         return StepLimits(
             left=float(control[at.LEFT]),
             tolerance=float(control[at.TOLERANCE]),
@@ -152,7 +152,7 @@ def rollout_in_python(
         advance = stepper.advance(loop.attempt, loop.problem, past, step, limits)
         status = advance.status
         if status == codes.UNDO:
-            single.take_back(control)
+            entries.take_back(control)
             loop.state, before = _copied(before), older
             samples.undo()
             continue
@@ -163,11 +163,11 @@ def rollout_in_python(
         control[at.TRIAL], control[at.STEP] = advance.step, advance.next_step
         control[at.EVENTFUL], control[at.SMOOTH] = advance.event, advance.smooth
         motion.move(
-            loop.model, loop.state, advance.step, loop.problem, int(single.carried(control))
+            loop.model, loop.state, advance.step, loop.problem, int(entries.extrapolation(control))
         )
         n_dof = loop.problem.size[N_DOF]
         loop.state.middle[:n_dof] = loop.problem.velocity[:n_dof]  # since a plug-in may not set it
-        single.end_step(control)
+        entries.end_step(control)
         samples.take(before, advance.step, float(control[at.SPAN]))
     if status != codes.CONVERGED and control[at.STEPS] and not samples.every_step:
         # Without contacts and forces, since the problem was not solved.
@@ -208,7 +208,7 @@ class _SampleCollector:
             np.zeros(4, np.int64),
             np.zeros(2),
         )
-        single.write_samples(
+        entries.write_samples(
             loop.model, before, loop.state, loop.control, moved, span, loop.problem, record,
             self.every_step,
         )  # fmt: skip

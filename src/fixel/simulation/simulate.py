@@ -25,12 +25,12 @@ from fixel.kernels.arrays import (
 )
 from fixel.model import Parameters, Scene
 from fixel.simulation.motion import AbstractMotionModel, Dynamic
-from fixel.simulation.pack import PackedBatch, Variation, pack
+from fixel.simulation.pack import PackedBatch, pack
 from fixel.simulation.plain import rollout_in_python
 from fixel.simulation.result import CONTACT_FIELDS, PusherTrace, Simulation
 from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
-from fixel.simulation.vary import composed, inverted
+from fixel.simulation.vary import Variation, composed, inverted
 from fixel.typing import FloatArray
 
 MAX_STEPS = 1_000_000  # of a stepper without a limit
@@ -89,7 +89,7 @@ def simulate(
     solver = solver or Newton()
     duration = positive_time("duration", scene.duration if duration is None else duration)
     refuse_method(scene, solver)
-    packed = pack_with(scene, motion, stepper, one_variation(parameters), 1, duration)
+    packed = pack(scene, motion, stepper, one_variation(parameters), 1, duration)
     method = method_of(motion, stepper, solver, max_contacts)
     compiled = all(is_compiled(part) for part in (motion, stepper, solver))
     times = None if output_interval is None else sample_times(duration, output_interval)
@@ -131,28 +131,6 @@ def refuse_method(scene: Scene, solver: AbstractSolver) -> None:
             expected="the linear form",
             hint="set support_directions to 4 or more (16 in the thesis), or choose Newton",
         )
-
-
-def pack_with(
-    scene: Scene,
-    motion: AbstractMotionModel,
-    stepper: AbstractStepper,
-    variation: Variation,
-    n: int,
-    duration: float,
-) -> PackedBatch:
-    """Pack a scene with the step and tolerance of a stepper."""
-    own = stepper if isinstance(stepper, Adaptive) else None
-    return pack(
-        scene,
-        motion.kind,
-        variation,
-        n,
-        step=stepper.first_step,
-        tolerance=own.tolerance if own else None,
-        largest=own.largest_step if own else math.inf,
-        duration=duration,
-    )
 
 
 def method_of(
@@ -230,7 +208,7 @@ def _roll_compiled(
     per_sample = CONTACTS_PER_BODY * n_moving
     if times is not None:
         record = empty_record(packed, len(times), per_sample * len(times), times)
-        kernel.roll(packed.batch, method, record, False, 0, 1)
+        kernel.rollout_batch(packed.batch, method, record, False, 0, 1)
         return record
     room = USUAL_SAMPLES
     if stepper.first_step is not None:
@@ -244,7 +222,7 @@ def _roll_compiled(
                 hint=f"give an output_interval of {duration / 1000:.3g} s, say",
             )
         record = empty_record(packed, room, per_sample * room)
-        kernel.roll(packed.batch, method, record, True, 0, 1)
+        kernel.rollout_batch(packed.batch, method, record, True, 0, 1)
         n_sample = int(record.count[0, STEPS_TAKEN]) + 1
         if n_sample <= room:
             break

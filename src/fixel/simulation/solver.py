@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import ClassVar, final
 
 from fixel.errors import InvalidInput
-from fixel.kernels import codes, single
+from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Problem, Workspace
-from fixel.kernels.solve import HASTY_TRIALS, PATIENT_TRIALS, TOLERANCE
+from fixel.kernels.solve import MAX_ATTEMPTS, MAX_ATTEMPTS_EARLY, TOLERANCE
 from fixel.typing import FloatArray
 
 
@@ -21,7 +21,7 @@ class AbstractSolver(abc.ABC):
 
     @abc.abstractmethod
     def solve(
-        self, problem: Problem, work: Workspace, guess: FloatArray, hasty: bool = False
+        self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: bool = False
     ) -> tuple[float, int]:
         """Solve for `problem.velocity`, `problem.impulse` and `problem.element_impulse`.
 
@@ -33,7 +33,7 @@ class AbstractSolver(abc.ABC):
             Scratch.
         guess : (n_dof + 2,) float64
             Expected velocities, from which to restart.
-        hasty : bool
+        give_up_early : bool
             Whether to give up early, since a shorter step can be tried instead.
 
         Returns
@@ -58,9 +58,9 @@ class Newton(AbstractSolver):
     kind: ClassVar[int] = codes.NEWTON
 
     def solve(
-        self, problem: Problem, work: Workspace, guess: FloatArray, hasty: bool = False
+        self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: bool = False
     ) -> tuple[float, int]:
-        return _solved(problem, work, guess, self.kind, 0, hasty)
+        return _solved(problem, work, guess, self.kind, 0, give_up_early)
 
 
 @final
@@ -86,9 +86,9 @@ class GaussSeidel(AbstractSolver):
             )
 
     def solve(
-        self, problem: Problem, work: Workspace, guess: FloatArray, hasty: bool = False
+        self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: bool = False
     ) -> tuple[float, int]:
-        return _solved(problem, work, guess, self.kind, self.max_sweeps, hasty)
+        return _solved(problem, work, guess, self.kind, self.max_sweeps, give_up_early)
 
 
 @final
@@ -116,19 +116,24 @@ class Lemke(AbstractSolver):
             raise InvalidInput("Lemke.max_pivots", found=self.max_pivots, expected="at least 1")
 
     def solve(
-        self, problem: Problem, work: Workspace, guess: FloatArray, hasty: bool = False
+        self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: bool = False
     ) -> tuple[float, int]:
-        residual = float(single.solve_by_pivoting(problem, work, self.max_pivots))
+        residual = float(entries.solve_by_pivoting(problem, work, self.max_pivots))
         if residual <= TOLERANCE:
             return residual, 0
-        return _solved(problem, work, guess, codes.NEWTON, 0, hasty)[0], 1
+        return _solved(problem, work, guess, codes.NEWTON, 0, give_up_early)[0], 1
 
 
 def _solved(
-    problem: Problem, work: Workspace, guess: FloatArray, kind: int, sweeps: int, hasty: bool
+    problem: Problem,
+    work: Workspace,
+    guess: FloatArray,
+    kind: int,
+    sweeps: int,
+    give_up_early: bool,
 ) -> tuple[float, int]:
-    trials = HASTY_TRIALS if hasty else PATIENT_TRIALS
-    residual, fell_back = single.solve_problem(problem, work, guess, kind, sweeps, trials)
+    max_attempts = MAX_ATTEMPTS_EARLY if give_up_early else MAX_ATTEMPTS
+    residual, fell_back = entries.solve_problem(problem, work, guess, kind, sweeps, max_attempts)
     return float(residual), int(fell_back)
 
 

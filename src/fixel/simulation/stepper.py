@@ -11,12 +11,12 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.kernels import arrays as at
-from fixel.kernels import codes, single
+from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Problem
 from fixel.typing import FloatArray
 
 
-class Attempt(NamedTuple):
+class StepTrial(NamedTuple):
     """Result of one attempt at a step."""
 
     status: int  # of `step_control.judge_step`
@@ -25,7 +25,7 @@ class Attempt(NamedTuple):
     closing: float = math.inf  # when a gap closes inside the step, which was then not solved
 
 
-class Advance(NamedTuple):
+class StepResult(NamedTuple):
     """Step that a stepper accepted, or the status of its failure."""
 
     status: int
@@ -36,7 +36,7 @@ class Advance(NamedTuple):
     smooth: bool = False  # whether velocities changed as expected
 
 
-class Past(NamedTuple):
+class StepHistory(NamedTuple):
     """Velocities and lengths of the last two steps, scaled."""
 
     velocity: FloatArray  # (n_dof + 2,) of the last step, at its middle where that differs
@@ -46,7 +46,7 @@ class Past(NamedTuple):
     reached: FloatArray  # (n_dof + 2,) at the end of the last step
 
 
-class Try(Protocol):
+class TryStep(Protocol):
     """Function that attempts a step and writes the solution into the problem."""
 
     def __call__(
@@ -54,14 +54,14 @@ class Try(Protocol):
         step: float,
         lead: float,
         guess: FloatArray,
-        least: float = math.inf,
-        hasty: bool = False,
+        min_gap: float = math.inf,
+        give_up_early: bool = False,
         /,
-    ) -> Attempt:
-        """Attempt a step with rows taken `lead` of it after its start, at the guessed velocity.
+    ) -> StepTrial:
+        """Try a step with rows taken `lead` of it after its start, at the guessed velocity.
 
-        Where a gap wider than `least` closes inside the step at that velocity, nothing is solved,
-        and `Attempt.closing` tells when. `hasty`: a shorter step can be tried instead.
+        Where a gap wider than `min_gap` closes inside the step at that velocity, nothing is solved,
+        and `StepTrial.closing` tells when. `give_up_early`: a shorter step can be tried instead.
         """
 
 
@@ -80,12 +80,12 @@ class AbstractStepper(abc.ABC):
 
     @abc.abstractmethod
     def advance(
-        self, attempt: Try, problem: Problem, past: Past, step: float, limits: StepLimits
-    ) -> Advance:
+        self, attempt: TryStep, problem: Problem, past: StepHistory, step: float, limits: StepLimits
+    ) -> StepResult:
         """Find the next step, at most `limits.left` long, with its solution in `problem`.
 
         All quantities scaled; `step` is the length proposed by the step before. The status
-        `codes.UNDO` takes the last step back, to be repeated at `Advance.next_step`.
+        `codes.UNDO` takes the last step back, to be repeated at `StepResult.next_step`.
         """
 
 
@@ -102,12 +102,12 @@ class StepLimits(NamedTuple):
 
 def _advance(
     stepper: AbstractStepper,
-    attempt: Try,
+    attempt: TryStep,
     problem: Problem,
-    past: Past,
+    past: StepHistory,
     step: float,
     limits: StepLimits,
-) -> Advance:
+) -> StepResult:
     """Find the next step with the decisions of the compiled loop, in kernels/step_control.py."""
     control = np.zeros(at.N_CONTROL)
     control[at.ADAPTIVE] = stepper.adaptive
@@ -118,18 +118,20 @@ def _advance(
     control[at.LAST], control[at.EARLIER] = past.last, past.earlier
     control[at.EVENTFUL] = limits.eventful
     guess = past.velocity.copy()
-    single.choose_trial(control)
+    entries.choose_trial(control)
     decision, residual = codes.RETRY, math.inf
     while decision == codes.RETRY:
-        single.predict_velocity(control, past.velocity, past.before, guess)
+        entries.predict_velocity(control, past.velocity, past.before, guess)
         trial, min_gap = float(control[at.TRIAL]), float(control[at.MIN_GAP])
-        hasty = control[at.HASTY] == 1.0
-        status, residual, bounces, closing = attempt(trial, stepper.lead, guess, min_gap, hasty)
+        give_up_early = control[at.GIVE_UP_EARLY] == 1.0
+        status, residual, bounces, closing = attempt(
+            trial, stepper.lead, guess, min_gap, give_up_early
+        )
         control[at.BOUNCES], control[at.CLOSING] = bounces, closing
         decision = int(
-            single.judge_step(control, problem, guess, past.reached, status, float(residual))
+            entries.judge_step(control, problem, guess, past.reached, status, float(residual))
         )
-    return Advance(
+    return StepResult(
         status=decision,
         step=float(control[at.TRIAL]),
         next_step=float(control[at.STEP]),
@@ -161,8 +163,8 @@ class StewartTrinkle(AbstractStepper):
         return self.step
 
     def advance(
-        self, attempt: Try, problem: Problem, past: Past, step: float, limits: StepLimits
-    ) -> Advance:
+        self, attempt: TryStep, problem: Problem, past: StepHistory, step: float, limits: StepLimits
+    ) -> StepResult:
         return _advance(self, attempt, problem, past, step, limits)
 
 
@@ -188,8 +190,8 @@ class Midpoint(AbstractStepper):
         return self.step
 
     def advance(
-        self, attempt: Try, problem: Problem, past: Past, step: float, limits: StepLimits
-    ) -> Advance:
+        self, attempt: TryStep, problem: Problem, past: StepHistory, step: float, limits: StepLimits
+    ) -> StepResult:
         return _advance(self, attempt, problem, past, step, limits)
 
 
@@ -235,7 +237,9 @@ class Adaptive(AbstractStepper):
             )
         if isinstance(self.max_steps, bool) or not 1 <= int(self.max_steps) == self.max_steps:
             raise InvalidInput(
-                "Adaptive.max_steps", found=self.max_steps, expected="a whole number of at least 1"
+                "Adaptive.max_steps",
+                found=self.max_steps,
+                expected="a whole number of at least 1",
             )
 
     @property
@@ -243,8 +247,8 @@ class Adaptive(AbstractStepper):
         return None
 
     def advance(
-        self, attempt: Try, problem: Problem, past: Past, step: float, limits: StepLimits
-    ) -> Advance:
+        self, attempt: TryStep, problem: Problem, past: StepHistory, step: float, limits: StepLimits
+    ) -> StepResult:
         return _advance(self, attempt, problem, past, step, limits)
 
 

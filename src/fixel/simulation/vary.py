@@ -31,6 +31,15 @@ PRESSURE_POINTS = 24  # approximate number of points for pressure under the whol
 _CORNERS = tuple(f"support_{k}_{axis}" for k in (1, 2, 3) for axis in "xy")
 
 
+class Variation(NamedTuple):
+    """Quantities that differ between rollouts of one scene; None for those that do not."""
+
+    parameters: Values
+    start: FloatArray | None = None  # (n, n_free, 3) poses of the free bodies' shape frames
+    path: FloatArray | None = None  # (n_path, n_sample, 4) waypoints of the one pusher
+    path_of: IntArray | None = None  # (n,) index of the path of a rollout; its own by default
+
+
 class Elements(NamedTuple):
     """Support friction elements of all free bodies."""
 
@@ -41,6 +50,37 @@ class Elements(NamedTuple):
     friction: FloatArray  # ([n,] n_element)
     arm: FloatArray  # ([n,] n_element) ellipsoid: largest torque over largest force [m]
     unit: FloatArray  # (n_element, 2) tripods: direction of the point, else zero
+
+
+class VariedScene(NamedTuple):
+    """Quantities of a scene that parameters change; None for those that they leave."""
+
+    start: FloatArray | None  # (n, n_free, 3) poses of the outlines at the start
+    elements: Elements
+    mass_ratio: FloatArray | None  # (n,) of the one free body
+    friction: FloatArray  # ([n,] n_body, n_body)
+    growth: FloatArray | None  # (n,) of the pushers' radii [m]
+    registration: FloatArray | None  # (n, 3) pose of the frame of the pusher's path
+    plane: FloatArray  # ([n,] 3) see `varied_plane`
+    outline: FloatArray | None  # (n, 3) pose of the outline in the frame of the poses
+
+
+def vary(
+    scene: Scene, elements: Elements, friction: FloatArray, variation: Variation
+) -> VariedScene:
+    """Apply a variation to a scene, with its supports and the friction of its pairs."""
+    values = variation.parameters
+    start = varied_start(scene, variation.start, values)
+    return VariedScene(
+        start=start,
+        elements=varied_elements(scene, elements, values, start),
+        mass_ratio=heavier_by(scene, values),
+        friction=varied_friction(scene, friction, values),
+        growth=grown_by(scene, values),
+        registration=registration_of(values),
+        plane=varied_plane(scene, values),
+        outline=_columns(values, "outline"),
+    )
 
 
 # --- supports -----------------------------------------------------------------------------------
@@ -316,14 +356,9 @@ def varied_plane(scene: Scene, values: Values) -> FloatArray:
     return np.column_stack((1.0 + size, 1.0 - size, 0.5 * np.arctan2(b, a)))
 
 
-def outline_of(values: Values) -> FloatArray | None:
-    """Pose (n, 3) of the outline in the frame whose pose was measured; None for the same frame."""
-    return _columns(values, "outline")
-
-
 def varied_start(scene: Scene, start: FloatArray | None, values: Values) -> FloatArray | None:
     """Poses (n, n_free, 3) of the outlines at the start; None where they are the scene's."""
-    shift, outline = _columns(values, "start"), outline_of(values)
+    shift, outline = _columns(values, "start"), _columns(values, "outline")
     if shift is None and outline is None:
         return start
     if len(scene.bodies) != 1:
@@ -340,20 +375,9 @@ def varied_start(scene: Scene, start: FloatArray | None, values: Values) -> Floa
     return poses
 
 
-def moves(values: Values) -> bool:
-    """Whether parameters move the recorded path of the pusher."""
-    return any(name.startswith("registration_") for name in values)
-
-
-def varied_path(path: FloatArray, values: Values) -> FloatArray | None:
-    """Move recorded paths (n, n_sample, 4) of the one pusher by its registration; None where no
-    parameter moves them."""
-    moved = _columns(values, "registration")
-    if moved is None:
-        return None
-    out = np.array(np.broadcast_to(path, (len(moved), *path.shape[1:])))
-    out[:, :, 1:] = composed(moved[:, None], path[:, :, 1:])
-    return out
+def registration_of(values: Values) -> FloatArray | None:
+    """Pose (n, 3) that moves the recorded path of the pusher; None where no parameter does."""
+    return _columns(values, "registration")
 
 
 def grown_by(scene: Scene, values: Values) -> FloatArray | None:

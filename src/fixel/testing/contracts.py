@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fixel.kernels import codes, single
+from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.solve import TOLERANCE
 from fixel.model import Scene
@@ -24,7 +24,13 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.result import Simulation
 from fixel.simulation.simulate import simulate
 from fixel.simulation.solver import AbstractSolver
-from fixel.simulation.stepper import AbstractStepper, Attempt, Past, StepLimits, StewartTrinkle
+from fixel.simulation.stepper import (
+    AbstractStepper,
+    StepHistory,
+    StepLimits,
+    StepTrial,
+    StewartTrinkle,
+)
 from fixel.testing.scenes import free_push, grasp, row, sliding_block, touching_pose
 from fixel.typing import FloatArray
 
@@ -50,7 +56,7 @@ def step_problem(
         Largest impulse of one support point at the centre of mass.
     """
     n, n_element = len(contacts), 0 if limit is None else 1
-    problem, work = single.empty(3, n, n_element, 1, 1, 1, 1)
+    problem, work = entries.empty(3, n, n_element, 1, 1, 1, 1)
     problem.size[:] = (3, n, n_element, 3)
     problem.inertia[:3, :3] = np.eye(3)
     problem.momentum[:3] = momentum
@@ -67,7 +73,7 @@ def step_problem(
         problem.element_sides[0] = SIDES
         problem.element_row[0, 0, 0] = problem.element_row[0, 1, 1] = 1.0
         problem.element_limit[0] = limit
-    single.set_stiffness(problem, n_element)
+    entries.set_stiffness(problem, n_element)
     return problem, work
 
 
@@ -137,7 +143,7 @@ class SolverContract:
         assert velocity == pytest.approx([0.0, 0.0, 0.5], abs=1e-9)
 
     def test_problem_of_no_size(self, solver: AbstractSolver) -> None:
-        problem, work = single.empty(0, 0, 0, 0, 0, 0, 0)
+        problem, work = entries.empty(0, 0, 0, 0, 0, 0, 0)
         residual, _ = solver.solve(problem, work, np.zeros(2))
         assert residual == 0.0
 
@@ -162,7 +168,7 @@ class SolverContract:
         )
         problem, work = step_problem((x, y, w), contacts, float(rng.uniform(0.0, 0.5)))
         residual, _ = solver.solve(problem, work, np.zeros(5))
-        judged = single.judge(problem, work.right)
+        judged = entries.judge(problem, work.right)
         assert (residual <= TOLERANCE) == (judged <= TOLERANCE)
         assert judged <= TOLERANCE
 
@@ -228,12 +234,12 @@ class StepperContract:
         problem, _ = step_problem((1.0, 0.0, 0.0))
         tries = []
 
-        def attempt(step: float, lead: float, guess: FloatArray, *rest: object) -> Attempt:
+        def attempt(step: float, lead: float, guess: FloatArray, *rest: object) -> StepTrial:
             tries.append(step)
             assert len(tries) < 1000, "a stepper has to give up"
-            return Attempt(status, math.inf)
+            return StepTrial(status, math.inf)
 
-        past = Past(np.zeros(5), np.zeros(5), 0.0, 0.0, np.zeros(5))
+        past = StepHistory(np.zeros(5), np.zeros(5), 0.0, 0.0, np.zeros(5))
         limits = StepLimits(1.0, 1e-3, 1e-7, 0.2, True)
         advance = stepper.advance(attempt, problem, past, 0.1, limits)
         assert advance.status == status
@@ -241,11 +247,11 @@ class StepperContract:
     def test_never_goes_beyond_what_is_left(self, stepper: AbstractStepper) -> None:
         problem, _ = step_problem((0.0, 0.0, 0.0))
 
-        def attempt(step: float, lead: float, guess: FloatArray, *rest: object) -> Attempt:
+        def attempt(step: float, lead: float, guess: FloatArray, *rest: object) -> StepTrial:
             assert step <= 0.05 * (1 + 1e-12)
-            return Attempt(codes.CONVERGED, 0.0)
+            return StepTrial(codes.CONVERGED, 0.0)
 
-        past = Past(np.zeros(5), np.zeros(5), 0.0, 0.0, np.zeros(5))
+        past = StepHistory(np.zeros(5), np.zeros(5), 0.0, 0.0, np.zeros(5))
         limits = StepLimits(0.05, 1e-3, 1e-7, 0.2, True)
         advance = stepper.advance(attempt, problem, past, 0.1, limits)
         assert advance.status == codes.CONVERGED

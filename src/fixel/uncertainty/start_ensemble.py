@@ -16,7 +16,7 @@ from fixel.model.trajectory import wrapped
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
-from fixel.simulation.vary import grown_by, moves, varied_start
+from fixel.simulation.vary import grown_by, registration_of, varied_start
 from fixel.typing import BoolArray, FloatArray, Progress
 from fixel.uncertainty.overlap import Neighbour, overlaps, remove_overlap
 from fixel.uncertainty.starts import StartError
@@ -223,12 +223,7 @@ def _pusher(scene: Scene, pusher: Pusher, values: Values) -> Neighbour:
     shape, grown = pusher.shape, grown_by(scene, values)
     if grown is not None and isinstance(shape, Disk):
         shape = Disk(shape.radius + float(grown.mean()))
-    moved = None
-    if moves(values):
-        zero = np.zeros(len(values["start_x"]))
-        axes = ("registration_x", "registration_y", "registration_theta")
-        moved = np.column_stack([values.get(name, zero) for name in axes])
-    return Neighbour(pusher.name, shape, pusher.pose, moved)
+    return Neighbour(pusher.name, shape, pusher.pose, registration_of(values))
 
 
 def _set_apart(

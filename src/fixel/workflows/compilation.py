@@ -18,7 +18,7 @@ INSTANT = 1e-6
 
 def engine_is_cold(plain: bool = False) -> bool:
     """Whether the first simulation, or the first one in the plain loop, will compile kernels."""
-    entry = "single.sample" if plain else "batch.roll"
+    entry = "samples.write_samples" if plain else "batch.rollout_batch"
     return not any(Path(cache_folder()).rglob(f"{entry}*.nbc"))
 
 

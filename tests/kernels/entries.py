@@ -1,11 +1,54 @@
-"""Entries of Lemke's method for Python."""
+"""Kernels that only tests call from Python: contacts of convex pieces, Lemke's method."""
+
+import math
+
+import numpy as np
 
 from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.gap import contact_pair
 from fixel.kernels.jit import entry
 from fixel.kernels.lemke import allocate_tableau, lemke
 from fixel.kernels.linear_form import NOT_LINEAR, solve_linear_form, tableau_size
 from fixel.kernels.residual import residual
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
+
+
+@entry
+def measure_contacts(
+    world: FloatArray, real: IntArray, start: IntArray, radius: FloatArray, margin: float
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Compute contacts of many pairs of convex pieces in world coordinates.
+
+    Parameters
+    ----------
+    world : (n_vertex, 2) float64
+    real : (n_vertex,) int64
+        1 where the edge from this vertex is no seam.
+    start : (n, 3) int64
+        Pair i is ``world[start[i, 0]:start[i, 1]]`` and ``world[start[i, 1]:start[i, 2]]``.
+    radius : (n, 2) float64
+        Radius of disks, zero for polygons.
+    margin : float
+        Largest gap of the contacts.
+
+    Returns
+    -------
+    count : (n,) int64
+    place : (n, 2, 5) float64
+        Contacts as in `arrays.Problem.contact_place`; NaN where there are fewer than two.
+    key : (n, 2) int64
+        Feature codes, -1 where there are none.
+    """
+    n = start.shape[0]
+    count = np.empty(n, np.int64)
+    place = np.full((n, 2, 5), math.nan)
+    key = np.full((n, 2), -1)
+    for i in range(n):
+        s, m, e = start[i]
+        count[i] = contact_pair(
+            world, real, s, m, radius[i, 0], m, e, radius[i, 1], margin, place[i], key[i], 0
+        )
+    return count, place, key
 
 
 @entry

@@ -23,7 +23,7 @@ rows = _entry(step.prepare_rows)
 set_stiffness = _entry(assembly.set_stiffness)
 solve_problem = _entry(solve.solve)
 judge = _entry(residual.residual)
-has_no_solution = _entry(solve.locked)
+may_jam = _entry(solve.may_jam)
 gains_energy = _entry(step.creates_energy)
 move_bodies = _entry(step.move)
 write_samples = _entry(samples.write_samples)
@@ -36,7 +36,7 @@ judge_step = _entry(step_control.judge_step)
 closing_time = _entry(step_control.closing_time)
 is_thrown = _entry(step_control.is_thrown)
 bounces = _entry(step_control.bounces)
-carried = _entry(step_control.carried)
+extrapolation = _entry(step_control.extrapolation)
 end_step = _entry(step_control.end_step)
 take_back = _entry(step_control.take_back)
 
@@ -70,5 +70,5 @@ def solve_by_pivoting(problem: Problem, work: Workspace, max_pivots: int) -> flo
 
 @entry
 def is_proven_unsolvable(problem: Problem, work: Workspace) -> bool:
-    """See `feasible.squeezed`, without friction."""
-    return feasible.squeezed(problem, work, False)
+    """See `feasible.is_squeezed`, without friction."""
+    return feasible.is_squeezed(problem, work, False)
