@@ -7,29 +7,15 @@ import math
 
 import numpy as np
 
+from fixel.kernels import arrays as at
 from fixel.kernels import codes
 from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import (
-    BOUNCES,
-    CLOSING,
     CONTACT_ROWS,
-    DURATION,
-    ELASTIC,
     FALLBACKS,
-    GIVE_UP_EARLY,
-    LAST,
-    LAST_SPAN,
-    MIN_GAP,
-    N_CONTROL,
     REACHED,
     SAMPLES,
-    SPAN,
-    STEP,
-    STEPS,
     STEPS_TAKEN,
-    TIME,
-    TRIAL,
-    UNDONE,
     WORST_RESIDUAL,
     Model,
     Problem,
@@ -121,8 +107,8 @@ def rollout(
     older = State(start.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
     rows = start.copy()
     guess = np.zeros(wide)
-    control = np.zeros(N_CONTROL)
-    begin(model, state, velocity, pace[STEP], problem, work)
+    control = np.zeros(at.N_CONTROL)
+    begin(model, state, velocity, pace[at.STEP], problem, work)
     begin_control(control, pace, method.adaptive == 1, method.motion == codes.DYNAMIC)
     return _run(
         model, state, before, older, control, guess, rows, problem, work, method, record, every_step
@@ -167,12 +153,12 @@ def _run(
     record: RolloutRecord,
     every_step: bool,
 ) -> int:
-    control[ELASTIC] = 1.0 if is_elastic(model) and method.motion == codes.DYNAMIC else 0.0
+    control[at.ELASTIC] = 1.0 if is_elastic(model) and method.motion == codes.DYNAMIC else 0.0
     status = codes.CONVERGED
     samples = contact_rows = 0  # in the record before the last step
-    write_samples(model, before, state, control, 0.0, control[STEP], problem, record, every_step)
-    while control[TIME] < control[DURATION] * (1.0 - 1e-12):
-        if control[STEPS] + control[UNDONE] >= method.max_steps:
+    write_samples(model, before, state, control, 0.0, control[at.STEP], problem, record, every_step)
+    while control[at.TIME] < control[at.DURATION] * (1.0 - 1e-12):
+        if control[at.STEPS] + control[at.UNDONE] >= method.max_steps:
             status = codes.MAX_STEPS
             break
         limit_step(model, state, control)
@@ -199,17 +185,17 @@ def _run(
         _copy_state(state, before)
         samples = record.count[SAMPLES]
         contact_rows = record.count[CONTACT_ROWS]
-        move(model, state, control[TRIAL], problem, extrapolation(control))
+        move(model, state, control[at.TRIAL], problem, extrapolation(control))
         end_step(control)
         if is_due(control, record, every_step):
             write_samples(
-                model, before, state, control, control[LAST], control[SPAN], problem, record,
+                model, before, state, control, control[at.LAST], control[at.SPAN], problem, record,
                 every_step,
             )  # fmt: skip
-    if status != codes.CONVERGED and not every_step and control[STEPS] > 0.0:
+    if status != codes.CONVERGED and not every_step and control[at.STEPS] > 0.0:
         _sample_stop(model, before, state, control, problem, record)
-    record.count[STEPS_TAKEN] = control[STEPS]
-    record.total[REACHED] = control[TIME]
+    record.count[STEPS_TAKEN] = control[at.STEPS]
+    record.total[REACHED] = control[at.TIME]
     return status
 
 
@@ -226,17 +212,17 @@ def _solve_trial(
     record: RolloutRecord,
 ) -> tuple[int, float]:
     """Write and solve the problem of a trial; returns the status and residual for `judge_step`."""
-    trial = control[TRIAL]
-    elastic = control[ELASTIC] == 1.0
+    trial = control[at.TRIAL]
+    elastic = control[at.ELASTIC] == 1.0
     start_trial(control, trial, method.lead)
     ready = prepare_step(model, state, control, method.motion, guess, rows, problem, work)
     if not ready:
         return codes.CONTACT_OVERFLOW, math.inf
-    if control[MIN_GAP] < math.inf:
-        control[CLOSING] = closing_time(problem, guess, trial, method.lead, control[MIN_GAP])
-        if control[CLOSING] < math.inf:
+    if control[at.MIN_GAP] < math.inf:
+        control[at.CLOSING] = closing_time(problem, guess, trial, method.lead, control[at.MIN_GAP])
+        if control[at.CLOSING] < math.inf:
             return codes.CONVERGED, math.inf
-    max_attempts = MAX_ATTEMPTS_EARLY if control[GIVE_UP_EARLY] == 1.0 else MAX_ATTEMPTS
+    max_attempts = MAX_ATTEMPTS_EARLY if control[at.GIVE_UP_EARLY] == 1.0 else MAX_ATTEMPTS
     while True:
         residual, fell_back = solve(
             problem, work, guess, method.solver, method.effort, max_attempts
@@ -245,15 +231,15 @@ def _solve_trial(
         if not (elastic and residual <= TOLERANCE and creates_energy(model, state, problem)):
             break
     if not residual <= TOLERANCE:
-        control[LAST_SPAN] = 0.0
+        control[at.LAST_SPAN] = 0.0
         if may_jam(problem, work):
             return codes.JAMMED, residual
         return codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS, residual
-    control[LAST_SPAN] = control[SPAN]
+    control[at.LAST_SPAN] = control[at.SPAN]
     if is_thrown(model, state, control, problem):
         return codes.THROWN, residual
     if elastic and bounces(model, state, control, problem):
-        control[BOUNCES] = 1.0
+        control[at.BOUNCES] = 1.0
     return codes.CONVERGED, residual
 
 
@@ -282,8 +268,8 @@ def _sample_stop(
     """
     sample = record.count[SAMPLES]
     if sample < record.time.size:
-        record.time[sample] = control[TIME]
-        write_samples(model, before, state, control, 0.0, control[LAST], problem, record, False)
+        record.time[sample] = control[at.TIME]
+        write_samples(model, before, state, control, 0.0, control[at.LAST], problem, record, False)
 
 
 @kernel

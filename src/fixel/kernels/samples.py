@@ -1,8 +1,8 @@
 """Samples of a rollout: poses, velocities, drives and contacts, written into its record."""
 
+from fixel.kernels import arrays as at
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
-    DURATION,
     N_CONTACT,
     N_FREE_DOF,
     NORMAL_X,
@@ -10,7 +10,6 @@ from fixel.kernels.arrays import (
     POINT_X,
     POINT_Y,
     SAMPLES,
-    TIME,
     Model,
     Problem,
     RolloutRecord,
@@ -29,7 +28,7 @@ SAMPLE_SLACK = 1e-12  # of the duration: sample times this close to a step's end
 def is_due(control: FloatArray, record: RolloutRecord, every_step: bool) -> bool:
     """Whether a sample is to be written at or before the present time."""
     sample = record.count[SAMPLES]
-    due = control[TIME] + SAMPLE_SLACK * control[DURATION]
+    due = control[at.TIME] + SAMPLE_SLACK * control[at.DURATION]
     return sample < record.time.size and (every_step or record.time[sample] <= due)
 
 
@@ -51,7 +50,7 @@ def write_samples(
     sample at the end, while the record has room; else one for each time of the record.
     """
     n_free = model.mass.size
-    to_time = control[TIME]
+    to_time = control[at.TIME]
     from_time = to_time - moved
     while record.count[SAMPLES] < record.pose.shape[0]:
         sample = record.count[SAMPLES]
@@ -59,7 +58,7 @@ def write_samples(
         if every_step:
             record.time[sample] = to_time
         else:
-            if record.time[sample] > to_time + SAMPLE_SLACK * control[DURATION]:
+            if record.time[sample] > to_time + SAMPLE_SLACK * control[at.DURATION]:
                 break
             if to_time > from_time:
                 share = min(1.0, (record.time[sample] - from_time) / (to_time - from_time))

@@ -3,13 +3,12 @@ bodies."""
 
 import math
 
+from fixel.kernels import arrays as at
 from fixel.kernels.arrays import (
     DRIVEN_NORMAL,
     GAP,
     GIVEN_BACK,
     HALVINGS,
-    INERTIAL,
-    LEAD,
     N_CONTACT,
     N_DOF,
     N_ELEMENT,
@@ -19,10 +18,6 @@ from fixel.kernels.arrays import (
     OVERLAP,
     POINT_X,
     POINT_Y,
-    RATIO,
-    SPAN,
-    TIME,
-    TRIAL,
     Model,
     Problem,
     State,
@@ -54,8 +49,8 @@ def place_rows(
     model: Model, state: State, control: FloatArray, velocity: FloatArray, pose: FloatArray
 ) -> None:
     """Write into `pose` the configuration at which a step's rows are taken."""
-    time = control[TIME]
-    lead = control[LEAD]
+    time = control[at.TIME]
+    lead = control[at.LEAD]
     n_free = model.mass.size
     n_driven = model.force_limit.size
     for b in range(n_free):
@@ -96,7 +91,7 @@ def prepare_step(
     """
     if not prepare_contacts(model, state, control, guess, pose, problem, work):
         return False
-    n_support = prepare_bodies(model, state, motion, control[SPAN], pose, problem)
+    n_support = prepare_bodies(model, state, motion, control[at.SPAN], pose, problem)
     prepare_rows(model, state, control, guess, pose, problem, n_support)
     return True
 
@@ -114,10 +109,10 @@ def prepare_contacts(
     """Write the contacts of the bodies, with their impulses expected; False on overflow."""
     n_free = model.mass.size
     n_moving = n_free + model.force_limit.size
-    ratio = control[RATIO]
+    ratio = control[at.RATIO]
     place_rows(model, state, control, guess, pose)
     place_bodies(model, pose, n_moving, work)
-    margin = _margin(model, state, control[TIME], control[TRIAL], guess)
+    margin = _margin(model, state, control[at.TIME], control[at.TRIAL], guess)
     travelled = moved(model, pose, work.anchor, n_moving)
     if work.near_count[0] < 0 or margin + 2.0 * travelled > work.reach[0]:
         work.reach[0] = max(LIST_REACH, 2.0 * margin)
@@ -158,7 +153,7 @@ def prepare_rows(
     n_support: int,
 ) -> None:
     """Write the drives, the stiffness of every block, the contact rows and the guess."""
-    ratio = control[RATIO]
+    ratio = control[at.RATIO]
     dof = 3 * model.mass.size
     n_element = n_support
     for d in range(model.force_limit.size):
@@ -191,9 +186,9 @@ def _prepare_drive(
     problem.element_sides[e] = 0
     problem.element_row[e, 0, 0] = 1.0
     problem.element_bias[e, 0] = -path_direction(
-        model.path_start, model.path, d, state.path_time[d], control[TRIAL]
+        model.path_start, model.path, d, state.path_time[d], control[at.TRIAL]
     )[3]
-    problem.element_limit[e] = control[SPAN] * model.force_limit[d]
+    problem.element_limit[e] = control[at.SPAN] * model.force_limit[d]
     problem.inertia[dof, 0] = 0.0
     problem.momentum[dof] = 0.0
 
@@ -225,9 +220,9 @@ def _prepare_contact(
     i: int,
 ) -> None:
     n_free = model.mass.size
-    time = control[TIME]
-    step = control[TRIAL]
-    inertial = control[INERTIAL] == 1.0
+    time = control[at.TIME]
+    step = control[at.TRIAL]
+    inertial = control[at.INERTIAL] == 1.0
     a = problem.contact_body[i, 0]
     b = problem.contact_body[i, 1]
     problem.friction[i] = model.friction[a, b]
@@ -253,7 +248,7 @@ def _prepare_contact(
         if second >= 0:
             ahead += problem.normal[i, 3 + k] * guess[second + k]
             before += problem.normal[i, 3 + k] * state.velocity[second + k]
-    gap = problem.contact_place[i, GAP] - control[LEAD] * ahead  # at the step's start
+    gap = problem.contact_place[i, GAP] - control[at.LEAD] * ahead  # at the step's start
     driven_n = 0.0  # normal and tangential motion of a rigid pusher over the step
     driven_t = 0.0
     if driven and dof < 0:

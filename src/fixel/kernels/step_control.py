@@ -6,53 +6,18 @@ that nothing is decided twice. docs/theory/stepping.md explains the rules.
 
 import math
 
+from fixel.kernels import arrays as at
 from fixel.kernels import codes
 from fixel.kernels.arrays import (
-    ADAPTIVE,
-    BOUNCES,
-    CAREFUL,
-    CAREFUL_UNTIL,
-    CLOSING,
-    DURATION,
-    EARLIER,
-    EARLIEST,
-    EVENTFUL,
     GAP,
-    GIVE_UP_EARLY,
-    GROWTH,
-    GUESSED,
-    INERTIAL,
-    LARGEST,
-    LAST,
-    LAST_SPAN,
-    LEAD,
-    LEFT,
-    MIN_GAP,
     N_CONTACT,
     N_DOF,
     N_ELEMENT,
     N_FREE_DOF,
-    N_PACE,
     NORMAL_X,
     NORMAL_Y,
     POINT_X,
     POINT_Y,
-    PREDICTING,
-    RATE,
-    RATIO,
-    RESUMED,
-    SMALLEST,
-    SMOOTH,
-    SPAN,
-    STAGGERED,
-    STEP,
-    STEPS,
-    TIME,
-    TIME_BEFORE,
-    TOLERANCE,
-    TRIAL,
-    UNDONE,
-    UNSOLVED,
     Model,
     Problem,
     State,
@@ -86,57 +51,62 @@ SUDDEN = 3.0  # times the fastest motion in sight, which a step looks ahead for;
 @kernel
 def begin_control(control: FloatArray, pace: FloatArray, adaptive: bool, inertial: bool) -> None:
     """Write the control of a rollout at time zero into zeros."""
-    for i in range(N_PACE):
+    for i in range(at.N_PACE):
         control[i] = pace[i]
-    control[STEP] = min(control[STEP], control[DURATION])
-    control[ADAPTIVE] = 1.0 if adaptive else 0.0
-    control[INERTIAL] = 1.0 if inertial else 0.0
-    control[STAGGERED] = 1.0 if adaptive and inertial else 0.0
-    control[EVENTFUL] = 1.0
+    control[at.STEP] = min(control[at.STEP], control[at.DURATION])
+    control[at.ADAPTIVE] = 1.0 if adaptive else 0.0
+    control[at.INERTIAL] = 1.0 if inertial else 0.0
+    control[at.STAGGERED] = 1.0 if adaptive and inertial else 0.0
+    control[at.EVENTFUL] = 1.0
 
 
 @kernel
 def limit_step(model: Model, state: State, control: FloatArray) -> None:
     """Begin a step: how long it may be, at most."""
-    if control[TIME] < control[CAREFUL_UNTIL] - control[SMALLEST]:
-        control[STEP] = min(control[STEP], control[CAREFUL])
-    control[LEFT] = control[DURATION] - control[TIME]
-    if control[ADAPTIVE] == 1.0:
-        control[LEFT] = time_to_corner(
-            model, state, control[TIME], control[STEP], control[LEFT], control[TOLERANCE]
+    if control[at.TIME] < control[at.CAREFUL_UNTIL] - control[at.SMALLEST]:
+        control[at.STEP] = min(control[at.STEP], control[at.CAREFUL])
+    control[at.LEFT] = control[at.DURATION] - control[at.TIME]
+    if control[at.ADAPTIVE] == 1.0:
+        control[at.LEFT] = time_to_corner(
+            model,
+            state,
+            control[at.TIME],
+            control[at.STEP],
+            control[at.LEFT],
+            control[at.TOLERANCE],
         )
 
 
 @kernel
 def choose_trial(control: FloatArray) -> None:
     """Choose the first trial of a step, from the proposed length and the time that is left."""
-    left = control[LEFT]
-    trial = min(control[STEP], left)
-    if control[ADAPTIVE] == 1.0 and trial < left < 1.5 * trial:
+    left = control[at.LEFT]
+    trial = min(control[at.STEP], left)
+    if control[at.ADAPTIVE] == 1.0 and trial < left < 1.5 * trial:
         trial = 0.5 * left
     elif trial > left * (1.0 - 1e-9):
         trial = left
-    control[RATE] = 0.0
-    control[UNSOLVED] = 0.0
-    control[GROWTH] = GROWTH_LIMIT
-    control[RESUMED] = 0.0
-    control[SMOOTH] = 0.0
+    control[at.RATE] = 0.0
+    control[at.UNSOLVED] = 0.0
+    control[at.GROWTH] = GROWTH_LIMIT
+    control[at.RESUMED] = 0.0
+    control[at.SMOOTH] = 0.0
     _try_next(control, trial, PREDICTED, True)
 
 
 @kernel
 def _try_next(control: FloatArray, trial: float, guessed: int, predicting: bool) -> int:
     """Set the next trial; returns RETRY."""
-    adaptive = control[ADAPTIVE] == 1.0
-    control[TRIAL] = trial
-    control[GUESSED] = guessed
-    control[PREDICTING] = 1.0 if predicting else 0.0
-    control[CLOSING] = math.inf
-    control[BOUNCES] = 0.0
-    control[MIN_GAP] = control[TOLERANCE] if adaptive and guessed == PREDICTED else math.inf
-    insisting = control[UNSOLVED] % INSIST == INSIST - 1
-    control[GIVE_UP_EARLY] = (
-        1.0 if adaptive and trial > control[SMALLEST] and not insisting else 0.0
+    adaptive = control[at.ADAPTIVE] == 1.0
+    control[at.TRIAL] = trial
+    control[at.GUESSED] = guessed
+    control[at.PREDICTING] = 1.0 if predicting else 0.0
+    control[at.CLOSING] = math.inf
+    control[at.BOUNCES] = 0.0
+    control[at.MIN_GAP] = control[at.TOLERANCE] if adaptive and guessed == PREDICTED else math.inf
+    insisting = control[at.UNSOLVED] % INSIST == INSIST - 1
+    control[at.GIVE_UP_EARLY] = (
+        1.0 if adaptive and trial > control[at.SMALLEST] and not insisting else 0.0
     )
     return codes.RETRY
 
@@ -144,11 +114,11 @@ def _try_next(control: FloatArray, trial: float, guessed: int, predicting: bool)
 @kernel
 def start_trial(control: FloatArray, step: float, lead: float) -> None:
     """Set how a trial of this length is prepared: rows taken `lead` of it after its start."""
-    span = 0.5 * step if control[STAGGERED] == 1.0 else step
-    control[TRIAL] = step
-    control[LEAD] = lead * step
-    control[SPAN] = span
-    control[RATIO] = span / control[LAST_SPAN] if control[LAST_SPAN] > 0.0 else 0.0
+    span = 0.5 * step if control[at.STAGGERED] == 1.0 else step
+    control[at.TRIAL] = step
+    control[at.LEAD] = lead * step
+    control[at.SPAN] = span
+    control[at.RATIO] = span / control[at.LAST_SPAN] if control[at.LAST_SPAN] > 0.0 else 0.0
 
 
 @large_kernel
@@ -160,23 +130,23 @@ def predict_velocity(
     On the line through the velocities of the last two steps; where they differ by a jump, or there
     are no two, that of the last.
     """
-    if control[PREDICTING] == 0.0:
+    if control[at.PREDICTING] == 0.0:
         return
-    control[PREDICTING] = 0.0
+    control[at.PREDICTING] = 0.0
     n_dof = guess.size - 2
-    last = control[LAST]
-    earlier = control[EARLIER]
+    last = control[at.LAST]
+    earlier = control[at.EARLIER]
     change = 0.0
     size = 0.0
     for i in range(n_dof):
         change = max(change, abs(velocity[i] - before[i]))
         size = max(size, abs(velocity[i]), abs(before[i]))
     rate = 0.0
-    if control[ADAPTIVE] == 1.0 and earlier > 0.0 and change < JUMP * size:
-        rate = (control[TRIAL] + last) / (last + earlier)
+    if control[at.ADAPTIVE] == 1.0 and earlier > 0.0 and change < JUMP * size:
+        rate = (control[at.TRIAL] + last) / (last + earlier)
     for i in range(n_dof):
         guess[i] = velocity[i] + rate * (velocity[i] - before[i])
-    control[RATE] = rate
+    control[at.RATE] = rate
 
 
 @large_kernel
@@ -207,61 +177,61 @@ def judge_step(
     residual : float
         Of the trial.
     """
-    trial = control[TRIAL]
-    smallest = control[SMALLEST]
-    tolerance = control[TOLERANCE]
-    adaptive = control[ADAPTIVE] == 1.0
-    renewed = control[GUESSED] == RENEWED
+    trial = control[at.TRIAL]
+    smallest = control[at.SMALLEST]
+    tolerance = control[at.TOLERANCE]
+    adaptive = control[at.ADAPTIVE] == 1.0
+    renewed = control[at.GUESSED] == RENEWED
     if status == codes.CONTACT_OVERFLOW:
         return status
-    if control[CLOSING] < math.inf:
+    if control[at.CLOSING] < math.inf:
         # A gap closes inside the step: end the step there, and go on as planned.
-        control[RESUMED] = max(control[RESUMED], trial)
-        return _try_next(control, max(control[CLOSING] * (1.0 - 1e-6), smallest), CUT, False)
+        control[at.RESUMED] = max(control[at.RESUMED], trial)
+        return _try_next(control, max(control[at.CLOSING] * (1.0 - 1e-6), smallest), CUT, False)
     if status != codes.CONVERGED:
         if not (adaptive and trial > smallest):
             return codes.NON_FINITE if math.isinf(residual) and status == codes.JAMMED else status
         if status != codes.JAMMED and status != codes.THROWN:
-            control[UNSOLVED] += 1.0
+            control[at.UNSOLVED] += 1.0
         return _try_next(control, 0.25 * trial, PREDICTED, True)
     if not adaptive:
         return codes.CONVERGED
-    if control[BOUNCES] == 1.0 and trial > smallest:
+    if control[at.BOUNCES] == 1.0 and trial > smallest:
         # A bounce turns the velocity round: step up to it, and take it in the smallest step.
-        control[RESUMED] = max(control[RESUMED], trial)
+        control[at.RESUMED] = max(control[at.RESUMED], trial)
         return _try_next(control, max(smallest, 0.25 * trial), PREDICTED, True)
     change = largest_change(problem, guess)
     jumped = change > JUMP * largest_speed(problem)
     if not renewed and missed_event(control, change):
-        if trial <= control[LAST]:
+        if trial <= control[at.LAST]:
             return codes.UNDO
-        return _try_next(control, control[LAST], PREDICTED, True)
+        return _try_next(control, control[at.LAST], PREDICTED, True)
     error = 0.5 * trial * change
-    smooth = control[RATE] > 0.0 and not jumped
+    smooth = control[at.RATE] > 0.0 and not jumped
     if smooth:
         error *= SECOND_ORDER
-    if control[STAGGERED] == 1.0:
+    if control[at.STAGGERED] == 1.0:
         # Over the whole step velocities change twice as much as up to its middle.
         error = max(error, trial * untouched_change(problem, velocity))
         if jumped or renewed:
             forced = trial * forced_change(problem, velocity)
             if forced > tolerance and trial > smallest:
-                control[GROWTH] = 1.0
+                control[at.GROWTH] = 1.0
                 shrink = CAUTION * tolerance / forced
                 return _try_next(control, max(smallest, trial * shrink), PREDICTED, True)
             error = max(error, forced)
     if error <= tolerance or trial <= smallest:
-        control[SMOOTH] = 1.0 if smooth else 0.0
+        control[at.SMOOTH] = 1.0 if smooth else 0.0
         propose_step(control, error)
         return codes.CONVERGED
     if jumped:
-        control[RATE] = 0.0
+        control[at.RATE] = 0.0
         for i in range(guess.size - 2):
             guess[i] = problem.velocity[i]
         if not renewed:
             # It jumped at the step's start: take the new velocity as the guess, once.
             return _try_next(control, trial, RENEWED, False)
-    control[GROWTH] = 1.0
+    control[at.GROWTH] = 1.0
     shrink = max(SHRINK, CAUTION * (tolerance / error) ** EXPONENT)
     return _try_next(control, max(smallest, trial * shrink), PREDICTED, not renewed)
 
@@ -271,62 +241,62 @@ def missed_event(control: FloatArray, change: float) -> bool:
     """Whether the velocity changed by `change` where nothing is known to happen, and the last step
     can be taken back."""
     return (
-        control[EVENTFUL] == 0.0
-        and min(control[LAST], control[TRIAL]) > control[SMALLEST]
-        and 0.25 * control[LAST] * change > EVENT * control[TOLERANCE]
+        control[at.EVENTFUL] == 0.0
+        and min(control[at.LAST], control[at.TRIAL]) > control[at.SMALLEST]
+        and 0.25 * control[at.LAST] * change > EVENT * control[at.TOLERANCE]
     )
 
 
 @kernel
 def propose_step(control: FloatArray, error: float) -> None:
     """Propose the length of the step after one that is taken with this error."""
-    trial = control[TRIAL]
-    was_cut = control[GUESSED] == CUT
-    growth = CAUTION * (control[TOLERANCE] / max(error, 1e-30)) ** EXPONENT
-    following = trial * max(0.5, min(control[GROWTH], growth))
-    cut_short = trial < control[STEP] and trial >= control[LEFT]
+    trial = control[at.TRIAL]
+    was_cut = control[at.GUESSED] == CUT
+    growth = CAUTION * (control[at.TOLERANCE] / max(error, 1e-30)) ** EXPONENT
+    following = trial * max(0.5, min(control[at.GROWTH], growth))
+    cut_short = trial < control[at.STEP] and trial >= control[at.LEFT]
     if cut_short:
-        following = max(following, control[STEP])
-    if control[RESUMED] > 0.0 and (trial <= control[SMALLEST] or was_cut):
-        following = control[RESUMED]
-    control[STEP] = min(following, control[LARGEST])
-    control[EVENTFUL] = 1.0 if was_cut or cut_short else 0.0
+        following = max(following, control[at.STEP])
+    if control[at.RESUMED] > 0.0 and (trial <= control[at.SMALLEST] or was_cut):
+        following = control[at.RESUMED]
+    control[at.STEP] = min(following, control[at.LARGEST])
+    control[at.EVENTFUL] = 1.0 if was_cut or cut_short else 0.0
 
 
 @kernel
 def extrapolation(control: FloatArray) -> int:
     """Return how `step.move` carries on velocities: not at all, or 2 where they changed smoothly,
     else 1."""
-    if control[STAGGERED] == 0.0:
+    if control[at.STAGGERED] == 0.0:
         return 0
-    return 2 if control[SMOOTH] == 1.0 else 1
+    return 2 if control[at.SMOOTH] == 1.0 else 1
 
 
 @kernel
 def end_step(control: FloatArray) -> None:
     """Go on to the end of the step that is taken."""
-    control[TIME_BEFORE] = control[TIME]
-    control[EARLIEST] = control[EARLIER]
-    control[EARLIER] = control[LAST]
-    control[LAST] = control[TRIAL]
-    control[TIME] += control[TRIAL]
-    control[STEPS] += 1.0
+    control[at.TIME_BEFORE] = control[at.TIME]
+    control[at.EARLIEST] = control[at.EARLIER]
+    control[at.EARLIER] = control[at.LAST]
+    control[at.LAST] = control[at.TRIAL]
+    control[at.TIME] += control[at.TRIAL]
+    control[at.STEPS] += 1.0
 
 
 @kernel
 def take_back(control: FloatArray) -> None:
     """Go back to the start of the last step, to look in steps half as long for what happened there,
     or since."""
-    control[CAREFUL] = 0.5 * control[LAST]
-    control[CAREFUL_UNTIL] = control[TIME] + control[CAREFUL]
-    control[STEP] = control[CAREFUL]
-    control[TIME] = control[TIME_BEFORE]
-    control[LAST] = control[EARLIER]
-    control[EARLIER] = control[EARLIEST]
-    control[EARLIEST] = 0.0
-    control[EVENTFUL] = 1.0
-    control[STEPS] -= 1.0
-    control[UNDONE] += 1.0
+    control[at.CAREFUL] = 0.5 * control[at.LAST]
+    control[at.CAREFUL_UNTIL] = control[at.TIME] + control[at.CAREFUL]
+    control[at.STEP] = control[at.CAREFUL]
+    control[at.TIME] = control[at.TIME_BEFORE]
+    control[at.LAST] = control[at.EARLIER]
+    control[at.EARLIER] = control[at.EARLIEST]
+    control[at.EARLIEST] = 0.0
+    control[at.EVENTFUL] = 1.0
+    control[at.STEPS] -= 1.0
+    control[at.UNDONE] += 1.0
 
 
 @kernel
@@ -384,10 +354,10 @@ def closing_time(
 @large_kernel
 def bounces(model: Model, state: State, control: FloatArray, problem: Problem) -> bool:
     """Whether a contact with restitution is loaded in this step, and was approached."""
-    if control[INERTIAL] == 0.0:
+    if control[at.INERTIAL] == 0.0:
         return False
-    time = control[TIME]
-    step = control[TRIAL]
+    time = control[at.TIME]
+    step = control[at.TRIAL]
     n_free = model.mass.size
     for i in range(problem.size[N_CONTACT]):
         a = problem.contact_body[i, 0]
@@ -421,8 +391,8 @@ def is_thrown(model: Model, state: State, control: FloatArray, problem: Problem)
     Where surfaces almost oppose each other, a body that is squeezed between them finds room only
     by turning about a lever of no length: a million times as fast as it was asked to.
     """
-    time = control[TIME]
-    step = control[TRIAL]
+    time = control[at.TIME]
+    step = control[at.TRIAL]
     fastest = largest_speed(problem)
     return step * fastest > MAX_MOTION and fastest > SUDDEN * fastest_in_sight(
         model, state, time, step, problem

@@ -15,18 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
+from fixel.kernels import arrays as at
 from fixel.kernels import batch as families
 from fixel.kernels import codes
-from fixel.kernels.arrays import (
-    DURATION,
-    LARGEST,
-    N_PACE,
-    SMALLEST,
-    STEP,
-    TOLERANCE,
-    Batch,
-    Model,
-)
+from fixel.kernels.arrays import Batch, Model
 from fixel.model import (
     Body,
     Disk,
@@ -426,7 +418,7 @@ class Template:
         velocity = np.array([b.velocity for b in scene.bodies], np.float64).reshape(-1, 3)
         velocity = velocity / (np.array([length, length, 1.0]) / units.time)
         pace = np.tile(self._pace, (n, 1))
-        pace[:, DURATION] = np.asarray(duration) / units.time
+        pace[:, at.DURATION] = np.asarray(duration) / units.time
         batch = Batch(
             begin=rows.begin,
             count=rows.count,
@@ -575,11 +567,11 @@ def _pace(stepper: AbstractStepper, units: Units) -> FloatArray:
     step, tolerance, largest = stepper.first_step, None, math.inf
     if isinstance(stepper, Adaptive):
         tolerance, largest = stepper.tolerance, stepper.largest_step
-    pace = np.zeros(N_PACE)
-    pace[STEP] = TYPICAL_STEP if step is None else step / units.time
-    pace[TOLERANCE] = DEFAULT_TOLERANCE if tolerance is None else tolerance / units.length
-    pace[SMALLEST] = SMALLEST_STEP
-    pace[LARGEST] = largest
+    pace = np.zeros(at.N_PACE)
+    pace[at.STEP] = TYPICAL_STEP if step is None else step / units.time
+    pace[at.TOLERANCE] = DEFAULT_TOLERANCE if tolerance is None else tolerance / units.length
+    pace[at.SMALLEST] = SMALLEST_STEP
+    pace[at.LARGEST] = largest
     return pace
 
 
