@@ -10,7 +10,7 @@ from fixel.calibration.objective import Comparer
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
 from fixel.model import Body, Disk, PathDrive, Pusher, Scene, SupportPoints
-from fixel.model.net import support_net
+from fixel.model.footprint import support_grid
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.testing.scenes import box
@@ -51,7 +51,7 @@ def push(angle: float, aside: float) -> RolloutCase:
         shape=PLATE,
         mass=0.8,
         pose=(0.0, 0.0, angle),
-        support=SupportPoints(points=support_net(PLATE).points, friction=0.3),
+        support=SupportPoints(points=support_grid(PLATE).points, friction=0.3),
     )
     tip = Pusher(
         name="tip",

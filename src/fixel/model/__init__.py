@@ -1,6 +1,6 @@
 """Data model: shapes, bodies, pushers, fixels and scenes, checked when created."""
 
-from fixel.model.body import Body, Spring
+from fixel.model.bodies import Body, Drive, Fixel, LineDrive, PathDrive, Pusher, Spring
 from fixel.model.experiment import (
     Channel,
     Experiment,
@@ -8,10 +8,8 @@ from fixel.model.experiment import (
     PlannedExperiment,
     Provenance,
 )
-from fixel.model.fixel import Fixel
 from fixel.model.parameters import KNOWN_PARAMETERS, ParameterInfo, Parameters
 from fixel.model.plane import FrictionMap, Plane
-from fixel.model.pusher import Drive, LineDrive, PathDrive, Pusher
 from fixel.model.scene import PairFriction, Scene
 from fixel.model.shape import Disk, Polygon, Shape, placed
 from fixel.model.support import (

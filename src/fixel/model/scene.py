@@ -11,7 +11,7 @@ from typing import Any, TypeVar, final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model.body import Body
+from fixel.model.bodies import Body, Fixel, Pusher
 from fixel.model.fields import (
     Comparable,
     fraction,
@@ -21,10 +21,8 @@ from fixel.model.fields import (
     positive,
     settle,
 )
-from fixel.model.fixel import Fixel
 from fixel.model.overlap import boxes, overlap_depth, pairs_of_boxes
 from fixel.model.plane import Plane
-from fixel.model.pusher import Pusher
 from fixel.typing import BoolArray
 
 T = TypeVar("T")

@@ -20,7 +20,7 @@ from fixel.model.fields import (
     table,
     vector,
 )
-from fixel.model.quadrature import cells
+from fixel.model.footprint import cells
 from fixel.model.shape import Shape
 from fixel.typing import FloatArray
 

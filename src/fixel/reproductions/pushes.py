@@ -25,7 +25,7 @@ from fixel.model import (
     UniformPressure,
     wrapped,
 )
-from fixel.model.net import support_net
+from fixel.model.footprint import support_grid
 from fixel.simulation import StewartTrinkle
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.simulation.uneven_table import TABLE_NAMES, factors_on_table
@@ -177,7 +177,7 @@ class PushGroup:
         self.shape = self.body.shape
         self.start, self.end = data.start[rows], data.end[rows]
         self.tip_start, self.tip_end = data.tip_start[rows], data.tip_end[rows]
-        self.points, self._part = support_net(self.shape)
+        self.points, self._part = support_grid(self.shape)
         friction = NOMINAL["mu_support"]
         even = UniformPressure(friction=friction, n_points=int(NOMINAL["support_points"]))
         stepper = StewartTrinkle(step=STEP)

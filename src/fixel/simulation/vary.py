@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.model import Disk, Pusher, Scene, SupportPoints, UniformPressure
+from fixel.model.footprint import cells
 from fixel.model.parameters import info_of, refuse_two_supports
-from fixel.model.quadrature import cells
 from fixel.model.support import LOAD_ROUNDING, tilted_shares, triangle_shares
 from fixel.simulation.uneven_table import MAX_EXPONENT, TABLE_NAMES, factors_on_table
 from fixel.typing import FloatArray, IntArray

@@ -26,7 +26,7 @@ from fixel.model import (
 )
 from fixel.model.chance import stream
 from fixel.model.fields import frozen
-from fixel.model.quadrature import cells
+from fixel.model.footprint import cells
 from fixel.model.shape import Shape
 from fixel.model.support import support_points
 from fixel.simulation import Simulation

@@ -8,7 +8,7 @@ import shapely
 
 from fixel.errors import InvalidInput
 from fixel.model import Disk, Polygon, SupportPoints
-from fixel.model.net import INNER, OUTER, support_net
+from fixel.model.footprint import INNER, OUTER, support_grid
 
 SQUARE = Polygon([[0.03, 0.03], [-0.03, 0.03], [-0.03, -0.03], [0.03, -0.03]])
 TURN = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
@@ -17,7 +17,7 @@ HOOK = Polygon([[0.0, 0.0], [0.1, 0.0], [0.1, 0.02], [0.02, 0.02], [0.02, 0.1], 
 
 
 def test_a_square_has_corners_middles_and_centre() -> None:
-    net, part = support_net(SQUARE)
+    net, part = support_grid(SQUARE)
 
     assert net.shape == (13, 2)
     assert part.tolist() == ["corner"] * 4 + ["edge"] * 4 + ["inside"] * 5
@@ -29,7 +29,7 @@ def test_a_square_has_corners_middles_and_centre() -> None:
 
 @pytest.mark.parametrize("shape", [ELLIPSE, Disk(0.04)], ids=["ellipse", "disk"])
 def test_smooth_outlines_have_even_rings(shape: Polygon | Disk) -> None:
-    net, part = support_net(shape)
+    net, part = support_grid(shape)
 
     assert net.shape == (17, 2)
     assert part.tolist() == ["ring"] * 10 + ["inside"] * 7
@@ -39,7 +39,7 @@ def test_smooth_outlines_have_even_rings(shape: Polygon | Disk) -> None:
 
 @pytest.mark.parametrize("shape", [SQUARE, ELLIPSE, Disk(0.04), HOOK])
 def test_points_lie_inside_and_can_carry_a_body(shape: Polygon | Disk) -> None:
-    net, part = support_net(shape)
+    net, part = support_grid(shape)
 
     assert len(part) == len(net)
     inside = shapely.intersects_xy(shapely.Polygon(shape.outline), net[:, 0], net[:, 1])
@@ -51,4 +51,4 @@ def test_points_lie_inside_and_can_carry_a_body(shape: Polygon | Disk) -> None:
 @pytest.mark.parametrize("sizes", [{"outer": 1.0}, {"inner": 0.0}])
 def test_rings_beyond_the_outline_are_refused(sizes: dict[str, float]) -> None:
     with pytest.raises(InvalidInput, match="fraction between 0 and 1"):
-        support_net(SQUARE, **sizes)
+        support_grid(SQUARE, **sizes)

@@ -1,0 +1,158 @@
+"""Points under a footprint: cells that tile it, and a grid whose loads may be estimated."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Final, NamedTuple
+
+import numpy as np
+import shapely
+import shapely.affinity
+from numpy.typing import NDArray
+
+from fixel.errors import InvalidInput
+from fixel.model.fields import finite
+from fixel.model.shape import Disk, Polygon, Shape
+from fixel.typing import FloatArray
+
+# Outlines with more corners than this count as smooth curves.
+MAX_CORNERS: Final = 12
+# Points of the outer and of the inner ring under a smooth outline.
+SMOOTH_RINGS: Final = (10, 6)
+# Sizes of the two rings relative to the outline, about its centroid. The exact value is irrelevant:
+# on real pushes 0.85 to 0.98 gave the same errors (docs/how-to/benchmark-on-real-pushes.md).
+OUTER: Final = 0.93
+INNER: Final = 0.48
+
+
+def cells(shape: Shape, n_points: int) -> tuple[FloatArray, FloatArray]:
+    """Compute centroids of small cells that tile a shape, and their shares of the area.
+
+    The weighted mean of the points is the centroid of the shape, to rounding.
+
+    Parameters
+    ----------
+    shape : Shape
+        Footprint.
+    n_points : int
+        Approximate number of cells.
+
+    Returns
+    -------
+    points : (n, 2) float64
+        Centroids in the frame of the shape [m].
+    share : (n,) float64
+        Shares, positive with sum 1 [-].
+    """
+    if isinstance(shape, Disk):
+        return _disk_cells(shape, n_points)
+    return _polygon_cells(shape, n_points)
+
+
+def _disk_cells(disk: Disk, n_points: int) -> tuple[FloatArray, FloatArray]:
+    """Place rings at the Gauss-Legendre nodes of r^2, each turned by half a point."""
+    n_rings = max(1, round((n_points / 2.0) ** 0.5))
+    per_ring = max(3, round(n_points / n_rings))
+    node, weight = np.polynomial.legendre.leggauss(n_rings)
+    radius = disk.radius * np.sqrt(0.5 * (node + 1.0))
+    angle = (np.arange(per_ring) + 0.5 * np.arange(n_rings)[:, None]) * (2.0 * pi / per_ring)
+    points = radius[:, None, None] * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+    return points.reshape(-1, 2), np.repeat(0.5 * weight / per_ring, per_ring)
+
+
+def _polygon_cells(polygon: Polygon, n_points: int) -> tuple[FloatArray, FloatArray]:
+    """Cut convex pieces into fans about their centroids, and these triangles into equal ones."""
+    points, areas = [], []
+    for triangle in _fans(polygon):
+        area = _area(triangle)
+        per_side = max(1, round((n_points * area / polygon.area) ** 0.5))
+        points.append(_similar_cells(per_side) @ triangle)
+        areas.append(np.full(per_side**2, area / per_side**2))
+    share = np.concatenate(areas)
+    share /= share.sum()
+    found = np.concatenate(points)
+    return found + (polygon.centroid - share @ found), share
+
+
+def _fans(polygon: Polygon) -> list[FloatArray]:
+    """Return triangles (3, 2) that tile a polygon."""
+    triangles = []
+    for vertices, _ in polygon.pieces:
+        centre = Polygon(vertices).centroid
+        following = np.roll(vertices, -1, axis=0)
+        triangles += [np.array([centre, a, b]) for a, b in zip(vertices, following, strict=True)]
+    return triangles
+
+
+def _similar_cells(per_side: int) -> FloatArray:
+    """Barycentric centroids (per_side^2, 3) of the equal triangles that tile one."""
+    upright = [(i + 1 / 3, j + 1 / 3) for i in range(per_side) for j in range(per_side - i)]
+    inverted = [(i + 2 / 3, j + 2 / 3) for i in range(per_side) for j in range(per_side - i - 1)]
+    first, second = np.array(upright + inverted).T / per_side
+    return np.column_stack((1.0 - first - second, first, second))
+
+
+def _area(triangle: FloatArray) -> float:
+    (ax, ay), (bx, by) = (triangle[1:] - triangle[0]).tolist()
+    return 0.5 * float(abs(ax * by - ay * bx))
+
+
+class SupportGrid(NamedTuple):
+    """Points under a footprint, with the part of it that each represents."""
+
+    points: FloatArray  # (n, 2) in the frame of the shape [m]
+    part: NDArray[np.str_]  # (n,) `corner`, `edge`, `ring` of a smooth outline, or `inside`
+
+
+def support_grid(shape: Shape, *, outer: float = OUTER, inner: float = INNER) -> SupportGrid:
+    """Create support points on two scaled copies of the outline, and at the centroid.
+
+    For outlines with corners these are all corners and the middles of the edges of the outer copy,
+    and the corners of the inner one. For smooth ones they are evenly spaced, with those of the
+    inner copy half a step on. Points outside an outline that is not convex are left out.
+
+    Parameters
+    ----------
+    shape : Shape
+    outer, inner : float
+        Sizes of the copies, as fractions of the outline.
+
+    Returns
+    -------
+    SupportGrid
+        Points for `SupportPoints(points=...)`, with their parts.
+    """
+    for name, size in (("outer", outer), ("inner", inner)):
+        if not 0.0 < finite(size, f"net.{name}") < 1.0:
+            raise InvalidInput(
+                f"net.{name}", found=size, expected="a fraction between 0 and 1 of the outline"
+            )
+    centre = shape.centroid
+    smooth = isinstance(shape, Disk) or len(shape.outline) > MAX_CORNERS
+    if smooth:
+        rings = {
+            "ring": _evenly(shape, outer, SMOOTH_RINGS[0], 0.0),
+            "inside": _evenly(shape, inner, SMOOTH_RINGS[1], 0.5),
+        }
+    else:
+        corners = centre + outer * (shape.outline - centre)
+        middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
+        rings = {
+            "corner": corners,
+            "edge": middles,
+            "inside": centre + inner * (shape.outline - centre),
+        }
+    rings["inside"] = np.concatenate((rings["inside"], centre[None]))
+    points = np.concatenate(list(rings.values()))
+    part = np.concatenate([np.full(len(ring), name) for name, ring in rings.items()])
+    inside = shapely.intersects_xy(shapely.Polygon(shape.outline), points[:, 0], points[:, 1])
+    return SupportGrid(points[inside], part[inside])
+
+
+def _evenly(shape: Shape, size: float, n: int, lead: float) -> FloatArray:
+    """Points (n, 2) evenly spaced along a scaled copy of an outline, offset by `lead` steps."""
+    outline = shapely.Polygon(shape.outline)
+    copy = shapely.affinity.scale(outline, size, size, origin=tuple(shape.centroid.tolist()))
+    along = (np.arange(n) + lead) / n
+    points = shapely.line_interpolate_point(copy.exterior, along, normalized=True)
+    return np.asarray(shapely.get_coordinates(points))
