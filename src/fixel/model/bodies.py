@@ -117,7 +117,7 @@ class Body(Comparable):
         )
         instance(self.support, Support, "support", "a support, or NoSupport()")
         instance(self.spring, Spring | None, "spring", "a Spring, or None")
-        _refuse_tipping(self)
+        _check_balance(self)
 
     @property
     def com(self) -> FloatArray:
@@ -130,7 +130,7 @@ class Body(Comparable):
         return self.mass * self.shape.unit_inertia if self.inertia is None else self.inertia
 
 
-def _refuse_tipping(body: Body) -> None:
+def _check_balance(body: Body) -> None:
     """Compute the loads, so that an impossible support raises here and not later."""
     if not isinstance(body.support, Ellipsoid):
         support_points(body.support, body.shape, body.com, body.mass, 1.0)
@@ -199,8 +199,8 @@ class PathDrive(Comparable):
 
     def __post_init__(self) -> None:
         rows = table(self.waypoints, "drive.waypoints", "t [s], x [m], y [m], angle [rad]")
-        _refuse_time_going_back(rows[:, 0])
-        _refuse_angle_jumps(rows[:, 3])
+        _check_times(rows[:, 0])
+        _check_angles(rows[:, 3])
         settle(
             self,
             waypoints=rows,
@@ -269,7 +269,7 @@ class Pusher(Comparable):
         return pose
 
 
-def _refuse_time_going_back(instants: FloatArray) -> None:
+def _check_times(instants: FloatArray) -> None:
     steps = np.diff(instants)
     if (steps <= 0.0).any():
         row = int(np.argmax(steps <= 0.0)) + 1
@@ -282,7 +282,7 @@ def _refuse_time_going_back(instants: FloatArray) -> None:
         )
 
 
-def _refuse_angle_jumps(angle: FloatArray) -> None:
+def _check_angles(angle: FloatArray) -> None:
     steps = np.abs(np.diff(angle))
     if (steps > pi).any():
         row = int(np.argmax(steps > pi)) + 1

@@ -85,7 +85,7 @@ def vector(value: ArrayLike, where: str, labels: str) -> FloatArray:
     row = _floats(value, where, f"{length} numbers: {labels}")
     if row.shape != (length,):
         raise InvalidInput(where, found=_shape(row), expected=f"{length} numbers: {labels}")
-    _refuse_non_finite(row, where, labels)
+    _check_finite(row, where, labels)
     return frozen(row)
 
 
@@ -96,7 +96,7 @@ def table(value: ArrayLike, where: str, labels: str) -> FloatArray:
     if rows.ndim != 2 or rows.shape[1] != width or len(rows) == 0:
         raise InvalidInput(where, found=_shape(rows), expected=f"rows of {width} numbers: {labels}")
     for index, row in enumerate(rows) if not np.isfinite(rows).all() else ():
-        _refuse_non_finite(row, f"{where}[{index}]", labels)
+        _check_finite(row, f"{where}[{index}]", labels)
     return frozen(rows)
 
 
@@ -131,7 +131,7 @@ def _floats(value: ArrayLike, where: str, expected: str) -> FloatArray:
         raise InvalidInput(where, found=_quoted(value), expected=expected) from None
 
 
-def _refuse_non_finite(row: FloatArray, where: str, labels: str) -> None:
+def _check_finite(row: FloatArray, where: str, labels: str) -> None:
     if not np.isfinite(row).all():
         raise InvalidInput(where, found=row.tolist(), expected=f"finite numbers: {labels}")
 

@@ -140,7 +140,7 @@ def info_of(name: str) -> ParameterInfo:
     )
 
 
-def refuse_two_supports(names: Iterable[str]) -> None:
+def check_supports(names: Iterable[str]) -> None:
     """Raise for `pressure_spread` together with a parameter of the support that it replaces."""
     known = tuple(names)
     replaced = [name for name in known if _REPLACED.fullmatch(name)]

@@ -143,11 +143,11 @@ class Scene(Comparable):
             raise InvalidInput("bodies", found="no free body", expected="at least one")
         instance(self.plane, Plane, "plane", "a Plane")
         _check_directions(self.support_directions)
-        _refuse_repeated_names(self.names)
+        _check_unique_names(self.names)
         for index, entry in enumerate(self.contact_friction):
-            _refuse_strangers(entry, self.names, f"contact_friction[{index}].pair")
-        _refuse_missing_friction(self)
-        _refuse_overlaps(self)
+            _check_known_names(entry, self.names, f"contact_friction[{index}].pair")
+        _check_friction(self)
+        _check_overlaps(self)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -217,7 +217,7 @@ def _check_directions(value: Any) -> None:
         )
 
 
-def _refuse_repeated_names(names: Sequence[str]) -> None:
+def _check_unique_names(names: Sequence[str]) -> None:
     seen: set[str] = set()
     for name in names:
         if name in seen:
@@ -229,7 +229,7 @@ def _refuse_repeated_names(names: Sequence[str]) -> None:
         seen.add(name)
 
 
-def _refuse_strangers(entry: PairFriction, names: Sequence[str], where: str) -> None:
+def _check_known_names(entry: PairFriction, names: Sequence[str], where: str) -> None:
     for name in entry.pair:
         if not _is_pattern(name) and name not in names:
             raise _stranger(name, names, where)
@@ -245,7 +245,7 @@ def _stranger(name: str, names: Sequence[str], where: str) -> InvalidInput:
     )
 
 
-def _refuse_missing_friction(scene: Scene) -> None:
+def _check_friction(scene: Scene) -> None:
     free = [body.name for body in scene.bodies]
     covered: BoolArray = np.eye(len(free), dtype=bool)
     for entry in scene.contact_friction:
@@ -261,7 +261,7 @@ def _refuse_missing_friction(scene: Scene) -> None:
         )
 
 
-def _refuse_overlaps(scene: Scene) -> None:
+def _check_overlaps(scene: Scene) -> None:
     things = scene._things()
     box = boxes([x.shape for x in things], [x.pose for x in things])
     for i, j in pairs_of_boxes(box, len(scene.bodies)):

@@ -111,7 +111,7 @@ class Disk(Comparable):
 
     def __post_init__(self) -> None:
         settle(self, radius=positive(self.radius, "disk", "m"))
-        _refuse_size(self.radius, "disk")
+        _check_size(self.radius, "disk")
 
     @property
     def area(self) -> float:
@@ -178,7 +178,7 @@ def _simple_outline(given: FloatArray) -> FloatArray:
             expected="at least 3 vertices",
         )
     size = float(np.ptp(vertices, axis=0).max())
-    _refuse_size(size, "polygon")
+    _check_size(size, "polygon")
     scaled = (vertices - vertices.mean(axis=0)) / size
     if shapely.MultiPoint(scaled).convex_hull.area <= COINCIDENT:
         raise InvalidInput(
@@ -186,7 +186,7 @@ def _simple_outline(given: FloatArray) -> FloatArray:
             found="zero area: all vertices on one line",
             expected="a polygon with an inside",
         )
-    _refuse_self_contact(scaled, vertices)
+    _check_pairs(scaled, vertices)
     vertices = _without_straight_corners(vertices, size)
     doubled = _doubled_area(vertices)
     if abs(doubled) <= COINCIDENT * size**2:
@@ -198,7 +198,7 @@ def _simple_outline(given: FloatArray) -> FloatArray:
     return frozen(vertices if doubled > 0.0 else vertices[::-1])
 
 
-def _refuse_size(size: float, where: str) -> None:
+def _check_size(size: float, where: str) -> None:
     if not SMALLEST <= size <= LARGEST:
         raise InvalidInput(
             where,
@@ -232,7 +232,7 @@ def _without_straight_corners(vertices: FloatArray, size: float) -> FloatArray:
         vertices = vertices[~straight]
 
 
-def _refuse_self_contact(scaled: FloatArray, vertices: FloatArray) -> None:
+def _check_pairs(scaled: FloatArray, vertices: FloatArray) -> None:
     outline = shapely.Polygon(scaled)
     if outline.is_valid:
         return

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import Comparable, finite, frozen, optional_positive, positive, settle
-from fixel.model.parameters import info_of, refuse_two_supports
+from fixel.model.parameters import check_supports, info_of
 from fixel.typing import FloatArray
 
 # Default scale of a parameter, as a share of the range between its bounds, as in Dakota.
@@ -123,7 +123,7 @@ class ParameterSpace(Comparable):
         for label in labels:
             if labels.count(label) > 1:
                 raise InvalidInput("space", found=f"{label} twice", expected="each unknown once")
-        refuse_two_supports(u.name for u in self.unknowns if not u.where)
+        check_supports(u.name for u in self.unknowns if not u.where)
         if not self.free:
             raise InvalidInput(
                 "space",

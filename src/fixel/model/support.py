@@ -87,7 +87,7 @@ class SupportPoints(Comparable):
         loads = self.loads
         if loads is not None:
             loads = _one_per_point(loads, len(points), "points.loads", "load [N]")
-            _refuse_loads(loads)
+            _check_loads(loads)
         settle(self, points=points, friction=friction, loads=loads)
 
 
@@ -317,7 +317,7 @@ def _one_per_point(value: ArrayLike, n: int, where: str, what: str) -> FloatArra
     return frozen([non_negative(x, f"{where}[{k}]") for k, x in enumerate(row.tolist())])
 
 
-def _refuse_loads(loads: FloatArray) -> None:
+def _check_loads(loads: FloatArray) -> None:
     if len(loads) == 3:
         raise InvalidInput(
             "points.loads",

@@ -26,12 +26,12 @@ from fixel.simulation.motion import AbstractMotionModel, Dynamic
 from fixel.simulation.pack import PackedBatch, pack, stack
 from fixel.simulation.result import BatchResult
 from fixel.simulation.simulate import (
+    check_method,
     empty_record,
     is_compiled,
     method_of,
     one_variation,
     positive_time,
-    refuse_method,
     shape_poses,
 )
 from fixel.simulation.solver import AbstractSolver, Newton
@@ -89,7 +89,7 @@ def simulate_batch(
     motion = motion or Dynamic()
     stepper = stepper or Adaptive()
     solver = solver or Newton()
-    refuse_plugins(motion, stepper, solver)
+    check_compiled(motion, stepper, solver)
     method = method_of(motion, stepper, solver, max_contacts)
     if not isinstance(scene, Scene):
         if parameters is not None or start is not None or waypoints is not None:
@@ -99,7 +99,7 @@ def simulate_batch(
         return _simulate_scenes(
             scene, motion, stepper, solver, duration, times, threads, max_contacts
         )
-    refuse_method(scene, solver)
+    check_method(scene, solver)
     variation, n = _variation(scene, parameters, start, waypoints)
     seconds = positive_time("duration", scene.duration if duration is None else duration)
     packed = pack(scene, motion, stepper, variation, n, seconds)
@@ -126,7 +126,7 @@ def simulate_packed(
     return _unpack(scene, packed, record, moments)
 
 
-def refuse_plugins(
+def check_compiled(
     motion: AbstractMotionModel, stepper: AbstractStepper, solver: AbstractSolver
 ) -> None:
     """Raise for parts of a method that the compiled loop does not support."""
@@ -170,7 +170,7 @@ def _variation(
     if start is not None:
         poses = np.asarray(start, np.float64)
         poses = poses[:, None, :] if poses.ndim == 2 else poses
-        _refuse_shape("start", poses, (len(scene.bodies), 3))
+        _check_shape("start", poses, (len(scene.bodies), 3))
         lengths["start"] = len(poses)
     if waypoints is not None:
         path = np.asarray(waypoints, np.float64)
@@ -178,7 +178,7 @@ def _variation(
             raise InvalidInput(
                 "waypoints", found=f"{len(scene.pushers)} pushers", expected="a scene with one"
             )
-        _refuse_shape("waypoints", path, (path.shape[1] if path.ndim == 3 else 0, 4))
+        _check_shape("waypoints", path, (path.shape[1] if path.ndim == 3 else 0, 4))
         if np.any(np.diff(path[:, :, 0], axis=1) <= 0.0):
             raise InvalidInput(
                 "waypoints", found="a time that does not grow", expected="times in increasing order"
@@ -190,7 +190,7 @@ def _variation(
     return Variation(values, poses, path), next(iter(lengths.values()), 1)
 
 
-def _refuse_shape(where: str, array: FloatArray, tail: tuple[int, ...]) -> None:
+def _check_shape(where: str, array: FloatArray, tail: tuple[int, ...]) -> None:
     if array.shape[1:] != tail or not np.isfinite(array).all():
         raise InvalidInput(
             where,
@@ -280,7 +280,7 @@ def _simulate_scenes(
     method = method_of(motion, stepper, solver, max_contacts)
     packed, moments = [], []
     for scene in scenes:
-        refuse_method(scene, solver)
+        check_method(scene, solver)
         seconds = positive_time("duration", scene.duration if duration is None else duration)
         packed.append(pack(scene, motion, stepper, one_variation(None), 1, seconds))
         moments.append(_moments(times, seconds))

@@ -18,7 +18,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.kernels.arrays import REACHED, SAMPLES, BatchRecord
 from fixel.model import Scene
-from fixel.simulation.batch import refuse_plugins, rollout_in_threads
+from fixel.simulation.batch import check_compiled, rollout_in_threads
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.pack import (
     PackedBatch,
@@ -89,11 +89,11 @@ class Ensemble:
         self.motion = motion or QuasiStatic()
         self.stepper = stepper or Adaptive()
         self.solver = solver or Newton()
-        refuse_plugins(self.motion, self.stepper, self.solver)
+        check_compiled(self.motion, self.stepper, self.solver)
         if not cases:
             raise InvalidInput("cases", found="none", expected="one at least")
         for case in cases:
-            _check(case)
+            _check_case(case)
         self.cases = tuple(cases)
         self._threads = threads
         self._method = method_of(self.motion, self.stepper, self.solver, 4096)
@@ -228,7 +228,7 @@ class Ensemble:
         return place, paths
 
 
-def _check(case: RolloutCase) -> None:
+def _check_case(case: RolloutCase) -> None:
     scene, times = case.scene, np.asarray(case.times)
     if len(scene.bodies) != 1 or len(scene.pushers) > 1:
         raise InvalidInput(

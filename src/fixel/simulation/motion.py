@@ -57,9 +57,23 @@ class AbstractMotionModel(abc.ABC):
         """
 
 
+class _BuiltIn(AbstractMotionModel):
+    """Motion model with a code for the kernels."""
+
+    def assemble(
+        self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
+    ) -> int:
+        return int(entries.assemble(model, state, self.kind, step, pose, problem))
+
+    def move(
+        self, model: Model, state: State, step: float, problem: Problem, extrapolation: int
+    ) -> None:
+        entries.move_bodies(model, state, step, problem, extrapolation)
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Dynamic(AbstractMotionModel):
+class Dynamic(_BuiltIn):
     """Newton's law with impulses: ``M (v' - v) = h f + impulses``.
 
     For slow pushing of very light parts, where inertia is negligible, use
@@ -72,20 +86,10 @@ class Dynamic(AbstractMotionModel):
     name: ClassVar[str] = "dynamic"
     kind: ClassVar[int] = codes.DYNAMIC
 
-    def assemble(
-        self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
-    ) -> int:
-        return int(entries.assemble(model, state, self.kind, step, pose, problem))
-
-    def move(
-        self, model: Model, state: State, step: float, problem: Problem, extrapolation: int
-    ) -> None:
-        entries.move_bodies(model, state, step, problem, extrapolation)
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class QuasiStatic(AbstractMotionModel):
+class QuasiStatic(_BuiltIn):
     """Balance of forces at every instant: ``0 = h f + impulses``. A body without contacts is at
     rest.
 
@@ -98,20 +102,10 @@ class QuasiStatic(AbstractMotionModel):
     name: ClassVar[str] = "quasistatic"
     kind: ClassVar[int] = codes.QUASI_STATIC
 
-    def assemble(
-        self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
-    ) -> int:
-        return int(entries.assemble(model, state, self.kind, step, pose, problem))
-
-    def move(
-        self, model: Model, state: State, step: float, problem: Problem, extrapolation: int
-    ) -> None:
-        entries.move_bodies(model, state, step, problem, extrapolation)
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FirstOrder(AbstractMotionModel):
+class FirstOrder(_BuiltIn):
     """Velocity from the limit surface: ``v' = mobility . wrench``, the ellipsoid's normal.
 
     The wrench is not bounded by the surface, so that bodies never stick: a smooth approximation of
@@ -123,16 +117,6 @@ class FirstOrder(AbstractMotionModel):
 
     name: ClassVar[str] = "first-order"
     kind: ClassVar[int] = codes.FIRST_ORDER
-
-    def assemble(
-        self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
-    ) -> int:
-        return int(entries.assemble(model, state, self.kind, step, pose, problem))
-
-    def move(
-        self, model: Model, state: State, step: float, problem: Problem, extrapolation: int
-    ) -> None:
-        entries.move_bodies(model, state, step, problem, extrapolation)
 
 
 MOTION_MODELS: tuple[type[AbstractMotionModel], ...] = (Dynamic, QuasiStatic, FirstOrder)

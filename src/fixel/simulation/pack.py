@@ -277,7 +277,7 @@ def _drag(
     return drag / speed
 
 
-def refuse_motion(scene: Scene, motion_kind: int) -> None:
+def check_motion(scene: Scene, motion_kind: int) -> None:
     """Raise for a motion model that needs support friction if a body has none."""
     if motion_kind not in (codes.QUASI_STATIC, codes.FIRST_ORDER):
         return
@@ -332,7 +332,7 @@ class Template:
         stepper: AbstractStepper,
         speed: float | None = None,
     ) -> None:
-        refuse_motion(scene, motion.kind)
+        check_motion(scene, motion.kind)
         self.scene = scene
         self.motion_kind = motion.kind
         self.units = characteristic_units(scene, speed)

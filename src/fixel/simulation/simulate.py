@@ -88,7 +88,7 @@ def simulate(
     stepper = stepper or Adaptive()
     solver = solver or Newton()
     duration = positive_time("duration", scene.duration if duration is None else duration)
-    refuse_method(scene, solver)
+    check_method(scene, solver)
     packed = pack(scene, motion, stepper, one_variation(parameters), 1, duration)
     method = method_of(motion, stepper, solver, max_contacts)
     compiled = all(is_compiled(part) for part in (motion, stepper, solver))
@@ -122,7 +122,7 @@ def one_variation(parameters: Parameters | None) -> Variation:
     return Variation({k: np.array([v]) for k, v in values.items()})
 
 
-def refuse_method(scene: Scene, solver: AbstractSolver) -> None:
+def check_method(scene: Scene, solver: AbstractSolver) -> None:
     """Raise for a solver that does not support the scene's friction."""
     if isinstance(solver, Lemke) and not scene.support_directions:
         raise InvalidInput(

@@ -100,50 +100,48 @@ class StepLimits(NamedTuple):
     eventful: bool = True  # whether something is known to happen where the step starts
 
 
-def _advance(
-    stepper: AbstractStepper,
-    attempt: TryStep,
-    problem: Problem,
-    past: StepHistory,
-    step: float,
-    limits: StepLimits,
-) -> StepResult:
-    """Find the next step with the decisions of the compiled loop, in kernels/step_control.py."""
-    control = np.zeros(at.N_CONTROL)
-    control[at.ADAPTIVE] = stepper.adaptive
-    control[at.STAGGERED] = limits.inertial
-    control[at.STEP], control[at.LEFT] = step, limits.left
-    control[at.TOLERANCE] = limits.tolerance
-    control[at.SMALLEST], control[at.LARGEST] = limits.smallest, limits.largest
-    control[at.LAST], control[at.EARLIER] = past.last, past.earlier
-    control[at.EVENTFUL] = limits.eventful
-    guess = past.velocity.copy()
-    entries.choose_trial(control)
-    decision, residual = codes.RETRY, math.inf
-    while decision == codes.RETRY:
-        entries.predict_velocity(control, past.velocity, past.before, guess)
-        trial, min_gap = float(control[at.TRIAL]), float(control[at.MIN_GAP])
-        give_up_early = control[at.GIVE_UP_EARLY] == 1.0
-        status, residual, bounces, closing = attempt(
-            trial, stepper.lead, guess, min_gap, give_up_early
+class _BuiltIn(AbstractStepper):
+    """Stepper that the compiled loop knows."""
+
+    def advance(
+        self, attempt: TryStep, problem: Problem, past: StepHistory, step: float, limits: StepLimits
+    ) -> StepResult:
+        """Find the next step with the decisions of the compiled loop."""
+        control = np.zeros(at.N_CONTROL)
+        control[at.ADAPTIVE] = self.adaptive
+        control[at.STAGGERED] = limits.inertial
+        control[at.STEP], control[at.LEFT] = step, limits.left
+        control[at.TOLERANCE] = limits.tolerance
+        control[at.SMALLEST], control[at.LARGEST] = limits.smallest, limits.largest
+        control[at.LAST], control[at.EARLIER] = past.last, past.earlier
+        control[at.EVENTFUL] = limits.eventful
+        guess = past.velocity.copy()
+        entries.choose_trial(control)
+        decision, residual = codes.RETRY, math.inf
+        while decision == codes.RETRY:
+            entries.predict_velocity(control, past.velocity, past.before, guess)
+            trial, min_gap = float(control[at.TRIAL]), float(control[at.MIN_GAP])
+            give_up_early = control[at.GIVE_UP_EARLY] == 1.0
+            status, residual, bounces, closing = attempt(
+                trial, self.lead, guess, min_gap, give_up_early
+            )
+            control[at.BOUNCES], control[at.CLOSING] = bounces, closing
+            decision = int(
+                entries.judge_step(control, problem, guess, past.reached, status, float(residual))
+            )
+        return StepResult(
+            status=decision,
+            step=float(control[at.TRIAL]),
+            next_step=float(control[at.STEP]),
+            residual=residual,
+            event=control[at.EVENTFUL] == 1.0,
+            smooth=control[at.SMOOTH] == 1.0,
         )
-        control[at.BOUNCES], control[at.CLOSING] = bounces, closing
-        decision = int(
-            entries.judge_step(control, problem, guess, past.reached, status, float(residual))
-        )
-    return StepResult(
-        status=decision,
-        step=float(control[at.TRIAL]),
-        next_step=float(control[at.STEP]),
-        residual=residual,
-        event=control[at.EVENTFUL] == 1.0,
-        smooth=control[at.SMOOTH] == 1.0,
-    )
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StewartTrinkle(AbstractStepper):
+class StewartTrinkle(_BuiltIn):
     """Fixed step, rows taken at the step's start. First order.
 
     The scheme of the thesis and of most peers; choose it to reproduce them.
@@ -156,21 +154,16 @@ class StewartTrinkle(AbstractStepper):
     step: float = 0.01
 
     def __post_init__(self) -> None:
-        _refuse_step("StewartTrinkle.step", self.step)
+        _check_step("StewartTrinkle.step", self.step)
 
     @property
     def first_step(self) -> float | None:
         return self.step
 
-    def advance(
-        self, attempt: TryStep, problem: Problem, past: StepHistory, step: float, limits: StepLimits
-    ) -> StepResult:
-        return _advance(self, attempt, problem, past, step, limits)
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Midpoint(AbstractStepper):
+class Midpoint(_BuiltIn):
     """Fixed step, rows taken half a step ahead. Second order while nothing happens, first across
     events.
 
@@ -183,21 +176,16 @@ class Midpoint(AbstractStepper):
     step: float = 0.01
 
     def __post_init__(self) -> None:
-        _refuse_step("Midpoint.step", self.step)
+        _check_step("Midpoint.step", self.step)
 
     @property
     def first_step(self) -> float | None:
         return self.step
 
-    def advance(
-        self, attempt: TryStep, problem: Problem, past: StepHistory, step: float, limits: StepLimits
-    ) -> StepResult:
-        return _advance(self, attempt, problem, past, step, limits)
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Adaptive(AbstractStepper):
+class Adaptive(_BuiltIn):
     """Midpoint steps as long as a tolerance allows: long while bodies glide, short where contacts
     change.
 
@@ -246,13 +234,8 @@ class Adaptive(AbstractStepper):
     def first_step(self) -> float | None:
         return None
 
-    def advance(
-        self, attempt: TryStep, problem: Problem, past: StepHistory, step: float, limits: StepLimits
-    ) -> StepResult:
-        return _advance(self, attempt, problem, past, step, limits)
 
-
-def _refuse_step(where: str, step: float) -> None:
+def _check_step(where: str, step: float) -> None:
     if not 0.0 < step < math.inf:
         raise InvalidInput(where, found=step, expected="a positive time [s]")
 

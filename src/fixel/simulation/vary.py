@@ -18,7 +18,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.model import Disk, Pusher, Scene, SupportPoints, UniformPressure
 from fixel.model.footprint import cells
-from fixel.model.parameters import info_of, refuse_two_supports
+from fixel.model.parameters import check_supports, info_of
 from fixel.model.support import LOAD_ROUNDING, tilted_shares, triangle_shares
 from fixel.simulation.uneven_table import MAX_EXPONENT, TABLE_NAMES, factors_on_table
 from fixel.typing import FloatArray, IntArray
@@ -101,7 +101,7 @@ def varied_elements(
         Poses of the outlines at the start, from `varied_start` [m, m, rad]; the scene's by
         default.
     """
-    refuse_two_supports(values)
+    check_supports(values)
     if "pressure_spread" in values:
         elements = _under_pressure(scene, elements, values["pressure_spread"])
     if any(name in values for name in _CORNERS):
@@ -113,7 +113,7 @@ def varied_elements(
     if "tripod_radius" in values:
         elements = _at_radius(elements, values["tripod_radius"])
     if "mu_support" in values:
-        _refuse_ellipsoid(elements, "mu_support")
+        _check_no_ellipsoid(elements, "mu_support")
         mu = values["mu_support"][:, None] * np.ones(len(elements.body))
         elements = elements._replace(friction=mu)
     if "ellipsoid_force" in values or "ellipsoid_torque" in values:
@@ -243,7 +243,7 @@ def _on_table(
 
     The angle of the body is that at the start, since loads are constant during a rollout.
     """
-    _refuse_without_net(scene, elements)
+    _check_support_grid(scene, elements)
     body = scene.bodies[0]
     n = next(len(values[name]) for name in TABLE_NAMES if name in values)
     angle = np.broadcast_to(body.pose[2] if start is None else start[:, 0, 2], n)
@@ -255,7 +255,7 @@ def _on_table(
     return elements._replace(load=load * ratio[:, None])
 
 
-def _refuse_without_net(scene: Scene, elements: Elements) -> None:
+def _check_support_grid(scene: Scene, elements: Elements) -> None:
     support = scene.bodies[0].support
     known = isinstance(support, SupportPoints | UniformPressure) and len(elements.body) >= 4
     if len(scene.bodies) != 1 or not known:
@@ -300,7 +300,7 @@ def _of_ellipsoid(elements: Elements, values: Values) -> Elements:
     return elements._replace(load=force, arm=arm)
 
 
-def _refuse_ellipsoid(elements: Elements, name: str) -> None:
+def _check_no_ellipsoid(elements: Elements, name: str) -> None:
     if np.any(elements.kind == codes.ELLIPSOID):
         raise InvalidInput(
             f"parameters.{name}",

@@ -24,7 +24,7 @@ from fixel.simulation import (
     simulate,
 )
 from fixel.simulation.motion import MOTION_MODELS
-from fixel.simulation.simulate import refuse_method
+from fixel.simulation.simulate import check_method
 from fixel.simulation.solver import SOLVERS
 from fixel.typing import Notify, Progress
 from fixel.workflows.compilation import get_ready
@@ -120,7 +120,7 @@ def simulate_file(
     method, outputs = method or SimulationMethod(), outputs or Outputs()
     scene_file = load_scene(path, overrides)
     motion, stepper, solver = parts(scene_file, method)
-    refuse_method(scene_file.scene, solver)
+    check_method(scene_file.scene, solver)
     outputs.check()
     get_ready(scene_file.scene, notify, solver, method.plain)
     simulation = simulate(
