@@ -3,7 +3,7 @@ step."""
 
 import numpy as np
 
-from fixel.kernels.arrays import N_PLACE, Problem, Workspace
+from fixel.kernels.arrays import N_PLACE, Model, Problem, Workspace
 from fixel.kernels.islands import island_room
 from fixel.kernels.jit import allocating_kernel
 from fixel.kernels.josephy import MAX_CONTACTS, MAX_DRIVES
@@ -84,3 +84,28 @@ def empty_workspace(
         island_indices=np.zeros(n_index, np.int64),
         near_count=np.full(1, -1, np.int64),
     )
+
+
+@allocating_kernel
+def allocate(model: Model, max_contacts: int) -> tuple[Problem, Workspace]:
+    """Allocate a problem and a workspace large enough for every step of a rollout."""
+    n_free = model.mass.size
+    n_driven = model.force_limit.size
+    n_body = model.friction.shape[0]
+    n_piece = model.piece_body.size
+    n_dof = 3 * n_free
+    for d in range(n_driven):
+        if model.drive_dof[d] >= 0:
+            n_dof += 1
+    n_pair = 0
+    for i in range(n_piece):
+        if model.piece_body[i] < n_free:
+            n_pair += n_piece - i - 1
+    n_pair = min(n_pair, 32 * n_piece)
+    n_contact = min(2 * n_pair, max_contacts)
+    n_element = model.element_body.size + n_driven
+    problem = empty_problem(n_dof, n_contact, n_element)
+    work = empty_workspace(
+        n_dof, n_contact, n_element, model.vertex.shape[0], n_piece, n_body, n_pair
+    )
+    return problem, work

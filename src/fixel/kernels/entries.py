@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from fixel.kernels import allocate as allocation
 from fixel.kernels import assembly, feasible, residual, rollout, samples, solve, step, step_control
 from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import Problem, Workspace
@@ -15,7 +16,7 @@ def _entry(helper: Any) -> Any:
     return entry(getattr(helper, "py_func", helper))
 
 
-allocate = _entry(rollout.allocate)
+allocate = _entry(allocation.allocate)
 begin = _entry(rollout.begin)
 contacts = _entry(step.prepare_contacts)
 assemble = _entry(step.prepare_bodies)

@@ -9,7 +9,7 @@ import numpy as np
 
 from fixel.kernels import arrays as at
 from fixel.kernels import codes
-from fixel.kernels.allocate import empty_problem, empty_workspace
+from fixel.kernels.allocate import allocate
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
     FALLBACKS,
@@ -25,7 +25,7 @@ from fixel.kernels.arrays import (
     Workspace,
 )
 from fixel.kernels.contacts import place_bodies
-from fixel.kernels.jit import allocating_kernel, kernel, large_kernel, spliced_kernel
+from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
 from fixel.kernels.path import path_direction
 from fixel.kernels.samples import is_due, write_samples
 from fixel.kernels.solve import MAX_ATTEMPTS, MAX_ATTEMPTS_EARLY, TOLERANCE, may_jam, solve
@@ -45,31 +45,6 @@ from fixel.kernels.step_control import (
     take_back,
 )
 from fixel.typing import FloatArray
-
-
-@allocating_kernel
-def allocate(model: Model, max_contacts: int) -> tuple[Problem, Workspace]:
-    """Allocate a problem and a workspace large enough for every step of a rollout."""
-    n_free = model.mass.size
-    n_driven = model.force_limit.size
-    n_body = model.friction.shape[0]
-    n_piece = model.piece_body.size
-    n_dof = 3 * n_free
-    for d in range(n_driven):
-        if model.drive_dof[d] >= 0:
-            n_dof += 1
-    n_pair = 0
-    for i in range(n_piece):
-        if model.piece_body[i] < n_free:
-            n_pair += n_piece - i - 1
-    n_pair = min(n_pair, 32 * n_piece)
-    n_contact = min(2 * n_pair, max_contacts)
-    n_element = model.element_body.size + n_driven
-    problem = empty_problem(n_dof, n_contact, n_element)
-    work = empty_workspace(
-        n_dof, n_contact, n_element, model.vertex.shape[0], n_piece, n_body, n_pair
-    )
-    return problem, work
 
 
 @spliced_kernel
