@@ -57,7 +57,7 @@ class AbstractMotionModel(abc.ABC):
         """
 
 
-class _BuiltIn(AbstractMotionModel):
+class _BuiltInMotion(AbstractMotionModel):
     """Motion model with a code for the kernels."""
 
     def assemble(
@@ -73,7 +73,7 @@ class _BuiltIn(AbstractMotionModel):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Dynamic(_BuiltIn):
+class Dynamic(_BuiltInMotion):
     """Newton's law with impulses: ``M (v' - v) = h f + impulses``.
 
     For slow pushing of very light parts, where inertia is negligible, use
@@ -89,7 +89,7 @@ class Dynamic(_BuiltIn):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class QuasiStatic(_BuiltIn):
+class QuasiStatic(_BuiltInMotion):
     """Balance of forces at every instant: ``0 = h f + impulses``. A body without contacts is at
     rest.
 
@@ -105,7 +105,7 @@ class QuasiStatic(_BuiltIn):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FirstOrder(_BuiltIn):
+class FirstOrder(_BuiltInMotion):
     """Velocity from the limit surface: ``v' = mobility . wrench``, the ellipsoid's normal.
 
     The wrench is not bounded by the surface, so that bodies never stick: a smooth approximation of

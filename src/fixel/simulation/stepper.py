@@ -100,7 +100,7 @@ class StepLimits(NamedTuple):
     eventful: bool = True  # whether something is known to happen where the step starts
 
 
-class _BuiltIn(AbstractStepper):
+class _BuiltInStepper(AbstractStepper):
     """Stepper that the compiled loop knows."""
 
     def advance(
@@ -141,7 +141,7 @@ class _BuiltIn(AbstractStepper):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StewartTrinkle(_BuiltIn):
+class StewartTrinkle(_BuiltInStepper):
     """Fixed step, rows taken at the step's start. First order.
 
     The scheme of the thesis and of most peers; choose it to reproduce them.
@@ -163,7 +163,7 @@ class StewartTrinkle(_BuiltIn):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Midpoint(_BuiltIn):
+class Midpoint(_BuiltInStepper):
     """Fixed step, rows taken half a step ahead. Second order while nothing happens, first across
     events.
 
@@ -185,7 +185,7 @@ class Midpoint(_BuiltIn):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Adaptive(_BuiltIn):
+class Adaptive(_BuiltInStepper):
     """Midpoint steps as long as a tolerance allows: long while bodies glide, short where contacts
     change.
 
