@@ -136,13 +136,13 @@ class Workspace(NamedTuple):
 
 
 # Entries of the control of the steps, an array of floats; 1 for true. The first are those of
-# `Batch.pace`.
+# `Batch.settings`.
 DURATION = 0
 STEP = 1  # proposed length of the next step; in a batch the fixed or first one
 TOLERANCE = 2  # of position, per step of an adaptive stepper
 SMALLEST = 3  # lengths of adaptive steps
 LARGEST = 4
-N_PACE = 5
+N_SETTING = 5
 ADAPTIVE = 5  # whether steps are chosen, not fixed
 INERTIAL = 6  # whether the motion model is the dynamic one
 STAGGERED = 7  # whether forces act up to the middle of a step before its velocity is solved for
@@ -230,7 +230,7 @@ class Batch(NamedTuple):
     sides: IntArray  # (n_rollout,)
     pose: FloatArray  # (body rows, 3) at time zero
     velocity: FloatArray  # (free rows, 3) at time zero
-    pace: FloatArray  # (n_rollout, N_PACE) see DURATION
+    settings: FloatArray  # (n_rollout, N_SETTING) see DURATION
 
 
 class BatchRecord(NamedTuple):

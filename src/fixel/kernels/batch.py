@@ -77,7 +77,7 @@ def _rollout_one(
         batch.pose[a[BODY] : z[BODY]],
         batch.velocity[a[FREE] : z[FREE]],
         method,
-        batch.pace[r],
+        batch.settings[r],
         own,
         every_step,
     )

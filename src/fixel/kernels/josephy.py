@@ -34,11 +34,11 @@ ARRIVED = 1e-10  # change of velocity at convergence
 
 
 @large_kernel
-def josephy(problem: Problem, work: Workspace, turn: int, way: int) -> bool:
-    """Take iteration number `turn` of the method; returns False where another would not help.
+def josephy(problem: Problem, work: Workspace, iteration: int, covering: int) -> bool:
+    """Take one iteration of the method; returns False where another would not help.
 
-    Solutions of the linear problem may lead to each other in a cycle. Another `way` finds other
-    solutions, and later iterations take part of the step only.
+    Solutions of the linear problem may lead to each other in a cycle. Another `covering` vector
+    finds other solutions, and later iterations take part of the step only.
     """
     n_contact = problem.size[N_CONTACT]
     n_element = problem.size[N_ELEMENT]
@@ -64,10 +64,12 @@ def josephy(problem: Problem, work: Workspace, turn: int, way: int) -> bool:
             work.inverse, o, m[o, o], m[o, o + 1], m[o, o + 2], m[o + 1, o + 1], m[o + 1, o + 2],
             m[o + 2, o + 2],
         )  # fmt: skip
-    _write_tableau(problem, work, n_support, way)
+    _write_tableau(problem, work, n_support, covering)
     if not _lemke(work.tableau, work.basis, 4 * n_contact + 2 * n_drive):
         return True
-    return _take_answer(problem, work, n_support, 1.0 if turn < WHOLE_STEPS else 0.25) > ARRIVED
+    return (
+        _take_answer(problem, work, n_support, 1.0 if iteration < WHOLE_STEPS else 0.25) > ARRIVED
+    )
 
 
 @kernel
@@ -104,12 +106,12 @@ def _coupling(
 
 
 @kernel
-def _write_tableau(problem: Problem, work: Workspace, n_support: int, way: int) -> None:
+def _write_tableau(problem: Problem, work: Workspace, n_support: int, covering: int) -> None:
     """Write the linear complementarity problem as the initial tableau of Lemke's method.
 
     Unknowns of contact i from 4 i: normal impulse, tangential impulse forwards and backwards, slip
     speed. Unknowns of drive d from 4 n + 2 d: speed below, and above, the commanded one. Rows of
-    a drive: unused part of its force limit. The `way` selects among several solutions.
+    a drive: unused part of its force limit. The `covering` selects among several solutions.
     """
     n_contact = problem.size[N_CONTACT]
     n_free = problem.size[N_FREE_DOF]
@@ -121,7 +123,7 @@ def _write_tableau(problem: Problem, work: Workspace, n_support: int, way: int) 
         for c in range(2 * n + 2):
             t[r, c] = 0.0
         t[r, r] = 1.0
-        t[r, 2 * n] = -1.0 / (1 + (7 * r * way) % 11)
+        t[r, 2 * n] = -1.0 / (1 + (7 * r * covering) % 11)
     q = 2 * n + 1
     unit = work.contact_change
     least = math.inf
@@ -200,13 +202,13 @@ def _couple_drive(
     across = problem.tangent[i, 3 * side]
     c = 4 * i
     for sign in range(2):
-        way = 1.0 if sign == 0 else -1.0  # slower, faster
-        t[c, n + r + sign] += way * along
-        t[c + 1, n + r + sign] += way * across
-        t[c + 2, n + r + sign] -= way * across
-        t[r + sign, n + c] -= way * scale * along
-        t[r + sign, n + c + 1] -= way * scale * across
-        t[r + sign, n + c + 2] += way * scale * across
+        direction = 1.0 if sign == 0 else -1.0  # slower, faster
+        t[c, n + r + sign] += direction * along
+        t[c + 1, n + r + sign] += direction * across
+        t[c + 2, n + r + sign] -= direction * across
+        t[r + sign, n + c] -= direction * scale * along
+        t[r + sign, n + c + 1] -= direction * scale * across
+        t[r + sign, n + c + 2] += direction * scale * across
 
 
 @kernel

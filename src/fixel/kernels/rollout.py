@@ -53,7 +53,7 @@ def rollout(
     start: FloatArray,
     velocity: FloatArray,
     method: StepMethod,
-    pace: FloatArray,
+    settings: FloatArray,
     record: RolloutRecord,
     every_step: bool,
 ) -> int:
@@ -67,8 +67,8 @@ def rollout(
     velocity : (n_free, 3) float64
         Twist of every free body at time zero.
     method : StepMethod
-    pace : (N_PACE,) float64
-        Row of `Batch.pace`.
+    settings : (N_SETTING,) float64
+        Row of `Batch.settings`.
     record : RolloutRecord
         Filled. Samples are linear between step ends, as the motion within a step is.
     every_step : bool
@@ -83,8 +83,8 @@ def rollout(
     rows = start.copy()
     guess = np.zeros(wide)
     control = np.zeros(at.N_CONTROL)
-    begin(model, state, velocity, pace[at.STEP], problem, work)
-    begin_control(control, pace, method.adaptive == 1, method.motion == codes.DYNAMIC)
+    begin(model, state, velocity, settings[at.STEP], problem, work)
+    begin_control(control, settings, method.adaptive == 1, method.motion == codes.DYNAMIC)
     return _run(
         model, state, before, older, control, guess, rows, problem, work, method, record, every_step
     )

@@ -35,7 +35,7 @@ ITERATIONS = 12  # Newton from where the recovery got to
 # Trials of the recovery: each starts where the last one got to, every eighth from no impulses.
 MAX_ATTEMPTS = 98
 MAX_ATTEMPTS_EARLY = 8
-TURNS = 6  # of pivoting; one to three are the rule
+PIVOTING_ITERATIONS = 6  # of `josephy`; one to three are the rule
 GIVE_UP = 5  # after this trial ask whether friction may jam: nothing was ever found later then
 CLOSE_RESIDUAL = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
 STIFF = 1e10  # a light body between a heavy one and a wall bears forces 1e8 times its own
@@ -103,12 +103,12 @@ def solve_large(
     fell_back = 0
     for i in range(problem.size[N_CONTACT]):
         islands.contact_in[i] = 0
-    for turn in range(ROUNDS):
-        added = choose_contacts(problem, islands, turn == ROUNDS - 1)
-        if turn > 0 and added == 0:
+    for round_ in range(ROUNDS):
+        added = choose_contacts(problem, islands, round_ == ROUNDS - 1)
+        if round_ > 0 and added == 0:
             break
         n_block = find_islands(problem, islands)
-        mark_changed(problem, islands, n_block, turn == 0)
+        mark_changed(problem, islands, n_block, round_ == 0)
         for b in range(n_block):
             if islands.island[b] == b and islands.first[b] == 1:
                 gather(problem, work, islands, guess, b)
@@ -148,11 +148,11 @@ def recover(
             stiffness = 10.0
             if trial > 1:
                 sweep(problem, work, SWEEPS * min(trial // 8, 3))
-        turns = 1
+        n_pivoting = 1
         if small and trial == 0:
-            turns = TURNS
+            n_pivoting = PIVOTING_ITERATIONS
         elif small and trial % 8 == 1:
-            turns = 5 * TURNS
+            n_pivoting = 5 * PIVOTING_ITERATIONS
         else:
             age = trial - (2 if small else 1)  # since the last start from nothing
             # Impulses travel through a heap from body to body.
@@ -160,8 +160,8 @@ def recover(
             wait = -1 if trial == 0 or age % 2 == 0 else 100
             share = 1.0 / (1 + age % 8)
             stiffness = proximal_newton(problem, work, stiffness, 1e4, rounds, 1e-6, wait, share)
-        for turn in range(turns):
-            more = turns > 1 and josephy(problem, work, turn, trial + turn)
+        for k in range(n_pivoting):
+            more = n_pivoting > 1 and josephy(problem, work, k, trial + k)
             worst = polish(problem, work, ITERATIONS, 10.0 * stiffness)
             if worst <= TOLERANCE:
                 return worst, 1
@@ -241,13 +241,13 @@ def reset_to_guess(problem: Problem, guess: FloatArray) -> None:
 
 
 @kernel
-def perturb(problem: Problem, turn: int) -> None:
-    """Move the velocities to somewhere else of the same size, another place each turn."""
+def perturb(problem: Problem, variant: int) -> None:
+    """Move the velocities to somewhere else of the same size, another place for each `variant`."""
     size = 0.1
     for i in range(problem.size[N_DOF]):
         size = max(size, abs(problem.velocity[i]))
     for i in range(problem.size[N_DOF]):
-        place = (i + 1) * turn * 0.6180339887498949
+        place = (i + 1) * variant * 0.6180339887498949
         problem.velocity[i] += size * (2.0 * (place - math.floor(place)) - 1.0)
 
 

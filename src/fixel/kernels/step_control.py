@@ -49,10 +49,12 @@ SUDDEN = 3.0  # times the fastest motion in sight, which a step looks ahead for;
 
 
 @kernel
-def begin_control(control: FloatArray, pace: FloatArray, adaptive: bool, inertial: bool) -> None:
+def begin_control(
+    control: FloatArray, settings: FloatArray, adaptive: bool, inertial: bool
+) -> None:
     """Write the control of a rollout at time zero into zeros."""
-    for i in range(at.N_PACE):
-        control[i] = pace[i]
+    for i in range(at.N_SETTING):
+        control[i] = settings[i]
     control[at.STEP] = min(control[at.STEP], control[at.DURATION])
     control[at.ADAPTIVE] = 1.0 if adaptive else 0.0
     control[at.INERTIAL] = 1.0 if inertial else 0.0
@@ -67,14 +69,7 @@ def limit_step(model: Model, state: State, control: FloatArray) -> None:
         control[at.STEP] = min(control[at.STEP], control[at.CAREFUL])
     control[at.LEFT] = control[at.DURATION] - control[at.TIME]
     if control[at.ADAPTIVE] == 1.0:
-        control[at.LEFT] = time_to_corner(
-            model,
-            state,
-            control[at.TIME],
-            control[at.STEP],
-            control[at.LEFT],
-            control[at.TOLERANCE],
-        )
+        control[at.LEFT] = time_to_corner(model, state, control)
 
 
 @kernel
@@ -265,8 +260,8 @@ def propose_step(control: FloatArray, error: float) -> None:
 
 @kernel
 def extrapolation(control: FloatArray) -> int:
-    """Return how `step.move` carries on velocities: not at all, or 2 where they changed smoothly,
-    else 1."""
+    """Return how `step.move` extrapolates velocities: 0 for not at all, 2 where they changed
+    smoothly, else 1."""
     if control[at.STAGGERED] == 0.0:
         return 0
     return 2 if control[at.SMOOTH] == 1.0 else 1
@@ -300,17 +295,16 @@ def take_back(control: FloatArray) -> None:
 
 
 @kernel
-def time_to_corner(
-    model: Model, state: State, time: float, step: float, left: float, slack: float
-) -> float:
-    """Return the time until a pusher's command changes, at most `left`.
+def time_to_corner(model: Model, state: State, control: FloatArray) -> float:
+    """Return the time until a pusher's command changes, at most what is left.
 
-    Looks half a step further than `step`, so that no sliver of a step is left over.
+    Looks half a step further than the proposed step, so that no sliver of a step is left over.
     """
+    left = control[at.LEFT]
     for d in range(model.force_limit.size):
-        own = time if model.drive_dof[d] < 0 else state.path_time[d]
-        ahead = min(left, 1.5 * step)
-        straight = straight_time(model.path_start, model.path, d, own, ahead, slack)
+        own = control[at.TIME] if model.drive_dof[d] < 0 else state.path_time[d]
+        ahead = min(left, 1.5 * control[at.STEP])
+        straight = straight_time(model.path_start, model.path, d, own, ahead, control[at.TOLERANCE])
         if straight < ahead:
             left = straight
     return left

@@ -103,11 +103,11 @@ def simulate_batch(
     variation, n = _variation(scene, parameters, start, waypoints)
     seconds = positive_time("duration", scene.duration if duration is None else duration)
     packed = pack(scene, motion, stepper, variation, n, seconds)
-    return simulate_packed(scene, packed, method, _moments(times, seconds), threads)
+    return simulate_packed(scene, packed, method, _instants(times, seconds), threads)
 
 
 def simulate_packed(
-    scene: Scene, packed: PackedBatch, method: StepMethod, moments: FloatArray, threads: int | None
+    scene: Scene, packed: PackedBatch, method: StepMethod, instants: FloatArray, threads: int | None
 ) -> BatchResult:
     """Simulate packed rollouts of a scene, for callers that reuse a template.
 
@@ -116,14 +116,14 @@ def simulate_packed(
     scene : Scene
     packed : PackedBatch
     method : StepMethod
-    moments : (n_sample,) float64
+    instants : (n_sample,) float64
         Increasing times at which poses are sampled [s].
     threads : int, optional
         Number of threads; all cores by default.
     """
-    record = empty_record(packed, len(moments), 0, moments)
+    record = empty_record(packed, len(instants), 0, instants)
     rollout_in_threads(packed.batch, method, record, threads)
-    return _unpack(scene, packed, record, moments)
+    return _unpack(scene, packed, record, instants)
 
 
 def check_compiled(
@@ -199,16 +199,16 @@ def _check_shape(where: str, array: FloatArray, tail: tuple[int, ...]) -> None:
         )
 
 
-def _moments(times: ArrayLike | None, duration: float) -> FloatArray:
+def _instants(times: ArrayLike | None, duration: float) -> FloatArray:
     if times is None:
         return np.array([duration])
-    moments = np.asarray(times, np.float64)
-    grows = moments.ndim == 1 and moments.size > 0 and bool(np.all(np.diff(moments) > 0.0))
-    if not grows or not 0.0 <= moments[0] <= moments[-1] <= duration * (1.0 + 1e-12):
+    instants = np.asarray(times, np.float64)
+    grows = instants.ndim == 1 and instants.size > 0 and bool(np.all(np.diff(instants) > 0.0))
+    if not grows or not 0.0 <= instants[0] <= instants[-1] <= duration * (1.0 + 1e-12):
         raise InvalidInput(
-            "times", found=moments, expected=f"increasing times from 0 to {duration:g} s"
+            "times", found=instants, expected=f"increasing times from 0 to {duration:g} s"
         )
-    return moments
+    return instants
 
 
 def rollout_in_threads(
@@ -278,19 +278,19 @@ def _simulate_scenes(
 ) -> list[BatchResult]:
     """Simulate many scenes in one parallel call; each result is a batch of one."""
     method = method_of(motion, stepper, solver, max_contacts)
-    packed, moments = [], []
+    packed, instants = [], []
     for scene in scenes:
         check_method(scene, solver)
         seconds = positive_time("duration", scene.duration if duration is None else duration)
         packed.append(pack(scene, motion, stepper, one_variation(None), 1, seconds))
-        moments.append(_moments(times, seconds))
+        instants.append(_instants(times, seconds))
     if not packed:
         return []
     batch = stack(packed)
     whole = PackedBatch(batch, packed[0].units, packed[0].com, None)
-    record = empty_record(whole, len(moments[0]), 0)
+    record = empty_record(whole, len(instants[0]), 0)
     for r, part in enumerate(packed):
-        record.time[r] = moments[r] / part.units.time
+        record.time[r] = instants[r] / part.units.time
     rollout_in_threads(batch, method, record, threads)
     results = []
     for r, (scene, part) in enumerate(zip(scenes, packed, strict=True)):
@@ -302,5 +302,5 @@ def _simulate_scenes(
             drive=own.drive[:, :, :n_driven],
             twist=own.twist[:, :, :n_moving],
         )
-        results.append(_unpack(scene, part, own, moments[r]))
+        results.append(_unpack(scene, part, own, instants[r]))
     return results

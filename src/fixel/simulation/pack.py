@@ -340,7 +340,7 @@ class Template:
         self._elements = _elements(scene)
         self._friction, restitution = _pair_tables(scene)
         self._pieces = _pieces(scene)
-        self._pace = _pace(stepper, self.units)
+        self._settings = _settings(stepper, self.units)
         self._model = self._constant(restitution)
 
     def _constant(self, restitution: FloatArray) -> Model:
@@ -417,8 +417,8 @@ class Template:
         plane = np.broadcast_to(varied.plane, (n, 3))
         velocity = np.array([b.velocity for b in scene.bodies], np.float64).reshape(-1, 3)
         velocity = velocity / (np.array([length, length, 1.0]) / units.time)
-        pace = np.tile(self._pace, (n, 1))
-        pace[:, at.DURATION] = np.asarray(duration) / units.time
+        settings = np.tile(self._settings, (n, 1))
+        settings[:, at.DURATION] = np.asarray(duration) / units.time
         batch = Batch(
             begin=rows.begin,
             count=rows.count,
@@ -449,7 +449,7 @@ class Template:
             sides=np.full(n, scene.support_directions or 0, np.int64),
             pose=pose,
             velocity=np.tile(velocity, (per_free, 1)),
-            pace=pace,
+            settings=settings,
         )
         return PackedBatch(batch, units, self.com, varied.outline)
 
@@ -562,17 +562,17 @@ class _FamilyRows:
             self.begin[:, family] = rows * np.arange(len(self.begin))
 
 
-def _pace(stepper: AbstractStepper, units: Units) -> FloatArray:
-    """Return the row of `Batch.pace` of a stepper, for no duration yet."""
+def _settings(stepper: AbstractStepper, units: Units) -> FloatArray:
+    """Return the row of `Batch.settings` of a stepper, for no duration yet."""
     step, tolerance, largest = stepper.first_step, None, math.inf
     if isinstance(stepper, Adaptive):
         tolerance, largest = stepper.tolerance, stepper.largest_step
-    pace = np.zeros(at.N_PACE)
-    pace[at.STEP] = TYPICAL_STEP if step is None else step / units.time
-    pace[at.TOLERANCE] = DEFAULT_TOLERANCE if tolerance is None else tolerance / units.length
-    pace[at.SMALLEST] = SMALLEST_STEP
-    pace[at.LARGEST] = largest
-    return pace
+    settings = np.zeros(at.N_SETTING)
+    settings[at.STEP] = TYPICAL_STEP if step is None else step / units.time
+    settings[at.TOLERANCE] = DEFAULT_TOLERANCE if tolerance is None else tolerance / units.length
+    settings[at.SMALLEST] = SMALLEST_STEP
+    settings[at.LARGEST] = largest
+    return settings
 
 
 def _spring(body: Body, units: Units) -> list[float]:

@@ -54,13 +54,13 @@ class _Loop:
         self.state = State(self.pose.copy(), np.zeros(wide), np.zeros(n_driven), np.zeros(wide))
         self.control = np.zeros(at.N_CONTROL)
         self.inertial = motion.kind == codes.DYNAMIC
-        entries.begin_control(self.control, batch.pace[0], stepper.adaptive, self.inertial)
+        entries.begin_control(self.control, batch.settings[0], stepper.adaptive, self.inertial)
         self.fallbacks = 0
         entries.begin(
             self.model,
             self.state,
             batch.velocity,
-            float(batch.pace[0, at.STEP]),
+            float(batch.settings[0, at.STEP]),
             self.problem,
             self.work,
         )

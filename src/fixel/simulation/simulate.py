@@ -164,11 +164,11 @@ def empty_record(
     n = len(count)
     n_driven = int(count[:, kernel.DRIVEN].max(initial=0))
     n_moving = int(count[:, kernel.FREE].max(initial=0)) + n_driven
-    moment = np.zeros((n, n_sample))
+    time = np.zeros((n, n_sample))
     if times is not None:
-        moment[:] = times / packed.units.time
+        time[:] = times / packed.units.time
     return BatchRecord(
-        time=moment,
+        time=time,
         pose=np.zeros((n, n_sample, n_moving, 3)),
         twist=np.zeros((n, n_sample, n_moving, 3)),
         drive=np.zeros((n, n_sample, n_driven, 2)),

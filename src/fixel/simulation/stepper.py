@@ -85,7 +85,7 @@ class AbstractStepper(abc.ABC):
         """Find the next step, at most `limits.left` long, with its solution in `problem`.
 
         All quantities scaled; `step` is the length proposed by the step before. The status
-        `codes.UNDO` takes the last step back, to be repeated at `StepResult.next_step`.
+        `codes.UNDO` takes the last step back, to be repeated in steps half as long.
         """
 
 
