@@ -17,7 +17,7 @@ from fixel.calibration.objective import (
 from fixel.calibration.target import target_of, targets_of
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, SupportPoints, Trajectory
-from fixel.model.space import ParameterSpace, Unknown, shared_by
+from fixel.model.space import ParameterSpace, Unknown
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic, simulate
 from fixel.testbed.simulated import SimulatedTestbed
@@ -106,7 +106,10 @@ def test_a_value_shared_by_some_experiments_changes_only_these(experiments):
     targets = targets_of(experiments)
     shape = Unknown(name="tripod_radius", low=0.001, high=0.06, nominal=0.03)
     shared = ParameterSpace(
-        unknowns=[*_space("mu_pusher").unknowns, *shared_by(shape, "shape", ["square", "pentagon"])]
+        unknowns=[
+            *_space("mu_pusher").unknowns,
+            *(replace(shape, where={"shape": name}) for name in ("square", "pentagon")),
+        ]
     )
     assert shared.labels[1:] == (
         "tripod_radius[shape=square]",

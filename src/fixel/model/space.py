@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any, Final, final
@@ -207,8 +207,3 @@ class ParameterSpace(Comparable):
         return ParameterSpace(
             unknowns=tuple(replace(u, nominal=start.get(u.label, u.nominal)) for u in self.unknowns)
         )
-
-
-def shared_by(unknown: Unknown, condition: str, values: Sequence[str | float]) -> list[Unknown]:
-    """Create one unknown per value of a condition, shared by the experiments that have it."""
-    return [replace(unknown, where={**unknown.where, condition: value}) for value in values]
