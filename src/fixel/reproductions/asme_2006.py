@@ -78,7 +78,7 @@ class Sets(NamedTuple):
 def run_table_1(options: RunOptions) -> Reproduction:
     """Search from random starts, cluster sets as good as p1*, and vary the plane's friction.
 
-    Quick: four short searches.
+    With `quick`, it runs four short searches.
     """
     starts, evaluations, wide = (4, 600, 0) if options.quick else (24, 3000, 6)
     noisy, exact = simulate_targets(seed=1), simulate_targets(seed=None)
@@ -353,7 +353,7 @@ SEED: Final = 3
 def run_figure_11(options: RunOptions) -> Reproduction:
     """Run two searches from random vertices until their simplex is small.
 
-    Quick: short searches.
+    With `quick`, the searches are short.
     """
     evaluations = 300 if options.quick else 3000
     targets = simulate_targets(seed=1)

@@ -44,7 +44,7 @@ from fixel.typing import FloatArray
 def run(options: RunOptions) -> Reproduction:
     """Estimate support points from pushes, friction from forces, and predict other pushes.
 
-    Quick: two starts and a third of the pushes.
+    With `quick`, it uses two starts and a third of the pushes.
     """
     pushes = read_pushes(options.folder, every=3 if options.quick else 1)
     supports = sorted({support_of(p) for p in pushes} - {"patch"})

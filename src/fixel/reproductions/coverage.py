@@ -43,7 +43,7 @@ class HeldOutPushes(NamedTuple):
 def run(options: RunOptions) -> Reproduction:
     """Measure the coverage of bounds on held-out pushes.
 
-    Quick: three plates with 60 pushes each, and rough fits.
+    With `quick`, it uses three plates with 60 pushes each, and rough fits.
     """
     bench = calibrated_bench(options)
     total = len(bench.rows) * bench.request.seeds

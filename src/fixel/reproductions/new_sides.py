@@ -80,7 +80,7 @@ def side_labels(group: PushGroup) -> IntArray:
 def run(options: RunOptions) -> Reproduction:
     """Measure coverage and sharpness on new sides and speeds, and what the side itself costs.
 
-    Quick: three plates, few pushes.
+    With `quick`, it uses three plates and few pushes.
     """
     bench = calibrated_bench(options)
     labels = {kind: _labels_by_plate(bench, kind) for kind in (SIDE, SPEED, RANDOM)}

@@ -55,7 +55,7 @@ class HalfCount(NamedTuple):
 def run(options: RunOptions) -> Reproduction:
     """Measure coverage and sharpness of the error bounds.
 
-    Quick: three plates, few pushes and one split.
+    With `quick`, it uses three plates, few pushes and one split.
     """
     bench = calibrated_bench(options, SEEDS)
     halvings = 1 if options.quick else HALVINGS

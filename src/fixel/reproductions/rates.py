@@ -54,7 +54,7 @@ class RateErrors(NamedTuple):
 def run(options: RunOptions) -> Reproduction:
     """Compute errors on each dataset in the folder, as shares of motion and size.
 
-    Missing datasets are reported as left out. Quick: few pushes of each dataset.
+    Missing datasets are reported as left out. With `quick`, it uses few pushes of each dataset.
     """
     rows: list[Row] = []
     missing = []

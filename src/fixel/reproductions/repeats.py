@@ -77,7 +77,7 @@ class GroupPrediction(NamedTuple):
 def run(options: RunOptions) -> Reproduction:
     """Predict the spread of every group from the starts of other groups, and compare.
 
-    RPI's trials are searched next to the folder. Quick: few rigs.
+    RPI's trials are searched next to the folder. With `quick`, it draws few rigs.
     """
     worlds = 20 if options.quick else WORLDS
     groups = read_groups(options.folder)

@@ -106,7 +106,7 @@ class HypothesisFit(NamedTuple):
 def run(options: RunOptions) -> Reproduction:
     """Fit and score every hypothesis.
 
-    Quick: one start for each fit.
+    With `quick`, each fit has one start.
     """
     experiment = experiment_141(options.folder)
     rows: list[Row] = []

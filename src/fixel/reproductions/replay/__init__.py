@@ -16,8 +16,8 @@ from fixel.reproductions.replay.trials import TrialReplay
 from fixel.typing import Progress
 
 EXPECTED = (
-    "pushes.csv.gz and shapes.json (mit_push_endpoints), experiments.csv and exp<number>_setup.json"
-    " (rpi_2dgad), or cpush_*.csv.gz and shapes.json (mit_timeseries)"
+    "pushes.csv.gz and shapes.json (mit_push_endpoints), experiments.csv, object_trajectory.csv.gz"
+    " and exp<number>_setup.json (rpi_2dgad), or cpush_*.csv.gz and shapes.json (mit_timeseries)"
 )
 
 
