@@ -35,8 +35,8 @@ class SearchOptions:
 
     mode: str | None = option(
         None,
-        "each: every experiment by itself; joint: one set for all; campaign: both, and"
-        " the ways of the thesis between them; stored: the best of the sets found before.",
+        "each: every experiment alone; joint: one set for all; campaign: each, then joint, with"
+        " the intermediate steps of the thesis; stored: the best of the sets found before.",
         metavar="MODE",
         show_default="each for one experiment, else joint",
     )
@@ -48,7 +48,7 @@ class SearchOptions:
     hold: list[str] | None = option(
         None, "Parameter that stays; may be repeated.", "--set", metavar="NAME=VALUE"
     )
-    space: Path | None = option(None, "File with the parameters, in place of --fit.")
+    space: Path | None = option(None, "File with the parameters, instead of --fit.")
     dakota: Path | None = option(
         None, "Input file of Dakota's pattern search, for search and parameters.", metavar="FILE"
     )
@@ -57,8 +57,10 @@ class SearchOptions:
         "mean-square (the thesis's E), root-mean-square (the ASME paper's), end-pose or robust.",
         metavar="NAME",
     )
-    angle_scale_mm: float = option(35.0, "What a radian counts as [mm].", metavar="MM")
-    combine: str = option("sum", "Of several experiments: sum, mean or largest.", metavar="HOW")
+    angle_scale_mm: float = option(35.0, "Length that one radian counts as [mm].", metavar="MM")
+    combine: str = option(
+        "sum", "How errors of experiments are combined: sum, mean or largest.", metavar="HOW"
+    )
     motion: str = option("dynamic", "dynamic, quasistatic or first-order.", metavar="MODEL")
     optimiser: str | None = option(
         None,
@@ -80,14 +82,16 @@ class SearchOptions:
         min=1,
     )
     settings: list[str] | None = option(
-        None, "Of the optimiser; may be repeated.", "--option", metavar="NAME=VALUE"
+        None, "Setting of the optimiser; may be repeated.", "--option", metavar="NAME=VALUE"
     )
     starts: int = option(1, "Searches, all but the first from random places.", min=1)
     seed: Seed = 0
     noise: MeasurementNoise
-    level: float = option(0.95, "Of the intervals.")
-    verdicts: bool = option(True, "Find out what the data determine.", "--verdicts/--no-verdicts")
-    name: str = option("calibration", "Of the calibration.", metavar="NAME")
+    level: float = option(0.95, "Confidence level of the intervals.")
+    verdicts: bool = option(
+        True, "Compute intervals, profiles and verdicts.", "--verdicts/--no-verdicts"
+    )
+    name: str = option("calibration", "Name of the calibration.", metavar="NAME")
 
     def request(self, chosen: "ExperimentSelection") -> "CalibrationRequest":
         """Return the request for the selected experiments, without stored sets of parameters."""

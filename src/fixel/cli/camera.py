@@ -43,7 +43,7 @@ Heights = Annotated[
     list[float] | None,
     typer.Option(
         "--height-mm",
-        help="Above the plate, for which to say how right places are; may be repeated.",
+        help="Height above the plate for which the accuracy is reported; may be repeated.",
         show_default="0 and 25.4",
     ),
 ]
@@ -108,10 +108,10 @@ def import_(
     out: Path = option(Path("camera.yaml"), "Camera file to write."),
     format: str = option("auto", "auto, matlab, opencv, kalibr or ros."),
     size: str | None = option(
-        None, "Of your pictures, 1280x720: refused if the file is for others.", metavar="WxH"
+        None, "Size of your pictures, 1280x720; a file for another size is refused.", metavar="WxH"
     ),
-    which: str = option("", "Of several cameras in a Kalibr file.", metavar="cam0"),
-    unit: str = option("mm", "Of lengths in a MATLAB file: mm, cm or m."),
+    which: str = option("", "Camera to read from a Kalibr file of several.", metavar="cam0"),
+    unit: str = option("mm", "Unit of lengths in a MATLAB file: mm, cm or m."),
     as_json: AsJson = False,
 ) -> None:
     """Take over a camera that another program calibrated."""
@@ -163,7 +163,7 @@ def place(
         "Where the board's lower left corner lies in the world: x, y [mm], angle [deg].",
         metavar="X,Y,ANGLE",
     ),
-    thickness_mm: float = option(0.0, "Of the board, above the plate [mm].", min=0.0),
+    thickness_mm: float = option(0.0, "Thickness of the board [mm].", min=0.0),
     rig: str | None = option(
         None, "Rig whose tags are on the plate; used before a board.", metavar="RIG"
     ),
@@ -272,7 +272,7 @@ def tags(
     rig: str | None = argument(
         None, "Rig whose tags to print.", metavar="RIG", show_default="none"
     ),
-    ids: str | None = option(None, "Numbers, in place of a rig: 0-9.", metavar="FIRST-LAST"),
+    ids: str | None = option(None, "Numbers, instead of a rig: 0-9.", metavar="FIRST-LAST"),
     size_mm: float = option(30.0, "Side of the black square [mm]."),
     family: str = option("apriltag-36h11", "apriltag-36h11, aruco-4x4-50 or aruco-5x5-100."),
     out: Path = option(Path("tags.pdf"), "Print to write: .pdf or .png."),

@@ -36,7 +36,7 @@ def upgrade(
 
 @app.command("backup")
 def backup(
-    file: Annotated[Path, typer.Argument(help="Where the copy goes.", metavar="FILE")],
+    file: Annotated[Path, typer.Argument(help="File of the copy.", metavar="FILE")],
     place: ProjectPlace = None,
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,

@@ -50,9 +50,9 @@ def _print_ports(found: "list[PortSeen]", as_json: bool, follow: str) -> None:
 @tactile.command("check")
 def check(
     port: Port = None,
-    readings: Annotated[int, typer.Option(help="How often to ask.", min=1)] = 300,
+    readings: Annotated[int, typer.Option(help="Number of readings.", min=1)] = 300,
     deadline: Annotated[
-        float, typer.Option(help="What counts as in time [ms].", min=0.1, metavar="MS")
+        float, typer.Option(help="Latest time of an answer [ms].", min=0.1, metavar="MS")
     ] = 15.0,
     as_json: AsJson = False,
 ) -> None:
@@ -100,11 +100,11 @@ def _check_lines(found: "TactileCheck") -> list[str]:
 def watch(
     *,
     port: Port = None,
-    duration: float | None = option(
-        None, "For how long [s].", min=0.0, show_default="until Ctrl-C"
-    ),
+    duration: float | None = option(None, "Duration [s].", min=0.0, show_default="until Ctrl-C"),
     rate: float = option(30.0, "Readings a second [Hz].", min=0.1),
-    threshold: int | None = option(None, "Of all three sensors, of 1023.", min=0, max=1023),
+    threshold: int | None = option(
+        None, "Threshold of all three sensors, of 1023.", min=0, max=1023
+    ),
     as_json: AsJson = False,
 ) -> None:
     """Show what the board feels, live; with --json a line a reading."""
@@ -176,7 +176,7 @@ DrivePort = Annotated[
     ),
 ]
 Driver = Annotated[
-    str, typer.Option(help="Of what kind: grbl, manual or simulated.", metavar="DRIVER")
+    str, typer.Option(help="Kind of drive: grbl, manual or simulated.", metavar="DRIVER")
 ]
 
 
@@ -203,11 +203,11 @@ def move(
     port: DrivePort = None,
     to: float | None = option(None, "Position to go to [mm].", metavar="MM", show_default=False),
     by: float | None = option(None, "Or how much further [mm].", metavar="MM", show_default=False),
-    speed: float = option(13.5, "[mm/s]", metavar="MM/S"),
+    speed: float = option(13.5, "Speed [mm/s].", metavar="MM/S"),
     driver: Driver = "grbl",
     dead_man: float | None = option(
         None,
-        "For how long it may go on without this program [s].",
+        "Time after which the drive stops without this program [s].",
         metavar="S",
         show_default="0.5, or as the controller's acceleration needs",
     ),

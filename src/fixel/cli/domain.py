@@ -53,7 +53,7 @@ class DomainOptions:
     )
     fit: list[str] | None = option(
         None,
-        "Parameter to find, in place of the calibration's; may be repeated.",
+        "Parameter to find, instead of the calibration's; may be repeated.",
         metavar="NAME[=LOW:HIGH[:START]]",
     )
     selection: Selection
@@ -75,7 +75,9 @@ class DomainOptions:
         None, "Condition whose values are held out whole: layout.", metavar="CONDITION"
     )
     nominal: str | None = option(
-        None, "Where the domain grows from, in SI units.", metavar="AXIS=VALUE[,AXIS=VALUE]"
+        None,
+        "Nominal conditions that the domain grows from, in SI units.",
+        metavar="AXIS=VALUE[,AXIS=VALUE]",
     )
     step: list[str] | None = option(
         None,
@@ -89,14 +91,17 @@ class DomainOptions:
     )
     relative: float | None = option(
         None,
-        "In place of it: how much larger E may be than an experiment's own best,"
+        "Instead of --threshold-mm: how much larger E may be than an experiment's own best,"
         " as a share of that.",
         metavar="SHARE",
     )
-    level: float = option(0.9, "Share of new experiments that have to stay below.")
-    confidence: float = option(0.95, "At which a cell is called trusted.")
+    level: float = option(0.9, "Share of new experiments that have to stay below the threshold.")
+    confidence: float = option(0.95, "Confidence with which a cell is called trusted.")
     folds: int | None = option(
-        None, "Of the cross-validation.", min=2, show_default="5; 2 for more than 2000"
+        None,
+        "Number of folds of the cross-validation.",
+        min=2,
+        show_default="5; 2 for more than 2000",
     )
     seed: Seed = 0
 
@@ -237,7 +242,7 @@ def growth(
     ),
     threshold: str | None = option(
         None,
-        "Of the error, in its unit, or as a distance: 5, or 2.2mm.",
+        "Threshold of the error, in its unit, or as a distance: 5, or 2.2mm.",
         metavar="E",
         show_default="the thesis's 5 mm²",
     ),

@@ -42,19 +42,19 @@ class FilterOptions:
     """Options of `fixel filter`."""
 
     occlude: str | None = option(
-        None, "Hide the object from the filter meanwhile [s].", metavar="FROM:TO"
+        None, "Hide the object from the filter in this interval [s].", metavar="FROM:TO"
     )
-    tactile: bool = option(True, "Whether the fixels are listened to.", "--tactile/--no-tactile")
-    particles: int = option(N_PARTICLES, "How many particles.")
+    tactile: bool = option(True, "Use the tactile readings.", "--tactile/--no-tactile")
+    particles: int = option(N_PARTICLES, "Number of particles.")
     prior: list[str] | None = option(
         None,
         "Uniform belief about a parameter, e.g. mu_pusher=0.1:1; may be repeated.",
         metavar="NAME=LOW:HIGH",
     )
     seed: AnySeed = 0
-    threads: int = option(1, "Of the simulation.", min=1)
+    threads: int = option(1, "Threads of the simulation.", min=1)
     plot: Path | None = option(None, "Draw the run: .png, .svg or .pdf.")
-    save: bool = option(True, "Keep the run.", "--save/--no-save")
+    save: bool = option(True, "Store the run.", "--save/--no-save")
 
     def command(self, key: str, project: Path) -> str:
         """Return the command to be typed in the current folder, without --plot."""

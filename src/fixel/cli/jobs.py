@@ -43,7 +43,7 @@ class PlaceOptions:
 
     site: SiteFile = None
     workers: Workers = None
-    detach: bool = option(False, "Leave it running, and return at once.", "--detach")
+    detach: bool = option(False, "Run in the background, and return at once.", "--detach")
     coordinator: str = option("here", "Where the job is run from: here, or slurm.", metavar="PLACE")
 
 
@@ -61,7 +61,7 @@ def resume(
     folder: JobFolder,
     options: PlaceOptions,
     accept_version: bool = option(
-        False, "Go on with another fixel; last digits may differ.", "--accept-version"
+        False, "Continue with another version of fixel; last digits may differ.", "--accept-version"
     ),
     as_json: AsJson = False,
 ) -> None:
@@ -108,7 +108,7 @@ def cancel(folder: JobFolder, as_json: AsJson = False) -> None:
 def logs(
     folder: JobFolder,
     follow: Annotated[
-        bool, typer.Option("--follow", "-f", help="Go on until the job ends.")
+        bool, typer.Option("--follow", "-f", help="Follow the log until the job ends.")
     ] = False,
 ) -> None:
     """Print what happened."""

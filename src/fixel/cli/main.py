@@ -193,13 +193,13 @@ def _exit(code: int, error: Exception | None, as_json: bool) -> None:
         print(f"fixel: {sentence}", file=sys.stderr)
         sys.exit(code)
     kind = "Interrupted" if error is None else type(error).__name__
-    told: dict[str, Any] = {"kind": kind, "sentence": sentence, "exit_code": code}
+    content: dict[str, Any] = {"kind": kind, "sentence": sentence, "exit_code": code}
     for name in ("where", "found", "expected", "hint"):
         value = getattr(error, name, None)
         if value is not None:
             plain = isinstance(value, str | int) or (isinstance(value, float) and isfinite(value))
-            told[name] = value if plain else repr(value)
-    print(json.dumps({"error": told}, allow_nan=False), flush=True)
+            content[name] = value if plain else repr(value)
+    print(json.dumps({"error": content}, allow_nan=False), flush=True)
     sys.exit(code)
 
 

@@ -25,7 +25,7 @@ ProjectFolder = Annotated[
 ]
 ProjectPlace = Annotated[
     Path | None,
-    typer.Argument(help="The same as --project.", metavar="[PROJECT]", show_default=False),
+    typer.Argument(help="Same as --project.", metavar="[PROJECT]", show_default=False),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
 DatasetName = Annotated[str | None, typer.Option(help="Only this dataset.", metavar="NAME")]
@@ -36,14 +36,14 @@ Where = Annotated[
         metavar="CONDITION=VALUE",
     ),
 ]
-Flagged = Annotated[bool, typer.Option("--all", help="Also those whose data was found wanting.")]
+Flagged = Annotated[bool, typer.Option("--all", help="Also experiments with faults in their data.")]
 NoiseMm = Annotated[
     float | None,
-    typer.Option(help="Standard deviation of measured positions [mm].", show_default="found out"),
+    typer.Option(help="Standard deviation of measured positions [mm].", show_default="estimated"),
 ]
 NoiseMrad = Annotated[
     float | None,
-    typer.Option(help="Standard deviation of measured angles [mrad].", show_default="found out"),
+    typer.Option(help="Standard deviation of measured angles [mrad].", show_default="estimated"),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of the random number generator.", min=0)]
 AnySeed = Annotated[int, typer.Option(help="Seed of the random number generator.")]
@@ -71,7 +71,7 @@ def option(default: T, help: str, *names: str, **more: Any) -> T:
     *names : str
         Names of the option; by default that of the field or parameter.
     **more : object
-        Further arguments of `typer.Option`.
+        Further arguments of `typer.Option`; `metavar` is FILE for a path without one.
     """
     return field(default=default, metadata={_INFO: typer.Option(*names, help=help, **more)})
 
@@ -175,6 +175,13 @@ def require_picture(file: Path | None) -> None:
         refuse_unwritable(file)
 
 
+def require_one_of(option: str, value: str, known: tuple[str, ...]) -> Any:
+    """Return a value if it is one of those that an option knows."""
+    if value not in known:
+        raise InvalidInput(option, found=repr(value), expected="one of " + ", ".join(known))
+    return value
+
+
 @dataclass(frozen=True, kw_only=True)
 class Selection:
     """Options that select experiments of a project by their properties."""
@@ -197,10 +204,3 @@ class MeasurementNoise:
 
     noise_mm: NoiseMm = None
     noise_mrad: NoiseMrad = None
-
-
-def require_one_of(option: str, value: str, known: tuple[str, ...]) -> Any:
-    """Return a value if it is one of those that an option knows."""
-    if value not in known:
-        raise InvalidInput(option, found=repr(value), expected="one of " + ", ".join(known))
-    return value

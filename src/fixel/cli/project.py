@@ -37,7 +37,7 @@ def new(
     database: Annotated[
         str | None,
         typer.Option(
-            help="Database of a server, in place of a file: postgresql+psycopg://USER@HOST/NAME.",
+            help="Database of a server, instead of a file: postgresql+psycopg://USER@HOST/NAME.",
             metavar="URL",
         ),
     ] = None,

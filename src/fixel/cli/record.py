@@ -63,11 +63,13 @@ class RecordOptions:
         exists=True,
         dir_okay=False,
     )
-    size: str | None = option(None, "Asked of the camera, without --rig.", metavar="WIDTHxHEIGHT")
-    rate: float = option(30.0, "Asked of the camera [frames/s].", min=1.0)
+    size: str | None = option(
+        None, "Size to request from the camera, without --rig.", metavar="WIDTHxHEIGHT"
+    )
+    rate: float = option(30.0, "Frame rate to request from the camera [frames/s].", min=1.0)
     codec: str = option(
         "auto",
-        "as-it-comes: JPEG of the camera, bit by bit; near: JPEG of high quality; exact:"
+        "as-it-comes: JPEG of the camera, bit for bit; near: JPEG of high quality; exact:"
         " no loss, 7 times the space; auto: as it comes, or near.",
         metavar="NAME",
     )

@@ -22,7 +22,7 @@ def report(
         metavar="ID",
         show_default="the newest for several experiments",
     ),
-    title: str = option("", "Of the report.", metavar="TEXT"),
+    title: str = option("", "Title of the report.", metavar="TEXT"),
     as_json: AsJson = False,
 ) -> None:
     """Write what is known of a calibration on one page: data, errors, verdicts, domain, limits.

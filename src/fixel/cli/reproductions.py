@@ -207,7 +207,7 @@ def real(
     ),
     seeds: int = option(3, "Random splits, 60 % for training.", min=1, metavar="COUNT"),
     folds: int = option(
-        0, "Instead, hold every push out once, in so many folds.", min=0, metavar="COUNT"
+        0, "Instead: number of folds, every push held out once.", min=0, metavar="COUNT"
     ),
     quick: bool = option(False, "A few plates and pushes, to see that it works.", "--quick"),
     out: Path | None = option(

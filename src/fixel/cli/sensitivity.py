@@ -46,7 +46,9 @@ class SensitivityOptions:
     start_error_mm: float | None = option(
         None, "Half-width of the start's error along x and y.  [default: 0.3]"
     )
-    start_error_deg: float | None = option(None, "Half-width of its angle's.  [default: 0.5]")
+    start_error_deg: float | None = option(
+        None, "Half-width of the start's error in angle.  [default: 0.5]"
+    )
     preset: str | None = option(
         None,
         "Instead: asme (+-5 um, +-0.5 deg) or rpi-camera (noise of RPI's camera).",
@@ -54,7 +56,9 @@ class SensitivityOptions:
     )
     normal: bool = option(False, "The errors are standard deviations, not half-widths.", "--normal")
     samples: int = option(1000, "Perturbed starts of each push.", min=50)
-    indices: bool = option(False, "Sobol indices, too (needs SALib).", "--indices/--no-indices")
+    indices: bool = option(
+        False, "Compute Sobol indices, too (needs SALib).", "--indices/--no-indices"
+    )
     vary: list[str] | None = option(
         None,
         "An uncertain parameter for the indices; may be repeated. The intervals of the"
@@ -63,7 +67,7 @@ class SensitivityOptions:
     )
     base: int = option(128, "Base samples of the indices, a power of two.")
     seed: AnySeed = 0
-    threads: int | None = option(None, "Of the simulation; all cores where left out.", min=1)
+    threads: int | None = option(None, "Threads of the simulation; all cores by default.", min=1)
 
     @property
     def request(self) -> "SensitivityRequest":
@@ -111,7 +115,9 @@ def sensitivity(
     ),
     project: ProjectFolder = Path(),
     options: SensitivityOptions,
-    plot: Path | None = option(None, "Pictures go here, too.", metavar="FOLDER", file_okay=False),
+    plot: Path | None = option(
+        None, "Folder for copies of the pictures.", metavar="FOLDER", file_okay=False
+    ),
     as_json: AsJson = False,
 ) -> None:
     """Report how errors of the start grow, and which pushes part ways, before they are executed."""

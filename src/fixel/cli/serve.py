@@ -24,7 +24,7 @@ def serve(
         "127.0.0.1", "Address to listen on; another than this needs --allow-others."
     ),
     allow_others: bool = option(
-        False, "Let other machines in that have the link.", "--allow-others"
+        False, "Accept connections from other machines that have the link.", "--allow-others"
     ),
     open_: bool = option(True, "Open the link in a browser.", "--open/--no-open"),
     as_json: AsJson = False,

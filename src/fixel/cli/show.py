@@ -82,7 +82,7 @@ def compare(
     motion: MotionChoice | None = option(None, "Motion model; dynamic where left out."),
     plot: Path | None = option(None, "Draw both motions: .png, .svg or .pdf."),
     as_json: AsJson = False,
-    save: bool = option(False, "Keep the simulation.", "--save"),
+    save: bool = option(False, "Store the simulation.", "--save"),
 ) -> None:
     """Simulate an experiment, and report how far the simulation is from what was measured."""
     from fixel.database.project import Project

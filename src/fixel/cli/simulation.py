@@ -71,7 +71,7 @@ def simulate(
         None, "Fixed time step in seconds, instead of the scene's.", metavar="SECONDS"
     ),
     tolerance: float | None = option(
-        None, "Error allowed in one step, for steps of free length.", metavar="MM"
+        None, "Position error allowed in one step; selects adaptive steps.", metavar="MM"
     ),
     solver: Solver = option(
         Solver.NEWTON, "Solver of the step's problem; lemke needs support_directions."

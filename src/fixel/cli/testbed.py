@@ -36,8 +36,8 @@ def run_plan(
     ),
     folder: ProjectFolder = Path(),
     seed: AnySeed = 1,
-    limit: int | None = option(None, "Only the first so many.", min=1, metavar="COUNT"),
-    threads: int | None = option(None, "As many as there are cores, else.", min=1),
+    limit: int | None = option(None, "Maximum number of experiments.", min=1, metavar="COUNT"),
+    threads: int | None = option(None, "Number of threads; all cores by default.", min=1),
     as_json: AsJson = False,
 ) -> None:
     """Perform a plan on the simulated testbed: with noise, ripple and a rough plate."""
@@ -81,13 +81,15 @@ def film(
         metavar="NAME=VALUE",
     ),
     seed: Seed = 1,
-    exact: bool = option(False, "Keep every bit of every picture; larger files.", "--exact"),
+    exact: bool = option(False, "Store pictures without loss; larger files.", "--exact"),
     video: Path | None = option(None, "Write it as one video file too: .mp4, .mkv."),
     rate: float = option(30.0, "Frames a second [Hz].", min=0.1, max=1000.0),
-    lead: float = option(0.5, "At rest before the motion [s].", min=0.0),
-    rest: float = option(0.5, "At rest after the motion [s].", min=0.0),
-    frames: int | None = option(None, "No more than so many.", min=1, metavar="COUNT"),
-    limit: int | None = option(None, "Only the first so many of a plan.", min=1, metavar="COUNT"),
+    lead: float = option(0.5, "Time at rest before the motion [s].", min=0.0),
+    rest: float = option(0.5, "Time at rest after the motion [s].", min=0.0),
+    frames: int | None = option(None, "Maximum number of frames.", min=1, metavar="COUNT"),
+    limit: int | None = option(
+        None, "Maximum number of experiments of a plan.", min=1, metavar="COUNT"
+    ),
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
@@ -151,7 +153,7 @@ def serve(
     *,
     film: Path = required("A video, or the folder of a recording.", metavar="FILM", exists=True),
     port: int = option(0, "0 for any that is free.", min=0, max=65535),
-    loop: bool = option(False, "Begin anew at its end.", "--loop"),
+    loop: bool = option(False, "Start again at its end.", "--loop"),
     as_json: AsJson = False,
 ) -> None:
     """Serve a film on this machine as a network camera would, until Ctrl-C."""

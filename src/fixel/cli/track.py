@@ -32,14 +32,14 @@ class TrackOptions:
     )
     method: str = option("auto", "auto, tags, stickers or silhouette.", metavar="METHOD")
     folder: ProjectFolder = Path()
-    dataset: str = option("bench", "Of the experiment.", metavar="NAME")
-    name: str = option("", "Of the experiment.", metavar="NAME", show_default="the film's")
+    dataset: str = option("bench", "Dataset of the experiment.", metavar="NAME")
+    name: str = option("", "Name of the experiment.", metavar="NAME", show_default="the film's")
     register: bool = option(
-        False, "Find the camera's place anew, from tags on the plate.", "--register"
+        False, "Find the camera's place again, from tags on the plate.", "--register"
     )
     dry_run: bool = option(False, "Track, and store nothing.", "--dry-run")
     overlay: Path | None = option(None, "Film with the measured outlines: .mp4, .mkv.")
-    sheet: Path | None = option(None, "A few frames of that: .png.")
+    sheet: Path | None = option(None, "Picture of a few frames of the overlay: .png.")
     plot: Path | None = option(None, "Poses, residuals and gaps: .png, .svg, .pdf.")
 
     def command(self, source: Path) -> str:

@@ -44,8 +44,7 @@ class UncertaintyOptions:
     )
     fit: list[str] | None = option(
         None,
-        "Parameter to ask for, in SI units or with _mm, _deg, _mrad after the name; may be"
-        " repeated.",
+        "Parameter to infer, in SI units or with _mm, _deg, _mrad after the name; may be repeated.",
         metavar="NAME[=LOW:HIGH]",
     )
     held_out: list[str] | None = option(
@@ -59,9 +58,9 @@ class UncertaintyOptions:
     )
     noise: MeasurementNoise
     model_error: bool = option(
-        True, "The model's own error as a term of its own.", "--model-error/--no-model-error"
+        True, "Include the error of the model as a separate term.", "--model-error/--no-model-error"
     )
-    samples: int = option(1000, "Effective samples wanted.", min=10)
+    samples: int = option(1000, "Number of effective samples.", min=10)
     seed: Seed = 0
 
     def request(self, experiments: list[str]) -> "UncertaintyRequest":
