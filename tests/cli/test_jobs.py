@@ -13,7 +13,7 @@ from tests.jobs.kinds import toy_job
 from typer.testing import CliRunner
 
 from fixel.cli import jobs
-from fixel.cli.jobs import job_bar
+from fixel.cli.screen import job_bar
 from fixel.errors import InvalidInput
 from fixel.jobs.site import load_site
 from fixel.jobs.work import JobProgress

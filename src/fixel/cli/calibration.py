@@ -21,7 +21,7 @@ from fixel.cli.options import (
     require_one_of,
     with_options,
 )
-from fixel.cli.screen import command_line, notice, notify, print_answer
+from fixel.cli.screen import command_line, job_bar, notice, notify, print_answer
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -223,7 +223,6 @@ def calibrate(
 
 
 def _run(job: Path, workers: int | None, site: Path | None) -> None:
-    from fixel.cli.jobs import job_bar
     from fixel.jobs.site import load_site
     from fixel.workflows.calibration import run
 

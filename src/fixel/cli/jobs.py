@@ -1,8 +1,5 @@
 """`fixel jobs submit|status|resume|cancel|logs|site|pack|unpack`: work that takes long."""
 
-import sys
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,15 +15,11 @@ from fixel.cli.options import (
     project_at,
     with_options,
 )
-from fixel.cli.screen import command_of, notify, print_answer, seconds, table
+from fixel.cli.screen import command_of, job_bar, notify, print_answer, seconds, table
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.jobs.work import JobProgress
     from fixel.workflows.jobs import JobStatus
-
-BAR = 24  # [characters]
-BETWEEN_LINES_S = 30.0  # [s] where progress goes into a file
 
 app = typer.Typer(
     help="Run a job here or on a cluster; stop and continue it at any time.",
@@ -188,43 +181,6 @@ def _run(folder: Path, options: PlaceOptions, as_json: bool, accept_version: boo
                 notify(f"stopped; what was finished is kept. Go on with: {resume}")
                 raise
     _print_status(done, as_json)
-
-
-def job_bar() -> "Callable[[JobProgress], None]":
-    """Show progress on standard error: a bar on a terminal, else a line every 30 s."""
-    terminal = sys.stderr.isatty()
-    last = time.monotonic()
-
-    def show(progress: "JobProgress") -> None:
-        nonlocal last
-        if terminal:
-            end = "\n" if progress.share == 1.0 else ""
-            print(f"\r\033[K{_bar(progress)}", end=end, file=sys.stderr, flush=True)
-        elif time.monotonic() - last >= BETWEEN_LINES_S:
-            last = time.monotonic()
-            print(", ".join([_share(progress), *_details(progress)]), file=sys.stderr, flush=True)
-
-    return show
-
-
-def _bar(progress: "JobProgress") -> str:
-    """One line: the bar stays empty while the amount of work is unknown."""
-    full = int(BAR * (progress.share or 0.0))
-    bar = f"[{'#' * full}{'.' * (BAR - full)}]"
-    return "  ".join([bar, _share(progress), *_details(progress)])
-
-
-def _share(progress: "JobProgress") -> str:
-    if progress.share is None:
-        return f"{progress.done} chunks done"
-    return f"{int(100 * progress.share)} %"
-
-
-def _details(progress: "JobProgress") -> list[str]:
-    rate = f"{progress.rate:.3g}/s" if progress.rate else ""
-    left = f"about {seconds(progress.left_s)} left" if progress.left_s else ""
-    failed = f"{progress.failed} failed" if progress.failed else ""
-    return [part for part in (progress.note, rate, left, failed) if part]
 
 
 def _listed(found: "list[JobStatus]") -> list[str]:

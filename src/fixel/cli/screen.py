@@ -14,11 +14,14 @@ import typer
 from fixel.table import Table
 
 if TYPE_CHECKING:
+    from fixel.jobs.work import JobProgress
     from fixel.model import Experiment
     from fixel.typing import Progress
 
 BAR = 30  # [characters]
+JOB_BAR = 24  # [characters]
 BETWEEN_BARS = 0.1  # [s] between two updates of a bar
+BETWEEN_LINES_S = 30.0  # [s] where the progress of a job goes into a file
 
 
 def print_answer(
@@ -139,3 +142,40 @@ def counting_bar() -> "Iterator[Progress]":
             bar.update(task, completed=done, total=total, description=note)
 
         yield show
+
+
+def job_bar() -> "Callable[[JobProgress], None]":
+    """Show progress on standard error: a bar on a terminal, else a line every 30 s."""
+    terminal = sys.stderr.isatty()
+    last = time.monotonic()
+
+    def show(progress: "JobProgress") -> None:
+        nonlocal last
+        if terminal:
+            end = "\n" if progress.share == 1.0 else ""
+            print(f"\r\033[K{_bar(progress)}", end=end, file=sys.stderr, flush=True)
+        elif time.monotonic() - last >= BETWEEN_LINES_S:
+            last = time.monotonic()
+            print(", ".join([_share(progress), *_details(progress)]), file=sys.stderr, flush=True)
+
+    return show
+
+
+def _bar(progress: "JobProgress") -> str:
+    """One line: the bar stays empty while the amount of work is unknown."""
+    full = int(JOB_BAR * (progress.share or 0.0))
+    bar = f"[{'#' * full}{'.' * (JOB_BAR - full)}]"
+    return "  ".join([bar, _share(progress), *_details(progress)])
+
+
+def _share(progress: "JobProgress") -> str:
+    if progress.share is None:
+        return f"{progress.done} chunks done"
+    return f"{int(100 * progress.share)} %"
+
+
+def _details(progress: "JobProgress") -> list[str]:
+    rate = f"{progress.rate:.3g}/s" if progress.rate else ""
+    left = f"about {seconds(progress.left_s)} left" if progress.left_s else ""
+    failed = f"{progress.failed} failed" if progress.failed else ""
+    return [part for part in (progress.note, rate, left, failed) if part]
