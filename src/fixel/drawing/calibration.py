@@ -191,9 +191,6 @@ class SecondsChart(AbstractChart):
         )
 
 
-# --- values against offsets ---------------------------------------------------------------------
-
-
 class OffsetSeries(NamedTuple):
     """Experiments whose start poses differ along one axis."""
 

@@ -134,9 +134,6 @@ def add_banner(figure: Figure, text: str) -> None:
                 va="center")  # fmt: skip
 
 
-# --- shared by charts ---------------------------------------------------------------------------
-
-
 def clean(axes: Axes) -> None:
     """Draw a faint grid behind the data, and hide the upper and right spines."""
     axes.grid(color=palette.FAINT, linewidth=0.4)

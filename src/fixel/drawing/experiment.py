@@ -130,9 +130,6 @@ def _common_time(experiment: Experiment, simulated: Trajectory) -> Trajectory:
     return Trajectory(time=time[both], pose=experiment.trajectory.pose[both])
 
 
-# --- top view -----------------------------------------------------------------------------------
-
-
 def _shape(experiment: Experiment) -> Shape | None:
     if experiment.scene is None:
         return None
@@ -234,9 +231,6 @@ def _path(axes: Axes, track: Trajectory, name: str, **style: Any) -> Artist:
     place = track.pose[:, :2].T * MM.factor
     (line,) = axes.plot(*place, label=label, **style, **_joined(track))
     return line
-
-
-# --- panels against time ------------------------------------------------------------------------
 
 
 def _draw_errors(panels: Sequence[Axes], measured: Trajectory, simulated: Trajectory) -> None:

@@ -170,9 +170,6 @@ def _estimated_path(axes: Axes, estimates: FilterEstimates) -> list[Artist]:
     return [seen, dark]
 
 
-# --- against time -----------------------------------------------------------------------------
-
-
 def _draw_poses(panels: Sequence[Axes], measured: Trajectory, estimates: FilterEstimates) -> None:
     """Draw estimates with their 90 % bands, and measured poses."""
     deviation = np.sqrt(np.diagonal(estimates.covariance, axis1=1, axis2=2))

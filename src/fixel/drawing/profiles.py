@@ -194,9 +194,6 @@ def _wrapped(verdict: str) -> str:
     return "\n".join(textwrap.wrap(verdict, 24)[:3])
 
 
-# --- profiles -----------------------------------------------------------------------------------
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProfilesChart(AbstractChart):

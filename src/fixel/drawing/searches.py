@@ -147,9 +147,6 @@ def _round_steps() -> list[int]:
     return [k * 10**p for p in range(9) for k in (1, 2, 5)]
 
 
-# --- several starts -----------------------------------------------------------------------------
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartsChart(AbstractChart):

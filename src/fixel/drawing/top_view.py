@@ -103,9 +103,6 @@ def add_name(axes: Axes, name: str, place: tuple[float, float], **style: Any) ->
     )
 
 
-# --- extents ------------------------------------------------------------------------------------
-
-
 def swept_points(shape: Shape | None, poses: FloatArray) -> list[FloatArray]:
     """Points that a motion covers [m]: outlines, or positions if the shape is unknown."""
     if shape is None:
@@ -127,9 +124,6 @@ def extent_of(corners: Iterable[FloatArray], fixels: Sequence[Fixel] = ()) -> Re
         for f in fixels[:MAX_NAMES]
     ]
     return Rectangle((box.x[0], max(box.x[1], *ends) if ends else box.x[1]), box.y)
-
-
-# --- parts of a scene ---------------------------------------------------------------------------
 
 
 def add_fixels(axes: Axes, scene: Scene | None, touched: str = "") -> list[Artist]:
@@ -167,9 +161,6 @@ def add_start_and_end(
     ]
 
 
-# --- pages of one column ------------------------------------------------------------------------
-
-
 class ColumnPage(NamedTuple):
     """Axes of a page of one column, from top to bottom."""
 
@@ -180,6 +171,7 @@ class ColumnPage(NamedTuple):
 
     @property
     def against_time(self) -> list[Axes]:
+        """Panels and strip, which share the axis of time."""
         return [*self.panels, *([] if self.strip is None else [self.strip])]
 
 

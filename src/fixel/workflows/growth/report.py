@@ -113,9 +113,6 @@ def methods(found: Exploration) -> tuple[str, ...]:
     )
 
 
-# --- tables -------------------------------------------------------------------------------------
-
-
 def matrix_table(found: Exploration) -> Table:
     """Table of the largest errors, one row per group."""
     unit = unit_text(found.unit)
@@ -157,9 +154,6 @@ def edges_table(found: Exploration) -> Table:
     return Table(head, rows, title=title, left=2)
 
 
-# --- pictures -----------------------------------------------------------------------------------
-
-
 def pictures(found: Exploration) -> Iterator[Picture]:
     """Yield charts of the matrix, of the growth step by step, and of each axis of each shape."""
     unit, banner = found.unit, found.samples.banner
@@ -193,9 +187,6 @@ def pictures(found: Exploration) -> Iterator[Picture]:
             " green, of every layout and on average; below, beside what each experiment's own set"
             " leaves.",
         )
-
-
-# --- plain numbers ------------------------------------------------------------------------------
 
 
 def numbers(found: Exploration) -> dict[str, Any]:

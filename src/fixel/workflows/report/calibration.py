@@ -140,9 +140,6 @@ def methods(one: CalibratedValues) -> tuple[str, ...]:
     )
 
 
-# --- errors -------------------------------------------------------------------------------------
-
-
 def scale_of(one: CalibratedValues) -> float:
     """Length that the error counts an angle as [m/rad]."""
     scale: float = one.error.angle_scale
