@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from fixel.calibration.learned import NINETY, ResidualProcess
 from fixel.errors import InvalidInput
+from fixel.reproductions.residuals import NINETY, ResidualProcess
 from fixel.typing import FloatArray
 
 pytest.importorskip("sklearn")
