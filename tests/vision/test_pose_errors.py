@@ -16,7 +16,7 @@ from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.plane_errors import pose_covariance, shifted
-from fixel.vision.tracking.checks import refuse_moved
+from fixel.vision.tracking.checks import check_camera_place
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "rx", "ry", "rz", "tx", "ty", "tz")
 SPREAD = np.array([0.8, 0.8, 0.8, 0.8, 2e-3, 4e-4, 4e-4, 4e-4, 2e-4, 2e-4, 4e-4])
@@ -83,7 +83,7 @@ def test_a_camera_that_never_moved_is_not_said_to_have() -> None:
     )
     frame = off_by(rig, 1.0e-3)
     with pytest.raises(InvalidInput, match="was moved"):
-        refuse_moved(rig, frame)
-    assert refuse_moved(replace(rig, measured=unsure), frame)
+        check_camera_place(rig, frame)
+    assert check_camera_place(replace(rig, measured=unsure), frame)
     with pytest.raises(InvalidInput, match="was moved"):
-        refuse_moved(replace(rig, measured=unsure), off_by(rig, 4.0e-3))
+        check_camera_place(replace(rig, measured=unsure), off_by(rig, 4.0e-3))

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.formats.camera_opencv import placed_above, refuse_strange
+from fixel.formats.camera_opencv import check_plausible, placed_above
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera, MeasuredCamera, turned
 from fixel.vision.lens import FOCAL, Lens
@@ -68,7 +68,7 @@ def _lens(found: Variables) -> Lens:
         skew=float(_row(found, "alpha_c", 1)[0]) if "alpha_c" in found else 0.0,
         distortion=kc if kc.size else np.zeros(1),
     )
-    refuse_strange(lens)
+    check_plausible(lens)
     return lens
 
 

@@ -68,11 +68,11 @@ def lens_of(
         distortion=np.ravel(distortion),
         fisheye=fisheye,
     )
-    refuse_strange(lens)
+    check_plausible(lens)
     return lens
 
 
-def refuse_strange(lens: Lens) -> None:
+def check_plausible(lens: Lens) -> None:
     """Reject an implausible lens, for example with numbers of another resolution or in mm."""
     width, height = lens.image_size
     u, v = lens.centre

@@ -11,7 +11,12 @@ from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.base import PartObservation
-from fixel.vision.tracking.checks import UNWATCHED, refuse_flipped, refuse_moved, refuse_size
+from fixel.vision.tracking.checks import (
+    UNWATCHED,
+    check_camera_place,
+    check_orientation,
+    check_size,
+)
 from fixel.vision.tracking.fixels import MIN_FRAMES, FixelFinder
 from fixel.vision.tracking.follow import AUTO, followers_of, things_of
 
@@ -84,7 +89,7 @@ class Locator:
     def see(self, frame: Frame) -> FramePoses:
         """Locate parts and fixels in a frame."""
         try:
-            refuse_size(self.rig, frame)
+            check_size(self.rig, frame)
             parts = {
                 name: sight
                 for follower in self._followers
@@ -104,9 +109,9 @@ class Locator:
     def _what_stands(self, frame: Frame, seen: bool) -> FramePoses:
         """Check camera and plate, and locate the fixels."""
         try:
-            watched = refuse_moved(self.rig, frame)
+            watched = check_camera_place(self.rig, frame)
             if not seen:
-                refuse_flipped(self.rig, frame.luma)
+                check_orientation(self.rig, frame.luma)
         except InvalidInput as problem:
             return FramePoses(problems=(_told(problem),))
         remarks = (UNWATCHED,) if self.rig.plate and not watched else ()

@@ -31,7 +31,7 @@ UNWATCHED: Final = "No plate tag is seen, so nothing tells whether the camera ha
 VAGUE: Final = 0.5e-3  # [m] largest error of a registered camera at that height
 
 
-def refuse_size(rig: Rig, frame: Frame) -> None:
+def check_size(rig: Rig, frame: Frame) -> None:
     """Raise for pictures of another size than that of the rig's camera."""
     wanted, found = tuple(rig.camera.lens.image_size), frame.size
     if found == wanted:
@@ -61,7 +61,7 @@ def bad_light(frame: Frame) -> str:
     return ""
 
 
-def refuse_flipped(rig: Rig, picture: Gray) -> None:
+def check_orientation(rig: Rig, picture: Gray) -> None:
     """Raise for pictures whose tags are readable only in the mirrored picture."""
     tags = [m for part in rig.parts.values() for m in part.marks if isinstance(m, Tag)]
     tags += rig.plate
@@ -165,7 +165,7 @@ def _by_its_edges(rig: Rig, frame: Frame, tag: Tag) -> float | None:
     return float(np.hypot(*fit.pose[:2])) / rig.camera.metres_per_pixel()
 
 
-def refuse_moved(rig: Rig, frame: Frame) -> bool:
+def check_camera_place(rig: Rig, frame: Frame) -> bool:
     """Raise for pictures in which tags of the plate are not in their places.
 
     Returns

@@ -19,9 +19,9 @@ from fixel.vision.tracking.checks import (
     UNWATCHED,
     PlateWatch,
     bad_light,
-    refuse_flipped,
-    refuse_moved,
-    refuse_size,
+    check_camera_place,
+    check_orientation,
+    check_size,
     registered,
 )
 from fixel.vision.tracking.fixels import FixelFinder
@@ -95,7 +95,7 @@ def track(
             for name, sight in follower.see(frame).items():
                 sightings[name].append(sight)
         if index == 0 and any(own[0].pose is None for own in sightings.values()):
-            refuse_flipped(rig, frame.luma)
+            check_orientation(rig, frame.luma)
         plate.see(frame, index)
         if finder is not None and index % FIXELS_EVERY == 0 and plate.in_place:
             finder.see(frame)
@@ -166,9 +166,9 @@ def things_of(scene: Scene) -> dict[str, Thing]:
 
 def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]:
     """Check the first frame; return the rig, with its camera registered, and remarks."""
-    refuse_size(rig, frame)
+    check_size(rig, frame)
     if not register:
-        watched = refuse_moved(rig, frame) or not rig.plate
+        watched = check_camera_place(rig, frame) or not rig.plate
         return rig, [] if watched else [UNWATCHED]
     found = registered(rig, frame)
     shift = float(np.hypot(*(found.camera.position - rig.camera.position)[:2]))
