@@ -98,43 +98,43 @@ class DaskEngine(AbstractEngine):
         return None if self._cluster is None else self._cluster.process.pid
 
     def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
-        desk = _RoundState(function, inputs, chunks)
-        while desk.open:
+        state = _RoundState(function, inputs, chunks)
+        while state.open:
             try:
-                batch = self._turn(desk)
+                batch = self._turn(state)
             except ClusterLost as lost:
                 batch = []
-                self.again += desk.forget_flights()
+                self.again += state.forget_flights()
                 self._bury(lost)
-            batch += self._late(desk)
+            batch += self._late(state)
             if batch:
                 self._answered += len(batch)
                 self._rebuilds = 0
             yield batch
 
-    def _turn(self, desk: _RoundState) -> Batch:
+    def _turn(self, state: _RoundState) -> Batch:
         """Submit the chunks that workers are free for, and return the answers that have arrived."""
         cluster = self._cluster or self._start()
         self._tick(cluster)
-        desk.top_up(cluster, self.workers)
+        state.top_up(cluster, self.workers)
         events = cluster.events(timeout_s=TICK_S)
-        landed = [e for e in events if isinstance(e, ChunkReturn) and desk.lands(e.name, e.future)]
+        landed = [e for e in events if isinstance(e, ChunkReturn) and state.lands(e.name, e.future)]
         if all(event.future.status == "finished" for event in landed):
             # Before their answers are fetched and stored: the workers wait for this.
-            desk.top_up(cluster, self.workers)
+            state.top_up(cluster, self.workers)
         for arrival in landed:
             cluster.fetch(arrival)
         batch: Batch = []
         for fetched in (e for e in events if isinstance(e, ChunkEnd)):
-            answer = self._judged(desk, fetched.name, fetched.outcome)
-            if answer is not None and desk.close(fetched.name):
+            answer = self._judged(state, fetched.name, fetched.outcome)
+            if answer is not None and state.close(fetched.name):
                 batch.append((fetched.name, answer))
         return batch
 
-    def _judged(self, desk: _RoundState, name: str, outcome: Outcome) -> Answer | None:
+    def _judged(self, state: _RoundState, name: str, outcome: Outcome) -> Answer | None:
         """Return the answer of a chunk, or None if it is to be tried again."""
         if isinstance(outcome, WorkerKilled):
-            return self._survived(desk, name, outcome)
+            return self._survived(state, name, outcome)
         if isinstance(outcome, OtherVersion):
             self._refusals += 1
             self._say(f"refused an answer of fixel {outcome.found}, expected fixel {stamp()}")
@@ -142,21 +142,21 @@ class DaskEngine(AbstractEngine):
                 raise _other_version(f"a worker has fixel {outcome.found}, expected {stamp()}")
         elif outcome is not None:
             return outcome
-        self._again(desk, name)
+        self._again(state, name)
         return None
 
-    def _survived(self, desk: _RoundState, name: str, killed: WorkerKilled) -> Answer | None:
-        desk.deaths[name] += 1
+    def _survived(self, state: _RoundState, name: str, killed: WorkerKilled) -> Answer | None:
+        state.deaths[name] += 1
         self.deaths += 1
-        deaths = desk.deaths[name]
+        deaths = state.deaths[name]
         self._say(f"{killed.worker} died with {name} (death {deaths} of it)")
         if deaths >= self._max_deaths:
             return Failure(f"it was running when its worker died, {deaths} times")
-        self._again(desk, name)
+        self._again(state, name)
         return None
 
-    def _again(self, desk: _RoundState, name: str) -> None:
-        desk.again(name)
+    def _again(self, state: _RoundState, name: str) -> None:
+        state.again(name)
         self.again += 1
 
     def _tick(self, cluster: Cluster) -> None:
@@ -174,12 +174,12 @@ class DaskEngine(AbstractEngine):
         if len(reasons) >= MAX_REFUSALS or (reasons and not self._answered and not self.workers):
             raise _other_version(reasons[-1])
 
-    def _late(self, desk: _RoundState) -> Batch:
+    def _late(self, state: _RoundState) -> Batch:
         """Return the answers that workers have left in the folder."""
         batch = []
         for late in link.late_answers(self._folder):
-            name = desk.name_of.get(late.block)
-            if name is not None and desk.close(name):
+            name = state.name_of.get(late.block)
+            if name is not None and state.close(name):
                 self._say(f"took the late answer of {name}")
                 batch.append((name, unframed(late.framed)))
             late.path.unlink(missing_ok=True)
