@@ -26,8 +26,6 @@ from fixel.workflows.calibration.run import Calibration
 from fixel.workflows.figures import Picture, make_folder, write_picture
 
 SAMPLES: Final = 200  # minimum number of samples of a simulation
-OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}  # axes of a sampling plan
-GROUPED_BY: Final = ("shape", "layout")
 MAX_OTHERS: Final = 3
 VISIBLE: Final = 0.005  # share of a range that is visible on paper
 
