@@ -92,17 +92,20 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     A group is a parameter whose type is a dataclass; each of its fields is an option, or a group
     again. Typer sees one parameter for each option, and the command gets the dataclass.
     """
-    given = signature(command, eval_str=True).parameters.values()
-    groups = {p.name: p.annotation for p in given if is_dataclass(p.annotation)}
+    declared = signature(command, eval_str=True).parameters.values()
+    groups = {p.name: p.annotation for p in declared if is_dataclass(p.annotation)}
     parameters: list[Parameter] = []
-    for parameter in given:
+    for parameter in declared:
         if parameter.name in groups:
             parameters += _options_of(groups[parameter.name])
         else:
             parameters.append(_parameter(parameter.name, parameter.annotation, parameter.default))
 
+    defaults = {p.name: p.default for p in parameters if p.default is not Parameter.empty}
+
     @wraps(command)
-    def run(**values: Any) -> None:
+    def run(**given: Any) -> None:
+        values = defaults | given
         made = {name: _take(group, values) for name, group in groups.items()}
         command(**values, **made)
 
