@@ -267,7 +267,7 @@ def test_other_machines_only_where_that_is_said(project, host):
     from fixel.cli.serve import serve
 
     with pytest.raises(InvalidInput, match="--allow-others"):
-        serve(place=project, host=host)
+        serve(place=project, host=host, allow_others=False)
 
 
 def test_there_is_always_a_token():

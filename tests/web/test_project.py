@@ -165,7 +165,7 @@ def test_other_machines_only_where_that_is_said(project):
     from fixel.cli.serve import serve
 
     with pytest.raises(InvalidInput, match="--allow-others"):
-        serve(place=project, host="0.0.0.0")
+        serve(place=project, host="0.0.0.0", allow_others=False)
 
 
 def test_the_command_prints_a_link_that_opens_and_ends_at_once(project):
@@ -255,4 +255,4 @@ def test_a_port_that_is_taken(project):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         with pytest.raises(InvalidInput, match="--port"):
-            serve(place=project, port=taken.getsockname()[1])
+            serve(place=project, port=taken.getsockname()[1], host="127.0.0.1")
