@@ -172,25 +172,6 @@ def test_a_shell_completes_commands():
     assert done.stdout.split() == ["calibrate"]
 
 
-def test_a_benchmark_that_needs_no_data_takes_none(capsys, monkeypatch):
-    from fixel.reproductions import run
-
-    asked = []
-
-    def found(name, data, **more):
-        asked.append((name, data))
-        return run.Reproduction(
-            name=name, tables={}, conclusions=["done"], settings={}, figure=None, seconds=0.0
-        )
-
-    monkeypatch.setattr(run, "reproduce", found)
-    assert fixel(capsys, "benchmark", "real", "--only", "asme-table-1")[:2] == (0, "done\n")
-    assert asked == [("asme-table-1", None)]
-    code, _, err = fixel(capsys, "benchmark", "real")
-    assert code == 2
-    assert "--data" in err
-
-
 def test_small_parts_are_read_in_micrometres(capsys, lab):
     scene = micro_push(3, "p1")
     track = Trajectory(time=[0.0, 1.0], pose=[[0.0, 0.0, 0.0], [2.5e-5, 0.0, 0.0]])

@@ -15,8 +15,8 @@ from fixel.datasets.mit_plates import plate
 from fixel.datasets.rpi_2dgad import lab_simulation
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Disk, Experiment, Polygon
-from fixel.reproductions.pushes import read_mit_pushes
-from fixel.reproductions.replay.runs import read_runs
+from fixel.replay.mit_pushes import read_mit_pushes
+from fixel.replay.runs import read_runs
 
 
 def imported(folder: Path) -> list[Experiment]:

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from fixel.calibration.least_squares import LeastSquares
-from fixel.reproductions.cmu_tripod import surface_friction, transfer_rows
-from fixel.reproductions.tripod_pushes import (
+from reproductions.cmu_tripod import surface_friction, transfer_rows
+from reproductions.tripod_pushes import (
     TripodPush,
     fit_points,
     machined,
     read_pushes,
     support_of,
 )
+
+from fixel.calibration.least_squares import LeastSquares
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from fixel.reproductions.replay import Replay, ReplayRequest, replay_dataset
+from fixel.replay import Replay, ReplayRequest, replay_dataset
 
 
 def pooled(answer: Replay) -> dict[str, Any]:

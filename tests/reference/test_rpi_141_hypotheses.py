@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-
-from fixel.model import Experiment
-from fixel.reproductions.rpi_141 import (
+from reproductions.rpi_141 import (
     HYPOTHESES,
     evaluate_hypothesis,
     experiment_141,
     lateral_misses,
 )
+
+from fixel.model import Experiment
 
 
 @pytest.fixture(scope="module")

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reproductions.rpi_141 import experiment_141
 
 from fixel.datasets.rpi_2dgad import LabSimulation, lab_simulation
 from fixel.model import Experiment
-from fixel.reproductions.replay import replay_dataset
-from fixel.reproductions.replay.trials import as_the_lab_did, weighted_error
-from fixel.reproductions.rpi_141 import experiment_141
+from fixel.replay import replay_dataset
+from fixel.replay.trials import as_the_lab_did, weighted_error
 
 Trial = tuple[Experiment, LabSimulation]
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from reproductions.charts.pictures import clusters_figure, paths_figure, supports_figure
+from reproductions.repeats import GroupPrediction, repeats_figure
 
 from fixel.drawing.chart import save_figure
 from fixel.model import Body, Disk, Fixel, PathDrive, Polygon, Pusher, Scene, UniformPressure
-from fixel.reproductions.charts.pictures import clusters_figure, paths_figure, supports_figure
-from fixel.reproductions.repeats import GroupPrediction, repeats_figure
 
 SQUARE = 0.05 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 TRIANGLE = 0.03 * np.array([[0.0, 1.0], [-1.0, -0.5], [1.0, -0.5]])

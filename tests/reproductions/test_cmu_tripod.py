@@ -4,12 +4,8 @@ import math
 
 import numpy as np
 import pytest
-
-from fixel.calibration.least_squares import LeastSquares
-from fixel.calibration.target import Target
-from fixel.model import Body, Disk, LineDrive, Polygon, Pusher, Scene, SupportPoints
-from fixel.reproductions import cmu_tripod
-from fixel.reproductions.tripod_pushes import (
+from reproductions import cmu_tripod
+from reproductions.tripod_pushes import (
     GRAVITY,
     SAMPLES,
     STEP,
@@ -18,6 +14,10 @@ from fixel.reproductions.tripod_pushes import (
     fit_points,
     unit_forces,
 )
+
+from fixel.calibration.least_squares import LeastSquares
+from fixel.calibration.target import Target
+from fixel.model import Body, Disk, LineDrive, Polygon, Pusher, Scene, SupportPoints
 from fixel.simulation import StewartTrinkle
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 

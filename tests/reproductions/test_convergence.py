@@ -1,9 +1,8 @@
 """Searches that converge: their errors lie between 5 and 30 um, as those of the ASME paper do."""
 
 import numpy as np
+from reproductions.charts.convergence import BestSoFar, convergence_figure
 from tests.drawing.collisions import collisions
-
-from fixel.reproductions.charts.convergence import BestSoFar, convergence_figure
 
 
 def test_numbers_of_the_errors_do_not_collide():

@@ -7,12 +7,12 @@ import sqlite3
 import numpy as np
 import pytest
 import shapely
+from reproductions.run import reproduce
 from tests.cli.shell import fixel
 
 from fixel.database.project import Project
 from fixel.drawing.relations import Entity, columns_of
 from fixel.errors import InvalidInput
-from fixel.reproductions.run import reproduce
 from fixel.workflows.project import maintenance
 
 

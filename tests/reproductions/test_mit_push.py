@@ -8,17 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reproductions.__main__ import app
+from reproductions.protocols import PROTOCOLS
+from reproductions.pushes import PushGroup, rows_by_key
+from reproductions.residuals import Split, few_of, folds, learned_ends, random_split
+from reproductions.result import Benchmark
+from reproductions.run import BenchmarkRequest, benchmark_real
 from tests.datasets import push_files
 from typer.testing import CliRunner
 
-from fixel.cli import main
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.io.result_cache import ResultCache
-from fixel.reproductions.protocols import PROTOCOLS
-from fixel.reproductions.pushes import PushGroup, read_mit_pushes, rows_by_key
-from fixel.reproductions.residuals import Split, few_of, folds, learned_ends, random_split
-from fixel.reproductions.result import Benchmark
-from fixel.reproductions.run import BenchmarkRequest, benchmark_real
+from fixel.replay.mit_pushes import read_mit_pushes
 
 SHIFT = (0.9e-3, -0.6e-3)
 TRUTH = {
@@ -228,14 +229,14 @@ def _unzipped(folder: Path) -> list[str]:
 
 def test_command_prints_json_and_a_table(tmp_path: Path) -> None:
     folder = made_up(tmp_path / "data", 12)
-    arguments = ["benchmark", "real", "--data", str(folder), "--quick", "--protocol", "few"]
+    arguments = ["--data", str(folder), "--quick", "--protocol", "few"]
 
-    plain = CliRunner().invoke(main.app, [*arguments, "--out", str(tmp_path / "out")])
-    asked = CliRunner().invoke(main.app, [*arguments, "--json"])
+    plain = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "out")])
+    asked = CliRunner().invoke(app, [*arguments, "--json"])
 
     assert plain.exit_code == 0, plain.output
     assert "held out" in plain.stdout
-    assert "Next: fixel benchmark real" in plain.stdout
+    assert "Next: python -m reproductions --data" in plain.stdout
     answer = json.loads(asked.stdout)
     assert answer["part"] == "mit"
     assert answer["rows"][0]["protocol"] == "few"

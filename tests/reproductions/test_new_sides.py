@@ -6,16 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reproductions import new_sides
+from reproductions.new_sides import side_labels
+from reproductions.protocols import BenchmarkData, BenchmarkRequest
+from reproductions.residuals import split_without
+from reproductions.run import reproduce
 from tests.reproductions.test_mit_push import made_up
 
 from fixel.domain import scale_model
 from fixel.io.result_cache import ResultCache
-from fixel.reproductions import new_sides
-from fixel.reproductions.new_sides import side_labels
-from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest
-from fixel.reproductions.pushes import read_mit_pushes
-from fixel.reproductions.residuals import split_without
-from fixel.reproductions.run import reproduce
+from fixel.replay.mit_pushes import read_mit_pushes
 
 
 def test_a_side_left_out_has_no_push_in_training() -> None:

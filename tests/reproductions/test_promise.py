@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reproductions.promise import LEVELS, PushTable, _halves, _rank_correlation
+from reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
+from reproductions.rates import PAPER_RATE, extent
+from reproductions.residuals import evidence_of
+from reproductions.run import reproduce
 from tests.reproductions.test_mit_push import made_up
 
 from fixel.errors import DatasetMissing
 from fixel.io.result_cache import ResultCache
 from fixel.model import Disk, Polygon
-from fixel.reproductions.promise import LEVELS, PushTable, _halves, _rank_correlation
-from fixel.reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
-from fixel.reproductions.pushes import read_mit_pushes
-from fixel.reproductions.rates import PAPER_RATE, extent
-from fixel.reproductions.residuals import evidence_of
-from fixel.reproductions.run import reproduce
+from fixel.replay.mit_pushes import read_mit_pushes
 
 
 def bench_of(folder: Path) -> BenchmarkData:

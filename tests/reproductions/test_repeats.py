@@ -4,17 +4,17 @@ import math
 
 import numpy as np
 import pytest
-
-from fixel.errors import DatasetMissing
-from fixel.reproductions import repeats
-from fixel.reproductions.repeat_groups import (
+from reproductions import repeats
+from reproductions.repeat_groups import (
     RepeatGroup,
     group_scene,
     outline_of,
     read_groups,
     rig_noise,
 )
-from fixel.reproductions.run import reproduce
+from reproductions.run import reproduce
+
+from fixel.errors import DatasetMissing
 
 
 def made(start, end, start_pose="a", heading=0.0):

@@ -6,9 +6,9 @@ import sys
 
 import numpy as np
 import pytest
+from reproductions.residuals import NINETY, ResidualProcess
 
 from fixel.errors import InvalidInput
-from fixel.reproductions.residuals import NINETY, ResidualProcess
 from fixel.typing import FloatArray
 
 pytest.importorskip("sklearn")

@@ -6,12 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import reproductions.__main__ as command
+import reproductions.run as module
+from reproductions import asme_2006 as asme
+from reproductions.result import Reproduction
+from reproductions.rpi_141 import BOUNDS, HYPOTHESES, at_bound, rms_mm
+from reproductions.run import reproduce
 
+from fixel.cli.main import run
 from fixel.errors import DatasetMissing, InvalidInput
-from fixel.reproductions import asme_2006 as asme
-from fixel.reproductions.result import Reproduction
-from fixel.reproductions.rpi_141 import BOUNDS, HYPOTHESES, at_bound, rms_mm
-from fixel.reproductions.run import reproduce
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +96,26 @@ def test_bounds_on_real_pushes_that_were_held_out(data_root: Path, tmp_path: Pat
     assert parts["total"] == pytest.approx(whole, rel=0.01)
     assert (tmp_path / "coverage.png").stat().st_size > 10_000
     assert list((tmp_path / "fits").glob("calibrated_0_*.json"))
+
+
+def test_a_reproduction_that_needs_no_data_takes_none(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def found(name: str, data: Path | None, **more: object) -> Reproduction:
+        asked.append((name, data))
+        return Reproduction(
+            name=name, tables={}, conclusions=["done"], settings={}, figure=None, seconds=0.0
+        )
+
+    monkeypatch.setattr(module, "reproduce", found)
+    with pytest.raises(SystemExit) as end:
+        run(["--only", "asme-table-1"], program=command.app, name="python -m reproductions")
+    assert end.value.code == 0
+    assert capsys.readouterr().out == "done\n"
+    assert asked == [("asme-table-1", None)]
+    with pytest.raises(SystemExit) as end:
+        run([], program=command.app, name="python -m reproductions")
+    assert end.value.code == 2
+    assert "--data" in capsys.readouterr().err

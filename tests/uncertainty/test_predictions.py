@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from benchmarks.sbc import MODEL_ERROR, NOISE
+from reproductions.linear import Outcomes, fit_predictive
 from tests.uncertainty.test_likelihood import TRUTH, measured
 
 from fixel.errors import InvalidInput
 from fixel.uncertainty.bands import PARTS, bounds_of, coverage_curve, levels_of, predict, shortest
 from fixel.uncertainty.likelihood import LogLikelihood
-from fixel.uncertainty.linear import Outcomes, fit_predictive
 from fixel.uncertainty.near_optimal import near_optimal, rise_of
 from fixel.uncertainty.posterior import NestedSampling
 

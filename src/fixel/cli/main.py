@@ -34,8 +34,8 @@ from fixel.cli import (
     overlay,
     project,
     record,
+    replay,
     report,
-    reproductions,
     sampling,
     sensitivity,
     serve,
@@ -96,8 +96,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
     },
     "Published data": {
         "data": project.data,
-        "replay": reproductions.replay,
-        "benchmark": reproductions.app,
+        "replay": replay.replay,
     },
     "Upkeep": {"jobs": jobs.app, "db": db.app},
 }
@@ -153,17 +152,19 @@ def main(
     """Planar rigid bodies in frictional contact, solved as complementarity problems."""
 
 
-def run(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit.
+def run(
+    arguments: Sequence[str] | None = None, *, program: typer.Typer = app, name: str = "fixel"
+) -> None:
+    """Run a command line and exit.
 
     An expected failure becomes one sentence and an exit code; with `--json`, one JSON object.
     """
     if arguments is not None:  # commands repeat these, in provenance and in proposed commands
-        sys.argv = ["fixel", *arguments]
+        sys.argv = [name, *arguments]
     as_json = "--json" in sys.argv[1:]
     try:
         # With --json, errors in options come here too.
-        code = app(arguments, prog_name="fixel", standalone_mode=not as_json)
+        code = program(arguments, prog_name=name, standalone_mode=not as_json)
     except (InvalidInput, DatasetMissing, NotStored) as error:
         _exit(BAD_INPUT, error, as_json)
     except SolveFailed as error:

@@ -1,25 +1,17 @@
-"""`fixel replay` and `fixel benchmark real`: recorded pushes, simulated and calibrated."""
+"""`fixel replay`: recorded pushes, simulated."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import typer
-
 from fixel.cli.options import AsJson, option, required, with_options
-from fixel.cli.screen import command_of, counting_bar, print_answer, seconds, table
+from fixel.cli.screen import command_of, counting_bar, print_answer, table
 from fixel.cli.simulation import MotionChoice
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.reproductions.replay import Replay
-    from fixel.reproductions.result import Benchmark
+    from fixel.replay import Replay
 
 Record = dict[str, Any]
-
-app = typer.Typer(
-    help="Compare with published results.", no_args_is_help=True, rich_markup_mode=None
-)
 
 
 @with_options
@@ -61,8 +53,8 @@ def replay(
     plot: Path | None = option(None, "Draw measured and simulated motion: .png, .svg or .pdf."),
 ) -> None:
     """Replay recorded pushes and report how far simulation and measurement lie apart."""
-    from fixel.reproductions.replay import ReplayRequest, replay_dataset
-    from fixel.reproductions.replay.base import columns_and_values, names_and_numbers
+    from fixel.replay import ReplayRequest, replay_dataset
+    from fixel.replay.base import columns_and_values, names_and_numbers
 
     if plot is not None:
         refuse_picture(plot)
@@ -173,131 +165,3 @@ def _next(answer: "Replay", dataset: Path, plot: Path | None) -> str:
         return command_of("replay", dataset, "--window", 0)  # complete runs
     value = "tripod_radius=0.041" if answer.dataset == "rpi_2dgad" else "mu_pusher=0.2"
     return command_of("replay", dataset, "--set", value)
-
-
-@app.callback()
-def benchmark() -> None:
-    """Compare with published results."""
-
-
-@app.command("real")
-@with_options
-def real(
-    *,
-    data: Path | None = option(
-        None,
-        "Folder of the datasets; asme-table-1 and asme-figure-11 need none.",
-        metavar="FOLDER",
-        exists=True,
-        file_okay=False,
-        show_default=False,
-    ),
-    only: str = option(
-        "mit",
-        "Part of the benchmark: mit, promise, new-sides, coverage, rates, cmu-tripod,"
-        " rpi-141, repeats, asme-table-1 or asme-figure-11.",
-        metavar="PART",
-    ),
-    protocol: list[str] | None = option(
-        None,
-        "calibrated, learned, few, unregistered or new-shape; may be repeated. All where"
-        " left out. Or joint: the time one calibration of 1000 pushes takes.",
-        metavar="NAME",
-        show_default=False,
-    ),
-    seeds: int = option(3, "Random splits, 60 % for training.", min=1, metavar="COUNT"),
-    folds: int = option(
-        0, "Instead: number of folds, every push held out once.", min=0, metavar="COUNT"
-    ),
-    quick: bool = option(False, "A few plates and pushes, to see that it works.", "--quick"),
-    out: Path | None = option(
-        None,
-        "Folder for tables, a picture and finished fits; the same command goes on there.",
-        metavar="FOLDER",
-        file_okay=False,
-    ),
-    as_json: AsJson = False,
-) -> None:
-    """Calibrate on some recorded pushes and report how far others end from where they should."""
-    from fixel.reproductions.run import (
-        PROTOCOLS,
-        REPRODUCTIONS,
-        BenchmarkRequest,
-        benchmark_real,
-        joint_real,
-        reproduce,
-    )
-
-    if only in REPRODUCTIONS:
-        with counting_bar() as show:
-            found = reproduce(only, data, out=out, progress=show, quick=quick)
-        print_answer(as_json, found.summary, lambda: found.conclusions)
-        return
-    data = _require_data(data)
-    if protocol == ["joint"]:
-        with counting_bar() as show:
-            timed = joint_real(data, only, show)
-        print_answer(as_json, lambda: timed, lambda: _timed(timed))
-        return
-    request = BenchmarkRequest(
-        protocols=tuple(protocol or PROTOCOLS),
-        seeds=1 if quick else seeds,
-        folds=0 if quick else folds,
-        quick=quick,
-    )
-    with counting_bar() as show:
-        answer = benchmark_real(data, request, part=only, out=out, progress=show)
-    print_answer(as_json, answer.summary, lambda: _benchmark_lines(answer, data, out))
-
-
-def _require_data(data: Path | None) -> Path:
-    if data is None:
-        raise InvalidInput(
-            "--data",
-            found="nothing",
-            expected="the folder of the datasets",
-            hint="fixel data lists them",
-        )
-    return data
-
-
-def _benchmark_lines(answer: "Benchmark", data: Path, out: Path | None) -> list[str]:
-    rows = answer.rows
-    models = (
-        [m for m in ("published", "uncalibrated", "calibrated") if m in rows[0]] if rows else []
-    )
-    head = ["protocol", "surface", "shape", "held out"]
-    head += [f"{model} {unit}" for model in models for unit in ("mm", "deg")]
-    again = ("benchmark", "real", "--data", data)
-    after = ("--out", "benchmark") if out is None else ("--protocol", "joint")
-    written = [] if out is None else [f"Written: {out}/{answer.part}_rows.csv, _pushes.csv, .png"]
-    return [
-        *table(head, [_cells(row, models) for row in rows], left=3),
-        "",
-        "Errors are mean / median.",
-        *answer.notes,
-        *(
-            f"{row['protocol']}: 90 % intervals hold {100.0 * row['inside_90']:.1f} %."
-            for row in rows
-            if row["surface"] == "all" and row.get("inside_90") is not None
-        ),
-        f"Took {seconds(float(answer.timing['seconds']))}.",
-        *written,
-        f"Next: {command_of(*again, *after)}",
-    ]
-
-
-def _cells(row: Record, models: Sequence[str]) -> list[str]:
-    pairs = [cell(row, f"{m}.{what}") for m in models for what in ("position_mm", "angle_deg")]
-    return [row["protocol"], row["surface"], row["shape"], str(row["held_out"]), *pairs]
-
-
-def _timed(answer: Record) -> list[str]:
-    found = ", ".join(f"{name} {value:.4g}" for name, value in answer["best"].items())
-    return [
-        f"{answer['evaluations']} evaluations of {answer['pushes']} pushes under"
-        f" {answer['parameters']} parameters in {answer['seconds']:.1f} s"
-        f" ({answer['pushes_per_second']} pushes per second).",
-        f"Robust error {answer['error_at_start']:.3f} -> {answer['error_at_best']:.3f}"
-        f" {answer['error_unit']} at {found}.",
-    ]

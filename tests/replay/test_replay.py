@@ -12,11 +12,11 @@ from tests.datasets import push_files, recordings
 from typer.testing import CliRunner
 
 from fixel.cli import main
-from fixel.cli.reproductions import refuse_picture
+from fixel.cli.replay import refuse_picture
 from fixel.errors import DatasetMissing, InvalidInput
-from fixel.reproductions.replay import Replay, ReplayRequest, replay_dataset
-from fixel.reproductions.replay.base import columns_and_values, names_and_numbers, spread
-from fixel.reproductions.replay.trials import contact_mode
+from fixel.replay import Replay, ReplayRequest, replay_dataset
+from fixel.replay.base import columns_and_values, names_and_numbers, spread
+from fixel.replay.trials import contact_mode
 
 MAKERS: dict[str, Callable[..., Path]] = {
     "mit_push": push_files.mit_push,

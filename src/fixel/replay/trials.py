@@ -13,18 +13,19 @@ from fixel.calibration.target import ON_CLOCK
 from fixel.datasets.rpi_2dgad import FRAME_RATE, LabSimulation, Rpi2dgad, lab_simulation
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Experiment, Parameters, PathDrive, Scene, Trajectory, Tripod, pose_error
-from fixel.reproductions.replay.base import (
+from fixel.replay.base import (
     AbstractReplay,
     Replay,
     ReplayPart,
     ReplayRequest,
+    Row,
     matching,
     motion_named,
+    rms,
     settings_from,
     spread,
 )
-from fixel.reproductions.replay.charts import trial_figure
-from fixel.reproductions.result import Row, rms
+from fixel.replay.charts import trial_figure
 from fixel.simulation import Simulation, StewartTrinkle, simulate
 from fixel.typing import BoolArray, FloatArray
 

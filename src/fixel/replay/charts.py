@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fixel.datasets.mit_plates import TIP
 from fixel.drawing import palette
 from fixel.drawing.chart import sheet
-from fixel.model import Experiment, Trajectory, placed
-from fixel.reproductions.charts.pictures import SHOWN, WIDE, closed, hide_spines, label_fixels, ring
-from fixel.reproductions.pushes import MitPushes
+from fixel.model import Experiment, Fixel, Trajectory, placed
+from fixel.replay.mit_pushes import MitPushes
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -29,6 +28,35 @@ STYLES = {
     "measured": ("measured", palette.INK, "-"),
     "laboratory": ("laboratory's simulation", palette.PUSHER, _DASHED),
 }
+
+
+WIDE: Final = 2.0 * palette.COLUMN + 0.2  # width of a figure over two columns [inch]
+SHOWN: Final = 0.97  # share of the errors within the axes of their distributions
+
+
+def closed(outline: FloatArray, per_metre: float = 1e3) -> FloatArray:
+    """Coordinates (2, n + 1) of a closed outline, for plotting."""
+    return np.asarray(np.vstack((outline, outline[:1])).T * per_metre)
+
+
+def ring(centre: FloatArray, radius: float) -> FloatArray:
+    """Coordinates (2, n) of a circle [mm] of a radius [m]."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 40)
+    return np.asarray(radius * 1e3 * np.array([np.cos(turn), np.sin(turn)]) + centre[:, None])
+
+
+def hide_spines(axes: Axes) -> None:
+    """Hide the upper and right spines."""
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def label_fixels(axes: Axes, fixels: Sequence[Fixel], below: float) -> None:
+    """Draw round fixels, with their numbers some points below."""
+    for number, fixel in enumerate(fixels, 1):
+        centre = fixel.pose[:2] * 1e3
+        axes.fill(*ring(centre, fixel.shape.radius), color=palette.FIXEL)
+        axes.annotate(f"fixel {number}", tuple(centre), (0.0, below), ha="center",
+                      textcoords="offset points")  # fmt: skip
 
 
 def style_of(name: str) -> dict[str, Any]:

@@ -20,13 +20,14 @@ from fixel.domain.contacts import PushedContacts, TouchedPlaces, contacts_of
 from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, min_experiments
 from fixel.domain.features import Configurations
 from fixel.model import wrapped
-from fixel.reproductions.charts.promise import new_sides_figure
-from fixel.reproductions.fitting import FittedPushes
-from fixel.reproductions.protocols import BenchmarkData, calibrated_bench, full_fit
-from fixel.reproductions.pushes import Key, PushGroup
-from fixel.reproductions.residuals import evidence_of, split_without
-from fixel.reproductions.result import Reproduction, Row, RunOptions
+from fixel.replay.base import Row
 from fixel.typing import BoolArray, FloatArray, IntArray
+from reproductions.charts.promise import new_sides_figure
+from reproductions.fitting import FittedPushes
+from reproductions.protocols import BenchmarkData, calibrated_bench, full_fit
+from reproductions.pushes import Key, PushGroup
+from reproductions.residuals import evidence_of, split_without
+from reproductions.result import Reproduction, RunOptions
 
 SIDE: Final = "side"
 SPEED: Final = "speed"

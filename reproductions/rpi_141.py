@@ -32,11 +32,12 @@ from fixel.model import (
     UniformPressure,
 )
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.reproductions.charts.pictures import paths_figure
-from fixel.reproductions.result import Reproduction, Row, RunOptions
+from fixel.replay.base import Row
 from fixel.simulation import StewartTrinkle
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, QuasiStatic
 from fixel.typing import FloatArray
+from reproductions.charts.pictures import paths_figure
+from reproductions.result import Reproduction, RunOptions
 
 EXPERIMENT: Final = "141"
 

@@ -19,11 +19,18 @@ from fixel.calibration.pattern_search import PatternSearch
 from fixel.calibration.target import Target
 from fixel.io.result_cache import ResultCache
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.reproductions.protocols import PROTOCOLS, RUN, BenchmarkData, BenchmarkRequest, Piece
-from fixel.reproductions.pushes import DURATION, STEP, MitPushes, PushGroup, rows_by_key
-from fixel.reproductions.result import Benchmark, HeldOutScores, Row, errors_in_mm_and_deg
+from fixel.replay.base import Row, errors_in_mm_and_deg
+from fixel.replay.mit_pushes import MitPushes
 from fixel.simulation import StewartTrinkle
 from fixel.typing import FloatArray, IntArray, Progress
+from reproductions.protocols import PROTOCOLS, RUN, BenchmarkData, BenchmarkRequest, Piece
+from reproductions.pushes import (
+    DURATION,
+    STEP,
+    PushGroup,
+    rows_by_key,
+)
+from reproductions.result import Benchmark, HeldOutScores
 
 # Joint calibration: number of pushes, and of evaluations of the objective.
 PUSHES: Final = 1000

@@ -19,20 +19,21 @@ from fixel.drawing.chart import sheet
 from fixel.errors import InvalidInput
 from fixel.kernels.codes import CONVERGED, STATUS_NAMES
 from fixel.model import Disk, Experiment, Scene, pose_error
-from fixel.reproductions.charts.pictures import WIDE, hide_spines
-from fixel.reproductions.replay.base import (
+from fixel.replay.base import (
     AbstractReplay,
     Replay,
     ReplayPart,
     ReplayRequest,
+    Row,
     matching,
+    mean_and_median,
     motion_named,
+    rms,
     settings_from,
     spread,
     template,
 )
-from fixel.reproductions.replay.charts import style_of
-from fixel.reproductions.result import Row, mean_and_median, rms
+from fixel.replay.charts import WIDE, hide_spines, style_of
 from fixel.simulation import BatchResult, simulate_batch
 from fixel.typing import FloatArray
 

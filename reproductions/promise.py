@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, constant_bound
-from fixel.reproductions.charts.promise import promise_figure
-from fixel.reproductions.protocols import BenchmarkData, calibrated_bench, full_fit
-from fixel.reproductions.residuals import PushErrors, Split, evidence_of
-from fixel.reproductions.result import Reproduction, Row, RunOptions
+from fixel.replay.base import Row
 from fixel.typing import BoolArray, FloatArray, IntArray
+from reproductions.charts.promise import promise_figure
+from reproductions.protocols import BenchmarkData, calibrated_bench, full_fit
+from reproductions.residuals import PushErrors, Split, evidence_of
+from reproductions.result import Reproduction, RunOptions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -36,13 +36,14 @@ from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
-from fixel.reproductions.charts.convergence import BestSoFar, convergence_figure
-from fixel.reproductions.charts.pictures import clusters_figure
-from fixel.reproductions.result import Reproduction, Row, RunOptions
+from fixel.replay.base import Row
 from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.testing.scenes import box, micro_push
 from fixel.typing import FloatArray
+from reproductions.charts.convergence import BestSoFar, convergence_figure
+from reproductions.charts.pictures import clusters_figure
+from reproductions.result import Reproduction, RunOptions
 
 # Column p1* of table 1 with decimal points restored: friction of probe and plane, support points.
 P1: Final = (0.666, 0.757, 411.3e-6, -563.3e-6, -409.1e-6, 605.9e-6, -273.2e-6, -102.1e-6)

@@ -14,14 +14,15 @@ import numpy as np
 
 from fixel.drawing.uncertainty import CoverageChart
 from fixel.model import wrapped
-from fixel.reproductions.fitting import ARM, Belief, FittedPushes
-from fixel.reproductions.protocols import calibrated_bench, full_beliefs, full_fit
-from fixel.reproductions.pushes import Key, PushGroup
-from fixel.reproductions.residuals import Split
-from fixel.reproductions.result import Reproduction, Row, RunOptions
+from fixel.replay.base import Row
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.bands import CURVE_LEVELS, CoverageCurve, coverage_curve
-from fixel.uncertainty.linear import LinearPredictive, Outcomes, Spreads, fit_predictive
+from reproductions.fitting import ARM, Belief, FittedPushes
+from reproductions.linear import LinearPredictive, Outcomes, Spreads, fit_predictive
+from reproductions.protocols import calibrated_bench, full_beliefs, full_fit
+from reproductions.pushes import Key, PushGroup
+from reproductions.residuals import Split
+from reproductions.result import Reproduction, RunOptions
 
 # Step of the differences, in standard deviations of the priors; as in the fits.
 STEP: Final = 0.15

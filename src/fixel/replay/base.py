@@ -10,18 +10,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, LineDrive, Pusher, Scene, UniformPressure
-from fixel.reproductions.result import Row
+from fixel.model import Body, Disk, LineDrive, Pusher, Scene, UniformPressure, pose_error
 from fixel.simulation.motion import MOTION_MODELS, AbstractMotionModel
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Place of the pusher of a template, clear of the object [m].
 CLEAR_DISTANCE = 1.0
+
+
+Row = dict[str, Any]
 
 
 @final
@@ -252,3 +255,29 @@ def _unknown(option: str, name: str, known: Iterable[str]) -> InvalidInput:
 def _shortened(values: Sequence[str], most: int = 12) -> str:
     more = f", ... ({len(values)} in all)" if len(values) > most else ""
     return ", ".join(values[:most]) + more
+
+
+def errors_in_mm_and_deg(
+    predicted: FloatArray, measured: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Distances of the frames' origins [mm] and absolute angles between them [deg]."""
+    position, angle = pose_error(predicted, measured)
+    missing = np.isnan(predicted).any(axis=1)
+    return (
+        np.where(missing, np.nan, position * 1e3),
+        np.where(missing, np.nan, np.degrees(np.abs(angle))),
+    )
+
+
+def mean_and_median(values: ArrayLike) -> Row:
+    """Mean and median of the finite numbers; None if there are none."""
+    numbers = np.asarray(values, dtype=np.float64)
+    numbers = numbers[np.isfinite(numbers)]
+    if not numbers.size:
+        return {"mean": None, "median": None}
+    return {"mean": float(numbers.mean()), "median": float(np.median(numbers))}
+
+
+def rms(values: ArrayLike) -> float:
+    """Root mean square of numbers."""
+    return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))

@@ -13,7 +13,10 @@ from typing import Final
 from fixel.datasets.mit_push import has_pushes
 from fixel.drawing.chart import save_figure
 from fixel.errors import DatasetMissing, InvalidInput, os_reason
-from fixel.reproductions import (
+from fixel.replay.base import Row
+from fixel.replay.mit_pushes import read_mit_pushes
+from fixel.typing import Progress
+from reproductions import (
     asme_2006,
     cmu_tripod,
     coverage,
@@ -24,11 +27,14 @@ from fixel.reproductions import (
     repeats,
     rpi_141,
 )
-from fixel.reproductions.charts.pictures import benchmark_figure
-from fixel.reproductions.protocols import PROTOCOLS, BenchmarkRequest
-from fixel.reproductions.pushes import read_mit_pushes
-from fixel.reproductions.result import Benchmark, Reproduction, Row, RunOptions, write_tables
-from fixel.typing import Progress
+from reproductions.charts.pictures import benchmark_figure
+from reproductions.protocols import PROTOCOLS, BenchmarkRequest
+from reproductions.result import (
+    Benchmark,
+    Reproduction,
+    RunOptions,
+    write_tables,
+)
 
 PARTS: Final = ("mit",)  # parts of the benchmark
 MIT_PUSHES: Final = "mit_push_endpoints"  # its folder in the data folder

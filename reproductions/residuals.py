@@ -20,9 +20,9 @@ from fixel.domain.features import (
 )
 from fixel.errors import InvalidInput
 from fixel.model import wrapped
-from fixel.reproductions.fitting import FittedPushes
-from fixel.reproductions.pushes import PushGroup
 from fixel.typing import BoolArray, FloatArray, IntArray
+from reproductions.fitting import FittedPushes
+from reproductions.pushes import PushGroup
 
 # Number of times at which simulated pushes are sampled.
 SAMPLES: Final = 10

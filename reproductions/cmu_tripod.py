@@ -19,9 +19,11 @@ from fixel.calibration.study import box_of
 from fixel.model import SupportPoints, UniformPressure
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
-from fixel.reproductions.charts.pictures import supports_figure
-from fixel.reproductions.result import Reproduction, Row, RunOptions
-from fixel.reproductions.tripod_pushes import (
+from fixel.replay.base import Row
+from fixel.typing import FloatArray
+from reproductions.charts.pictures import supports_figure
+from reproductions.result import Reproduction, RunOptions
+from reproductions.tripod_pushes import (
     FORCE_NOISE,
     POSE_NOISE,
     STEP,
@@ -38,7 +40,6 @@ from fixel.reproductions.tripod_pushes import (
     sliding_forces,
     support_of,
 )
-from fixel.typing import FloatArray
 
 
 def run(options: RunOptions) -> Reproduction:

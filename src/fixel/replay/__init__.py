@@ -9,10 +9,10 @@ from pathlib import Path
 from fixel.datasets import importer_for
 from fixel.datasets.mit_push import has_pushes
 from fixel.errors import DatasetMissing
-from fixel.reproductions.replay.base import AbstractReplay, Replay, ReplayRequest
-from fixel.reproductions.replay.pushes import PushReplay
-from fixel.reproductions.replay.runs import RunReplay
-from fixel.reproductions.replay.trials import TrialReplay
+from fixel.replay.base import AbstractReplay, Replay, ReplayRequest
+from fixel.replay.pushes import PushReplay
+from fixel.replay.runs import RunReplay
+from fixel.replay.trials import TrialReplay
 from fixel.typing import Progress
 
 EXPECTED = (

@@ -14,8 +14,8 @@ from fixel.calibration.optimiser import SearchBox
 from fixel.calibration.registration import Registration, registration_from_gaps
 from fixel.datasets.mit_plates import TIP
 from fixel.model import wrapped
-from fixel.reproductions.pushes import PART_NAMES, PushGroup
 from fixel.typing import FloatArray, IntArray
+from reproductions.pushes import PART_NAMES, PushGroup
 
 # Length by which angles count [m/rad]; one degree counts as 0.6 mm.
 ARM: Final = 35e-3

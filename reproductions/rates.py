@@ -18,14 +18,15 @@ from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.target import target_of
 from fixel.errors import DatasetMissing
 from fixel.model import Disk, Shape, pose_error
-from fixel.reproductions import cmu_tripod, rpi_141
-from fixel.reproductions.charts.promise import rates_figure
-from fixel.reproductions.protocols import calibrated_bench, full_fit
-from fixel.reproductions.replay import ReplayRequest, replay_dataset
-from fixel.reproductions.replay.runs import read_runs
-from fixel.reproductions.result import Reproduction, Row, RunOptions
-from fixel.reproductions.tripod_pushes import TripodPush, comparer_of, read_pushes, support_of
+from fixel.replay import ReplayRequest, replay_dataset
+from fixel.replay.base import Row
+from fixel.replay.runs import read_runs
 from fixel.typing import FloatArray
+from reproductions import cmu_tripod, rpi_141
+from reproductions.charts.promise import rates_figure
+from reproductions.protocols import calibrated_bench, full_fit
+from reproductions.result import Reproduction, RunOptions
+from reproductions.tripod_pushes import TripodPush, comparer_of, read_pushes, support_of
 
 PAPER_RMS, PAPER_MOTION = 20e-6, 600e-6  # [m]
 PAPER_RATE: Final = PAPER_RMS / PAPER_MOTION

@@ -7,19 +7,18 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fixel.io.atomic import written_whole
-from fixel.model import pose_error
+from fixel.replay.base import Row, mean_and_median
 from fixel.typing import FloatArray, Progress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Row = dict[str, Any]
 
 # Value of a group's column in rows that aggregate over all groups.
 ALL: Final = "all"
@@ -40,7 +39,7 @@ class RunOptions:
     quick : bool
         Test run without meaningful figures.
     fits : Path, optional
-        Folder of finished fits, such as `fits` of `fixel benchmark real --out`.
+        Folder of finished fits, such as `fits` of `python -m reproductions --out`.
     """
 
     folder: Path
@@ -245,29 +244,3 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
         writer = csv.DictWriter(stream, columns, restval="")
         writer.writeheader()
         writer.writerows(rows)
-
-
-def errors_in_mm_and_deg(
-    predicted: FloatArray, measured: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Distances of the frames' origins [mm] and absolute angles between them [deg]."""
-    position, angle = pose_error(predicted, measured)
-    missing = np.isnan(predicted).any(axis=1)
-    return (
-        np.where(missing, np.nan, position * 1e3),
-        np.where(missing, np.nan, np.degrees(np.abs(angle))),
-    )
-
-
-def mean_and_median(values: ArrayLike) -> Row:
-    """Mean and median of the finite numbers; None if there are none."""
-    numbers = np.asarray(values, dtype=np.float64)
-    numbers = numbers[np.isfinite(numbers)]
-    if not numbers.size:
-        return {"mean": None, "median": None}
-    return {"mean": float(numbers.mean()), "median": float(np.median(numbers))}
-
-
-def rms(values: ArrayLike) -> float:
-    """Root mean square of numbers."""
-    return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))

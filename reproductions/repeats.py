@@ -18,8 +18,13 @@ from fixel.datasets.rpi_2dgad import Rpi2dgad
 from fixel.drawing import palette
 from fixel.drawing.chart import clean, legend_below, log_scale, sheet
 from fixel.model.trajectory import wrapped
-from fixel.reproductions.charts.pictures import WIDE
-from fixel.reproductions.repeat_groups import (
+from fixel.replay.base import Row
+from fixel.replay.charts import WIDE
+from fixel.simulation import StewartTrinkle
+from fixel.typing import FloatArray
+from fixel.uncertainty.start_ensemble import simulate_starts
+from fixel.uncertainty.starts import StartError, even_points
+from reproductions.repeat_groups import (
     HEAD_PLACE,
     RepeatGroup,
     alike_group,
@@ -27,11 +32,7 @@ from fixel.reproductions.repeat_groups import (
     read_groups,
     rig_noise,
 )
-from fixel.reproductions.result import Reproduction, Row, RunOptions
-from fixel.simulation import StewartTrinkle
-from fixel.typing import FloatArray
-from fixel.uncertainty.start_ensemble import simulate_starts
-from fixel.uncertainty.starts import StartError, even_points
+from reproductions.result import Reproduction, RunOptions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,10 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache, listed
 from fixel.model import wrapped
-from fixel.reproductions.fitting import (
+from fixel.replay.base import Row
+from fixel.replay.mit_pushes import MitPushes, read_mit_pushes
+from fixel.typing import BoolArray, FloatArray, IntArray, Progress
+from reproductions.fitting import (
     Belief,
     FitMember,
     FittedPushes,
@@ -26,8 +29,8 @@ from fixel.reproductions.fitting import (
     table_beliefs,
     tip_beliefs,
 )
-from fixel.reproductions.pushes import Key, MitPushes, PushGroup, read_mit_pushes, rows_by_key
-from fixel.reproductions.residuals import (
+from reproductions.pushes import Key, PushGroup, rows_by_key
+from reproductions.residuals import (
     Split,
     few_of,
     folds,
@@ -35,8 +38,7 @@ from fixel.reproductions.residuals import (
     learned_ends,
     random_split,
 )
-from fixel.reproductions.result import Row, RunOptions
-from fixel.typing import BoolArray, FloatArray, IntArray, Progress
+from reproductions.result import RunOptions
 
 SHARE: Final = 0.6  # share of the pushes for training, if there are no folds
 FEW_PUSHES: Final = 10

@@ -14,20 +14,22 @@ from fixel.datasets.mit_push import STROKE
 from fixel.errors import InvalidInput
 from fixel.kernels.codes import CONVERGED, STATUS_NAMES
 from fixel.model import Scene
-from fixel.reproductions.pushes import NOMINAL, read_mit_pushes
-from fixel.reproductions.replay.base import (
+from fixel.replay.base import (
     AbstractReplay,
     Replay,
     ReplayPart,
     ReplayRequest,
+    Row,
+    errors_in_mm_and_deg,
     matching,
+    mean_and_median,
     motion_named,
     settings_from,
     spread,
     template,
 )
-from fixel.reproductions.replay.charts import pushes_figure
-from fixel.reproductions.result import Row, errors_in_mm_and_deg, mean_and_median
+from fixel.replay.charts import pushes_figure
+from fixel.replay.mit_pushes import NOMINAL, read_mit_pushes
 from fixel.simulation import BatchResult, simulate_batch
 from fixel.typing import FloatArray, IntArray
 

@@ -9,17 +9,17 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.drawing.chart import sheet, tint
-from fixel.model import Fixel, Scene, placed
+from fixel.model import Scene, placed
+from fixel.replay.charts import SHOWN, WIDE, closed, hide_spines, label_fixels
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from fixel.reproductions.result import HeldOutScores, Row
+    from fixel.replay.base import Row
+    from reproductions.result import HeldOutScores
 
-WIDE: Final = 2.0 * palette.COLUMN + 0.2  # width of a figure over two columns [inch]
-SHOWN: Final = 0.97  # share of the errors within the axes of their distributions
 COLOURS: Final = (palette.BODY, palette.TOUCHED, palette.CONE, palette.FORCE, palette.TRAIL)
 
 # Colour and marker of each model of a benchmark.
@@ -32,31 +32,6 @@ MODELS: Final = {
 SHADES: Final = (palette.BODY, palette.TOUCHED, palette.CONE, palette.TRAIL, palette.FORCE)
 # Share marked by a thin line in the distributions: the median.
 HALF: Final = 0.5
-
-
-def closed(outline: FloatArray, per_metre: float = 1e3) -> FloatArray:
-    """Coordinates (2, n + 1) of a closed outline, for plotting."""
-    return np.asarray(np.vstack((outline, outline[:1])).T * per_metre)
-
-
-def ring(centre: FloatArray, radius: float) -> FloatArray:
-    """Coordinates (2, n) of a circle [mm] of a radius [m]."""
-    turn = np.linspace(0.0, 2.0 * np.pi, 40)
-    return np.asarray(radius * 1e3 * np.array([np.cos(turn), np.sin(turn)]) + centre[:, None])
-
-
-def hide_spines(axes: Axes) -> None:
-    """Hide the upper and right spines."""
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def label_fixels(axes: Axes, fixels: Sequence[Fixel], below: float) -> None:
-    """Draw round fixels, with their numbers some points below."""
-    for number, fixel in enumerate(fixels, 1):
-        centre = fixel.pose[:2] * 1e3
-        axes.fill(*ring(centre, fixel.shape.radius), color=palette.FIXEL)
-        axes.annotate(f"fixel {number}", tuple(centre), (0.0, below), ha="center",
-                      textcoords="offset points")  # fmt: skip
 
 
 def _top_view(axes: Axes, unit: str = "mm") -> None:

@@ -1,0 +1,147 @@
+"""``python -m reproductions``: calibrate on recorded pushes, and repeat published work."""
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from fixel.cli.main import run
+from fixel.cli.options import AsJson, option, with_options
+from fixel.cli.replay import cell
+from fixel.cli.screen import counting_bar, print_answer, seconds, table
+from fixel.errors import InvalidInput
+from fixel.replay.base import Row
+
+if TYPE_CHECKING:
+    from reproductions.result import Benchmark
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.command()
+@with_options
+def reproduce_published(
+    *,
+    data: Path | None = option(
+        None,
+        "Folder of the datasets; asme-table-1 and asme-figure-11 need none.",
+        metavar="FOLDER",
+        exists=True,
+        file_okay=False,
+        show_default=False,
+    ),
+    only: str = option(
+        "mit",
+        "Part of the benchmark: mit, promise, new-sides, coverage, rates, cmu-tripod,"
+        " rpi-141, repeats, asme-table-1 or asme-figure-11.",
+        metavar="PART",
+    ),
+    protocol: list[str] | None = option(
+        None,
+        "calibrated, learned, few, unregistered or new-shape; may be repeated. All where"
+        " left out. Or joint: the time one calibration of 1000 pushes takes.",
+        metavar="NAME",
+        show_default=False,
+    ),
+    seeds: int = option(3, "Random splits, 60 % for training.", min=1, metavar="COUNT"),
+    folds: int = option(
+        0, "Instead: number of folds, every push held out once.", min=0, metavar="COUNT"
+    ),
+    quick: bool = option(False, "A few plates and pushes, to see that it works.", "--quick"),
+    out: Path | None = option(
+        None,
+        "Folder for tables, a picture and finished fits; the same command goes on there.",
+        metavar="FOLDER",
+        file_okay=False,
+    ),
+    as_json: AsJson = False,
+) -> None:
+    """Calibrate on some recorded pushes and report how far others end from where they should."""
+    from reproductions.run import (
+        PROTOCOLS,
+        REPRODUCTIONS,
+        BenchmarkRequest,
+        benchmark_real,
+        joint_real,
+        reproduce,
+    )
+
+    if only in REPRODUCTIONS:
+        with counting_bar() as show:
+            found = reproduce(only, data, out=out, progress=show, quick=quick)
+        print_answer(as_json, found.summary, lambda: found.conclusions)
+        return
+    data = _require_data(data)
+    if protocol == ["joint"]:
+        with counting_bar() as show:
+            timed = joint_real(data, only, show)
+        print_answer(as_json, lambda: timed, lambda: _timed(timed))
+        return
+    request = BenchmarkRequest(
+        protocols=tuple(protocol or PROTOCOLS),
+        seeds=1 if quick else seeds,
+        folds=0 if quick else folds,
+        quick=quick,
+    )
+    with counting_bar() as show:
+        answer = benchmark_real(data, request, part=only, out=out, progress=show)
+    print_answer(as_json, answer.summary, lambda: _benchmark_lines(answer, data, out))
+
+
+def _require_data(data: Path | None) -> Path:
+    if data is None:
+        raise InvalidInput(
+            "--data",
+            found="nothing",
+            expected="the folder of the datasets",
+            hint="fixel data lists them",
+        )
+    return data
+
+
+def _benchmark_lines(answer: "Benchmark", data: Path, out: Path | None) -> list[str]:
+    rows = answer.rows
+    models = (
+        [m for m in ("published", "uncalibrated", "calibrated") if m in rows[0]] if rows else []
+    )
+    head = ["protocol", "surface", "shape", "held out"]
+    head += [f"{model} {unit}" for model in models for unit in ("mm", "deg")]
+    again = ("--data", data)
+    after = ("--out", "benchmark") if out is None else ("--protocol", "joint")
+    written = [] if out is None else [f"Written: {out}/{answer.part}_rows.csv, _pushes.csv, .png"]
+    return [
+        *table(head, [_cells(row, models) for row in rows], left=3),
+        "",
+        "Errors are mean / median.",
+        *answer.notes,
+        *(
+            f"{row['protocol']}: 90 % intervals hold {100.0 * row['inside_90']:.1f} %."
+            for row in rows
+            if row["surface"] == "all" and row.get("inside_90") is not None
+        ),
+        f"Took {seconds(float(answer.timing['seconds']))}.",
+        *written,
+        f"Next: python -m reproductions {shlex.join(map(str, (*again, *after)))}",
+    ]
+
+
+def _cells(row: Row, models: Sequence[str]) -> list[str]:
+    pairs = [cell(row, f"{m}.{what}") for m in models for what in ("position_mm", "angle_deg")]
+    return [row["protocol"], row["surface"], row["shape"], str(row["held_out"]), *pairs]
+
+
+def _timed(answer: Row) -> list[str]:
+    found = ", ".join(f"{name} {value:.4g}" for name, value in answer["best"].items())
+    return [
+        f"{answer['evaluations']} evaluations of {answer['pushes']} pushes under"
+        f" {answer['parameters']} parameters in {answer['seconds']:.1f} s"
+        f" ({answer['pushes_per_second']} pushes per second).",
+        f"Robust error {answer['error_at_start']:.3f} -> {answer['error_at_best']:.3f}"
+        f" {answer['error_unit']} at {found}.",
+    ]
+
+
+if __name__ == "__main__":
+    run(program=app, name="python -m reproductions")
