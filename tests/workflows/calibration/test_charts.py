@@ -12,6 +12,7 @@ from fixel.errors import InvalidInput
 from fixel.model.records import Estimate, ProfileRecord
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.web.views import calibration_detail
 from fixel.workflows.calibration import run
 from fixel.workflows.calibration.charts import draw_all, pictures_of
 from fixel.workflows.calibration.parameter_options import searched_unknowns
@@ -202,6 +203,19 @@ def test_iterations_and_starts_of_a_search_are_stored(lab):
     single = _done(lab, n=1, mode="each").outcome.found[0].trace
     assert single.begins[:2].tolist() == [0, 1]
     assert single.ends() == []
+
+
+def test_results_without_the_ends_of_their_searches_are_explained(lab, monkeypatch):
+    done = _done(lab, n=1, mode="each", starts=2)
+    one = done.outcome.found[0]
+    old = replace(one, trace=one.trace._replace(starts=np.zeros(0, np.int64)))
+    earlier = replace(done, outcome=replace(done.outcome, found=(old,)))
+    with lab[0].store() as store:
+        assert calibration_detail.load_detail(lab[0], store, done.ids[0]).starts
+        monkeypatch.setattr(calibration_detail, "reopened", lambda *_: earlier)
+        detail = calibration_detail.load_detail(lab[0], store, done.ids[0])
+    assert detail.starts == []
+    assert "earlier version" in detail.note
 
 
 def test_a_folder_that_cannot_be_made_is_refused(lab, tmp_path):

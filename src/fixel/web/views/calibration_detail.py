@@ -24,6 +24,10 @@ from fixel.workflows.calibration.run import Calibration, reopened
 from fixel.workflows.calibration.stored import misfit_of, split_label
 
 WORST: Final = 3
+EARLIER: Final = (
+    "stored by an earlier version of fixel, without the ends of its searches;"
+    " calibrate again to see them"
+)
 
 
 class Residual(Answer):
@@ -94,16 +98,17 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCa
     record = store.calibration(calibration_id)
     calibration = one = data = None
     starts: list[Start] = []
-    error = ""
+    note = ""
     try:
         calibration = reopened(project, record)
         if calibration is not None and calibration_id in calibration.ids:
             one = calibration.outcome.found[calibration.ids.index(calibration_id)]
             data = CalibrationReportData(calibration)
             starts = starts_of(data, one)
+            note = one.note if starts or not _lacks_starts(data, one) else EARLIER
     except FixelError as problem:  # what is stored can be shown all the same
         calibration = one = data = None
-        error = str(problem)
+        note = str(problem)
     residuals = _residuals(store, record, calibration, one)
     return StoredCalibration(
         id=calibration_id,
@@ -118,7 +123,7 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCa
         curves=[] if one is None else _curves(one),
         misfit=misfit_of(record),
         noise="" if one is None else one.noise,
-        note=error if one is None else one.note,
+        note=note,
         ended=str(record.method.get("ended", "")),
         method={k: v for k, v in record.method.items() if v == v and v not in (math.inf,)},
         siblings=_siblings(calibration, store),
@@ -126,6 +131,11 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCa
         command=record.provenance.command,
         python=python_of(project.folder.resolve(), calibration_id),
     )
+
+
+def _lacks_starts(data: CalibrationReportData, one: ParameterSet) -> bool:
+    """Return whether an earlier version stored the evaluations of several searches as one list."""
+    return data.request.starts > 1 and one.trace is not None and not len(one.trace.starts)
 
 
 def starts_of(data: CalibrationReportData, one: ParameterSet) -> list[Start]:
