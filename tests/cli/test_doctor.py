@@ -5,7 +5,7 @@ import json
 import pytest
 
 from fixel.cli import main
-from fixel.workflows.diagnostics import self_test
+from fixel.workflows import diagnostics
 
 
 def call(*arguments: str) -> int:
@@ -18,8 +18,8 @@ def call(*arguments: str) -> int:
 @pytest.fixture
 def quick(monkeypatch):
     checks = {"fine": lambda: (True, "as it should be", 1e-12)}
-    monkeypatch.setattr(self_test, "_CHECKS", checks)
-    monkeypatch.setattr("fixel.workflows.diagnostics.doctor.get_ready", lambda *_: None)
+    monkeypatch.setattr(diagnostics, "_CHECKS", checks)
+    monkeypatch.setattr("fixel.workflows.diagnostics.get_ready", lambda *_: None)
     return checks
 
 

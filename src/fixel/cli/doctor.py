@@ -8,12 +8,12 @@ from fixel.cli.options import AsJson
 from fixel.cli.screen import notice, print_answer, seconds
 
 if TYPE_CHECKING:
-    from fixel.workflows.diagnostics.doctor import Diagnosis
+    from fixel.workflows.diagnostics import Diagnosis
 
 
 def doctor(as_json: AsJson = False) -> None:
     """Check this installation and report what to do about anything that is wrong."""
-    from fixel.workflows.diagnostics.doctor import examine
+    from fixel.workflows.diagnostics import examine
 
     found = examine(notice(as_json))
     print_answer(as_json, found.summary, lambda: _lines(found))
@@ -22,7 +22,7 @@ def doctor(as_json: AsJson = False) -> None:
 
 
 def _lines(found: "Diagnosis") -> list[str]:
-    from fixel.workflows.diagnostics.self_test import worst_residual
+    from fixel.workflows.diagnostics import worst_residual
 
     versions = [f"{name} {number}" for name, number in found.versions.items()]
     state = "warm" if found.cache["warm"] else "was cold, filled just now"

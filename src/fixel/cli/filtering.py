@@ -28,7 +28,7 @@ from fixel.errors import InvalidInput
 from fixel.table import Column, Table
 
 if TYPE_CHECKING:
-    from fixel.workflows.filtering.run import FilterAnswer
+    from fixel.workflows.filtering import FilterAnswer
 
 Range = tuple[float, float]
 
@@ -83,7 +83,7 @@ def filter_(
     """Estimate pose and friction while an experiment goes on, with a particle filter."""
     from fixel.database.project import Project
     from fixel.filtering.particle_filter import ParticleFilter
-    from fixel.workflows.filtering.run import filter_experiment
+    from fixel.workflows.filtering import filter_experiment
 
     plot = options.plot
     require_picture(plot)

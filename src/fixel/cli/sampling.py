@@ -10,7 +10,7 @@ from fixel.errors import InvalidInput
 from fixel.table import Table
 
 if TYPE_CHECKING:
-    from fixel.workflows.sampling.run import SampleAnswer
+    from fixel.workflows.sampling import SampleAnswer
 
 MAX_PROBLEMS = 20
 
@@ -40,7 +40,7 @@ def sample(
     ),
 ) -> None:
     """Lay out a plan of experiments, and report its problems."""
-    from fixel.workflows.sampling.run import sample as sample_plan
+    from fixel.workflows.sampling import sample as sample_plan
 
     if eight_push and plan is not None:
         raise InvalidInput("--eight-push", found="a plan file too", expected="one of them")

@@ -17,7 +17,7 @@ from fixel.web.context import Context
 from fixel.web.values import Answer
 from fixel.web.views import system_status
 from fixel.web.views.system_status import BackupFile, SystemStatus
-from fixel.workflows.diagnostics.self_test import RESIDUAL
+from fixel.workflows.diagnostics import RESIDUAL
 from fixel.workflows.project import maintenance
 
 MAX_TROUBLES: Final = 200  # faults that are listed

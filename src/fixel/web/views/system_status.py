@@ -23,8 +23,8 @@ from fixel.io.document import plain_numbers
 from fixel.jobs.worker_process import WorkerProcess
 from fixel.kernels.jit import cache_folder
 from fixel.web.values import Answer
+from fixel.workflows import diagnostics
 from fixel.workflows.compilation import cache_size, engine_is_cold
-from fixel.workflows.diagnostics import doctor
 from fixel.workflows.project import maintenance
 from fixel.workflows.project.maintenance import Backup
 
@@ -88,8 +88,8 @@ class SystemStatus(Answer):
 def system_status(project: Project) -> SystemStatus:
     """Return everything about the installation that needs no computing."""
     return SystemStatus(
-        versions=doctor.versions(),
-        machine=doctor.machine(),
+        versions=diagnostics.versions(),
+        machine=diagnostics.machine(),
         cache=CompiledKernels(
             folder=cache_folder(), size_bytes=cache_size(), warm=not engine_is_cold()
         ),
@@ -151,7 +151,7 @@ def self_tested(nobody_waits: Callable[[], bool] = lambda: False) -> dict[str, A
 
 
 def _examined(_: None) -> dict[str, Any]:
-    found: dict[str, Any] = plain_numbers(doctor.examine().summary())
+    found: dict[str, Any] = plain_numbers(diagnostics.examine().summary())
     return found
 
 

@@ -10,7 +10,7 @@ from tests.fixtures import project_of
 
 from fixel.errors import InvalidInput, NotStored
 from fixel.filtering.particle_filter import ParticleFilter
-from fixel.workflows.filtering.run import filter_experiment
+from fixel.workflows.filtering import filter_experiment
 
 FEW = ParticleFilter(n_particles=40, priors={"mu_pusher": (0.2, 0.6)})
 

@@ -2,15 +2,15 @@
 
 import pytest
 
-from fixel.workflows.diagnostics import doctor, self_test
+from fixel.workflows import diagnostics
 
 
 @pytest.mark.slow
 def test_this_machine_is_in_order():
-    found = doctor.examine()
+    found = diagnostics.examine()
 
     assert [c.name for c in found.checks if not c.passed] == []
-    assert self_test.worst_residual(found.checks) < self_test.RESIDUAL
+    assert diagnostics.worst_residual(found.checks) < diagnostics.RESIDUAL
     assert found.versions["numpy"][0].isdigit()
     assert found.cache["bytes"] > 0
     assert found.summary()["passed"] is True
@@ -20,40 +20,40 @@ def test_a_check_that_breaks_has_failed(monkeypatch):
     def broken():
         raise ZeroDivisionError("oh no")
 
-    monkeypatch.setattr(self_test, "_CHECKS", {"broken": broken})
+    monkeypatch.setattr(diagnostics, "_CHECKS", {"broken": broken})
 
-    assert self_test.self_test() == [
-        self_test.SelfCheck("broken", False, "ZeroDivisionError: oh no", None)
+    assert diagnostics.self_test() == [
+        diagnostics.SelfCheck("broken", False, "ZeroDivisionError: oh no", None)
     ]
 
 
 def test_a_large_residual_is_a_failure(monkeypatch):
-    monkeypatch.setattr(self_test, "_CHECKS", {"bad": lambda: (True, "converged", 1e-3)})
+    monkeypatch.setattr(diagnostics, "_CHECKS", {"bad": lambda: (True, "converged", 1e-3)})
 
-    assert not self_test.self_test()[0].passed
+    assert not diagnostics.self_test()[0].passed
 
 
 def test_a_cache_that_cannot_be_written_is_a_failure(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(doctor, "cache_folder", lambda: str(tmp_path / "file" / "cache"))
+    monkeypatch.setattr(diagnostics, "cache_folder", lambda: str(tmp_path / "file" / "cache"))
 
-    found = doctor._cache_check()
+    found = diagnostics._cache_check()
 
     assert not found.passed
     assert "FIXEL_CACHE_DIR" in found.detail
 
 
 def test_a_package_that_is_missing_is_named():
-    assert doctor._version("no-such-package-at-all") == "missing"
+    assert diagnostics._version("no-such-package-at-all") == "missing"
 
 
 @pytest.mark.parametrize(
     ("ports", "told"), [([], "none, fine"), (["/dev/ttyACM0"], "/dev/ttyACM0")]
 )
 def test_the_bench_is_told_and_none_is_fine(monkeypatch, ports, told):
-    monkeypatch.setattr(doctor, "_cameras", list)
-    monkeypatch.setattr(doctor, "_serial_ports", lambda: ports)
+    monkeypatch.setattr(diagnostics, "_cameras", list)
+    monkeypatch.setattr(diagnostics, "_serial_ports", lambda: ports)
 
-    found = doctor._bench_check()
+    found = diagnostics._bench_check()
 
     assert (found.passed, found.detail) == (True, told)

@@ -1,1 +1,0 @@
-"""Filter a recorded run, and report what it finds."""
