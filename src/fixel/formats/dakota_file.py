@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple
 
 from fixel.calibration.pattern_search import PatternSearch
 from fixel.errors import InvalidInput
-from fixel.model.parameters import KNOWN_PARAMETERS
+from fixel.model.parameters import KNOWN_PARAMETERS, is_parameter
 from fixel.model.space import ParameterSpace, Unknown
 
 MAX_BYTES: Final = 1_000_000
@@ -366,7 +366,7 @@ def _name(descriptor: str, where: str) -> tuple[str, float]:
     """Fixel's name of a descriptor, and the factor from the file's unit to fixel's."""
     if descriptor in DESCRIPTORS:
         return DESCRIPTORS[descriptor]
-    if descriptor in KNOWN_PARAMETERS:
+    if is_parameter(descriptor):
         return descriptor, 1.0
     names = [*DESCRIPTORS, *KNOWN_PARAMETERS]
     close = difflib.get_close_matches(descriptor, names, n=1)

@@ -123,6 +123,11 @@ _LOAD = re.compile(r"load_[1-9]\d{0,4}")
 _REPLACED = re.compile(r"tripod_radius|support_[123]_[xy]|ellipsoid_(force|torque)|load_\d+")
 
 
+def is_parameter(name: str) -> bool:
+    """Return whether a name is that of a parameter, `load_1`, `load_2`, ... included."""
+    return name in KNOWN_PARAMETERS or _LOAD.fullmatch(name) is not None
+
+
 def info_of(name: str) -> ParameterInfo:
     """Return unit, range and meaning of a parameter; raise for unknown names."""
     if name in KNOWN_PARAMETERS:

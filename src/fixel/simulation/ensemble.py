@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.kernels.arrays import REACHED, SAMPLES, BatchRecord
-from fixel.model import Scene
+from fixel.model import Pusher, Scene
 from fixel.simulation.batch import check_compiled, rollout_in_threads
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.pack import (
@@ -243,18 +243,14 @@ def _check_case(case: RolloutCase) -> None:
 def _key(scene: Scene) -> tuple[Any, ...]:
     """Key of scenes of one template: all but the start of the body and the pusher's path."""
     body = replace(scene.bodies[0], pose=np.zeros(3))
-    pushers = tuple((p.name, p.shape, p.friction, p.restitution) for p in scene.pushers)
-    return (
-        body,
-        pushers,
-        tuple(p.drive.force_limit for p in scene.pushers),
-        scene.fixels,
-        scene.contact_friction,
-        scene.plane,
-        scene.gravity,
-        scene.support_directions,
-        _round_speed(scene),
-    )
+    pushers = [(*_fields(p, "pose", "drive"), p.drive.force_limit) for p in scene.pushers]
+    rest = _fields(scene, "bodies", "pushers", "duration")
+    return body, tuple(pushers), rest, _round_speed(scene)
+
+
+def _fields(record: Scene | Pusher, *others: str) -> tuple[Any, ...]:
+    """Values of all fields but some, so that a new field cannot be forgotten in a key."""
+    return tuple(getattr(record, own.name) for own in fields(record) if own.name not in others)
 
 
 def _round_speed(scene: Scene) -> float:

@@ -10,7 +10,7 @@ from fixel.model.records import CalibrationRecord, Estimate, Member
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import QuasiStatic
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration.stored import load_values, split_label
+from fixel.workflows.calibration.stored import load_values, parameters_of, split_label
 
 
 @pytest.fixture
@@ -40,6 +40,13 @@ def test_values_of_an_experiment_are_those_shared_and_its_own(store):
     assert one.values({"shape": "square"}) == {"mu_pusher": 0.2, "mu_fixel": 0.3}
     assert one.values({"shape": "disc"}) == {"mu_pusher": 0.2}
     assert one.members == {1, 2}
+
+
+def test_loads_of_support_points_are_parameters_too(store):
+    known = Parameters(mu_pusher=0.2, load_1=2.0)
+    number = store.add_calibration(_record([1], parameters=known))
+    found, _ = parameters_of(store, number, store.experiment(1), Parameters(mu_pusher=0.3))
+    assert dict(found) == {"mu_pusher": 0.3, "load_1": 2.0}
 
 
 def test_the_method_is_that_of_the_calibration(store):

@@ -18,7 +18,7 @@ from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters
-from fixel.model.parameters import KNOWN_PARAMETERS, info_of
+from fixel.model.parameters import KNOWN_PARAMETERS, info_of, is_parameter
 from fixel.model.records import CalibrationRecord, SimulationRecord
 from fixel.simulation import AbstractMotionModel, simulate
 from fixel.simulation.motion import MOTION_MODELS
@@ -303,7 +303,7 @@ def _calibrated_set(
         id=f"calibration-{number}",
         label=f"{label} ({'fitted to it' if own else 'not fitted to it'})",
         kind="calibration",
-        parameters={name: value for name, value in values.items() if name in KNOWN_PARAMETERS},
+        parameters={name: value for name, value in values.items() if is_parameter(name)},
         motion=one.motion.name,
         error_mm2=own.error_mm2 if own else None,
     )

@@ -14,7 +14,7 @@ from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
-from fixel.model.parameters import KNOWN_PARAMETERS
+from fixel.model.parameters import is_parameter
 from fixel.model.records import CalibrationRecord
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import AbstractMotionModel, Dynamic
@@ -146,7 +146,7 @@ def parameters_of(
     """
     one = load_values(store, calibration_id)
     values = one.values({**experiment.conditions, "experiment": experiment.key})
-    known = {name: value for name, value in values.items() if name in KNOWN_PARAMETERS}
+    known = {name: value for name, value in values.items() if is_parameter(name)}
     return Parameters({**known, **changed}), motion or one.motion
 
 
