@@ -153,7 +153,10 @@ def main(
 
 
 def run(
-    arguments: Sequence[str] | None = None, *, program: typer.Typer = app, name: str = "fixel"
+    arguments: Sequence[str] | None = None,
+    *,
+    program: typer.Typer | None = None,
+    name: str = "fixel",
 ) -> None:
     """Run a command line and exit.
 
@@ -164,7 +167,7 @@ def run(
     as_json = "--json" in sys.argv[1:]
     try:
         # With --json, errors in options come here too.
-        code = program(arguments, prog_name=name, standalone_mode=not as_json)
+        code = (program or app)(arguments, prog_name=name, standalone_mode=not as_json)
     except (InvalidInput, DatasetMissing, NotStored) as error:
         _exit(BAD_INPUT, error, as_json)
     except SolveFailed as error:

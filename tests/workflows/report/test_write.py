@@ -157,7 +157,7 @@ def test_numbers_of_the_calibration_are_those_stored(project, report):
     with project.store() as store:
         errors = [member.error_mm2 for member in load_values(store).record.members]
     table = next(t for s in report.content.sections for t in s.tables if "Root mean" in t.title)
-    assert table.rows[-1][0] == "load_values"
+    assert table.rows[-1][0] == "calibrated"
     assert float(table.rows[-1][1]) == pytest.approx(np.sqrt(errors).mean(), rel=5e-3)
 
 
