@@ -58,13 +58,23 @@ class Server:
             "unix_socket_directories": self.folder,
         }
         arguments = [text for k, v in options.items() for text in ("-c", f"{k}={v}")]
-        with open(self.folder / "log", "ab") as log:
-            self.process = subprocess.Popen(
-                [self._bin / "postgres", "-D", "data", *arguments],
-                stdout=log, stderr=log, cwd=self.folder, env=self._environment(),
-                start_new_session=True, **self._user,
-            )  # fmt: skip
-        self._wait()
+        deadline = time.monotonic() + PATIENCE_S
+        while True:
+            log_size = log.stat().st_size if (log := self.folder / "log").exists() else 0
+            with open(log, "ab") as stream:
+                self.process = subprocess.Popen(
+                    [self._bin / "postgres", "-D", "data", *arguments],
+                    stdout=stream, stderr=stream, cwd=self.folder, env=self._environment(),
+                    start_new_session=True, **self._user,
+                )  # fmt: skip
+            try:
+                return self._wait()
+            except RuntimeError:
+                # Processes of a killed server, in sessions of their own, end a moment after it.
+                said = log.read_bytes()[log_size:]
+                if b"pre-existing shared memory" not in said or time.monotonic() > deadline:
+                    raise
+                time.sleep(0.1)
 
     def kill(self) -> None:
         """As a power cut would: nothing is written any more."""
