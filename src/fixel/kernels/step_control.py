@@ -116,7 +116,7 @@ def start_trial(control: FloatArray, step: float, lead: float) -> None:
     control[at.RATIO] = span / control[at.LAST_SPAN] if control[at.LAST_SPAN] > 0.0 else 0.0
 
 
-@large_kernel
+@kernel
 def predict_velocity(
     control: FloatArray, velocity: FloatArray, before: FloatArray, guess: FloatArray
 ) -> None:
@@ -144,7 +144,7 @@ def predict_velocity(
     control[at.RATE] = rate
 
 
-@large_kernel
+@kernel
 def judge_step(
     control: FloatArray,
     problem: Problem,
