@@ -458,7 +458,7 @@ def excitation(comparer: Comparer, members: IntArray, point: FloatArray) -> Call
 
 
 def _touches(comparer: Comparer, member: int, point: FloatArray) -> set[str]:
-    """Which kinds of obstacle the body of an experiment ever touches: `"pusher"`, `"fixel"`."""
+    """Kinds of obstacle that the body of an experiment ever touches: `"pusher"`, `"fixel"`."""
     target = comparer.targets[member]
     scene = target.case.scene
     columns = comparer.space.columns(point[None], target.conditions)

@@ -291,7 +291,7 @@ def _with_shifts(space: ParameterSpace) -> ParameterSpace:
 
 
 def _columns(space: ParameterSpace, target: Target) -> dict[str, int]:
-    """Which free unknown gives an experiment its value of each parameter."""
+    """Index of the free unknown that gives an experiment its value, by parameter."""
     found: dict[str, int] = {}
     for k, unknown in enumerate(space.free):
         if unknown.covers(target.conditions):

@@ -39,7 +39,7 @@ def ports(as_json: AsJson = False) -> None:
 
 def _print_ports(found: "list[PortSeen]", as_json: bool, follow: str) -> None:
     """Print ports as a table or as JSON, and the next command."""
-    rows = [(port.port, port.description, port.in_use_by or "nobody") for port in found]
+    rows = [(port.port, port.description, port.in_use_by or "no program") for port in found]
     lines = ["No serial ports. Plug the device in; on Linux, dmesg says what it became."]
     if found:
         lines = [*table(("port", "what", "in use by"), rows, left=3), ""]

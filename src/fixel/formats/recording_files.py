@@ -318,7 +318,7 @@ def _refuse_disorder(path: Path, number: int, row: RecordingRow, rows: list[Reco
             f"{path}, line {number}",
             found=f"frame {row.frame}",
             expected=f"frame {len(rows)}",
-            hint="rows were lost or put in, and which frame belongs to which cannot be told",
+            hint="rows were lost or inserted, so frames and readings cannot be matched",
         )
     if rows and row.time_us <= rows[-1].time_us:
         raise InvalidInput(

@@ -113,7 +113,7 @@ class JobProgress(BaseModel):
     rate: float = Field(default=0.0, serialization_alias="rate_per_s")
     left_s: float | None = None
     share: float | None = Field(
-        default=None, description="of the work that is done; none where nobody knows"
+        default=None, description="share of the work that is done; null if unknown"
     )
     note: str = Field(default="", description="what the work says of itself")
     workers: int = Field(default=0, description="that compute now")

@@ -75,7 +75,7 @@ def solve(
 def solve_fallback(
     problem: Problem, work: Workspace, guess: FloatArray, sweeps: int, max_attempts: int
 ) -> tuple[float, int]:
-    """What is left to do where `solve` has not tried or not succeeded."""
+    """Solve a problem that `solve` has not tried or not solved, by the slower methods."""
     if sweeps > 0:
         sweep(problem, work, sweeps)
         worst = residual(problem, work.right)

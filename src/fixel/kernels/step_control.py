@@ -39,7 +39,7 @@ SECOND_ORDER = 1.0 / 6.0
 PREDICTED = 0  # the steps before
 CUT = 1  # the same, for a step that ends where a gap closes
 RENEWED = 2  # the solution of the same trial, which begins with a jump
-INSIST = 3  # one of so many unsolved trials of a step is not given up early, jams not counted
+INSIST = 3  # every third unsolved trial of a step is not given up early; jams are not counted
 EXPONENT = 0.4  # of the change of step with the error's: between second and third order
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
 MAX_MOTION = (
@@ -314,8 +314,8 @@ def time_to_corner(model: Model, state: State, control: FloatArray) -> float:
 def closing_time(
     problem: Problem, guess: FloatArray, step: float, lead: float, min_gap: float
 ) -> float:
-    """When the first gap wider than `min_gap` closes at the guessed velocity; infinite where that
-    is not inside the step, or next to one of its ends."""
+    """Time at which the first gap wider than `min_gap` closes at the guessed velocity; infinite if
+    that is not inside the step, or is next to one of its ends."""
     earliest = math.inf
     for i in range(problem.size[N_CONTACT]):
         motion = 0.0

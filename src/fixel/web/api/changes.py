@@ -31,7 +31,7 @@ FileText = Annotated[str, AfterValidator(_writable)]
 
 
 class MarkRequest(RequestBody):
-    """Which experiments."""
+    """Ids of the experiments to mark."""
 
     ids: list[Id] = Field(min_length=1, max_length=MAX_MARKED)
 

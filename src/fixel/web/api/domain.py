@@ -43,7 +43,7 @@ class DomainJob(Answer):
     ended: bool
     reason: str
     fits: int
-    total: int = Field(description="0 where nobody knows yet")
+    total: int = Field(description="0 while unknown")
 
 
 class MapList(Answer):
@@ -78,7 +78,7 @@ class MapForm(RequestBody):
 
 
 class MapQuery(BaseModel):
-    """Which map of an analysis."""
+    """Request for one map of an analysis."""
 
     axis: list[Text] | None = Field(None, max_length=3, description="those it was made for, else")
     measure: Measure | None = None
@@ -90,7 +90,7 @@ class MapQuery(BaseModel):
 
 
 class ClaimQuery(MapQuery):
-    """Which map of an analysis, and what is claimed by it."""
+    """Request for one map of an analysis, and the claim that is checked."""
 
     threshold: float | None = Field(
         None, gt=0.0, le=1e6, description="[mm], or a share above the own best"
@@ -136,8 +136,8 @@ def view(context: Context, name: str, query: Annotated[MapQuery, Query()]) -> Ma
 @router.get(
     "/{name}/fit",
     summary="Fit a map to other axes, or see whether that is done",
-    description="In a process beside, once for all who ask. It ends when nobody has asked for "
-    "two minutes. Until it is done, all else of the map is refused after two seconds.",
+    description="Runs in a separate process, shared by all requests. It stops after two minutes "
+    "without a request. Until it is done, other parts of the map are refused after two seconds.",
 )
 def fit(context: Context, name: str, query: Annotated[MapQuery, Query()]) -> FitProgress:
     seconds = context.domains.fit(name, query.axes, query.measure)

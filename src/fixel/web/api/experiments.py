@@ -131,7 +131,7 @@ class Signal(Answer):
 
 
 class TactileSignals(Answer):
-    """Which fixel was touched when."""
+    """Contact signals of the fixels against time."""
 
     measured: Signal | None
     fixels: list[str]

@@ -83,7 +83,7 @@ class CalibrationForm(RequestBody):
 
     filter: FilterText = Field(default="", description="as on the page Experiments")
     experiments: list[Id] = Field(
-        default_factory=list, max_length=20_000, description="in place of the filter"
+        default_factory=list, max_length=20_000, description="instead of the filter"
     )
     name: Annotated[
         str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)

@@ -67,9 +67,9 @@ class CalibrationProgress(Answer):
     evaluations: int
     most: int | None = Field(description="evaluations after which the search ends at the latest")
     rate: float = Field(description="evaluations a second, lately")
-    left_s: float | None = Field(description="at that rate; none where nobody knows")
+    left_s: float | None = Field(description="seconds left at that rate; null if unknown")
     at_most: bool = Field(description="whether it may end earlier: searches end when they stand")
-    share: float | None = Field(description="of the work that is done; none where nobody knows")
+    share: float | None = Field(description="share of the work that is done; null if unknown")
     best: float | None = Field(description="mean error of an experiment")
     start: float | None = Field(description="the same at the nominal values")
     started_utc: str

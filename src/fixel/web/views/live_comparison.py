@@ -53,7 +53,7 @@ class StoredSet(Answer):
     id: str = Field(description="nominal, calibration-3, simulation-12")
     label: str
     kind: Literal["nominal", "calibration", "simulation"]
-    parameters: dict[str, float] = Field(description="in place of the scene's own values; SI")
+    parameters: dict[str, float] = Field(description="instead of the scene's own values; SI")
     motion: str = Field(description="motion model")
     error_mm2: float | None = Field(description="the thesis's E, where it is known already")
 

@@ -61,7 +61,7 @@ class ContactViews(Answer):
 
 
 class TouchView(Answer):
-    """Which fixels are touched."""
+    """Touched fixels at each time."""
 
     names: list[str]
     time: Array = Field(serialization_alias="time_s")
