@@ -98,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
         "--output", type=Path, default=report.RESULTS, metavar="FOLDER", help="of the CSV file"
     )
     parser.add_argument(
-        "--page", action="store_true", help="also rewrite the table in docs/benchmarks.md"
+        "--page", action="store_true", help="also rewrite the table in docs/evidence/benchmarks.md"
     )
     return parser
 

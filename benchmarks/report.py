@@ -20,7 +20,7 @@ from benchmarks.figures import Figure
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results"
-PAGE = HERE.parent / "docs" / "benchmarks.md"
+PAGE = HERE.parent / "docs" / "evidence" / "benchmarks.md"
 COLUMNS = (
     "date", "fixel version", "git commit", "machine", "python", "numba", "figure", "unit",
     "min", "median", "max", "bar", "passed",

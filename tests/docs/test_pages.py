@@ -44,7 +44,7 @@ def test_calibration_page_names_every_parameter() -> None:
 
 
 def test_scene_file_page_names_every_key_and_its_example_loads() -> None:
-    page = (ROOT / "docs" / "scene-file.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "scene-file.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`([a-z_]+)`", page)) | set(re.findall(r"([a-z_]+):", page))
     schema = scene_json_schema()
     records = [schema, *schema["$defs"].values()]

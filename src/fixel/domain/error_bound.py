@@ -1,7 +1,7 @@
 """Bounds on the error of the calibrated simulator that hold with a stated probability.
 
 They apply to untried configurations, and are learned from experiments that the calibration has not
-seen. docs/theory/promise.md states the guarantee and its assumptions.
+seen. docs/theory/error-bounds.md states the guarantee and its assumptions.
 """
 
 from __future__ import annotations
