@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tools.source import Module, circles, imports, reached, read_modules
+from tools.texts import read_texts
 
 PACKAGE = Path(__file__).parents[1] / "src" / "fixel"
 LIMITS = Path(__file__).with_name("limits.toml")
@@ -110,6 +111,10 @@ def measure(modules: Modules) -> dict[str, Figure]:
         "banned_words": _listed(
             "banned words in docstrings",
             (f"{at} {word}" for at, _, text in docstrings for word in BANNED.findall(text)),
+        ),
+        "user_texts": _listed(
+            "faults of messages, help and pages (tools/texts.py)",
+            (f"{t.place} {fault}: {t.text}" for t in read_texts(modules) for fault in t.faults),
         ),
         "calibrate_modules": _listed("modules reached by `fixel calibrate`", _names(campaign)),
         "calibrate_lines": Figure("lines of these modules", sum(m.n_lines for m in campaign)),

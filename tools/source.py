@@ -20,6 +20,8 @@ class Module:
         Dotted name, such as ``"fixel.model.scene"``.
     path : Path
         Path of the file, relative to the folder that holds the package.
+    file : Path
+        Path of the file.
     n_lines : int
         Number of lines, blank lines and docstrings included.
     tree : ast.Module
@@ -28,6 +30,7 @@ class Module:
 
     name: str
     path: Path
+    file: Path
     n_lines: int
     tree: ast.Module
 
@@ -80,7 +83,7 @@ def read_modules(package: Path) -> dict[str, Module]:
         parts = path.with_suffix("").parts
         name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
         text = file.read_text(encoding="utf-8")
-        modules[name] = Module(name, path, text.count("\n"), ast.parse(text))
+        modules[name] = Module(name, path, file, text.count("\n"), ast.parse(text))
     return modules
 
 
