@@ -18,7 +18,7 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput, SolveFailed
 from fixel.model.trajectory import wrapped
-from fixel.typing import FloatArray, Progress
+from fixel.typing import FloatArray, ProgressCallback
 from fixel.uncertainty.discrepancy import ModelError, draw_walks
 from fixel.uncertainty.likelihood import LogLikelihood, expected_shares
 from fixel.uncertainty.posterior import NestedSampling, Posterior
@@ -75,7 +75,7 @@ def calibrate_by_simulation(
     seed: int = 0,
     sampling: NestedSampling | None = None,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> Ranks:
     """Compute the ranks of truths drawn from the prior.
 

@@ -22,7 +22,7 @@ from fixel.model.space import ParameterSpace, Unknown
 from fixel.replay.base import Row, errors_in_mm_and_deg
 from fixel.replay.mit_pushes import MitPushes
 from fixel.simulation import StewartTrinkle
-from fixel.typing import FloatArray, IntArray, Progress
+from fixel.typing import FloatArray, IntArray, ProgressCallback
 from reproductions.protocols import PROTOCOLS, RUN, BenchmarkData, BenchmarkRequest, Piece
 from reproductions.pushes import (
     DURATION,
@@ -50,7 +50,7 @@ PUBLISHED: Final = "poly4"  # the better of the two published limit surfaces
 
 
 def benchmark_pushes(
-    data: MitPushes, request: BenchmarkRequest, folder: Path | None, progress: Progress
+    data: MitPushes, request: BenchmarkRequest, folder: Path | None, progress: ProgressCallback
 ) -> Benchmark:
     """Run protocols on recorded pushes and score their predictions.
 
@@ -149,7 +149,7 @@ def _notes(bench: BenchmarkData, chosen: Sequence[str]) -> tuple[str, ...]:
 
 def joint_calibration(
     data: MitPushes,
-    progress: Progress,
+    progress: ProgressCallback,
     *,
     pushes: int = PUSHES,
     evaluations: int = EVALUATIONS,
@@ -189,7 +189,7 @@ def joint_calibration(
 
 
 def _searched(
-    objective: Objective, box: SearchBox, evaluations: int, progress: Progress
+    objective: Objective, box: SearchBox, evaluations: int, progress: ProgressCallback
 ) -> tuple[Best, int, float]:
     rng = np.random.default_rng(0)
     best, made, first = Best(box.start, np.inf), 0, np.nan

@@ -14,7 +14,7 @@ from fixel.io.result_cache import ResultCache, listed
 from fixel.model import wrapped
 from fixel.replay.base import Row
 from fixel.replay.mit_pushes import MitPushes, read_mit_pushes
-from fixel.typing import BoolArray, FloatArray, IntArray, Progress
+from fixel.typing import BoolArray, FloatArray, IntArray, ProgressCallback
 from reproductions.fitting import (
     Belief,
     FitMember,
@@ -128,7 +128,7 @@ class BenchmarkData:
         data: MitPushes,
         request: BenchmarkRequest,
         finished: ResultCache,
-        progress: Progress,
+        progress: ProgressCallback,
     ) -> None:
         self.data, self.request, self.finished = data, request, finished
         self._progress = progress

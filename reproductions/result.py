@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fixel.io.atomic import written_whole
 from fixel.replay.base import Row, mean_and_median
-from fixel.typing import FloatArray, Progress
+from fixel.typing import FloatArray, ProgressCallback
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,7 +43,7 @@ class RunOptions:
     """
 
     folder: Path
-    progress: Progress
+    progress: ProgressCallback
     quick: bool = False
     fits: Path | None = None
 

@@ -15,7 +15,7 @@ from fixel.drawing.chart import save_figure
 from fixel.errors import DatasetMissing, InvalidInput, os_reason
 from fixel.replay.base import Row
 from fixel.replay.mit_pushes import read_mit_pushes
-from fixel.typing import Progress
+from fixel.typing import ProgressCallback
 from reproductions import (
     asme_2006,
     cmu_tripod,
@@ -64,7 +64,7 @@ def reproduce(
     data: Path | None = None,
     *,
     out: Path | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     quick: bool = False,
 ) -> Reproduction:
     """Run one reproduction, and write its tables and figure to a folder.
@@ -106,7 +106,7 @@ def benchmark_real(
     *,
     part: str = "mit",
     out: Path | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> Benchmark:
     """Run a benchmark on real data.
 
@@ -149,7 +149,7 @@ def benchmark_real(
     return answer
 
 
-def joint_real(data: Path, part: str = "mit", progress: Progress | None = None) -> Row:
+def joint_real(data: Path, part: str = "mit", progress: ProgressCallback | None = None) -> Row:
     """Run and time a joint calibration of many pushes; see `joint_calibration`."""
     pushes = read_mit_pushes(folder_of(data, part))
     return mit_push.joint_calibration(pushes, progress or _silent)
@@ -175,7 +175,7 @@ def _folder(data: Path | None, name: str) -> Path:
 
 
 def _silent(done: int, total: int, note: str = "") -> None:
-    """Progress callback that does nothing."""
+    """ProgressCallback callback that does nothing."""
 
 
 __all__ = [

@@ -7,7 +7,10 @@
     ├── NotStored(LookupError)          a project has no such record
     ├── StoreRefused(RuntimeError)      a project cannot be opened, read or written, and why
     ├── JobRefused(RuntimeError)        a job cannot be started, continued or read, and why
+    ├── MissingExtra(ImportError)       a package that is not installed, and the command for it
     └── DeviceFailed(RuntimeError)      a device on the bench stopped, or was stopped, and why
+
+`Interrupted` is a `KeyboardInterrupt` with the best result so far.
 
 A numerical failure is not raised by default: `simulate(...)` records a status, and raises
 `SolveFailed` only on request.
@@ -234,6 +237,67 @@ class DeviceFailed(FixelError, RuntimeError):
         return DeviceFailed, (self.reason, self.hint)
 
 
+@final
+class MissingExtra(FixelError, ImportError):
+    """Exception raised when something needs a package that is not installed.
+
+    Parameters
+    ----------
+    feature : str
+        What needs the package: `"to_pandas"`, `"a posterior"`.
+    package : str
+        Name of the package.
+    extra : str
+        Extra of fixel that installs it.
+    command : str
+        Command that installs it; made from `extra` by default.
+
+    Examples
+    --------
+    >>> print(MissingExtra("a posterior", "dynesty", extra="infer"))
+    a posterior needs the package dynesty; run: pip install 'fixel[infer]'
+    """
+
+    def __init__(
+        self, feature: str, package: str, *, extra: str = "", command: str | None = None
+    ) -> None:
+        self.feature = feature
+        self.package = package
+        self.command = command or f"pip install 'fixel[{extra}]'"
+        super().__init__(f"{feature} needs the package {package}; run: {self.command}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _missing_extra, (self.feature, self.package, self.command)
+
+
+@final
+class Interrupted(KeyboardInterrupt):
+    """Exception raised after Ctrl-C, with the best result so far.
+
+    It is a `KeyboardInterrupt`, so that the cells below do not run.
+
+    Parameters
+    ----------
+    result : object
+        Best result so far, with the status "interrupted"; None if there is none yet.
+    hint : str
+        How to continue.
+
+    Examples
+    --------
+    >>> print(Interrupted(hint="the same call with store='fits/a' continues"))
+    interrupted; the same call with store='fits/a' continues
+    """
+
+    def __init__(self, result: Any = None, hint: str = "") -> None:
+        self.result = result
+        self.hint = hint
+        super().__init__(f"interrupted; {hint}" if hint else "interrupted")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Interrupted, (self.result, self.hint)
+
+
 # Errors of the machine, not of fixel: full disk, read-only, no permission, too long a name.
 _MACHINE: Final = frozenset(
     getattr(errno, name)
@@ -270,6 +334,10 @@ def _invalid_input(
 
 def _solve_failed(message: str, status: str | None, stopped_at: float | None) -> SolveFailed:
     return SolveFailed(message, status=status, stopped_at=stopped_at)
+
+
+def _missing_extra(feature: str, package: str, command: str) -> MissingExtra:
+    return MissingExtra(feature, package, command=command)
 
 
 def _shown(found: object) -> str:

@@ -13,7 +13,7 @@ BoolArray = NDArray[np.bool_]
 Notify = Callable[[str], None]  # one sentence for the user
 
 
-class Progress(Protocol):
+class ProgressCallback(Protocol):
     """Callback for the progress of work: number done, number in all, and what is done now."""
 
     def __call__(self, done: int, total: int, note: str = "", /) -> None: ...

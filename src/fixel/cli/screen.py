@@ -16,7 +16,7 @@ from fixel.table import Table
 if TYPE_CHECKING:
     from fixel.jobs.work import JobProgress
     from fixel.model import Experiment
-    from fixel.typing import Progress
+    from fixel.typing import ProgressCallback
 
 BAR = 30  # [characters]
 JOB_BAR = 24  # [characters]
@@ -106,7 +106,7 @@ def seconds(duration: float) -> str:
     return f"{1e3 * duration:.3g} ms" if duration < 1.0 else f"{duration:.3g} s"
 
 
-def progress_bar(what: str) -> "Progress | None":
+def progress_bar(what: str) -> "ProgressCallback | None":
     """Create a bar on standard error; None if that is no terminal."""
     if not sys.stderr.isatty():
         return None
@@ -127,7 +127,7 @@ def progress_bar(what: str) -> "Progress | None":
 
 
 @contextmanager
-def counting_bar() -> "Iterator[Progress]":
+def counting_bar() -> "Iterator[ProgressCallback]":
     """Yield a callback for a bar on standard error, which takes number, total and name."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn

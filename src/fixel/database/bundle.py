@@ -39,7 +39,7 @@ from fixel.database.store import Store
 from fixel.io.atomic import written_whole
 from fixel.model import Experiment, Flag
 from fixel.model.records import SimulationRecord
-from fixel.typing import Progress
+from fixel.typing import ProgressCallback
 
 # Earliest date of the zip format, so that bundles of the same records are equal bit for bit.
 _INSTANT: Final = (1980, 1, 1, 0, 0, 0)
@@ -80,7 +80,7 @@ def export_bundle(
     path: Path,
     *,
     dataset: str | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> ExportSummary:
     """Write a bundle of a project's experiments, or of one dataset, and the results from them.
 
@@ -188,7 +188,7 @@ def import_bundle(
     store: Store,
     *,
     limits: BundleLimits = LIMITS,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> dict[str, int]:
     """Add the records of a bundle to a project; return the number of new ones by kind.
 
@@ -288,7 +288,7 @@ class _Copy:
     def run(
         self,
         experiment_ids: Sequence[int],
-        progress: Progress | None,
+        progress: ProgressCallback | None,
         *,
         whole: bool,
         outdated: Collection[int] = (),

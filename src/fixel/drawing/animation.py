@@ -33,7 +33,7 @@ from fixel.drawing.view import (
 )
 from fixel.model import placed
 from fixel.simulation import Simulation
-from fixel.typing import FloatArray, Progress
+from fixel.typing import FloatArray, ProgressCallback
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,7 +53,7 @@ def animate_simulation(
     path: str | Path,
     *,
     speed: float | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> None:
     """Save an animation of a simulation, with the contact forces.
 
@@ -95,7 +95,7 @@ def usual_speed(duration: float) -> float:
     return 1.0
 
 
-def _frames(stage: _Stage, times: FloatArray, progress: Progress | None) -> Iterator[Any]:
+def _frames(stage: _Stage, times: FloatArray, progress: ProgressCallback | None) -> Iterator[Any]:
     for k, time in enumerate(times, 1):
         yield stage.frame(float(time))
         if progress:

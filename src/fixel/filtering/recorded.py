@@ -15,7 +15,7 @@ from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.prior import UniformPrior, excited, touches_bound
 from fixel.filtering.running import FilterEstimate, FilterFrame, start_filter
 from fixel.model import Experiment, Scene, Trajectory, pose_error
-from fixel.typing import BoolArray, FloatArray, IntArray, Progress
+from fixel.typing import BoolArray, FloatArray, IntArray, ProgressCallback
 
 SAME_INSTANT: Final = 1e-6  # [s]; clocks of two sensors are the same frames, rounded differently
 DRAWS: Final = 400  # of the parameters at the end
@@ -140,7 +140,7 @@ def run_filter(
     occlusion: tuple[float, float] | None = None,
     use_tactile: bool = True,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> FilterEstimates:
     """Filter a recorded experiment, frame by frame from its first useful one on.
 

@@ -13,7 +13,7 @@ from fixel.replay.base import AbstractReplay, Replay, ReplayRequest
 from fixel.replay.pushes import PushReplay
 from fixel.replay.runs import RunReplay
 from fixel.replay.trials import TrialReplay
-from fixel.typing import Progress
+from fixel.typing import ProgressCallback
 
 EXPECTED = (
     "pushes.csv.gz and shapes.json (mit_push_endpoints), experiments.csv, object_trajectory.csv.gz"
@@ -22,7 +22,9 @@ EXPECTED = (
 
 
 def replay_dataset(
-    folder: str | Path, request: ReplayRequest | None = None, progress: Progress | None = None
+    folder: str | Path,
+    request: ReplayRequest | None = None,
+    progress: ProgressCallback | None = None,
 ) -> Replay:
     """Replay the pushes of a folder.
 

@@ -52,7 +52,7 @@ from fixel.testbed.imperfections import (
     uneven_support,
     with_stall_force,
 )
-from fixel.typing import BoolArray, FloatArray, Progress
+from fixel.typing import BoolArray, FloatArray, ProgressCallback
 
 TRUTH = "truth_"  # prefix of conditions that a real laboratory could not know
 
@@ -174,7 +174,7 @@ class SimulatedTestbed:
     def run(
         self,
         planned: Sequence[PlannedExperiment],
-        progress: Progress | None = None,
+        progress: ProgressCallback | None = None,
         threads: int | None = None,
     ) -> Iterator[Experiment]:
         """Run planned experiments and yield the results in their order.
@@ -206,7 +206,7 @@ class SimulatedTestbed:
         return self._run_all(planned, progress, threads or os.cpu_count() or 1)
 
     def _run_all(
-        self, planned: Sequence[PlannedExperiment], progress: Progress | None, threads: int
+        self, planned: Sequence[PlannedExperiment], progress: ProgressCallback | None, threads: int
     ) -> Iterator[Experiment]:
         with ThreadPoolExecutor(threads) as pool:
             runs = [pool.submit(self._run_one, item) for item in planned]

@@ -16,7 +16,7 @@ from fixel.model import Scene
 from fixel.model.parameters import info_of
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
-from fixel.typing import FloatArray, Progress
+from fixel.typing import FloatArray, ProgressCallback
 from fixel.uncertainty.start_ensemble import START, StartEnsemble, simulate_starts
 from fixel.uncertainty.starts import Kind, StartError
 
@@ -193,7 +193,7 @@ def indices_of(
     stepper: AbstractStepper | None = None,
     seed: int = 0,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> Indices:
     """Compute Sobol indices of the end of a push, for parameters and errors of the start.
 

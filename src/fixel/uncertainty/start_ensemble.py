@@ -17,7 +17,7 @@ from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.vary import grown_by, registration_of, varied_start
-from fixel.typing import BoolArray, FloatArray, Progress
+from fixel.typing import BoolArray, FloatArray, ProgressCallback
 from fixel.uncertainty.overlap import Neighbour, overlaps, remove_overlap
 from fixel.uncertainty.starts import StartError
 
@@ -107,7 +107,7 @@ def simulate_starts(
     stepper: AbstractStepper | None = None,
     seed: int = 0,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> StartEnsemble:
     """Simulate perturbed starts of a scene.
 
@@ -247,7 +247,7 @@ def _radius(shape: Shape) -> float:
 
 
 def _simulated(
-    ensemble: Ensemble, columns: Values, good: BoolArray, progress: Progress | None
+    ensemble: Ensemble, columns: Values, good: BoolArray, progress: ProgressCallback | None
 ) -> tuple[FloatArray, np.ndarray, list[str]]:
     n = len(good)
     pose = np.zeros((n, ensemble.n_sample, 3))

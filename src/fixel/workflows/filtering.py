@@ -14,7 +14,7 @@ from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.recorded import FilterEstimates, run_filter
 from fixel.model import Experiment, Provenance
 from fixel.model.records import CalibrationRecord, FilterParameters, FilterRun
-from fixel.typing import FloatArray, Progress
+from fixel.typing import FloatArray, ProgressCallback
 
 NAME: Final = "particle"  # name of the settings in the project
 
@@ -188,7 +188,7 @@ def filter_experiment(
     seed: int = 0,
     save: bool = True,
     command: str = "",
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> FilterAnswer:
     """Filter an experiment of a project and store the run.
 

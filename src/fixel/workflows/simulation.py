@@ -26,7 +26,7 @@ from fixel.simulation import (
 from fixel.simulation.motion import MOTION_MODELS
 from fixel.simulation.simulate import check_method
 from fixel.simulation.solver import SOLVERS
-from fixel.typing import Notify, Progress
+from fixel.typing import Notify, ProgressCallback
 from fixel.workflows.compilation import get_ready
 
 Part = TypeVar("Part", AbstractMotionModel, AbstractSolver)
@@ -90,7 +90,7 @@ def simulate_file(
     outputs: Outputs | None = None,
     *,
     notify: Notify | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> Simulation:
     """Simulate a scene file and write the requested files.
 
@@ -147,7 +147,7 @@ def parts(
 
 
 def write_outputs(
-    simulation: Simulation, outputs: Outputs, progress: Progress | None = None
+    simulation: Simulation, outputs: Outputs, progress: ProgressCallback | None = None
 ) -> None:
     """Write the requested files, each completely or not at all."""
     if outputs.trajectory:

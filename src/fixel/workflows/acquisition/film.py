@@ -21,7 +21,7 @@ from fixel.io.atomic import written_whole
 from fixel.model import Trajectory
 from fixel.model.chance import stream
 from fixel.testbed.imperfections import tactile_channel, touching
-from fixel.typing import BoolArray, FloatArray, Notify, Progress
+from fixel.typing import BoolArray, FloatArray, Notify, ProgressCallback
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.render import (
@@ -129,7 +129,7 @@ def film(
     limit: int | None = None,
     video: Path | None = None,
     notify: Notify | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> list[FilmResult]:
     """Render films of scenes, plans and experiments.
 
@@ -203,7 +203,7 @@ def _render(
     looks: CameraEffects,
     settings: FilmSettings,
     video: Path | None,
-    progress: Progress | None,
+    progress: ProgressCallback | None,
 ) -> FilmResult:
     # Each film has its own noise; otherwise films of one seed would have the same errors.
     seed = int(stream(settings.seed, "film", subject.name).integers(2**31))
@@ -252,7 +252,7 @@ def _unmarked(subject: FilmScene, rig: Rig) -> tuple[str, ...]:
 
 
 def _write_frames(
-    frames: Iterator[Frame], truth: Truth, writers: list[Write], progress: Progress | None
+    frames: Iterator[Frame], truth: Truth, writers: list[Write], progress: ProgressCallback | None
 ) -> None:
     total = len(truth.time)
     for k, frame in enumerate(frames):

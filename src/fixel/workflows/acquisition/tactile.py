@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final, final
 
 from fixel.testbed.tactile import DEADLINE, TactileReader, TactileReading
-from fixel.typing import Progress
+from fixel.typing import ProgressCallback
 
 FRAME: Final = 1.0 / 30.0  # [s]
 READINGS: Final = 300
@@ -71,7 +71,7 @@ def check_tactile(
     *,
     readings: int = READINGS,
     deadline: float = DEADLINE,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> TactileCheck:
     """Request a number of readings as fast as possible and count the answers."""
     start = time.perf_counter()

@@ -21,7 +21,7 @@ from fixel.formats.scene_file import load_scene
 from fixel.formats.video_file import ENDINGS, VideoWriter, open_video
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.model import Experiment, Provenance, Scene
-from fixel.typing import Progress
+from fixel.typing import ProgressCallback
 from fixel.vision.frame import Frame, Picture
 from fixel.vision.marks import Rig
 from fixel.vision.outlines import bgr, draw_outline, draw_words, outline_pixels
@@ -142,7 +142,7 @@ def track_film(
     overlay: Path | None = None,
     sheet: Path | None = None,
     plot: Path | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> TrackAnswer:
     """Track a film and store it as an experiment.
 
@@ -292,7 +292,7 @@ def _check_files(files: dict[str, Path]) -> None:
         refuse_unwritable(path)
 
 
-def _counted(progress: Progress | None, total: int | None) -> Callable[[int], None] | None:
+def _counted(progress: ProgressCallback | None, total: int | None) -> Callable[[int], None] | None:
     if progress is None or not total:
         return None
     return lambda done: progress(min(done, total), total)

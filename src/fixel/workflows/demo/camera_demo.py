@@ -24,7 +24,7 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.table import Table
 from fixel.testbed.emulators import mega
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.typing import Notify, Progress
+from fixel.typing import Notify, ProgressCallback
 from fixel.workflows.acquisition.film import ARRAYS, FilmSettings, film
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
 from fixel.workflows.analysis import Analysis, store_analysis
@@ -97,7 +97,7 @@ def run_camera_tour(
     pushes: tuple[int, ...] = PUSHES,
     frames: int | None = None,
     notify: Notify | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> CameraTour:
     """Film simulated pushes, record the films with a camera, track, calibrate and compare.
 
@@ -310,7 +310,7 @@ def _filmed(
     pushes: tuple[int, ...],
     frames: int | None,
     notify: Notify,
-    progress: Progress | None,
+    progress: ProgressCallback | None,
 ) -> list[Path]:
     planned = [thesis_plan().experiments[k] for k in pushes]
     films = folder / "films"

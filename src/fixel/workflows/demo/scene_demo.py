@@ -15,7 +15,7 @@ from fixel.errors import InvalidInput, os_reason
 from fixel.io.atomic import written_whole
 from fixel.model import LineDrive, placed
 from fixel.simulation import Simulation
-from fixel.typing import FloatArray, Notify, Progress
+from fixel.typing import FloatArray, Notify, ProgressCallback
 from fixel.workflows.simulation import Outputs, simulate_file
 
 EXAMPLE = "grasp"
@@ -54,7 +54,9 @@ def example_text(name: str) -> str:
         return path.read_text(encoding="utf-8")
 
 
-def run_demo(folder: Path, notify: Notify | None = None, progress: Progress | None = None) -> Demo:
+def run_demo(
+    folder: Path, notify: Notify | None = None, progress: ProgressCallback | None = None
+) -> Demo:
     """Simulate the example grasp; write its scene, picture, film and trajectory.
 
     Parameters

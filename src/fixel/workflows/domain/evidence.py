@@ -24,7 +24,7 @@ from fixel.io.damaged_files import readable
 from fixel.io.result_cache import ResultCache
 from fixel.model.trajectory import wrapped
 from fixel.simulation.pack import pusher_path
-from fixel.typing import FloatArray, Progress
+from fixel.typing import FloatArray, ProgressCallback
 from fixel.workflows.analysis import ANALYSES
 from fixel.workflows.calibration.run import select_experiments
 from fixel.workflows.calibration.stored import newest_calibration
@@ -71,7 +71,7 @@ class DomainEvidence(NamedTuple):
 
 
 def gather(
-    project: Project, asked: DomainRequest, progress: Progress | None = None
+    project: Project, asked: DomainRequest, progress: ProgressCallback | None = None
 ) -> DomainEvidence:
     """Compute the held-out errors of the requested experiments, or load them if stored.
 
@@ -139,7 +139,7 @@ def _computed(
     store: Store,
     asked: DomainRequest,
     finished: ResultCache,
-    progress: Progress | None,
+    progress: ProgressCallback | None,
 ) -> dict[str, Any]:
     chosen = select_experiments(store, (), asked.query)
     started = model_of(project, store, asked, chosen.targets)

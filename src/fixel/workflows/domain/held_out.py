@@ -26,7 +26,7 @@ from fixel.io.result_cache import ResultCache
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
-from fixel.typing import FloatArray, IntArray, Progress
+from fixel.typing import FloatArray, IntArray, ProgressCallback
 
 # Steps along a push, for experiments with two poses only. On a twelfth of the pushes of a public
 # dataset they took half the time of adaptive steps; 19 in 20 errors agreed within 0.06 mm.
@@ -115,7 +115,7 @@ def held_out(
     model: CalibrationModel,
     apart: Apart,
     finished: ResultCache,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     threads: int | None = None,
 ) -> HeldOut:
     """Compute held-out errors by cross-validation.

@@ -18,7 +18,7 @@ from fixel.domain.next_experiment import Proposal, proposals
 from fixel.domain.predicted_cells import predicted_cells
 from fixel.domain.surface import Surface
 from fixel.errors import InvalidInput
-from fixel.typing import FloatArray, Progress
+from fixel.typing import FloatArray, ProgressCallback
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.domain.charts import pictures_of
 from fixel.workflows.domain.evidence import DomainEvidence, gather
@@ -68,7 +68,7 @@ def map_domain(
     asked: DomainRequest,
     *,
     plot: Path | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     command: str = "",
 ) -> DomainResult:
     """Map the experiments for which one parameter set can be trusted.

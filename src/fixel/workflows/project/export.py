@@ -24,7 +24,7 @@ from fixel.formats.frames_file import folder_whole, refuse_folder, write_frames
 from fixel.formats.lerobot import write_lerobot
 from fixel.io.atomic import refuse_unwritable
 from fixel.model import Experiment
-from fixel.typing import Progress
+from fixel.typing import ProgressCallback
 
 FORMATS: Final = ("bundle", "parquet", "lerobot")
 RATES: Final = (1, 1000)  # [Hz]
@@ -68,7 +68,7 @@ class ExportAnswer:
 
 
 def import_zip(
-    project: Project, path: Path, progress: Progress | None = None, *, dry_run: bool = False
+    project: Project, path: Path, progress: ProgressCallback | None = None, *, dry_run: bool = False
 ) -> dict[str, int]:
     """Add the records of a bundle to a project; return how many of each kind were new.
 
@@ -88,7 +88,7 @@ def export(
     format: str = "bundle",
     dataset: str | None = None,
     fps: int | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> ExportAnswer:
     """Export a project's experiments.
 
@@ -154,7 +154,7 @@ def _tables(
     format: str,
     fps: int | None,
     name: str,
-    progress: Progress | None,
+    progress: ProgressCallback | None,
 ) -> int:
     records = _read(store, summaries, progress)
     with folder_whole(target) as unfinished:
@@ -165,7 +165,7 @@ def _tables(
 
 
 def _read(
-    store: Store, summaries: list[ExperimentRow], progress: Progress | None
+    store: Store, summaries: list[ExperimentRow], progress: ProgressCallback | None
 ) -> Iterator[Experiment]:
     for done, summary in enumerate(summaries, start=1):
         yield store.experiment(summary.id)

@@ -20,7 +20,7 @@ from fixel.datasets.own_scene import template_text
 from fixel.datasets.table import DATASET as TABLE
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
-from fixel.typing import Progress
+from fixel.typing import ProgressCallback
 from fixel.workflows.project.filters import check_known_names
 
 
@@ -89,7 +89,7 @@ def write_template(plan: ImportPlan, folder: Path) -> Path | None:
 
 
 def import_experiments(
-    project: Project, plan: ImportPlan, progress: Progress | None = None
+    project: Project, plan: ImportPlan, progress: ProgressCallback | None = None
 ) -> ImportSummary:
     """Store the experiments of a plan, each completely or not at all."""
     with project.store() as store:
@@ -155,7 +155,7 @@ def run_testbed(
     seed: int = 1,
     limit: int | None = None,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> ImportSummary:
     """Perform a sampling plan on the simulated testbed, and store the measurements."""
     from fixel.formats.plan_file import load_plan
@@ -189,7 +189,7 @@ def typed() -> str:
 
 
 def _add(
-    store: Store, experiments: Iterable[Experiment], total: int, progress: Progress | None
+    store: Store, experiments: Iterable[Experiment], total: int, progress: ProgressCallback | None
 ) -> ImportSummary:
     """Store experiments, with the command as typed in their provenance."""
     begun = time.monotonic()

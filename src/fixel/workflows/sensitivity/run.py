@@ -16,7 +16,7 @@ from fixel.errors import InvalidInput
 from fixel.formats import load_scene
 from fixel.model import Experiment, Scene
 from fixel.simulation import Dynamic
-from fixel.typing import Progress
+from fixel.typing import ProgressCallback
 from fixel.uncertainty.indices import indices_of
 from fixel.uncertainty.outcomes import FLAGS, sensitivity_of
 from fixel.uncertainty.start_ensemble import simulate_starts
@@ -64,7 +64,7 @@ def analyse_sensitivity(
     project: Callable[[], Project],
     *,
     command: str = "",
-    progress: Callable[[str], Progress | None] | None = None,
+    progress: Callable[[str], ProgressCallback | None] | None = None,
     ready: Callable[[Scene], None] | None = None,
 ) -> SensitivityAnswer:
     """Analyse stored experiments or scene files; store the result if there is a project.
@@ -135,7 +135,7 @@ def _badness(finding: Finding) -> tuple[int, float, str]:
     return FLAGS.index(own.flag), -max(own.amplification, own.gain), finding.subject.key
 
 
-def _look(subject: Subject, request: SensitivityRequest, told: Progress | None) -> Finding:
+def _look(subject: Subject, request: SensitivityRequest, told: ProgressCallback | None) -> Finding:
     method: dict[str, Any] = {
         "values": subject.values,
         "motion": subject.motion,

@@ -17,7 +17,7 @@ from fixel.formats.camera_opencv import save_opencv, save_ros
 from fixel.formats.rig_file import plate_of
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.io.document import read_document
-from fixel.typing import FloatArray, Progress
+from fixel.typing import FloatArray, ProgressCallback
 from fixel.vision.boards import Board, board_of
 from fixel.vision.calibrate_lens import LensCalibration, calibrate_lens, find_boards
 from fixel.vision.camera import MeasuredCamera
@@ -108,7 +108,7 @@ def calibrate(
     *,
     coefficients: int | None = None,
     fisheye: bool = False,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> CameraAnswer:
     """Calibrate a lens from pictures of a board, and save the camera.
 

@@ -1,0 +1,251 @@
+"""Base class of public results, which print, draw, convert and save themselves."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from html import escape
+from importlib import import_module
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from fixel.errors import InvalidInput, MissingExtra
+from fixel.table import Table, Value
+
+MAX_LINES: Final = 25
+MAX_COLUMNS: Final = 100  # [characters]
+MAX_HTML_ROWS: Final = 20
+MAX_HTML: Final = 50_000  # [bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Short description of a result, for terminals and notebooks.
+
+    Parameters
+    ----------
+    heading : str
+        One line: the kind of result and how it ended.
+    tables : sequence of Table
+        The most important table first. Long ones are cut.
+    notes : sequence of str
+        Sentences below the tables: warnings, and what the numbers mean.
+    details : mapping of str to str
+        Method, seed, version and command, folded in a notebook and left out in a terminal.
+
+    Examples
+    --------
+    >>> from fixel.table import Table
+    >>> rows = Table(("parameter", "value"), [("mu_pusher", 0.25)])
+    >>> print(Summary("Calibration of 8 experiments", [rows], ["misfit: none"]).text())
+    Calibration of 8 experiments
+      parameter  value
+      mu_pusher   0.25
+      misfit: none
+    """
+
+    heading: str
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = ()
+    details: Mapping[str, str] = field(default_factory=dict)
+
+    def text(self) -> str:
+        """Return plain text of at most `MAX_LINES` lines and `MAX_COLUMNS` columns."""
+        heading = _wrapped(self.heading, "")[:3]
+        notes = [line for note in self.notes for line in _wrapped(note, "  ")]
+        notes = _cut(notes, (MAX_LINES - len(heading)) // 2 if self.tables else MAX_LINES - 3)
+        room = MAX_LINES - len(heading) - len(notes)
+        lines: list[str] = []
+        for k, table in enumerate(self.tables):
+            share = (room - len(lines)) // (len(self.tables) - k)
+            title = [f"  {table.title}"] if table.title else []
+            if share >= len(title) + 2:
+                rows = _cut([f"  {row}" for row in table.lines()], share - len(title))
+                lines += [*title, *rows]
+        return "\n".join(_shortened(line) for line in [*heading, *lines, *notes])
+
+    def html(self) -> str:
+        """Return HTML of at most `MAX_HTML` bytes, without scripts."""
+        rows = MAX_HTML_ROWS
+        while len((page := self._html(rows)).encode()) > MAX_HTML and rows > 0:
+            rows //= 2
+        return page
+
+    def _html(self, max_rows: int) -> str:
+        parts = [f"<p><b>{escape(_limited(self.heading))}</b></p>"]
+        for table in self.tables[:MAX_HTML_ROWS]:
+            parts.append(
+                Table(table.columns, table.rows[:max_rows], title=table.title).html().strip()
+            )
+            hidden = len(table.rows) - max_rows
+            parts += [f"<p>... and {hidden} more rows</p>"] if hidden > 0 else []
+        parts += [f"<p>{escape(_limited(note))}</p>" for note in self.notes[:MAX_HTML_ROWS]]
+        if self.details:
+            lines = "<br>".join(
+                f"{escape(name)}: {escape(_limited(value))}" for name, value in self.details.items()
+            )
+            parts.append(f"<details><summary>Method and version</summary>{lines}</details>")
+        return f'<div class="fixel-result">{"".join(parts)}</div>'
+
+
+class Result:
+    """Result of a public function: prints, draws, converts and saves itself.
+
+    A subclass is a frozen dataclass with `repr=False, eq=False`. It defines `_summary`, and
+    `_data` if its data are more than the first table of the summary. `_drawings` names its
+    drawing functions, `"module:function"` for each kind of plot, with the usual kind first; they
+    are called as `function(result, ax=ax, **options)` and return Matplotlib axes.
+    """
+
+    __slots__ = ()
+    _drawings: ClassVar[Mapping[str, str]] = {}
+
+    def _summary(self) -> Summary:
+        raise NotImplementedError
+
+    def _data(self) -> Table:
+        """Return the table that `to_pandas`, `to_arrow` and `to_dict` convert."""
+        return self._summary().tables[0]
+
+    def __repr__(self) -> str:
+        return self._summary().text()
+
+    def _repr_html_(self) -> str:
+        return self._summary().html()
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(_same(getattr(self, n), getattr(other, n)) for n in _compared(self))
+
+    def __hash__(self) -> int:
+        values = (getattr(self, name) for name in _compared(self))
+        return hash((type(self), *(v for v in values if isinstance(v, str | int | float | None))))
+
+    def to_dict(self) -> dict[str, list[Value]]:
+        """Return the columns of the data by name; None is a missing value."""
+        data = self._data()
+        return {column.name: [row[k] for row in data.rows] for k, column in enumerate(data.columns)}
+
+    def to_pandas(self) -> Any:
+        """Return the data as a pandas DataFrame, with the units in its `attrs`.
+
+        Raises
+        ------
+        MissingExtra
+            pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise MissingExtra("to_pandas", "pandas", command="pip install pandas") from None
+        frame = pandas.DataFrame(self.to_dict())
+        frame.attrs["units"] = {column.name: column.unit for column in self._data().columns}
+        return frame
+
+    def to_arrow(self) -> Any:
+        """Return the data as a table of Apache Arrow, with units in the metadata of its fields."""
+        import pyarrow
+
+        arrays = {name: pyarrow.array(values) for name, values in self.to_dict().items()}
+        return pyarrow.Table.from_arrays(
+            list(arrays.values()),
+            schema=pyarrow.schema(
+                pyarrow.field(column.name, arrays[column.name].type, metadata={"unit": column.unit})
+                for column in self._data().columns
+            ),
+        )
+
+    def plot(self, kind: str | None = None, *, ax: Any = None, **options: Any) -> Any:
+        """Draw the result with Matplotlib, and return the axes.
+
+        Parameters
+        ----------
+        kind : str, optional
+            Kind of plot; the usual one of this result by default.
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw into; new ones by default.
+        **options
+            Options of this kind of plot.
+
+        Returns
+        -------
+        matplotlib.axes.Axes, or an array of them
+            Neither shown nor saved.
+
+        Raises
+        ------
+        InvalidInput
+            The result has no such kind of plot.
+        """
+        kinds = list(self._drawings)
+        chosen = next(iter(kinds), "") if kind is None else kind
+        if chosen not in self._drawings:
+            expected = " or ".join(repr(own) for own in kinds) or "no plot: it has none"
+            raise InvalidInput("kind", found=repr(kind), expected=expected)
+        module, name = self._drawings[chosen].split(":")
+        return getattr(import_module(module), name)(self, ax=ax, **options)
+
+    def save(self, path: str | Path) -> Path:
+        """Save the result to a file, which `fixel.load` reads.
+
+        Parameters
+        ----------
+        path : str or path
+            File of any name; it is written whole or not at all.
+
+        Returns
+        -------
+        pathlib.Path
+            The file.
+
+        Raises
+        ------
+        InvalidInput
+            The file cannot be written.
+        """
+        saved: Path = import_module("fixel.io").save(self, path)
+        return saved
+
+
+def _compared(result: Result) -> list[str]:
+    return [own.name for own in fields(result) if own.compare]  # type: ignore[arg-type]
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two values are equal bit for bit; arrays also where they are not a number."""
+    if hasattr(a, "dtype") and hasattr(b, "dtype"):
+        alike = a.dtype == b.dtype and a.shape == b.shape
+        return bool(alike and a.tobytes() == b.tobytes())
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return list(a) == list(b) and all(_same(a[key], b[key]) for key in a)
+    if isinstance(a, list | tuple) and type(a) is type(b):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if isinstance(a, float) and isinstance(b, float) and math.isnan(a):
+        return math.isnan(b)
+    return bool(a == b)
+
+
+def _wrapped(text: str, indent: str) -> list[str]:
+    return textwrap.wrap(
+        " ".join(text.split()),
+        MAX_COLUMNS,
+        initial_indent=indent,
+        subsequent_indent=f"{indent}  ",
+    )
+
+
+def _cut(lines: list[str], most: int) -> list[str]:
+    if len(lines) <= most:
+        return lines
+    return [*lines[: most - 1], f"  ... and {len(lines) - most + 1} more"]
+
+
+def _shortened(line: str) -> str:
+    return line if len(line) <= MAX_COLUMNS else f"{line[: MAX_COLUMNS - 3]}..."
+
+
+def _limited(text: str) -> str:
+    return text if len(text) <= 1000 else f"{text[:997]}..."
