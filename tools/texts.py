@@ -107,26 +107,23 @@ def read_texts(modules: Mapping[str, Module]) -> Iterator[Text]:
 
 def _literals(module: Module) -> Iterator[Text]:
     """Literals of a source file that are sentences or phrases."""
-    skipped = set()
-    for node in ast.walk(module.tree):
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            skipped.add(id(node.value))  # docstrings
-        if isinstance(node, ast.JoinedStr):
-            skipped.update(id(part) for part in node.values)
-            for part in node.values:
-                if isinstance(part, ast.FormattedValue) and part.format_spec is not None:
-                    skipped.update(map(id, ast.walk(part.format_spec)))
-    alone = {
-        id(keyword.value)
-        for node in ast.walk(module.tree)
-        if isinstance(node, ast.Call)
-        for keyword in node.keywords
-        if keyword.arg in ALONE
-    }
-    for node in ast.walk(module.tree):
-        if not isinstance(node, ast.expr) or id(node) in skipped or (text := _text(node)) is None:
+    nodes = list(ast.walk(module.tree))
+    skipped: set[int] = set()
+    alone: set[int] = set()
+    for node in nodes:
+        if isinstance(node, ast.Expr):
+            skipped.add(id(node.value))  # a docstring
+        elif isinstance(node, ast.JoinedStr):
+            skipped.update(map(id, node.values))
+        elif isinstance(node, ast.FormattedValue) and node.format_spec is not None:
+            skipped.add(id(node.format_spec))
+        elif isinstance(node, ast.keyword) and node.arg in ALONE:
+            alone.add(id(node.value))
+    for node in nodes:
+        if not isinstance(node, ast.Constant | ast.JoinedStr) or id(node) in skipped:
             continue
-        if id(node) in alone or _is_read(text):
+        text = _text(node)
+        if text is not None and (id(node) in alone or _is_read(text)):
             yield Text(f"{module.path}:{node.lineno}", " ".join(text.split()), id(node) in alone)
 
 
