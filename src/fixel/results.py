@@ -96,7 +96,8 @@ class Result:
     A subclass is a frozen dataclass with `repr=False, eq=False`. It defines `_summary`, and
     `_data` if its data are more than the first table of the summary. `_drawings` names its
     drawing functions, `"module:function"` for each kind of plot, with the usual kind first; they
-    are called as `function(result, ax=ax, **options)` and return Matplotlib axes.
+    are called as `function(result, ax=ax, **options)` and return Matplotlib axes;
+    `fixel.drawing.chart.plot_axes` does that for functions that make whole figures.
     """
 
     __slots__ = ()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 import math
 from collections.abc import Callable, Iterable, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -79,13 +80,57 @@ def save_figure(make: Callable[[], Figure], *paths: str | Path) -> None:
             figure.savefig(path, metadata=known.get(Path(path).suffix.lower()))
 
 
+# Whether figures are made by Pyplot, which shows them in notebooks and windows.
+_BY_PYPLOT: ContextVar[bool] = ContextVar("_BY_PYPLOT", default=False)
+
+
+def plot_axes(make: Callable[[], Figure], ax: Axes | None = None, *, dpi: float = 150.0) -> Any:
+    """Create a figure in the house style for the `plot` method of a result; return its axes.
+
+    Parameters
+    ----------
+    make : callable
+        Function that draws the figure, which it creates by `sheet`.
+    ax : None
+        Axes that the caller of `plot` gave. They are rejected: the figure has axes of its own.
+    dpi : float
+        Resolution on a screen [dots per inch].
+
+    Returns
+    -------
+    matplotlib.axes.Axes, or (n,) array of them
+        Known to Pyplot, so that notebooks show them.
+    """
+    import matplotlib as mpl
+
+    if ax is not None:
+        raise InvalidInput("ax", found="axes", expected="none: this plot makes its own figure")
+    token = _BY_PYPLOT.set(True)
+    try:
+        with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
+            figure = make()
+    finally:
+        _BY_PYPLOT.reset(token)
+    figure.set_dpi(dpi)
+    return figure.axes[0] if len(figure.axes) == 1 else np.array(figure.axes, dtype=object)
+
+
+def new_figure(**options: Any) -> Figure:
+    """Create a figure; by Pyplot within `plot_axes`."""
+    if _BY_PYPLOT.get():
+        from matplotlib import pyplot
+
+        return pyplot.figure(**options)
+    from matplotlib.figure import Figure
+
+    return Figure(**options)
+
+
 def save_filled(fill: Callable[[Figure], None], path: str | Path) -> None:
     """Save a figure in the house style with constrained layout, whose content `fill` draws."""
 
     def make() -> Figure:
-        from matplotlib.figure import Figure
-
-        figure = Figure(layout="constrained")
+        figure = new_figure(layout="constrained")
         fill(figure)
         return figure
 
@@ -104,10 +149,8 @@ def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
 
 def sheet(width: float, height: float, title: str = "") -> Figure:
     """Create an empty figure [inch] with constrained layout, below a title."""
-    from matplotlib.figure import Figure
-
     above = HEAD if title else 0.0
-    figure = Figure(figsize=(width, height + above), layout="constrained")
+    figure = new_figure(figsize=(width, height + above), layout="constrained")
     room = height / (height + above)
     engine: Any = figure.get_layout_engine()
     engine.set(w_pad=0.06, h_pad=0.05, rect=(0.0, 0.0, 1.0, room))
