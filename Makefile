@@ -10,6 +10,7 @@ BIN       := $(VENV)/bin
 PACKAGES  := $(VENV)/.packages
 READY     := $(VENV)/.ready
 PEERS     := $(VENV)/.peers
+DOCS      := $(VENV)/.docs
 # Any of these will do, the first that is new enough and has venv. `make test PYTHON=/path/to/python` picks one.
 PYTHON    ?=
 PYTHONS   := $(PYTHON) python3 python3.13 python3.12 python3.11
@@ -21,7 +22,7 @@ HANGS     := --max-worker-restart=0 -o faulthandler_timeout=600 -o faulthandler_
 SCRIPTS   := build/scripts/.packages
 TSC       := build/scripts/node_modules/typescript/bin/tsc
 
-.PHONY: help demo demo-camera test test-slow test-cluster check lint lint-scripts format house soak bench lock clean
+.PHONY: help demo demo-camera test test-slow test-cluster check lint lint-scripts format house soak bench docs lock clean
 .DELETE_ON_ERROR:
 
 help:  ## this list
@@ -82,11 +83,16 @@ soak: $(READY)  ## a million random step problems, then the long tests marked so
 bench: $(READY) $(PEERS)  ## speed and accuracy beside the peers; writes CSV under benchmarks/
 	@$(BIN)/python -m benchmarks --peers $(BENCH_ARGS)
 
+docs: $(READY) $(DOCS)  ## the documentation site, in build/docs; a warning fails; DOCS_ARGS=-E reads all again
+	@$(BIN)/sphinx-build -W --keep-going -n -q -b html -d build/docs/.doctrees docs build/docs $(DOCS_ARGS)
+	@echo "Open build/docs/index.html"
+
 lock:  ## resolve requirements/*.txt again from pyproject.toml; LOCK_ARGS=--upgrade for newer versions
 	@test -x $(UV_VENV)/bin/uv || { echo "Installing uv into $(UV_VENV) ..."; \
 	  python3 -m venv $(UV_VENV) && $(UV_VENV)/bin/python -m pip install --quiet --disable-pip-version-check uv; }
 	$(UV_VENV)/bin/uv pip compile $(LOCK) --extra dev pyproject.toml -o requirements/lock.txt
-	$(UV_VENV)/bin/uv pip compile $(LOCK) --extra bench -c requirements/lock.txt pyproject.toml -o requirements/bench.txt
+	for extra in bench docs; do $(UV_VENV)/bin/uv pip compile $(LOCK) --extra $$extra -c requirements/lock.txt \
+	  pyproject.toml -o requirements/$$extra.txt || exit 1; done
 LOCK := --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url $(LOCK_ARGS)
 
 clean:  ## remove the environment, caches and built files
@@ -132,4 +138,9 @@ $(READY): pyproject.toml $(PACKAGES)
 $(PEERS): requirements/bench.txt | $(READY)
 	@echo "Installing the peers of requirements/bench.txt into $(VENV) (once) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/bench.txt
+	@touch $@
+
+$(DOCS): requirements/docs.txt | $(READY)
+	@echo "Installing the packages of requirements/docs.txt into $(VENV) (once) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/docs.txt
 	@touch $@

@@ -106,7 +106,7 @@ class QuasiStatic(_BuiltInMotion):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FirstOrder(_BuiltInMotion):
-    """Velocity from the limit surface: ``v' = mobility . wrench``, the ellipsoid's normal.
+    """Velocity from the limit surface: ``v' = mobility @ wrench``, the ellipsoid's normal.
 
     The wrench is not bounded by the surface, so that bodies never stick: a smooth approximation of
     `QuasiStatic`, and a good first guess. Every free body needs support friction, whose ellipsoid

@@ -1,0 +1,104 @@
+"""Sphinx configuration of the documentation; `make docs` builds it."""
+
+import os
+import sys
+from importlib.metadata import version as installed_version
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "_ext"))
+os.environ.setdefault("MPLBACKEND", "agg")
+
+import reference  # noqa: E402
+import repository  # noqa: E402
+
+reference.write_pages(HERE / "reference")
+repository.write_pages()
+
+project = "fixel"
+author = "The fixel authors"
+copyright = "The fixel authors. Apache-2.0"
+version = release = installed_version("fixel")
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "numpydoc",
+    "sphinx_gallery.gen_gallery",
+    "sphinxcontrib.bibtex",
+    "mathml",
+    "names",
+    "repository",
+]
+source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+exclude_patterns = ["reference/generated", "gallery/*.py", "gallery/*.ipynb", "**/*.codeobj.json"]
+templates_path = ["_templates"]
+nitpicky = True
+# The configuration of the gallery names functions, which Sphinx cannot store between builds.
+suppress_warnings = ["config.cache"]
+
+# --- text ------------------------------------------------------------
+
+myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 4
+# A link to a folder or a file of the repository that is no page, such as a scene, copies the file.
+bibtex_bibfiles = ["../src/fixel/workflows/report/references.bib"]
+bibtex_default_style = "plain"
+bibtex_reference_style = "author_year"
+
+# --- reference ------------------------------------------------------------
+
+autosummary_generate = ["reference/api.rst"]
+autosummary_ignore_module_all = False
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+autodoc_class_signature = "mixed"
+autodoc_preserve_defaults = True
+numpydoc_show_class_members = False
+numpydoc_xref_param_type = False
+default_role = "py:obj"
+
+# --- gallery ------------------------------------------------------------
+
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples/gallery",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"\.py$",
+    "within_subsection_order": "sphinx_gallery.sorting.FileNameSortKey",
+    "backreferences_dir": "reference/generated/examples",
+    "doc_module": ("fixel",),
+    "abort_on_example_error": True,
+    "only_warn_on_example_error": False,
+    "write_computation_times": False,
+    "min_reported_time": 1e9,
+    "show_signature": False,
+    "download_all_examples": False,
+    "remove_config_comments": True,
+    "copyfile_regex": "",
+    "default_thumb_file": str(HERE / "pictures" / "grasp.png"),
+}
+
+# --- pages ------------------------------------------------------------
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"fixel {version}"
+html_static_path = ["_static"]
+html_css_files = ["fixel.css"]
+html_copy_source = False
+html_show_sourcelink = False
+html_show_sphinx = False
+html_permalinks_icon = "#"
+html_theme_options = {
+    "logo": {"text": "fixel"},
+    "header_links_before_dropdown": 8,
+    "navbar_end": ["theme-switcher"],
+    "navigation_with_keys": False,
+    "show_toc_level": 2,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "secondary_sidebar_items": {"**": ["page-toc"], "index": []},
+    "pygments_light_style": "tango",
+    "pygments_dark_style": "monokai",
+}
+html_sidebars = {"index": [], "get-started": [], "gallery/index": []}
