@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fixel.database.query import Bound, ExperimentQuery
 from fixel.database.store import Store
 from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
+from fixel.model.selection import Bound, ExperimentQuery
 from fixel.testing.scenes import grasp
 
 FRAMES = 330
 QUERIES = {
     "all": ExperimentQuery(),
-    "by condition": ExperimentQuery(conditions=(Bound("surface", "=", "abs"),)),
+    "by condition": ExperimentQuery(bounds=(Bound("surface", "=", "abs"),)),
     "by name": ExperimentQuery(name="*77*"),
     "by flag": ExperimentQuery(flags=("odd",)),
 }

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.database.query import Bound, ExperimentQuery
 from fixel.errors import InvalidInput, NotStored
 from fixel.model import Experiment, Flag, Parameters, Provenance, Trajectory
 from fixel.model.records import CalibrationRecord, Member, SimulationRecord
+from fixel.model.selection import Bound, ExperimentQuery
 from fixel.workflows.project.filters import coverage, view_of, vocabulary
 
 ORIGIN = Provenance(version="0")

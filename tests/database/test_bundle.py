@@ -14,7 +14,7 @@ import pytest
 from fixel.database import arrays
 from fixel.database.bundle import export_bundle, import_bundle
 from fixel.database.bundle_file import LIMITS
-from fixel.database.query import ALL_EXPERIMENTS, ExperimentQuery
+from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
 from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Trajectory
@@ -27,6 +27,7 @@ from fixel.model.records import (
     Member,
     SimulationRecord,
 )
+from fixel.model.selection import ExperimentQuery
 from fixel.testing.scenes import grasp
 
 HERE = Provenance(version="0.1", command="test", source="a.csv", sha256="00", seed=7)

@@ -18,9 +18,10 @@ from sqlalchemy import event
 from tests.processes import line_of
 
 from fixel.database import arrays, engine
-from fixel.database.query import ALL_EXPERIMENTS, ExperimentQuery
+from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.errors import StoreRefused
+from fixel.model.selection import ExperimentQuery
 
 HERE = Path(__file__).parent
 

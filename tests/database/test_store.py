@@ -8,7 +8,6 @@ import pytest
 import sqlalchemy as sa
 
 from fixel.database import tables
-from fixel.database.query import Bound, ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, NotStored, StoreRefused
 from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Trajectory
@@ -21,6 +20,7 @@ from fixel.model.records import (
     Member,
     SimulationRecord,
 )
+from fixel.model.selection import Bound, ExperimentQuery
 from fixel.testing.scenes import grasp
 
 HERE = Provenance(version="0.1", command="test", source="a.csv", sha256="00", seed=7)
@@ -135,9 +135,9 @@ def test_deletion_is_soft(store):
         (ExperimentQuery(name="*%2"), ["b%2"]),
         (ExperimentQuery(marks=("simulated",)), ["c"]),
         (ExperimentQuery(bounds=(Bound("contacts", "=", "110"),)), ["b%2"]),
-        (ExperimentQuery(conditions=(Bound("surface", "=", "abs"),)), ["b%2"]),
-        (ExperimentQuery(conditions=(Bound("speed_m_s", "=", 0.02),)), ["a_1", "c"]),
-        (ExperimentQuery(conditions=(Bound("speed_m_s", "=", 0.02),), marks=("real",)), ["a_1"]),
+        (ExperimentQuery(bounds=(Bound("surface", "=", "abs"),)), ["b%2"]),
+        (ExperimentQuery(bounds=(Bound("speed_m_s", "=", 0.02),)), ["a_1", "c"]),
+        (ExperimentQuery(bounds=(Bound("speed_m_s", "=", 0.02),), marks=("real",)), ["a_1"]),
     ],
 )
 def test_filters(store, query, names):

@@ -8,11 +8,11 @@ from typing import NamedTuple
 from tests.fixtures import project_of
 from tests.jobs.helpers import blocks_written, names_in
 
-from fixel.database.query import ExperimentQuery
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
 from fixel.jobs.engine import LocalEngine
 from fixel.jobs.work import block_name
+from fixel.model.selection import ExperimentQuery
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.toy_work import MAKER, make_toy_work

@@ -14,8 +14,8 @@ from tests.fixtures import project_of
 from tests.workflows.growing import comparer_of, planned
 
 from fixel.calibration.target import target_of
-from fixel.database.query import ExperimentQuery
 from fixel.model import Parameters
+from fixel.model.selection import ExperimentQuery
 from fixel.simulation import QuasiStatic, simulate
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration import run

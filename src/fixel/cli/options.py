@@ -12,7 +12,7 @@ import typer
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.database.query import ExperimentQuery
+    from fixel.model.selection import ExperimentQuery
 
 T = TypeVar("T")
 _INFO: Final = "typer"  # key in the metadata of a dataclass field
@@ -32,8 +32,8 @@ DatasetName = Annotated[str | None, typer.Option(help="Only this dataset.", meta
 Where = Annotated[
     list[str] | None,
     typer.Option(
-        help="Only with this condition, also !=, <, <=, >, >= in quotes; may be repeated.",
-        metavar="CONDITION=VALUE",
+        help='Only experiments that match, such as "surface=abs error>5 real"; may be repeated.',
+        metavar="FILTER",
     ),
 ]
 Flagged = Annotated[bool, typer.Option("--all", help="Also experiments with faults in their data.")]
@@ -196,9 +196,9 @@ class Selection:
     @property
     def query(self) -> "ExperimentQuery":
         """Query for the selected experiments."""
-        from fixel.workflows.project.filters import query_of
+        from fixel.model.selection import parse_filter
 
-        return query_of(dataset=self.dataset, where=self.where or (), flagged=self.flagged)
+        return parse_filter(*(self.where or ()), dataset=self.dataset, include_faulty=self.flagged)
 
 
 @dataclass(frozen=True, kw_only=True)

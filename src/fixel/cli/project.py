@@ -25,7 +25,8 @@ from fixel.errors import InvalidInput
 from fixel.table import Column, Table
 
 if TYPE_CHECKING:
-    from fixel.database.browsing import ExperimentPage, ExperimentRow
+    from fixel.database.browsing import ExperimentPage
+    from fixel.model.selection import ExperimentRow
     from fixel.workflows.project.export import ExportAnswer
     from fixel.workflows.project.importing import ImportSummary
 
@@ -168,25 +169,23 @@ def list_(
 ) -> None:
     """List experiments."""
     from fixel.database.project import Project
-    from fixel.workflows.project.filters import query_of
-    from fixel.workflows.project.importing import list_experiments
+    from fixel.model.selection import parse_filter
+    from fixel.workflows.project.importing import list_experiments, overview
 
     project = Project.open(folder)
-    query = query_of(
+    marks = {"real": real is True, "simulated": real is False, "deleted": deleted}
+    query = parse_filter(
+        *(where or ()),
         dataset=dataset,
         name=name,
-        real=real,
-        where=where or (),
-        flag=flag,
-        flagged=flagged,
-        deleted=deleted,
+        flags=() if flag is None else (flag,),
+        marks=tuple(mark for mark, chosen in marks.items() if chosen),
+        include_faulty=flagged,
         limit=limit,
     )
     listing = list_experiments(project, query)
 
     def lines() -> list[str]:
-        from fixel.workflows.project.importing import overview
-
         datasets, flags = overview(project)
         found = _listed(listing)
         if datasets and not any((dataset, name, where, flag)):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -16,7 +15,6 @@ from fixel.database.query import (
     NEWEST_NOMINAL,
     SQUARES,
     WITH_ERRORS,
-    ExperimentQuery,
     clauses,
     expressions,
     order,
@@ -24,60 +22,7 @@ from fixel.database.query import (
 )
 from fixel.database.tables import experiment, flag, note
 from fixel.model import Flag
-from fixel.model.trajectory import turned
-
-
-class ExperimentRow(NamedTuple):
-    """Row of the table of experiments: one experiment without its series."""
-
-    id: int
-    dataset: str
-    name: str
-    is_real: bool
-    n_frame: int
-    duration_s: float
-    start_x_m: float
-    start_y_m: float
-    start_theta_rad: float
-    end_x_m: float
-    end_y_m: float
-    end_theta_rad: float
-    contact_mode: str
-    conditions_json: str
-    created_at_utc: str
-
-    @property
-    def conditions(self) -> dict[str, str | float]:
-        """Further recorded conditions, by name."""
-        found: dict[str, str | float] = json.loads(self.conditions_json)
-        return found
-
-    @property
-    def key(self) -> str:
-        """Dataset and name, joined by a slash."""
-        return f"{self.dataset}/{self.name}"
-
-    @property
-    def moved_m(self) -> float:
-        """Distance between the positions at the start and at the end [m]."""
-        dx, dy = self.end_x_m - self.start_x_m, self.end_y_m - self.start_y_m
-        return float((dx * dx + dy * dy) ** 0.5)
-
-    @property
-    def turned_rad(self) -> float:
-        """Rotation from the start to the end [rad]."""
-        return turned(self.start_theta_rad, self.end_theta_rad, self.n_frame)
-
-
-class ExperimentDetails(NamedTuple):
-    """Results and marks of an experiment on a page."""
-
-    content_sha256: str
-    deleted_at_utc: str | None
-    before_mm2: float | None  # error of the newest simulation with nominal values
-    after_mm2: float | None  # error of the newest calibration that it is a member of
-    flags: list[Flag]
-    notes: int
+from fixel.model.selection import ExperimentDetails, ExperimentQuery, ExperimentRow
 
 
 class ExperimentPage(NamedTuple):
@@ -99,6 +44,8 @@ class ConditionValues(NamedTuple):
     numbers: int  # number of experiments where it is a number
 
 
+MAX_IDS: Final = 5000  # in one statement; databases limit the number of its values
+
 # Conditions stay text until requested, since few lines of a long listing are read.
 _ROW: Final = [
     sa.cast(experiment.c.conditions, sa.Text) if name == "conditions_json" else experiment.c[name]
@@ -109,6 +56,7 @@ _DETAILS: Final = [
     experiment.c.deleted_at_utc,
     BEFORE.c.error_mm2.label("before_mm2"),
     AFTER.c.error_mm2.label("after_mm2"),
+    experiment.c.scene.is_not(None).label("has_scene"),
 ]
 
 
@@ -136,15 +84,16 @@ def browse(
     more = []
     if details:
         ids = [row.id for row in rows]
-        flags, notes = _flags(connection, ids), _n_notes(connection, ids)
+        flags, notes = _flags(connection, ids), _notes(connection, ids)
         more = [
             ExperimentDetails(
                 content_sha256=row.content_sha256,
                 deleted_at_utc=row.deleted_at_utc,
                 before_mm2=row.before_mm2,
                 after_mm2=row.after_mm2,
-                flags=flags.get(row.id, []),
-                notes=notes.get(row.id, 0),
+                has_scene=row.has_scene,
+                flags=flags.get(row.id, ()),
+                notes=notes.get(row.id, ()),
             )
             for row in found
         ]
@@ -255,22 +204,27 @@ def _each_condition(connection: sa.Connection) -> sa.Subquery:
     )
 
 
-def _flags(connection: sa.Connection, experiment_ids: list[int]) -> dict[int, list[Flag]]:
-    wanted = (
-        sa.select(flag.c.experiment_id, flag.c.name, flag.c.detail, flag.c.is_fault)
-        .where(flag.c.experiment_id.in_(experiment_ids), flag.c.deleted_at_utc.is_(None))
-        .order_by(flag.c.id)
-    )
-    found: dict[int, list[Flag]] = {}
-    for experiment_id, *one in connection.execute(wanted):
-        found.setdefault(experiment_id, []).append(Flag(*one))
-    return found
+def _flags(connection: sa.Connection, ids: Sequence[int]) -> dict[int, list[Flag]]:
+    columns = (flag.c.name, flag.c.detail, flag.c.is_fault)
+    return {owner: [Flag(*f) for f in own] for owner, own in _by(connection, ids, flag, *columns)}
 
 
-def _n_notes(connection: sa.Connection, experiment_ids: list[int]) -> dict[int, int]:
-    wanted = (
-        sa.select(note.c.experiment_id, sa.func.count())
-        .where(note.c.experiment_id.in_(experiment_ids), note.c.deleted_at_utc.is_(None))
-        .group_by(note.c.experiment_id)
-    )
-    return {experiment_id: n for experiment_id, n in connection.execute(wanted)}
+def _notes(connection: sa.Connection, ids: Sequence[int]) -> dict[int, list[str]]:
+    return {owner: [t for (t,) in own] for owner, own in _by(connection, ids, note, note.c.text)}
+
+
+def _by(
+    connection: sa.Connection, ids: Sequence[int], table: sa.Table, *columns: sa.Column[Any]
+) -> Iterable[tuple[int, list[Sequence[Any]]]]:
+    """Return the rows of a table that belong to experiments, by experiment, oldest first."""
+    found: dict[int, list[Sequence[Any]]] = {}
+    for first in range(0, len(ids), MAX_IDS):
+        wanted = (
+            sa.select(table.c.experiment_id, *columns)
+            .where(table.c.experiment_id.in_(ids[first : first + MAX_IDS]))
+            .where(table.c.deleted_at_utc.is_(None))
+            .order_by(table.c.id)
+        )
+        for owner, *row in connection.execute(wanted):
+            found.setdefault(owner, []).append(row)
+    return found.items()

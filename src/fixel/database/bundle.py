@@ -34,11 +34,12 @@ from fixel.database.bundle_file import (
 )
 from fixel.database.engine import reading, translated, writing
 from fixel.database.project import DATABASE, MEDIA
-from fixel.database.query import ALL_EXPERIMENTS, ExperimentQuery
+from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.io.atomic import written_whole
 from fixel.model import Experiment, Flag
 from fixel.model.records import SimulationRecord
+from fixel.model.selection import ExperimentQuery
 from fixel.typing import ProgressCallback
 
 # Earliest date of the zip format, so that bundles of the same records are equal bit for bit.

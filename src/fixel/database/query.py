@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import operator
 import re
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, Final, Literal, NamedTuple, final
+from collections.abc import Iterable
+from typing import Any, Final
 
 import sqlalchemy as sa
 
@@ -22,76 +20,7 @@ from fixel.database.tables import (
     system_parameters,
 )
 from fixel.errors import InvalidInput
-
-Relation = Literal["=", "!=", "<", "<=", ">", ">="]
-
-RELATIONS: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
-    "=": operator.eq,
-    "!=": operator.ne,
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
-MARKS: Final = ("clean", "faulty", "flagged", "noted", "real", "simulated", "deleted", "replaced")
-
-
-class Bound(NamedTuple):
-    """Comparison of a column or a condition with a value."""
-
-    name: str
-    relation: Relation
-    value: str | float
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExperimentQuery:
-    """Criteria that select experiments, their order, and one page of them.
-
-    Parameters
-    ----------
-    dataset : str, optional
-    name : str, optional
-        Name; `*` matches any text.
-    words : tuple of str
-        Words that must all occur in the name, a condition, a flag or a note.
-    conditions : tuple of Bound
-        Comparisons of conditions with values.
-    bounds : tuple of Bound
-        Comparisons of columns, or of conditions where there is no such column.
-    flags : tuple of str
-        Names of flags that each experiment must have; faulty ones are then included.
-    marks : tuple of str
-        Marks out of `MARKS`. Deleted experiments are listed only with `deleted` (then no others),
-        experiments replaced by a correction only with `replaced`.
-    include_faulty : bool
-        Include experiments with a flag that marks a fault.
-    sort : str
-        Column or condition to sort by.
-    descending : bool
-    limit : int, optional
-    offset : int
-    """
-
-    dataset: str | None = None
-    name: str | None = None
-    words: tuple[str, ...] = ()
-    conditions: tuple[Bound, ...] = ()
-    bounds: tuple[Bound, ...] = ()
-    flags: tuple[str, ...] = ()
-    marks: tuple[str, ...] = ()
-    include_faulty: bool = False
-    sort: str = "id"
-    descending: bool = False
-    limit: int | None = None
-    offset: int = 0
-
-    @property
-    def omits_faulty(self) -> bool:
-        """Whether experiments with a fault are left out of the page, and only counted."""
-        return not (self.include_faulty or self.flags or "deleted" in self.marks)
-
+from fixel.model.selection import ERRORS, RELATIONS, Bound, ExperimentQuery, check_number
 
 ALL_EXPERIMENTS: Final = ExperimentQuery(include_faulty=True, marks=("replaced",))
 
@@ -224,7 +153,7 @@ def expressions(dialect: str, name: str) -> tuple[sa.ColumnElement[Any], ...]:
 def sources(query: ExperimentQuery, names: Iterable[str] = ()) -> sa.FromClause:
     """Tables to select from; errors are joined only where the query or a name refers to them."""
     named = {query.sort, *names, *(bound.name for bound in query.bounds)}
-    return WITH_ERRORS if named & {"before_mm", "after_mm", "error_mm"} else experiment
+    return WITH_ERRORS if named.intersection(ERRORS) else experiment
 
 
 def clauses(query: ExperimentQuery, dialect: str) -> list[Any]:
@@ -249,7 +178,6 @@ def clauses(query: ExperimentQuery, dialect: str) -> list[Any]:
     found += [meaning[mark] for mark in query.marks if mark in meaning]
     found += [meaning["clean"]] if query.omits_faulty else []
     found += [experiment.c.id.in_(_FLAGGED.where(flag.c.name == name)) for name in query.flags]
-    found += [_condition_holds(dialect, bound) for bound in query.conditions]
     found += [_bound_holds(dialect, bound) for bound in query.bounds]
     return found + [_has_word(word) for word in query.words]
 
@@ -263,35 +191,29 @@ def order(query: ExperimentQuery, dialect: str) -> list[Any]:
     return [*found, experiment.c.id.desc() if query.descending else experiment.c.id.asc()]
 
 
-def _condition_holds(dialect: str, bound: Bound) -> Any:
-    if bound.relation != "=":
-        return _compared(bound, *expressions(dialect, bound.name))
-    entry = experiment.c.conditions[bound.name]
-    value = bound.value
-    return entry.as_string() == value if isinstance(value, str) else entry.as_float() == value
-
-
 def _bound_holds(dialect: str, bound: Bound) -> Any:
     relate = RELATIONS[bound.relation]
     name, value = bound.name, bound.value
     if name in TEXTS:
-        return relate(TEXTS[name], str(value) if isinstance(value, str) else f"{value:g}")
+        return relate(TEXTS[name], bound.typed)
     if name not in COLUMNS:
-        return _compared(bound, *expressions(dialect, name))
-    if isinstance(value, str):
-        raise InvalidInput(f"filter: {name}", found=repr(value), expected="a number")
+        return _condition_holds(dialect, bound)
+    check_number(bound)
+    assert not isinstance(value, str)
     # The sign is retained: every error exceeds a negative bound.
     return relate(COLUMNS[name], value * abs(value) if name in SQUARES else value)
 
 
-def _compared(bound: Bound, text: Any, number: Any) -> Any:
-    """SQL clause that compares the text or the number of a condition with a value."""
-    relate = RELATIONS[bound.relation]
+def _condition_holds(dialect: str, bound: Bound) -> Any:
+    """SQL clause for `fixel.model.selection._condition_holds`."""
+    text, number = expressions(dialect, bound.name)
+    if bound.relation not in ("=", "!="):
+        check_number(bound)
+        return RELATIONS[bound.relation](number, bound.value)
+    same: Any = sa.and_(number.is_(None), text.is_not(None), text == bound.typed)
     if not isinstance(bound.value, str):
-        return relate(number, bound.value)
-    if bound.relation == "!=":
-        return sa.or_(text != bound.value, text.is_(None))
-    return relate(text, bound.value)
+        same = sa.or_(same, sa.and_(number.is_not(None), number == bound.value))
+    return same if bound.relation == "=" else sa.not_(sa.func.coalesce(same, sa.false()))
 
 
 def _has_word(word: str) -> Any:

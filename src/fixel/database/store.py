@@ -17,7 +17,7 @@ from fixel.database import arrays, browsing, marks, rows, schema, tables
 from fixel.database.browsing import ConditionValues, ExperimentPage
 from fixel.database.engine import open_engine, reading, set_journal, writing
 from fixel.database.marks import Note
-from fixel.database.query import LIVE, ExperimentQuery
+from fixel.database.query import LIVE
 from fixel.errors import InvalidInput, NotStored, StoreRefused, os_reason
 from fixel.model import Experiment, Flag
 from fixel.model.records import (
@@ -27,6 +27,7 @@ from fixel.model.records import (
     Member,
     SimulationRecord,
 )
+from fixel.model.selection import ExperimentQuery
 
 MAX_NAMES: Final = 20_000  # number of experiments that a mistyped name is compared with
 T = TypeVar("T")

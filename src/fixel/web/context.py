@@ -9,8 +9,8 @@ from typing import Annotated, Final, final
 from fastapi import Depends, Request
 
 from fixel.database.project import Project
-from fixel.database.query import ExperimentQuery
 from fixel.drawing.thumbnail import thumbnail
+from fixel.model.selection import ExperimentQuery
 from fixel.web.views.calibration_detail import load_detail
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.web.views.domain_views import DomainViews

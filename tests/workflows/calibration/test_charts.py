@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from tests.fixtures import project_of
 
-from fixel.database.query import ExperimentQuery
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate, ProfileRecord
+from fixel.model.selection import ExperimentQuery
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views import calibration_detail

@@ -12,8 +12,8 @@ import pytest
 from fixel.calibration.target import scene_of
 from fixel.cli.calibration_text import lines_of
 from fixel.database.project import Project
-from fixel.database.query import ExperimentQuery
 from fixel.model import Parameters
+from fixel.model.selection import ExperimentQuery
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import load_detail

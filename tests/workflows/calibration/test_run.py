@@ -14,11 +14,11 @@ from tests.fixtures import project_of
 
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
-from fixel.database.query import ExperimentQuery
 from fixel.errors import InvalidInput
 from fixel.jobs.work import StopRequest
 from fixel.model import Trajectory, UniformPressure
 from fixel.model.records import Estimate
+from fixel.model.selection import ExperimentQuery
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed

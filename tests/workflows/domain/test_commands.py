@@ -6,15 +6,15 @@ from pathlib import Path
 from typer.main import get_command
 
 from fixel.cli.main import app
-from fixel.database.query import Bound, ExperimentQuery
 from fixel.domain.domain import Claim
+from fixel.model.selection import Bound, ExperimentQuery
 from fixel.workflows.domain.request import DomainRequest, command_of
 
 
 def test_every_option_of_the_command_that_is_written_is_one():
     asked = DomainRequest(
         query=ExperimentQuery(
-            dataset="mit", conditions=(Bound("surface", "=", "abs"),), include_faulty=True
+            dataset="mit", bounds=(Bound("surface", "=", "abs"),), include_faulty=True
         ),
         calibration=3,
         fit=("mu_pusher=0:1:0.2",),

@@ -15,10 +15,10 @@ from tests.fixtures import project_of
 
 import fixel
 from fixel.database.project import Project
-from fixel.database.query import ExperimentQuery
 from fixel.drawing.calibration import SecondsChart
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate
+from fixel.model.selection import ExperimentQuery
 from fixel.sampling.thesis import thesis_plan
 from fixel.table import Table
 from fixel.testbed.simulated import SimulatedTestbed

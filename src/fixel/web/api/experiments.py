@@ -8,10 +8,10 @@ from fastapi import APIRouter, Query
 from fastapi.responses import FileResponse, Response
 from pydantic import ConfigDict, Field
 
-from fixel.database.browsing import ExperimentDetails, ExperimentRow
 from fixel.errors import NotStored
 from fixel.io.document import plain_numbers
 from fixel.model import Flag
+from fixel.model.selection import ExperimentDetails, ExperimentRow, meant_filter
 from fixel.web.context import Context, ProjectContext
 from fixel.web.values import MAX_ID, Answer, Array, Number
 from fixel.web.views.browser_video import browser_video
@@ -21,7 +21,7 @@ from fixel.workflows.project.filters import (
     Coverage,
     Vocabulary,
     coverage,
-    meant_filter,
+    known_names,
     view_of,
     vocabulary,
 )
@@ -179,7 +179,7 @@ def table(
         experiments=[_table_row(*both) for both in zip(page.rows, page.details, strict=True)],
         total=page.total,
         faulty=page.faulty,
-        meant=None if page.total else meant_filter(context.store, filter),
+        meant=None if page.total else meant_filter(filter, known_names(context.store)),
     )
 
 
@@ -324,8 +324,8 @@ def _table_row(row: ExperimentRow, details: ExperimentDetails) -> TableRow:
         content=details.content_sha256[:16],
         before_mm=_root(details.before_mm2),
         after_mm=_root(details.after_mm2),
-        flags=details.flags,
-        notes=details.notes,
+        flags=list(details.flags),
+        notes=len(details.notes),
         deleted=details.deleted_at_utc is not None,
     )
 

@@ -13,8 +13,8 @@ from typing import Any, Final
 
 from fastapi import Request
 
-from fixel.database.query import ExperimentQuery
 from fixel.errors import NotStored
+from fixel.model.selection import ExperimentQuery
 from fixel.web.app import API, Page
 from fixel.web.context import ProjectContext
 from fixel.web.pages import calibration, experiment

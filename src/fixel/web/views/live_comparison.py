@@ -14,12 +14,12 @@ from pydantic import Field
 
 from fixel.calibration.target import scene_of
 from fixel.calibration.usual_parameters import default_unknowns, usual_unknown
-from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters
 from fixel.model.parameters import KNOWN_PARAMETERS, info_of, is_parameter
 from fixel.model.records import CalibrationRecord, SimulationRecord
+from fixel.model.selection import ExperimentQuery
 from fixel.simulation import AbstractMotionModel, simulate
 from fixel.simulation.motion import MOTION_MODELS
 from fixel.simulation.stepper import Adaptive

@@ -17,7 +17,6 @@ import numpy as np
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
-from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
@@ -29,6 +28,7 @@ from fixel.jobs.site import Site
 from fixel.jobs.work import JobProgress
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Evaluations, Member
+from fixel.model.selection import ExperimentQuery
 from fixel.model.space import Unknown
 from fixel.workflows import jobs
 from fixel.workflows.calibration.commands import command_of

@@ -13,13 +13,13 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.database.project import SETTINGS, Project
-from fixel.database.query import ExperimentQuery
 from fixel.drawing.tracking import SideBySide, TrackedRun
 from fixel.errors import InvalidInput
 from fixel.formats.recording import is_recording, open_recording
 from fixel.formats.scene_file import load_scene
 from fixel.model import Experiment, PathDrive, Trajectory, placed
 from fixel.model.records import Estimate
+from fixel.model.selection import ExperimentQuery
 from fixel.sampling.thesis import thesis_plan
 from fixel.table import Table
 from fixel.testbed.emulators import mega

@@ -13,10 +13,10 @@ import numpy as np
 
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
-from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
+from fixel.model.selection import ExperimentQuery
 from fixel.sampling.thesis import thesis_plan
 from fixel.table import Table
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed

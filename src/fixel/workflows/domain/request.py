@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 
@@ -14,11 +14,11 @@ from fixel.calibration.objective import MeanSquare
 from fixel.calibration.target import Target
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
-from fixel.database.query import Bound, ExperimentQuery
 from fixel.database.store import Store
 from fixel.domain.domain import Claim
 from fixel.domain.evidence import Measure
 from fixel.errors import InvalidInput
+from fixel.model.selection import Bound, ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
 from fixel.simulation import Dynamic
 from fixel.typing import FloatArray
@@ -75,11 +75,19 @@ class DomainRequest:
     folds: int | None = None
     seed: int = 0
 
+    def _where(self) -> dict[str, str | float] | str:
+        """Return the values of conditions, or a filter that compares otherwise."""
+        bounds = self.query.bounds
+        only_equal = self.query == ExperimentQuery(
+            dataset=self.query.dataset, bounds=bounds, include_faulty=self.query.include_faulty
+        ) and all(one.relation == "=" for one in bounds)
+        return {one.name: one.value for one in bounds} if only_equal else self.query.filter
+
     def question(self) -> dict[str, Any]:
         """Return the request as plain content."""
         return {
             "dataset": self.query.dataset,
-            "where": {one.name: one.value for one in self.query.conditions if one.relation == "="},
+            "where": self._where(),
             "flagged": self.query.include_faulty,
             "calibration": self.calibration,
             "fit": list(self.fit),
@@ -101,12 +109,13 @@ class DomainRequest:
 def asked_again(question: Mapping[str, Any]) -> DomainRequest:
     """Rebuild a request from stored content; inverse of `DomainRequest.question`."""
     known = dict(question)
-    where: dict[str, str | float] = known.pop("where")
-    query = ExperimentQuery(
-        dataset=known.pop("dataset"),
-        conditions=tuple(Bound(name, "=", value) for name, value in where.items()),
-        include_faulty=known.pop("flagged"),
+    where: dict[str, str | float] | str = known.pop("where")
+    query = parse_filter(
+        where if isinstance(where, str) else "", include_faulty=known.pop("flagged")
     )
+    equal = () if isinstance(where, str) else where.items()
+    bounds = (*query.bounds, *(Bound(name, "=", value) for name, value in equal))
+    query = replace(query, dataset=known.pop("dataset"), bounds=bounds)
     return DomainRequest(query=query, **known)
 
 
@@ -204,8 +213,7 @@ def command_of(folder: Path, asked: DomainRequest, claim: Claim) -> str:
     words += [] if folder == Path() else ["--project", str(folder)]
     if asked.query.dataset:
         words += ["--dataset", asked.query.dataset]
-    for name, relation, value in asked.query.conditions:
-        words += ["--where", f"{name}{relation}{value}"]
+    words += ["--where", asked.query.filter] if asked.query.filter else []
     words += ["--all"] * asked.query.include_faulty
     if asked.calibration is not None:
         words += ["--calibration", str(asked.calibration)]

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, final
 
 from fixel.calibration.target import Target, target_of
-from fixel.database.browsing import ExperimentRow
-from fixel.database.query import Bound, ExperimentQuery
 from fixel.database.store import Store
 from fixel.domain.growth import AXES, NOMINAL, AxisPlace, ExperimentGroup
 from fixel.errors import InvalidInput
+from fixel.model.selection import Bound, ExperimentQuery, ExperimentRow
 from fixel.workflows.figures import banner_of
 
 OFFSETS: Final = {"x": "offset_x_m", "y": "offset_y_m", "theta": "offset_theta_rad"}
@@ -80,7 +79,7 @@ def read_samples(
         No such experiments, a group without its nominal one, or two datasets at one place.
     """
     conditions = () if shape is None else (Bound("shape", "=", shape),)
-    listing = store.experiments(ExperimentQuery(dataset=dataset, conditions=conditions))
+    listing = store.experiments(ExperimentQuery(dataset=dataset, bounds=conditions))
     seated: dict[_Seat, list[ExperimentRow]] = {}
     for summary in listing.rows:
         seat = _seat_of(summary)

@@ -10,11 +10,9 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.database.browsing import ExperimentRow
 from fixel.database.bundle import export_bundle, import_bundle, record_counts
 from fixel.database.bundle_file import opened_bundle
 from fixel.database.project import Project
-from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.datasets import IMPORTERS
 from fixel.datasets.table import CsvTable
@@ -24,6 +22,7 @@ from fixel.formats.frames_file import folder_whole, refuse_folder, write_frames
 from fixel.formats.lerobot import write_lerobot
 from fixel.io.atomic import refuse_unwritable
 from fixel.model import Experiment
+from fixel.model.selection import ExperimentQuery, ExperimentRow
 from fixel.typing import ProgressCallback
 
 FORMATS: Final = ("bundle", "parquet", "lerobot")

@@ -1,193 +1,29 @@
-"""Filters for experiments as typed, corrections of unknown names, and coverage."""
+"""Names by which experiments can be selected, and coverage of configurations."""
 
 from __future__ import annotations
 
-import contextlib
-import difflib
-import re
-import shlex
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, cast, final
+from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.database.query import COLUMNS, MARKS, TEXTS, Bound, ExperimentQuery, Relation
 from fixel.database.store import Store
-from fixel.errors import InvalidInput
+from fixel.model.selection import ExperimentQuery, KnownNames, parse_filter, refuse_unknown
 from fixel.typing import FloatArray
 
-MAX_FILTER: Final = 1000  # characters
 MAX_VALUES: Final = 40  # values of a condition that are listed
 MAX_PLACES: Final = 40  # places on an axis of the coverage; more are merged
 
-# Short names of columns, with their units in metres and radians.
-DEGREE: Final = float(np.pi / 180.0)
-NAMES: Final[dict[str, tuple[str, float]]] = {
-    "error": ("error_mm", 1.0),
-    "before": ("before_mm", 1.0),
-    "after": ("after_mm", 1.0),
-    "moved": ("moved_m", 1e-3),
-    "turned": ("turned_rad", DEGREE),
-    "x": ("start_x_m", 1e-3),
-    "y": ("start_y_m", 1e-3),
-    "angle": ("start_angle_rad", DEGREE),
-    "duration": ("duration_s", 1.0),
-}
-_CONDITION: Final = re.compile(r"([^=!<>]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
-_BOUND: Final = re.compile(r"([\w.-]+)(>=|<=|!=|=|<|>)(.*)", re.DOTALL)
 PLACES: Final = ("start_x_m", "start_y_m", "start_angle_rad")
 OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
 _NUMBER: Final = (int, float)
-MAX_NAMED = 12  # values listed in an error
 
 
-def query_of(
-    *,
-    dataset: str | None = None,
-    name: str | None = None,
-    real: bool | None = None,
-    where: Iterable[str] = (),
-    flag: str | None = None,
-    flagged: bool = False,
-    deleted: bool = False,
-    limit: int | None = None,
-) -> ExperimentQuery:
-    """Build a query from options; `where` are `CONDITION=VALUE`, or with another relation."""
-    bounds = [_condition(text) for text in where]
-    equal = {one.name: one for one in bounds if one.relation == "="}  # the last of a name counts
-    marks = {"real": real is True, "simulated": real is False, "deleted": deleted}
-    return ExperimentQuery(
-        dataset=dataset,
-        name=name,
-        conditions=(*equal.values(), *(one for one in bounds if one.relation != "=")),
-        flags=() if flag is None else (flag,),
-        marks=tuple(mark for mark, chosen in marks.items() if chosen),
-        include_faulty=flagged,
-        limit=limit,
-    )
-
-
-def _condition(text: str) -> Bound:
-    found = _CONDITION.fullmatch(text)
-    if found is None:
-        raise InvalidInput(
-            "--where",
-            found=repr(text),
-            expected="CONDITION=VALUE, or !=, <, <=, >, >= in place of =",
-            hint="put it in quotes: the shell takes < and > for itself",
-        )
-    name, relation, typed = found.groups()
-    value: str | float = typed.strip()
-    with contextlib.suppress(ValueError):
-        value = float(value)
-    if isinstance(value, str) and relation not in ("=", "!="):
-        raise InvalidInput(f"--where {name}", found=repr(typed), expected="a number")
-    return Bound(name.strip(), cast(Relation, relation), value)
-
-
-def view_of(
-    filter: str = "",
-    *,
-    sort: str = "id",
-    descending: bool = False,
-    limit: int | None = None,
-    offset: int = 0,
-) -> ExperimentQuery:
-    """Parse a filter as it is typed.
-
-    Parameters
-    ----------
-    filter : str
-        Words that must occur somewhere, `"two words"` in quotes; `shape=square`, `offset_x_m>0.01`
-        of a condition or a column; `error>5` [mm], `moved<80` [mm], `turned>10` [deg], `x`, `y`
-        [mm], `angle` [deg], `duration` [s], `before` and `after` [mm]; `dataset:NAME`, `flag:NAME`,
-        `is:clean`, `is:faulty`, `is:flagged`, `is:noted`, `is:real`, `is:simulated`, `is:deleted`.
-    sort : str
-        Name of a column, long or short, or a condition.
-    descending : bool
-    limit : int, optional
-    offset : int
-
-    Raises
-    ------
-    InvalidInput
-        A quote that does not end, an unknown `is:`, or a text instead of a number.
-
-    Examples
-    --------
-    >>> view = view_of('pentagon error>5 flag:late')
-    >>> view.words, view.bounds, view.flags
-    (('pentagon',), (Bound(name='error_mm', relation='>', value=5.0),), ('late',))
-    """
-    words: list[str] = []
-    bounds: list[Bound] = []
-    flags: list[str] = []
-    marks: list[str] = []
-    for token in _tokens(filter):
-        head, colon, rest = token.partition(":")
-        if colon and head == "is":
-            marks.append(_mark(rest))
-        elif colon and head == "flag" and rest:
-            flags.append(rest)
-        elif colon and head == "dataset" and rest:
-            bounds.append(Bound("dataset", "=", rest))
-        elif (found := _BOUND.fullmatch(token)) is not None:
-            bounds.append(_bound(*found.groups()))
-        else:
-            words.append(token)
-    return ExperimentQuery(
-        words=tuple(words),
-        bounds=tuple(bounds),
-        flags=tuple(flags),
-        marks=tuple(marks),
-        include_faulty=True,
-        sort=NAMES.get(sort, (sort, 1.0))[0],
-        descending=descending,
-        limit=limit,
-        offset=offset,
-    )
-
-
-def _tokens(text: str) -> list[str]:
-    if len(text) > MAX_FILTER:
-        raise InvalidInput(
-            "filter", found=f"{len(text)} characters", expected=f"at most {MAX_FILTER}"
-        )
-    reader = shlex.shlex(text, posix=True)
-    reader.whitespace_split = True
-    reader.commenters = ""
-    reader.quotes = '"'
-    reader.escape = ""
-    try:
-        return list(reader)
-    except ValueError:
-        raise InvalidInput("filter", found="a quote that does not end", expected='"..."') from None
-
-
-def _mark(name: str) -> str:
-    if name not in MARKS:
-        raise InvalidInput("filter: is:", found=repr(name), expected="one of " + ", ".join(MARKS))
-    return name
-
-
-def _bound(name: str, relation: str, value: str) -> Bound:
-    known, unit = NAMES.get(name, (name, 1.0))
-    number = _number(value)
-    if number is None and known in COLUMNS and known not in TEXTS:
-        raise InvalidInput(f"filter: {name}", found=repr(value), expected="a number")
-    if number is None or known in TEXTS:
-        return Bound(known, cast(Relation, relation), value)
-    return Bound(known, cast(Relation, relation), number * unit)
-
-
-def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if np.isfinite(value) else None
+def view_of(filter: str = "", **options: Any) -> ExperimentQuery:
+    """Parse the filter of a page, which lists experiments with faults, too."""
+    return parse_filter(filter, include_faulty=True, **options)
 
 
 # --- values to filter by ------------------------------------------------------------------------
@@ -335,93 +171,20 @@ def _word(value: str | float) -> str:
     return value if isinstance(value, str) else f"{value:g}"
 
 
-class UnknownName(NamedTuple):
-    """Name or value that no experiment has."""
-
-    what: str  # as typed: "--where shape"
-    typed: str
-    known: tuple[str, ...]
-
-    @property
-    def meant(self) -> str | None:
-        """Known name that resembles it most; None if none does."""
-        close = difflib.get_close_matches(self.typed.lower(), [k.lower() for k in self.known], n=1)
-        return next((k for k in self.known if k.lower() == close[0]), None) if close else None
-
-    def error(self) -> InvalidInput:
-        """Return the error to raise."""
-        more = f", ... ({len(self.known)} in all)" if len(self.known) > MAX_NAMED else ""
-        return InvalidInput(
-            self.what,
-            found=repr(self.typed),
-            expected="one of " + ", ".join(self.known[:MAX_NAMED]) + more
-            if self.known
-            else "nothing: no experiment has one",
-            hint=f"did you mean {self.meant!r}?" if self.meant else None,
-        )
+def known_names(store: Store) -> KnownNames:
+    """Return the names and values that a filter of a store's experiments can use."""
+    conditions = {name: known.texts for name, known in store.conditions().items()}
+    return KnownNames(store.datasets(), store.flags(), conditions)
 
 
-def check_known_names(store: Store, query: ExperimentQuery) -> None:
+def check_known_names(store: Store, query: ExperimentQuery, *, found: bool = False) -> None:
     """Raise if a query has a dataset, flag, condition or value that no experiment has.
+
+    With `found`, only for a condition: other names are then known.
 
     Raises
     ------
     InvalidInput
         Error for the first of them, with the known name that resembles it most.
     """
-    for unknown in _unknown_in(store, query):
-        raise unknown.error()
-
-
-def meant_filter(store: Store, filter: str) -> str | None:
-    """Return a filter with unknown names and values replaced by what resembles them.
-
-    Returns
-    -------
-    str or None
-        None if nothing is unknown, or nothing resembles it.
-    """
-    view = view_of(filter)
-    changed = filter
-    for unknown in _unknown_in_view(store, view):
-        if unknown.meant is None:
-            return None
-        changed = changed.replace(unknown.typed, unknown.meant, 1)
-    return changed if changed != filter else None
-
-
-def _unknown_in(store: Store, query: ExperimentQuery) -> Iterator[UnknownName]:
-    if query.dataset is not None:
-        yield from _not_among("--dataset", query.dataset, store.datasets())
-    for name in query.flags:
-        yield from _not_among("--flag", name, store.flags())
-    yield from _unknown_conditions(store, query.conditions, "--where ")
-
-
-def _unknown_in_view(store: Store, view: ExperimentQuery) -> Iterator[UnknownName]:
-    for name in view.flags:
-        yield from _not_among("flag", name, store.flags())
-    texts = [text for known in store.conditions().values() for text in known.texts]
-    for word in view.words:
-        yield from _not_among("filter", word, (*texts, *store.datasets(), *store.flags()))
-    for bound in view.bounds:
-        if bound.name == "dataset":
-            yield from _not_among("dataset", str(bound.value), store.datasets())
-    others = [bound for bound in view.bounds if bound.name not in COLUMNS]
-    yield from _unknown_conditions(store, others, "", NAMES)
-
-
-def _unknown_conditions(
-    store: Store, bounds: Iterable[Bound], where: str, more: Iterable[str] = ()
-) -> Iterator[UnknownName]:
-    known = store.conditions()
-    for bound in bounds:
-        if bound.name not in known:
-            yield UnknownName(where.strip() or "filter", bound.name, (*known, *more))
-        elif isinstance(bound.value, str) and bound.relation == "=":
-            yield from _not_among(f"{where}{bound.name}", bound.value, known[bound.name].texts)
-
-
-def _not_among(what: str, typed: str, known: Iterable[str]) -> Iterator[UnknownName]:
-    if typed not in (names := tuple(known)):
-        yield UnknownName(what, typed, names)
+    refuse_unknown(query, known_names(store), found=found)

@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 from fixel.database.browsing import ExperimentPage
 from fixel.database.project import Project
-from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.datasets import ImportPlan, importer_for
 from fixel.datasets.own_scene import template_text
 from fixel.datasets.table import DATASET as TABLE
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
+from fixel.model.selection import ExperimentQuery
 from fixel.typing import ProgressCallback
 from fixel.workflows.project.filters import check_known_names
 

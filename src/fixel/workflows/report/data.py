@@ -10,9 +10,9 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.database.browsing import ExperimentRow
-from fixel.database.query import ALL_EXPERIMENTS, ExperimentQuery
+from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
+from fixel.model.selection import ExperimentQuery, ExperimentRow
 from fixel.model.trajectory import turned
 from fixel.table import Table
 from fixel.workflows.report.content import Section

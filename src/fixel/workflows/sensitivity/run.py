@@ -10,11 +10,11 @@ from typing import Any, Final, final
 
 from fixel.calibration.target import target_of
 from fixel.database.project import Project
-from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.formats import load_scene
 from fixel.model import Experiment, Scene
+from fixel.model.selection import ExperimentQuery
 from fixel.simulation import Dynamic
 from fixel.typing import ProgressCallback
 from fixel.uncertainty.indices import indices_of

@@ -16,11 +16,11 @@ from fixel.calibration.study import box_of
 from fixel.calibration.target import Target, target_of
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
-from fixel.database.query import ExperimentQuery
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.model.records import CalibrationRecord
+from fixel.model.selection import ExperimentQuery
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation.motion import MOTION_MODELS
 from fixel.typing import FloatArray

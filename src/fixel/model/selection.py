@@ -1,0 +1,498 @@
+"""Selection of experiments: the grammar of filters, and their evaluation in memory.
+
+`fixel.database.query` evaluates the same selection in SQL.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+import operator
+import re
+import shlex
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal, NamedTuple, cast, final
+
+from fixel.errors import InvalidInput
+from fixel.model.experiment import Experiment, Flag
+from fixel.model.trajectory import turned
+
+Relation = Literal["=", "!=", "<", "<=", ">", ">="]
+
+RELATIONS: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
+    "=": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+MARKS: Final = ("clean", "faulty", "flagged", "noted", "real", "simulated", "deleted", "replaced")
+MAX_FILTER: Final = 1000  # characters
+MAX_NAMED: Final = 12  # values listed in an error
+
+TEXTS: Final = ("dataset", "name", "contacts", "created")
+ERRORS: Final = ("before_mm", "after_mm", "error_mm")
+# Values of columns are compared by their squares, errors and distances: the database has no roots.
+SQUARES: Final = ("moved_m", *ERRORS)
+NUMBERS: Final = (
+    *("id", "frames", "duration_s", "start_x_m", "start_y_m", "start_angle_rad", "end_x_m"),
+    *("end_y_m", "end_angle_rad", "turned_rad", "flags", "notes"),
+)
+COLUMNS: Final = (*TEXTS, *NUMBERS, *SQUARES)
+# Short names of columns, with their units in metres and radians.
+DEGREE: Final = math.pi / 180.0
+NAMES: Final[Mapping[str, tuple[str, float]]] = {
+    "error": ("error_mm", 1.0),
+    "before": ("before_mm", 1.0),
+    "after": ("after_mm", 1.0),
+    "moved": ("moved_m", 1e-3),
+    "turned": ("turned_rad", DEGREE),
+    "x": ("start_x_m", 1e-3),
+    "y": ("start_y_m", 1e-3),
+    "angle": ("start_angle_rad", DEGREE),
+    "duration": ("duration_s", 1.0),
+}
+_RELATION: Final = r"(>=|<=|!=|=|<|>)"
+_BOUND: Final = re.compile(rf"(\w[\w. -]*?){_RELATION}(.*)", re.DOTALL)
+
+
+class Bound(NamedTuple):
+    """Comparison of a column or a condition with a value."""
+
+    name: str
+    relation: Relation
+    value: str | float
+    text: str = ""  # value as typed, for conditions that are texts such as "007"
+
+    @property
+    def typed(self) -> str:
+        """Value as typed, or written shortly."""
+        return self.text or (self.value if isinstance(self.value, str) else f"{self.value!r}")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExperimentQuery:
+    """Criteria that select experiments, their order, and one page of them.
+
+    Parameters
+    ----------
+    dataset : str, optional
+    name : str, optional
+        Name; `*` matches any text.
+    words : tuple of str
+        Words that must all occur in the name, a condition, a flag or a note.
+    bounds : tuple of Bound
+        Comparisons of columns, or of conditions where there is no such column.
+    flags : tuple of str
+        Names of flags that each experiment must have; faulty ones are then included.
+    marks : tuple of str
+        Marks out of `MARKS`. Deleted experiments are listed only with `deleted` (then no others),
+        experiments replaced by a correction only with `replaced`.
+    include_faulty : bool
+        Include experiments with a flag that marks a fault.
+    sort : str
+        Column or condition to sort by.
+    descending : bool
+    limit : int, optional
+    offset : int
+    """
+
+    dataset: str | None = None
+    name: str | None = None
+    words: tuple[str, ...] = ()
+    bounds: tuple[Bound, ...] = ()
+    flags: tuple[str, ...] = ()
+    marks: tuple[str, ...] = ()
+    include_faulty: bool = False
+    sort: str = "id"
+    descending: bool = False
+    limit: int | None = None
+    offset: int = 0
+
+    @property
+    def omits_faulty(self) -> bool:
+        """Whether experiments with a fault are left out of the page, and only counted."""
+        with_faults = {"deleted", "faulty", "flagged"}.intersection(self.marks)
+        return not (self.include_faulty or self.flags or with_faults)
+
+    @property
+    def filter(self) -> str:
+        """Words, bounds, flags and marks as `parse_filter` reads them."""
+        terms = [*self.words, *(f"{b.name}{b.relation}{b.typed}" for b in self.bounds)]
+        terms += [*(f"flag:{name}" for name in self.flags), *(f"is:{mark}" for mark in self.marks)]
+        return " ".join(f'"{term}"' if " " in term else term for term in terms)
+
+
+# --- grammar --------------------------------------------------------------------------------------
+
+
+def parse_filter(*filters: str, **options: Any) -> ExperimentQuery:
+    """Parse filters as they are typed; all terms of all filters must hold.
+
+    Parameters
+    ----------
+    *filters : str
+        Terms separated by spaces: `shape=square`, `offset_x_m>0.01`, with `!=`, `<`, `<=`, `>=`
+        alike, of a condition or a column; `error>5` [mm], `moved<80` [mm], `turned>10` [deg], `x`,
+        `y` [mm], `angle` [deg], `duration` [s], `before` and `after` [mm]; `dataset:NAME`,
+        `flag:NAME`; a mark such as `real`, `simulated`, `clean`, `faulty`, `flagged`, `noted`,
+        `deleted`, or `is:real`. Other words must occur in the name, a condition, a flag or a note.
+        Values with spaces are in double quotes.
+    **options : object
+        Further fields of `ExperimentQuery`; `sort` may be a short name.
+
+    Raises
+    ------
+    InvalidInput
+        A quote that does not end, an unknown `is:`, or a text instead of a number.
+
+    Examples
+    --------
+    >>> query = parse_filter('pentagon real error>5 flag:late')
+    >>> query.words, query.marks, query.flags
+    (('pentagon',), ('real',), ('late',))
+    >>> query.bounds[0][:3]
+    ('error_mm', '>', 5.0)
+    """
+    words: list[str] = []
+    bounds: list[Bound] = []
+    flags: list[str] = []
+    marks: list[str] = []
+    for token in (token for text in filters for token in _tokens(text)):
+        head, colon, rest = token.partition(":")
+        if colon and head == "is":
+            marks.append(_mark(rest))
+        elif token in MARKS:
+            marks.append(token)
+        elif colon and head == "flag" and rest:
+            flags.append(rest)
+        elif colon and head == "dataset" and rest:
+            bounds.append(Bound("dataset", "=", rest))
+        elif (found := _BOUND.fullmatch(token)) is not None:
+            bounds.append(_bound(*found.groups()))
+        else:
+            words.append(token)
+    return ExperimentQuery(
+        words=tuple(words),
+        bounds=tuple(bounds),
+        flags=(*flags, *options.pop("flags", ())),
+        marks=(*marks, *options.pop("marks", ())),
+        sort=NAMES.get(options.get("sort", "id"), (options.pop("sort", "id"), 1.0))[0],
+        **options,
+    )
+
+
+def _tokens(text: str) -> list[str]:
+    if len(text) > MAX_FILTER:
+        raise InvalidInput(
+            "filter", found=f"{len(text)} characters", expected=f"at most {MAX_FILTER}"
+        )
+    # Spaces around a relation are allowed, where they are not in quotes.
+    parts = text.split('"')
+    parts[::2] = [re.sub(rf"\s*{_RELATION}\s*", r"\1", part) for part in parts[::2]]
+    reader = shlex.shlex('"'.join(parts), posix=True)
+    reader.whitespace_split = True
+    reader.commenters = ""
+    reader.quotes = '"'
+    reader.escape = ""
+    try:
+        return list(reader)
+    except ValueError:
+        raise InvalidInput("filter", found="a quote that does not end", expected='"..."') from None
+
+
+def _mark(name: str) -> str:
+    if name not in MARKS:
+        raise InvalidInput("filter: is:", found=repr(name), expected="one of " + ", ".join(MARKS))
+    return name
+
+
+def _bound(name: str, relation: str, typed: str) -> Bound:
+    known, unit = NAMES.get(name, (name, 1.0))
+    number = None if known in TEXTS else _number(typed)
+    compares_text = known in TEXTS or (known not in COLUMNS and relation in ("=", "!="))
+    if number is None and not compares_text:
+        raise InvalidInput(f"filter: {name}", found=repr(typed), expected="a number")
+    value = typed if number is None else number * unit
+    text = "" if unit != 1.0 or typed in (value, repr(value)) else typed
+    return Bound(known, cast(Relation, relation), value, text)
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+# --- evaluation in memory -------------------------------------------------------------------------
+
+
+class ExperimentRow(NamedTuple):
+    """Row of the table of experiments: one experiment without its series."""
+
+    id: int
+    dataset: str
+    name: str
+    is_real: bool
+    n_frame: int
+    duration_s: float
+    start_x_m: float
+    start_y_m: float
+    start_theta_rad: float
+    end_x_m: float
+    end_y_m: float
+    end_theta_rad: float
+    contact_mode: str
+    conditions_json: str
+    created_at_utc: str
+
+    @property
+    def conditions(self) -> dict[str, str | float]:
+        """Further recorded conditions, by name."""
+        found: dict[str, str | float] = json.loads(self.conditions_json)
+        return found
+
+    @property
+    def key(self) -> str:
+        """Dataset and name, joined by a slash."""
+        return f"{self.dataset}/{self.name}"
+
+    @property
+    def moved_m(self) -> float:
+        """Distance between the positions at the start and at the end [m]."""
+        dx, dy = self.end_x_m - self.start_x_m, self.end_y_m - self.start_y_m
+        return float((dx * dx + dy * dy) ** 0.5)
+
+    @property
+    def turned_rad(self) -> float:
+        """Rotation from the start to the end [rad]."""
+        return turned(self.start_theta_rad, self.end_theta_rad, self.n_frame)
+
+
+class ExperimentDetails(NamedTuple):
+    """Results and marks of an experiment."""
+
+    content_sha256: str = ""
+    deleted_at_utc: str | None = None
+    before_mm2: float | None = None  # error of the newest simulation with nominal values
+    after_mm2: float | None = None  # error of the newest calibration that it is a member of
+    has_scene: bool = False
+    flags: Sequence[Flag] = ()
+    notes: Sequence[str] = ()
+
+    @property
+    def error_mm2(self) -> float | None:
+        """Error after a calibration, else before [mm^2]."""
+        return self.before_mm2 if self.after_mm2 is None else self.after_mm2
+
+
+def described(experiment: Experiment, number: int) -> tuple[ExperimentRow, ExperimentDetails]:
+    """Return row and details of an experiment that is not stored."""
+    time, pose = experiment.trajectory.time, experiment.trajectory.pose
+    named = (number, experiment.dataset, experiment.name, experiment.real)
+    ends = (*pose[0].tolist(), *pose[-1].tolist())
+    conditions = json.dumps(dict(experiment.conditions))
+    marks = (experiment.contact_mode, conditions, experiment.provenance.created)
+    row = ExperimentRow._make((*named, len(time), float(time[-1] - time[0]), *ends, *marks))
+    return row, ExperimentDetails(has_scene=experiment.scene is not None, flags=experiment.flags)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class KnownNames:
+    """Datasets, flags, and conditions with their texts, which filters may name."""
+
+    datasets: Collection[str] = ()
+    flags: Collection[str] = ()
+    conditions: Mapping[str, Collection[str]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, facts: Iterable[tuple[ExperimentRow, ExperimentDetails]]) -> KnownNames:
+        """Collect the names of some experiments."""
+        datasets, flags, conditions = set(), set(), dict[str, set[str]]()
+        for row, details in facts:
+            datasets.add(row.dataset)
+            flags |= {flag.name for flag in details.flags}
+            for name, value in row.conditions.items():
+                conditions.setdefault(name, set()).update([value] if isinstance(value, str) else [])
+        return cls(sorted(datasets), sorted(flags), conditions)
+
+
+def holds(query: ExperimentQuery, row: ExperimentRow, details: ExperimentDetails) -> bool:
+    """Whether an experiment meets a query, apart from order and page.
+
+    Replaced experiments are not known here. Deleted ones are left out when experiments are read
+    from a project, so that they can be filtered further.
+    """
+    faulty = any(flag.fault for flag in details.flags)
+    meaning = {
+        "clean": not faulty,
+        "faulty": faulty,
+        "flagged": bool(details.flags),
+        "noted": bool(details.notes),
+        "real": row.is_real,
+        "simulated": not row.is_real,
+        "deleted": details.deleted_at_utc is not None,
+        "replaced": True,
+    }
+    return (
+        all(meaning[mark] for mark in query.marks)
+        and not (faulty and query.omits_faulty)
+        and query.dataset in (None, row.dataset)
+        and (query.name is None or _like(query.name, row.name))
+        and {*query.flags} <= {flag.name for flag in details.flags}
+        and all(_bound_holds(bound, row, details) for bound in query.bounds)
+        and all(_has_word(word.lower(), row, details) for word in query.words)
+    )
+
+
+def _like(pattern: str, text: str) -> bool:
+    every = ".*".join(map(re.escape, pattern.split("*")))
+    return re.fullmatch(every, text, re.IGNORECASE | re.DOTALL) is not None
+
+
+def _has_word(word: str, row: ExperimentRow, details: ExperimentDetails) -> bool:
+    flags = (text for flag in details.flags for text in (flag.name, flag.detail))
+    texts = (row.key, row.conditions_json, *flags, *details.notes)
+    return any(word in text.lower() for text in texts)
+
+
+def _bound_holds(bound: Bound, row: ExperimentRow, details: ExperimentDetails) -> bool:
+    name, value = bound.name, bound.value
+    if name in TEXTS:
+        return bool(RELATIONS[bound.relation](_text_of(name, row), bound.typed))
+    if name not in COLUMNS:
+        return _condition_holds(bound, row.conditions)
+    number = _number_of(name, row, details)
+    check_number(bound)
+    assert not isinstance(value, str)
+    # The sign is retained: every error exceeds a negative bound.
+    limit = value * abs(value) if name in SQUARES else value
+    return number is not None and bool(RELATIONS[bound.relation](number, limit))
+
+
+def check_number(bound: Bound) -> None:
+    """Raise if a column of numbers is compared with a text."""
+    if isinstance(bound.value, str):
+        raise InvalidInput(f"filter: {bound.name}", found=repr(bound.value), expected="a number")
+
+
+def _text_of(name: str, row: ExperimentRow) -> str:
+    columns = {"contacts": row.contact_mode, "created": row.created_at_utc}
+    return columns[name] if name in columns else str(getattr(row, name))
+
+
+def _number_of(name: str, row: ExperimentRow, details: ExperimentDetails) -> float | None:
+    """Value of a column; its square for one of `SQUARES`."""
+    if name in ERRORS:
+        error: float | None = getattr(details, f"{name}2")
+        return error
+    if name == "moved_m":
+        dx, dy = row.end_x_m - row.start_x_m, row.end_y_m - row.start_y_m
+        return dx * dx + dy * dy
+    if name in ("flags", "notes"):
+        return len(getattr(details, name))
+    own = {"frames": "n_frame"}.get(name, name.replace("_angle_", "_theta_"))
+    return float(getattr(row, own))
+
+
+def _condition_holds(bound: Bound, conditions: Mapping[str, str | float]) -> bool:
+    """Compare a condition; a text equals a number that was typed like it, missing is unequal."""
+    own = conditions.get(bound.name)
+    if bound.relation in ("=", "!="):
+        same = own == bound.value or (isinstance(own, str) and own == bound.typed)
+        return same == (bound.relation == "=")
+    check_number(bound)
+    return isinstance(own, int | float) and bool(RELATIONS[bound.relation](own, bound.value))
+
+
+# --- unknown names --------------------------------------------------------------------------------
+
+
+class UnknownName(NamedTuple):
+    """Name or value that no experiment has."""
+
+    what: str  # as typed: "--where shape"
+    typed: str
+    known: tuple[str, ...]
+
+    @property
+    def meant(self) -> str | None:
+        """Known name that resembles it most; None if none does."""
+        close = difflib.get_close_matches(self.typed.lower(), [k.lower() for k in self.known], n=1)
+        return next((k for k in self.known if k.lower() == close[0]), None) if close else None
+
+    def error(self) -> InvalidInput:
+        """Return the error to raise."""
+        more = f", ... ({len(self.known)} in all)" if len(self.known) > MAX_NAMED else ""
+        return InvalidInput(
+            self.what,
+            found=repr(self.typed),
+            expected="one of " + ", ".join(self.known[:MAX_NAMED]) + more
+            if self.known
+            else "nothing: no experiment has one",
+            hint=f"did you mean {self.meant!r}?" if self.meant else None,
+        )
+
+
+def unknown_names(
+    query: ExperimentQuery, known: KnownNames, *, words: bool = True
+) -> Iterator[UnknownName]:
+    """Yield the names and values in a query that no experiment has; words only on request."""
+    for name in query.flags:
+        yield from _not_among("flag", name, known.flags)
+    datasets = [query.dataset] if query.dataset is not None else []
+    datasets += [b.typed for b in query.bounds if b.name == "dataset" and b.relation == "="]
+    for name in datasets:
+        yield from _not_among("dataset", name, known.datasets)
+    if words:
+        texts = [text for values in known.conditions.values() for text in values]
+        for word in query.words:
+            yield from _not_among("filter", word, (*texts, *known.datasets, *known.flags))
+    conditions = [bound for bound in query.bounds if bound.name not in COLUMNS]
+    for bound in conditions:
+        if bound.name not in known.conditions:
+            yield UnknownName("filter", bound.name, (*sorted(known.conditions), *NAMES))
+        elif isinstance(bound.value, str) and bound.relation == "=":
+            texts = sorted(known.conditions[bound.name])
+            yield from _not_among(f"filter: {bound.name}", bound.value, texts)
+
+
+def _not_among(what: str, typed: str, known: Iterable[str]) -> Iterator[UnknownName]:
+    if typed not in (names := tuple(known)):
+        yield UnknownName(what, typed, names)
+
+
+def refuse_unknown(query: ExperimentQuery, known: KnownNames, *, found: bool) -> None:
+    """Raise for a condition that no experiment has and, if nothing was found, for other names.
+
+    Raises
+    ------
+    InvalidInput
+        Error for the first of them, with the known name that resembles it most.
+    """
+    for unknown in unknown_names(query, known):
+        if not found or (unknown.what == "filter" and unknown.typed not in query.words):
+            raise unknown.error()
+
+
+def meant_filter(filter: str, known: KnownNames) -> str | None:
+    """Return a filter with unknown names and values replaced by what resembles them.
+
+    Returns
+    -------
+    str or None
+        None if nothing is unknown, or nothing resembles it.
+    """
+    changed = filter
+    for unknown in unknown_names(parse_filter(filter), known):
+        if unknown.meant is None:
+            return None
+        changed = changed.replace(unknown.typed, unknown.meant, 1)
+    return changed if changed != filter else None
