@@ -2,7 +2,7 @@
 
 import os
 import sys
-from importlib.metadata import version as installed_version
+from importlib.metadata import distribution
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -18,16 +18,16 @@ repository.write_pages()
 project = "fixel"
 author = "The fixel authors"
 copyright = "The fixel authors. Apache-2.0"
-version = release = installed_version("fixel")
+version = release = distribution("fixel").version
 
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "numpydoc",
+    "sphinx.ext.mathjax",
     "sphinx_gallery.gen_gallery",
     "sphinxcontrib.bibtex",
-    "mathml",
     "names",
     "repository",
 ]
@@ -83,7 +83,15 @@ sphinx_gallery_conf = {
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"fixel {version}"
-html_static_path = ["_static"]
+# One file of MathJax 3, which draws formulas as SVG without any other file or request. Version 4
+# fetches fonts; MathML looks different on every machine, and poor where no font has a MATH table.
+MATHJAX = "sphinx-mathjax-offline"
+html_static_path = [
+    "_static",
+    str(distribution(MATHJAX).locate_file(f"{MATHJAX}/static/mathjax/tex-svg.js")),
+]
+mathjax_path = "tex-svg.js"
+mathjax3_config = {"options": {"enableMenu": False}}
 html_css_files = ["fixel.css"]
 html_copy_source = False
 html_show_sourcelink = False
@@ -92,6 +100,7 @@ html_permalinks_icon = "#"
 html_theme_options = {
     "logo": {"text": "fixel"},
     "header_links_before_dropdown": 8,
+    "navbar_persistent": ["search-button"],
     "navbar_end": ["theme-switcher"],
     "navigation_with_keys": False,
     "show_toc_level": 2,
