@@ -9,6 +9,7 @@ import yaml
 
 from fixel.formats import scene_file_from_dict
 from fixel.model import KNOWN_PARAMETERS
+from tools.notebooks import NAMES
 
 ROOT = Path(__file__).parents[2]
 GENERATED = ("gallery", "reference/api", "reference/commands", "reference/generated", "project")
@@ -28,8 +29,8 @@ ALL_PAGES = [
     if not _is_generated(page)
 ]
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
-# The first tutorials run as notebooks (test_notebooks.py); recordings are read in tests/formats.
-ELSEWHERE = ("docs/how-to/record.md",)
+# The first tutorials run as notebooks; recordings are read in tests/formats.
+ELSEWHERE = ("docs/how-to/record.md", *(f"docs/tutorials/{name}.md" for name in NAMES))
 RUNNING = [
     page
     for page in ALL_PAGES

@@ -1,0 +1,70 @@
+"""Notebooks of the first tutorials, made from their pages: `python -m tools.notebooks`.
+
+A page is the one source: the site shows it, and its blocks of Python become the cells of a
+notebook. A notebook has no outputs, so it differs only where its page does.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+ROOT: Final = Path(__file__).parents[1]
+PAGES: Final = ROOT / "docs" / "tutorials"
+FOLDER: Final = ROOT / "examples" / "notebooks"
+NAMES: Final = ("first_push", "calibration")
+
+BLOCK: Final = re.compile(r"^```python\n(.*?)^```\n", re.DOTALL | re.MULTILINE)
+LINK: Final = re.compile(r"(?<=\]\()(?!\w+:|#|/)")
+METADATA: Final = {
+    "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
+    "language_info": {"name": "python"},
+}
+
+
+def notebook(page: str) -> dict[str, Any]:
+    """Return the notebook of a page, in version 4.5 of the format.
+
+    Links lead to the same pages, and files of examples are found, from the folder of notebooks.
+    """
+    cells = [{"id": f"cell-{k}", **cell} for k, cell in enumerate(_cells(page))]
+    return {"cells": cells, "metadata": METADATA, "nbformat": 4, "nbformat_minor": 5}
+
+
+def text(page: str) -> str:
+    """Return the file of the notebook of a page."""
+    return json.dumps(notebook(page), indent=1, ensure_ascii=False) + "\n"
+
+
+def _cells(page: str) -> Iterator[dict[str, Any]]:
+    for k, part in enumerate(BLOCK.split(page)):
+        source = part.strip()
+        if not source:
+            continue
+        if k % 2:
+            code = source.replace('"examples/', '"../')
+            empty = {"execution_count": None, "metadata": {}, "outputs": []}
+            yield {"cell_type": "code", **empty, "source": code.splitlines(keepends=True)}
+        else:
+            words = LINK.sub("../../docs/tutorials/", source)
+            yield {
+                "cell_type": "markdown",
+                "metadata": {},
+                "source": words.splitlines(keepends=True),
+            }
+
+
+def main() -> int:
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    for name in NAMES:
+        page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
+        (FOLDER / f"{name}.ipynb").write_text(text(page), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
