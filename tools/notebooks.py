@@ -47,7 +47,7 @@ def _cells(page: str) -> Iterator[dict[str, Any]]:
             continue
         if k % 2:
             code = source.replace('"examples/', '"../')
-            empty = {"execution_count": None, "metadata": {}, "outputs": []}
+            empty: dict[str, Any] = {"execution_count": None, "metadata": {}, "outputs": []}
             yield {"cell_type": "code", **empty, "source": code.splitlines(keepends=True)}
         else:
             words = LINK.sub("../../docs/tutorials/", source)

@@ -3,7 +3,6 @@
 import nbformat
 import pytest
 from nbclient import NotebookClient
-
 from tools.notebooks import FOLDER, NAMES, PAGES, text
 
 

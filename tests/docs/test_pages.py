@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 import yaml
+from tools.notebooks import NAMES
 
 from fixel.formats import scene_file_from_dict
 from fixel.model import KNOWN_PARAMETERS
-from tools.notebooks import NAMES
 
 ROOT = Path(__file__).parents[2]
 GENERATED = ("gallery", "reference/api", "reference/commands", "reference/generated", "project")
