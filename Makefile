@@ -84,7 +84,7 @@ bench: $(READY) $(PEERS)  ## speed and accuracy beside the peers; writes CSV und
 	@$(BIN)/python -m benchmarks --peers $(BENCH_ARGS)
 
 docs: $(READY) $(DOCS)  ## the documentation site, in build/docs; a warning fails; DOCS_ARGS=-E reads all again
-	@$(BIN)/sphinx-build -W --keep-going -n -q -b html -d build/docs/.doctrees docs build/docs $(DOCS_ARGS)
+	@$(BIN)/sphinx-build -W --keep-going -n -q -b html -d build/doctrees docs build/docs $(DOCS_ARGS)
 	@echo "Open build/docs/index.html"
 
 lock:  ## resolve requirements/*.txt again from pyproject.toml; LOCK_ARGS=--upgrade for newer versions

@@ -263,3 +263,21 @@ def test_bits_of_the_tactile_byte_are_lamps(bench):
     assert [lamp["on"] for lamp in nothing["tactile"]] == [None, None, None]
     preview.show(None, status)
     assert json.loads(preview.view.report)["frames"] == 75
+
+
+# --- documentation ----------------------------------------------------------------------------
+
+
+def test_pages_link_to_the_documentation_where_it_was_built(bench, tmp_path):
+    (tmp_path / "index.html").write_text("<h1>fixel</h1>")
+    pages = [overlay_page(bench.view, "plate"), bench.preview.page()]
+    for docs, linked in ((tmp_path, True), (tmp_path / "none", False)):
+        bench.app = create_app(pages, bench.gate, docs=docs)
+        shown = bench.client().get("/overlay").text
+        assert (f"{bench.gate.root}/documentation/index.html" in shown) == linked
+        answer = bench.client().get("/documentation/index.html")
+        assert (answer.status_code == 200) == linked
+    bench.app = create_app(pages, bench.gate, docs=tmp_path)
+    assert bench.client(let_in=False).get("/documentation/index.html").status_code == 403
+    policy = bench.client().get("/documentation/index.html").headers["content-security-policy"]
+    assert policy.startswith("default-src 'self' data:")

@@ -26,6 +26,12 @@ from fixel.web.security import LOOPBACK, BodyLimit, Gate, Guard, SecurityHeaders
 
 HERE: Final = Path(str(files("fixel.web")))
 API: Final = "/api/v1"
+DOCS: Final = HERE.parents[2] / "build" / "docs"  # where `make docs` of a clone writes the site
+# Its pages have scripts and styles in them, and load nothing from elsewhere either.
+DOCS_POLICY: Final = (
+    "default-src 'self' data: 'unsafe-inline'; object-src 'none'; base-uri 'none'; "
+    "frame-ancestors 'none'"
+)
 _log = logging.getLogger("fixel.web")
 
 
@@ -76,6 +82,7 @@ def create_app(
     *,
     api: FastAPI | None = None,
     name: str = "",
+    docs: Path = DOCS,
 ) -> FastAPI:
     """Create the application.
 
@@ -90,11 +97,16 @@ def create_app(
         API for programs, mounted at `API`.
     name : str
         Name of the project, for all pages.
+    docs : Path
+        Folder of the documentation site. Every page links to it if it was built.
     """
     # The pages need no OpenAPI document, and its viewer loads scripts from elsewhere.
     app = FastAPI(title="fixel", docs_url=None, redoc_url=None, openapi_url=None)
     app.mount("/static", StaticFiles(directory=HERE / "static"), name="static")
-    render = _renderer(pages, name, gate)
+    has_docs = (docs / "index.html").exists()
+    if has_docs:
+        app.mount("/documentation", _Documentation(directory=docs), name="documentation")
+    render = _renderer(pages, name, gate, has_docs)
     css = palette_css()
 
     @app.get("/")
@@ -143,7 +155,14 @@ class InternalErrorHandler:
                 await PlainTextResponse(f"{OUR_MISTAKE}\n", status_code=500)(scope, receive, send)
 
 
-def _renderer(pages: Sequence[Page], name: str, gate: Gate) -> Any:
+class _Documentation(StaticFiles):
+    async def get_response(self, path: str, scope: Scope) -> Response:
+        response = await super().get_response(path, scope)
+        response.headers["content-security-policy"] = DOCS_POLICY
+        return response
+
+
+def _renderer(pages: Sequence[Page], name: str, gate: Gate, has_docs: bool) -> Any:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(HERE / "templates"),
         autoescape=True,
@@ -154,6 +173,7 @@ def _renderer(pages: Sequence[Page], name: str, gate: Gate) -> Any:
     common = {
         "pages": sorted((page for page in pages if page.listed), key=lambda page: page.place),
         "project": name,
+        "has_docs": has_docs,
         "root": gate.root,
         "word": gate.word,
         "version": fixel.__version__,
