@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from html.parser import HTMLParser
+from pathlib import Path
 
 from tools.source import Module
 
@@ -103,6 +104,42 @@ def read_texts(modules: Mapping[str, Module]) -> Iterator[Text]:
             for line, text, is_alone in read(file.read_text(encoding="utf-8")):
                 if found := " ".join(text.split()):
                     yield Text(f"{path}:{line}", found, is_alone)
+
+
+def read_documents(root: Path) -> Iterator[Text]:
+    """Find the paragraphs, list items and table cells of the documentation, without its code.
+
+    Parameters
+    ----------
+    root : Path
+        Folder of the repository: its Markdown files and those under `docs`.
+    """
+    for file in [*sorted(root.glob("*.md")), *sorted((root / "docs").rglob("*.md"))]:
+        if "_build" not in file.parts:
+            for line, text in _markdown(file.read_text(encoding="utf-8")):
+                yield Text(f"{file.relative_to(root)}:{line}", text)
+
+
+# What is not prose in Markdown: fenced and indented code, comments, formulas, addresses, quoted titles.
+NOT_PROSE = re.compile(
+    r"^(```+|~~~+).*?^\1|(?<=\n\n)(?:(?: {4,}|\t)[^\n]*\n|\n)+|<!--.*?-->|\$\$.*?\$\$",
+    re.DOTALL | re.MULTILINE,
+)
+INLINE = re.compile(r"`[^`]*`|\$[^$\n]+\$|\]\([^)]*\)|(?<!\*)\*[^*\n]+\*(?!\*)")
+BLOCK = re.compile(r"\n\s*(?:\n|(?=[-*|#>:]|\d+\.))|(?<=[^\n]) \|")
+
+
+def _markdown(source: str) -> Iterator[tuple[int, str]]:
+    """Line and text of each paragraph, list item and cell; code, formulas and titles are `X`."""
+    source, _, _ = source.partition("\n## Sources\n")
+    plain = INLINE.sub(lambda m: VALUE + _blank(m), NOT_PROSE.sub(_blank, source))
+    at = 0
+    for found in [*BLOCK.finditer(plain), None]:
+        end = found.start() if found else len(plain)
+        if text := plain[at:end].strip(" \n|#>*-:"):
+            lead = len(plain[at:end]) - len(plain[at:end].lstrip())
+            yield plain.count("\n", 0, at + lead) + 1, " ".join(text.split())
+        at = found.end() if found else end
 
 
 def _literals(module: Module) -> Iterator[Text]:
