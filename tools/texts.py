@@ -120,7 +120,7 @@ def read_documents(root: Path) -> Iterator[Text]:
                 yield Text(f"{file.relative_to(root)}:{line}", text)
 
 
-# What is not prose in Markdown: fenced and indented code, comments, formulas, addresses, quoted titles.
+# Not prose in Markdown: fenced and indented code, comments and formulas.
 NOT_PROSE = re.compile(
     r"^(```+|~~~+).*?^\1|(?<=\n\n)(?:(?: {4,}|\t)[^\n]*\n|\n)+|<!--.*?-->|\$\$.*?\$\$",
     re.DOTALL | re.MULTILINE,

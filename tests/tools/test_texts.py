@@ -4,7 +4,7 @@ from textwrap import dedent
 
 import pytest
 from tools.source import read_modules
-from tools.texts import REJECTED, Text, read_texts
+from tools.texts import REJECTED, Text, read_documents, read_texts
 
 FILES = {
     "__init__.py": '"""Nobody reads this docstring here."""\nNAME = "no_text"\n',
@@ -54,3 +54,16 @@ def test_faults():
     assert list(Text("", "There is no scene; the file is no longer there.").faults) == []
     assert list(Text("", "Seed of the random number generator.", is_alone=True).faults) == []
     assert all(REJECTED.values())  # each with its reason
+
+
+def test_documents_are_read_without_code_formulas_addresses_and_titles(tmp_path):
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "page.md").write_text(
+        "# Told\n\nSee [this](said.md) with `told` and *Said*,\nfor $x$.\n\n    told --anew\n\n"
+        "```\nnobody\n```\n- One\n- Two\n\n| a | b |\n|---|---|\n| c | told |\n\n$$ told $$\n"
+        "\n## Sources\n\nNobody (1999).\n"
+    )
+    assert [(t.place.rpartition(":")[2], t.text) for t in read_documents(tmp_path)] == [
+        ("1", "Told"), ("3", "See [thisX with X and X, for X."), ("11", "One"), ("12", "Two"),
+        ("14", "a"), ("14", "b"), ("16", "c"), ("16", "told"),
+    ]  # fmt: skip
