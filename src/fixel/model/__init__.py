@@ -8,8 +8,10 @@ from fixel.model.experiment import (
     PlannedExperiment,
     Provenance,
 )
+from fixel.model.goals import Seated
 from fixel.model.parameters import KNOWN_PARAMETERS, ParameterInfo, Parameters
 from fixel.model.plane import FrictionMap, Plane
+from fixel.model.probability import Probability
 from fixel.model.scene import PairFriction, Scene
 from fixel.model.shape import Disk, Polygon, Shape, placed
 from fixel.model.support import (
@@ -43,9 +45,11 @@ __all__ = [
     "Plane",
     "PlannedExperiment",
     "Polygon",
+    "Probability",
     "Provenance",
     "Pusher",
     "Scene",
+    "Seated",
     "Shape",
     "Spring",
     "Support",

@@ -1,13 +1,21 @@
-"""Depth of overlap of two placed shapes, to check scenes; simulations do not use it."""
+"""Overlap of placed shapes, to check scenes and goals; simulations do not use it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from fixel.model.shape import Disk, Shape, placed
 from fixel.typing import FloatArray
+
+
+class Overlap(NamedTuple):
+    """Depth of the overlap of n placed bodies with another; negative for a gap."""
+
+    depth: FloatArray  # (n,) [m]
+    way: FloatArray  # (n, 2) direction of the shortest way out, in the world
 
 
 def overlap_depth(a: Shape, pose_a: FloatArray, b: Shape, pose_b: FloatArray) -> float:
@@ -27,18 +35,96 @@ def overlap_depth(a: Shape, pose_a: FloatArray, b: Shape, pose_b: FloatArray) ->
     float
         Depth of the overlap [m].
     """
+    return float(overlaps(a, pose_a[None], b, pose_b).depth[0])
+
+
+def overlaps(a: Shape, poses: FloatArray, b: Shape, pose: FloatArray) -> Overlap:
+    """Return the overlap of a shape at poses (n, 3) with another at one pose (3,).
+
+    Exact for convex shapes that overlap; for other shapes, that of their deepest convex pieces.
+    """
     if isinstance(a, Disk) and isinstance(b, Disk):
-        return a.radius + b.radius - float(np.hypot(*(pose_a[:2] - pose_b[:2])))
+        apart = poses[:, :2] - pose[:2]
+        distance = np.hypot(*apart.T)
+        return Overlap(a.radius + b.radius - distance, _unit(apart))
     if isinstance(a, Disk):
-        pieces = _placed_pieces(b, pose_b)
-        return max(_disk_in_piece(a.radius, pose_a[:2], piece) for piece in pieces)
+        pieces = [placed(vertices, pose) for vertices, _ in b.pieces]
+        return _deepest([_disk(a.radius, poses[:, :2], piece) for piece in pieces])
     if isinstance(b, Disk):
-        return overlap_depth(b, pose_b, a, pose_a)
-    return max(
-        _piece_in_piece(first, second)
-        for first in _placed_pieces(a, pose_a)
-        for second in _placed_pieces(b, pose_b)
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        x, y = (pose[:2] - poses[:, :2]).T
+        centre = np.column_stack((c * x + s * y, c * y - s * x))
+        found = _deepest([_disk(b.radius, centre, vertices) for vertices, _ in a.pieces])
+        return Overlap(found.depth, -turned(found.way, c, s))
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    return _deepest(
+        [
+            _polygons(poses[:, None, :2] + turned(mine[None], c, s), placed(other, pose))
+            for mine, _ in a.pieces
+            for other, _ in b.pieces
+        ]
     )
+
+
+def _deepest(found: list[Overlap]) -> Overlap:
+    depth = np.array([one.depth for one in found])
+    which = depth.argmax(axis=0)
+    rows = np.arange(depth.shape[1])
+    return Overlap(depth[which, rows], np.array([one.way for one in found])[which, rows])
+
+
+def _disk(radius: float, centre: FloatArray, piece: FloatArray) -> Overlap:
+    """Return the overlap of disks with centres (n, 2) and one convex polygon (k, 2)."""
+    edge = np.roll(piece, -1, axis=0) - piece
+    normal = _normals(piece)
+    from_corner = centre[:, None] - piece
+    outside = np.einsum("nki,ki->nk", from_corner, normal)
+    nearest_edge = outside.argmax(axis=1)
+    rows = np.arange(len(centre))
+    along = np.einsum("nki,ki->nk", from_corner, edge) / (edge**2).sum(axis=1)
+    apart = from_corner - np.clip(along, 0.0, 1.0)[:, :, None] * edge
+    distance = np.hypot(apart[..., 0], apart[..., 1])
+    nearest = distance.argmin(axis=1)
+    within = outside[rows, nearest_edge] <= 0.0
+    depth = radius - np.where(within, outside[rows, nearest_edge], distance[rows, nearest])
+    way = np.where(within[:, None], normal[nearest_edge], _unit(apart[rows, nearest]))
+    return Overlap(depth, way)
+
+
+def _polygons(mine: FloatArray, other: FloatArray) -> Overlap:
+    """Return the overlap of convex polygons (n, k, 2) with another (m, 2), by edge normals."""
+    normal = _normals(other)
+    own = np.einsum("nki,nki->nk", (own_normals := _normals(mine)), mine)
+    from_other = (normal * other).sum(axis=1) - (mine @ normal.T).min(axis=1)  # (n, m)
+    from_mine = own - np.einsum("nki,mi->nkm", own_normals, other).min(axis=2)  # (n, k)
+    depth = np.concatenate((from_other, from_mine), axis=1)
+    ways = np.concatenate(
+        (np.broadcast_to(normal, (len(mine), *normal.shape)), -own_normals), axis=1
+    )
+    least = depth.argmin(axis=1)
+    rows = np.arange(len(mine))
+    return Overlap(depth[rows, least], ways[rows, least])
+
+
+def _normals(piece: FloatArray) -> FloatArray:
+    """Return the outward normals of the edges of counter-clockwise polygons (..., k, 2)."""
+    edge = np.roll(piece, -1, axis=-2) - piece
+    right = np.stack((edge[..., 1], -edge[..., 0]), axis=-1)
+    return np.asarray(right / np.linalg.norm(edge, axis=-1, keepdims=True))
+
+
+def turned(vector: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
+    """Return vectors (n, ..., 2) rotated by n angles."""
+    shape = (len(c), *([1] * (vector.ndim - 2)))
+    c, s = c.reshape(shape), s.reshape(shape)
+    x, y = vector[..., 0], vector[..., 1]
+    return np.stack((c * x - s * y, s * x + c * y), axis=-1)
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    length = np.hypot(vector[..., 0], vector[..., 1])[..., None]
+    along_x = np.broadcast_to(np.array([1.0, 0.0]), vector.shape)
+    return np.where(length > 0.0, vector / np.where(length > 0.0, length, 1.0), along_x)
 
 
 def boxes(shapes: Sequence[Shape], poses: Sequence[FloatArray]) -> FloatArray:
@@ -54,40 +140,8 @@ def pairs_of_boxes(box: FloatArray, n_first: int) -> Iterator[tuple[int, int]]:
         yield from ((i, i + 1 + int(j)) for j in np.flatnonzero(meets))
 
 
-def _placed_pieces(shape: Shape, pose: FloatArray) -> list[FloatArray]:
-    return [placed(vertices, pose) for vertices, _ in shape.pieces]
-
-
 def _box(shape: Shape, pose: FloatArray) -> FloatArray:
     if isinstance(shape, Disk):
         return np.concatenate((pose[:2] - shape.radius, pose[:2] + shape.radius))
     corners = placed(shape.outline, pose)
     return np.concatenate((corners.min(axis=0), corners.max(axis=0)))
-
-
-def _piece_in_piece(a: FloatArray, b: FloatArray) -> float:
-    """Least overlap along the edge normals of two convex polygons."""
-    return min(_depth_along_normals(a, b), _depth_along_normals(b, a))
-
-
-def _depth_along_normals(a: FloatArray, b: FloatArray) -> float:
-    normal = _outward_normals(a)
-    offset = (normal * a).sum(axis=1)
-    return float((offset - (normal @ b.T).min(axis=1)).min())
-
-
-def _disk_in_piece(radius: float, centre: FloatArray, piece: FloatArray) -> float:
-    """Radius minus the signed distance of the centre to a convex polygon."""
-    edge = np.roll(piece, -1, axis=0) - piece
-    outside = (_outward_normals(piece) * (centre - piece)).sum(axis=1)
-    if (outside <= 0.0).all():
-        return radius - float(outside.max())
-    along = ((centre - piece) * edge).sum(axis=1) / (edge**2).sum(axis=1)
-    nearest = piece + np.clip(along, 0.0, 1.0)[:, None] * edge
-    return radius - float(np.hypot(*(centre - nearest).T).min())
-
-
-def _outward_normals(piece: FloatArray) -> FloatArray:
-    edge = np.roll(piece, -1, axis=0) - piece
-    right = np.column_stack((edge[:, 1], -edge[:, 0]))
-    return np.asarray(right / np.linalg.norm(edge, axis=1, keepdims=True))

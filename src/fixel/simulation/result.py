@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.kernels import codes
-from fixel.model import Parameters, Scene, Trajectory
+from fixel.model import Parameters, Scene, Seated, Trajectory
 from fixel.typing import FloatArray, IntArray
 
 CONTACT_FIELDS = np.dtype(
@@ -114,6 +114,10 @@ class Simulation:
         pairs = sorted({(int(c["body"]), int(c["other"])) for c in last})
         names = self.names
         return [(names[a], names[b]) for a, b in pairs]
+
+    def meets(self, goal: Seated) -> bool:
+        """Return whether the end of the simulation meets a goal."""
+        return bool(goal.met(self.scene, self.final))
 
     def trajectory(self, name: str) -> Trajectory:
         """Return the pose of one body against time."""

@@ -1,0 +1,63 @@
+"""Probabilities with the interval that a number of runs or experiments allows."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from fixel.errors import InvalidInput
+
+
+class Probability(NamedTuple):
+    """Estimated probability with its confidence interval.
+
+    Attributes
+    ----------
+    value : float
+        Share of the n cases in which the event occurred [-].
+    low, high : float
+        Ends of its confidence interval [-].
+    n : int
+        Number of independent cases.
+
+    Examples
+    --------
+    >>> Probability.of(93, 100)
+    0.93 (0.86 to 0.97, n = 100)
+    """
+
+    value: float
+    low: float
+    high: float
+    n: int
+
+    @classmethod
+    def of(cls, good: int, n: int, level: float = 0.95) -> Probability:
+        """Estimate a probability from the number of cases in which an event occurred.
+
+        Parameters
+        ----------
+        good, n : int
+            Number of cases with the event, and of all cases, at least one.
+        level : float
+            Confidence level of the interval.
+
+        Source
+        ------
+        Clopper & Pearson (1934), Biometrika 26, 404-413: exact, so never too narrow.
+        """
+        from scipy.special import betaincinv
+
+        if not 0.0 < level < 1.0:
+            raise InvalidInput("level", found=level, expected="a number between 0 and 1")
+        if not 0 <= good <= n or n < 1:
+            raise InvalidInput("cases", found=f"{good} of {n}", expected="one case at least")
+        tail = 0.5 * (1.0 - level)
+        low = float(betaincinv(good, n - good + 1, tail)) if good else 0.0
+        high = float(betaincinv(good + 1, n - good, 1.0 - tail)) if good < n else 1.0
+        return cls(good / n, low, high, n)
+
+    def __repr__(self) -> str:
+        digits = min(max(2, -math.floor(math.log10(0.5 * (self.high - self.low)))), 6)
+        value, low, high = (f"{x:.{digits}f}" for x in self[:3])
+        return f"{value} ({low} to {high}, n = {self.n})"
