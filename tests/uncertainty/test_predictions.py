@@ -9,10 +9,11 @@ from reproductions.linear import Outcomes, fit_predictive
 from tests.uncertainty.test_likelihood import TRUTH, measured
 
 from fixel.errors import InvalidInput
-from fixel.uncertainty.bands import PARTS, bounds_of, coverage_curve, levels_of, predict, shortest
+from fixel.uncertainty.bands import LEVELS, bounds_of, coverage_curve, levels_of, shortest
 from fixel.uncertainty.likelihood import LogLikelihood
 from fixel.uncertainty.near_optimal import near_optimal, rise_of
 from fixel.uncertainty.posterior import NestedSampling
+from fixel.uncertainty.repetition import PARTS, predict_repetition
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +26,7 @@ def found():
 
 def test_the_parts_of_a_prediction_add_up(found):
     comparer, likelihood, posterior = found
-    one = predict(comparer, 0, posterior, likelihood.prior, NOISE, draws=200)
+    one = predict_repetition(comparer, 0, posterior, likelihood.prior, NOISE, draws=200)
     assert set(one.shares) == {*PARTS, "all"}
     np.testing.assert_allclose(one.shares["noise"], NOISE.standard_deviations, rtol=0.15)
     together = np.sqrt(sum(one.shares[part] ** 2 for part in PARTS))
@@ -35,8 +36,8 @@ def test_the_parts_of_a_prediction_add_up(found):
 
 def test_a_push_that_was_held_out_lies_in_its_bands(found):
     comparer, likelihood, posterior = found
-    one = predict(comparer, 1, posterior, likelihood.prior, NOISE, draws=200)
-    narrow, wide = one.bands()
+    one = predict_repetition(comparer, 1, posterior, likelihood.prior, NOISE, draws=200)
+    narrow, wide = map(one.bands, LEVELS)
     assert (wide.low <= narrow.low).all()
     assert (wide.high >= narrow.high).all()
     pose = comparer.targets[1].pose
@@ -47,7 +48,9 @@ def test_a_push_that_was_held_out_lies_in_its_bands(found):
 
 def test_a_start_known_exactly_adds_nothing(found):
     comparer, likelihood, posterior = found
-    one = predict(comparer, 0, posterior, likelihood.prior, NOISE, start_sd=np.zeros(3), draws=50)
+    one = predict_repetition(
+        comparer, 0, posterior, likelihood.prior, NOISE, start_sd=np.zeros(3), draws=50
+    )
     np.testing.assert_allclose(one.shares["start"], 0.0, atol=1e-15)
 
 

@@ -19,7 +19,6 @@ from fixel.cli.screen import (
     command_of,
     notice,
     print_answer,
-    progress_bar,
     seconds,
 )
 from fixel.errors import InvalidInput
@@ -133,7 +132,6 @@ def sensitivity(
         request,
         lambda: Project.open(project),
         command=command_line(),
-        progress=progress_bar,
         ready=lambda scene: get_ready(scene, notice(as_json)),
     )
     files = []
@@ -201,8 +199,8 @@ def _next(answer: "SensitivityAnswer", plot: Path | None, project: Path) -> str:
     again = answer.analysis.command or "fixel sensitivity"
     if plot is None:
         return f"{again} --plot sensitivity"
-    if answer.findings[0].indices is None:
+    if answer.findings[0].sensitivity.indices is None:
         return f"{again} --indices"
     if answer.kept is not None:
         return command_of("report", project=project)
-    return f"{again} --samples {10 * len(answer.findings[0].ensemble.reasons)}"
+    return f"{again} --samples {10 * len(answer.findings[0].sensitivity.prediction.reasons)}"

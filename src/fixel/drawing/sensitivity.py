@@ -70,6 +70,20 @@ class EnsembleChart(AbstractChart):
     outcome: IntArray
     share: Sequence[float]
 
+    @classmethod
+    def of(cls, found: Sensitivity, title: str = "") -> EnsembleChart:
+        """Return the chart of a sensitivity."""
+        own = found.prediction
+        return cls(
+            title=title,
+            scene=own.scene,
+            drawn=own.drawn[own.ended],
+            end=own.ends,
+            nominal=own.nominal[-1],
+            outcome=found.outcome,
+            share=found.share,
+        )
+
     def figure(self) -> Figure:
         figure = sheet(WIDE, 4.3, self.title)
         panels = figure.subplot_mosaic(

@@ -16,8 +16,10 @@ from fixel.model import Scene
 from fixel.model.parameters import info_of
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
+from fixel.table import Table
 from fixel.typing import FloatArray, ProgressCallback
-from fixel.uncertainty.start_ensemble import START, StartEnsemble, simulate_starts
+from fixel.uncertainty.prediction import Prediction
+from fixel.uncertainty.start_ensemble import START, simulate_starts
 from fixel.uncertainty.starts import Kind, StartError
 
 OUTCOMES: Final = ("along", "across", "angle")
@@ -81,6 +83,20 @@ class Indices:
     deviation: FloatArray
     evaluations: int
     failed: int
+
+    def table(self, title: str = "Sobol indices") -> Table:
+        """Return first-order and total indices of every input, with 95 % intervals, as text."""
+        rows = [
+            (
+                outcome,
+                factor.name,
+                f"{self.first[k, j]:z.3f} +- {self.first_error[k, j]:.3f}",
+                f"{self.total[k, j]:z.3f} +- {self.total_error[k, j]:.3f}",
+            )
+            for k, outcome in enumerate(self.outcomes)
+            for j, factor in enumerate(self.factors)
+        ]
+        return Table(("outcome", "input", "first order", "total"), rows, title=title)
 
     def summary(self) -> dict[str, Any]:
         """Return plain values."""
@@ -239,7 +255,7 @@ def indices_of(
     return sobol_indices(ends, factors, OUTCOMES, n, units=UNITS, seed=seed)
 
 
-def scalars(ensemble: StartEnsemble) -> FloatArray:
+def scalars(ensemble: Prediction) -> FloatArray:
     """Return deviations (n, 3) of ends from the nominal one: along and across the nominal way, and
     angle; NaN for starts without an end."""
     off = ensemble.pose[:, -1] - ensemble.nominal[-1]

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, ClassVar, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
+from fixel.results import Result, Summary
+from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.start_ensemble import StartEnsemble
+from fixel.uncertainty.indices import Indices
+from fixel.uncertainty.prediction import Prediction
 
 MIN_OUTCOMES: Final = 50  # outcomes that an ensemble needs for an analysis
 
@@ -31,7 +35,13 @@ SENSITIVE: Final = 2.0
 # many times more than the median of neighbours.
 TORN_MORE: Final = 5.0
 
-FLAGS: Final = ("bifurcates", "nearly bifurcates", "sensitive", "calm")
+FLAGS: Final = ("bifurcates", "nearly bifurcates", "sensitive", "insensitive")
+MEANING: Final[Mapping[str, str]] = {
+    FLAGS[0]: "its outcomes fall apart into groups",
+    FLAGS[1]: "some starts that lie side by side end far apart",
+    FLAGS[2]: "an error of the start at least doubles",
+    FLAGS[3]: "an error of the start stays about as it is, or shrinks",
+}
 
 
 @final
@@ -54,12 +64,16 @@ class PoseSpread:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sensitivity:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
+class Sensitivity(Result):
     """Sensitivity of one push to errors of its start.
+
+    Made by `fixel.sensitivity`.
 
     Attributes
     ----------
+    prediction : Prediction
+        Simulations from the perturbed starts.
     before, after : PoseSpread
         Spread of the start errors, and of the end poses.
     arm : float
@@ -90,8 +104,16 @@ class Sensitivity:
         Largest distance between the means of two outcomes or contact modes, with rotations [m].
     failed : dict of str to int
         Number of starts without an outcome, by reason.
+    indices : Indices, optional
+        Sobol indices, if requested.
     """
 
+    _drawings: ClassVar[Mapping[str, str]] = {
+        "ends": "fixel.drawing.sensitivity:draw_sensitivity",
+        "indices": "fixel.drawing.sensitivity:draw_indices",
+    }
+
+    prediction: Prediction
     before: PoseSpread
     after: PoseSpread
     arm: float
@@ -108,6 +130,7 @@ class Sensitivity:
     torn: bool
     bifurcates: bool
     failed: dict[str, int]
+    indices: Indices | None = None
 
     @property
     def flag(self) -> str:
@@ -137,8 +160,40 @@ class Sensitivity:
             "failed": dict(self.failed),
         }
 
+    def _summary(self) -> Summary:
+        own = self.prediction
+        rows = [
+            ("position", "mm", 1e3 * self.before.position, 1e3 * self.after.position),
+            ("angle", "deg", *map(math.degrees, (self.before.angle, self.after.angle))),
+        ]
+        spread = Table(
+            ("spread (rms)", "", Column("start", format=".3g"), Column("end", format=".3g")), rows
+        )
+        notes = [
+            f"a start error grows {self.amplification:.2g} times on average, a small one up to"
+            f" {self.gain:.2g} times"
+        ]
+        if len(self.share) > 1:
+            shares = ", ".join(f"{share:.0%}" for share in self.share)
+            notes.append(f"{len(self.share)} separate outcomes: {shares}")
+        if self.failed:
+            notes.append(f"{sum(self.failed.values())} starts without an outcome are left out")
+        starts = "" if own.error is None else f" Starts {own.error.written()}."
+        return Summary(
+            f"Sensitivity: {self.flag}: {MEANING[self.flag]}.{starts}",
+            [spread] if self.indices is None else [spread, self.indices.table()],
+            notes,
+            {"runs": str(len(own.ended)), "motion": own.motion, "seed": str(own.seed)},
+        )
 
-def sensitivity_of(ensemble: StartEnsemble) -> Sensitivity:
+    def _data(self) -> Table:
+        """Start error, end and contact mode of each run, and the outcome that it belongs to."""
+        runs = self.prediction._data()
+        rows = [(*row, int(k)) for row, k in zip(runs.rows, self.outcome, strict=True)]
+        return Table((*runs.columns, "outcome"), rows)
+
+
+def sensitivity_of(ensemble: Prediction, indices: Indices | None = None) -> Sensitivity:
     """Compute the sensitivity of a push from its ensemble.
 
     Raises
@@ -146,7 +201,7 @@ def sensitivity_of(ensemble: StartEnsemble) -> Sensitivity:
     InvalidInput
         Fewer than 50 starts with an outcome.
     """
-    end, arm = ensemble.end, ensemble.arm
+    end, arm = ensemble.ends, ensemble.arm
     if len(end) < MIN_OUTCOMES:
         why = next((reason for reason in ensemble.reasons if reason), "")
         raise InvalidInput(
@@ -165,6 +220,8 @@ def sensitivity_of(ensemble: StartEnsemble) -> Sensitivity:
     apart = max(_apart(after, outcome), _apart(after, _numbered(mode)))
     several = len(shares) > 1 or int(np.sum(_shares(mode) >= RARE)) > 1
     return Sensitivity(
+        prediction=ensemble,
+        indices=indices,
         before=_spread(ensemble.drawn[ensemble.ended]),
         after=_spread(end),
         arm=arm,
@@ -306,7 +363,7 @@ def _named(mode: np.ndarray) -> dict[str, float]:
     return {str(names[k]): float(counts[k] / len(mode)) for k in order if names[k]}
 
 
-def _failed(ensemble: StartEnsemble) -> dict[str, int]:
+def _failed(ensemble: Prediction) -> dict[str, int]:
     """Count the reasons of failures, without the instants, which differ from start to start."""
     why = [ensemble.reasons[k].partition(" at ")[0] for k in np.flatnonzero(~ensemble.ended)]
     return {reason: why.count(reason) for reason in sorted(set(why))}

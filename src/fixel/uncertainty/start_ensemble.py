@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +17,8 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.vary import grown_by, registration_of, varied_start
 from fixel.typing import BoolArray, FloatArray, ProgressCallback
-from fixel.uncertainty.overlap import Neighbour, overlaps, remove_overlap
+from fixel.uncertainty.overlap import Neighbour, remove_overlap
+from fixel.uncertainty.prediction import Prediction
 from fixel.uncertainty.starts import StartError
 
 Values = Mapping[str, FloatArray]
@@ -27,101 +27,41 @@ INSTANTS: Final = 12
 PORTION: Final = 1000  # starts between two calls of the progress callback
 START: Final = ("start_x", "start_y", "start_theta")
 
-# Gap up to which a body counts as touching a fixel, as a share of the body's size. A simulated
-# contact is closed to about 1e-6 of it.
-TOUCHING: Final = 1e-3
-
 # Largest distance by which a start may be moved out of neighbours, over the size of its error.
 ROOM: Final = 2.0
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StartEnsemble:
-    """Ensemble of the outcomes of n perturbed starts of one scene.
-
-    Attributes
-    ----------
-    scene : Scene
-    error : StartError
-    drawn : (n, 3) float64
-        Errors of the start [m, m, rad].
-    start : (n, 3) float64
-        Start poses, moved out of neighbours that they overlapped [m, m, rad].
-    times : (n_time,) float64
-        Instants of the poses [s].
-    pose : (n, n_time, 3) float64
-        Poses of the body at these, with continuous angles; valid only in rows with `ended`.
-    nominal : (n_time, 3) float64
-        Poses of the simulation without a start error.
-    ended : (n,) bool
-        Simulations that ended: as planned, or because a rigid drive was jammed.
-    reasons : tuple of str
-        Reason why a simulation did not end, or that it jammed; empty for a planned end.
-    mode : (n,) str
-        Contacts with the fixels at the end, one digit (0 or 1) each; empty without fixels.
-    motion : str
-        Name of the motion model.
-    seed : int
-    """
-
-    scene: Scene
-    error: StartError
-    drawn: FloatArray
-    start: FloatArray
-    times: FloatArray
-    pose: FloatArray
-    nominal: FloatArray
-    ended: BoolArray
-    reasons: tuple[str, ...]
-    mode: np.ndarray
-    motion: str
-    seed: int
-
-    @property
-    def end(self) -> FloatArray:
-        """End poses (k, 3) of the simulations that ended [m, m, rad]."""
-        return np.asarray(self.pose[self.ended, -1])
-
-    @property
-    def moved_apart(self) -> float:
-        """Share of starts that were moved out of a neighbour."""
-        asked = self.scene.bodies[0].pose + self.drawn
-        return float(np.mean(np.hypot(*(self.start - asked)[:, :2].T) > 1e-12))
-
-    @property
-    def arm(self) -> float:
-        """Radius of gyration of the body, by which rotations are counted as lengths [m/rad]."""
-        return float(np.sqrt(self.scene.bodies[0].shape.unit_inertia))
-
-
 def simulate_starts(
     scene: Scene,
-    error: StartError,
+    error: StartError | None,
     n: int = 1000,
     *,
     drawn: FloatArray | None = None,
     values: Mapping[str, ArrayLike] | None = None,
+    nominal: Mapping[str, float] | None = None,
     times: ArrayLike | None = None,
     motion: AbstractMotionModel | None = None,
     stepper: AbstractStepper | None = None,
     seed: int = 0,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
-) -> StartEnsemble:
+) -> Prediction:
     """Simulate perturbed starts of a scene.
 
     Parameters
     ----------
     scene : Scene
         Scene with one free body and at most one pusher.
-    error : StartError
+    error : StartError or None
+        None for no error of the start; overlaps of the nominal one are then ignored.
     n : int
         Number of starts.
     drawn : (n, 3) float64, optional
         Errors of the starts, if drawn elsewhere; `n` is then ignored [m, m, rad].
     values : mapping of name to float or (n,) array_like, optional
         Parameters: one value for all starts, or one per start.
+    nominal : mapping of name to float, optional
+        Values of the nominal simulation; by default the means of `values`.
     times : (n_time,) array_like, optional
         Instants to record [s]; by default twelve up to the end of the scene.
     motion, stepper, threads : optional
@@ -135,19 +75,15 @@ def simulate_starts(
     InvalidInput
         The scene has several free bodies or pushers, or lacks a parameter.
     """
-    drawn = error.samples(n, seed) if drawn is None else drawn
+    if drawn is None:
+        drawn = np.zeros((n, 3)) if error is None else error.samples(n, seed)
     n = len(drawn)
     instants = _instants(scene, times)
     # The last rollout has no error: the nominal one.
     errors = np.vstack((drawn, np.zeros(3)))
-    given = _given(values or {}, n)
+    given = _given(values or {}, n, nominal or {})
     columns = _starts(given, errors)
-    shape, placed, neighbours = _placed(scene, columns)
-    reach = error.reach
-    room = ROOM * float(np.hypot(*reach[:2]) + reach[2] * _radius(shape))
-    apart, refused = _set_apart(shape, placed, neighbours, room)
-    columns["start_x"] += (apart - placed)[:, 0]
-    columns["start_y"] += (apart - placed)[:, 1]
+    refused = [""] * (n + 1) if error is None else _set_apart(scene, columns, error)
     ensemble = Ensemble([RolloutCase(scene, instants)], motion, stepper, threads=threads)
     good = np.array([not reason for reason in refused], bool)
     pose, status, reasons = _simulated(ensemble, columns, good, progress)
@@ -162,19 +98,19 @@ def simulate_starts(
             "scene", found=f"no end without an error: {reasons[-1]}", expected="a push that ends"
         )
     offset = np.column_stack([columns[name][:-1] for name in START])
-    return StartEnsemble(
+    return Prediction(
         scene=scene,
         error=error,
         drawn=drawn,
         start=scene.bodies[0].pose + offset,
-        times=instants,
+        time=instants,
         pose=pose[:-1],
         nominal=nominal,
         ended=ended[:-1],
         reasons=tuple(reasons[:-1]),
-        mode=_modes(scene, pose[:-1, -1]),
         motion=ensemble.motion.name,
         seed=seed,
+        parameters={name: column[:-1] for name, column in given.items()},
     )
 
 
@@ -184,8 +120,10 @@ def _instants(scene: Scene, times: ArrayLike | None) -> FloatArray:
     return np.atleast_1d(np.asarray(times, np.float64))
 
 
-def _given(values: Mapping[str, ArrayLike], n: int) -> dict[str, FloatArray]:
-    """Return (n + 1,) values per parameter; those of the nominal rollout are means."""
+def _given(
+    values: Mapping[str, ArrayLike], n: int, nominal: Mapping[str, float]
+) -> dict[str, FloatArray]:
+    """Return (n + 1,) values per parameter; those of the nominal rollout are means by default."""
     found = {}
     for name, value in values.items():
         column = np.asarray(value, np.float64)
@@ -195,7 +133,7 @@ def _given(values: Mapping[str, ArrayLike], n: int) -> dict[str, FloatArray]:
                 found=f"shape {column.shape}",
                 expected=f"one number, or {n}: one a start",
             )
-        found[name] = np.append(np.broadcast_to(column, n), column.mean())
+        found[name] = np.append(np.broadcast_to(column, n), nominal.get(name, column.mean()))
     return found
 
 
@@ -226,10 +164,11 @@ def _pusher(scene: Scene, pusher: Pusher, values: Values) -> Neighbour:
     return Neighbour(pusher.name, shape, pusher.pose, registration_of(values))
 
 
-def _set_apart(
-    shape: Shape, poses: FloatArray, neighbours: list[Neighbour], most: float
-) -> tuple[FloatArray, list[str]]:
-    """Call `remove_overlap` with only those neighbours that a start may reach."""
+def _set_apart(scene: Scene, columns: dict[str, FloatArray], error: StartError) -> list[str]:
+    """Move starts out of the neighbours that they may reach; return why some have no room."""
+    shape, poses, neighbours = _placed(scene, columns)
+    reach = error.reach
+    most = ROOM * float(np.hypot(*reach[:2]) + reach[2] * _radius(shape))
     radius = _radius(shape)
     middle = poses[:, :2].mean(axis=0)
     wander = float(np.hypot(*(poses[:, :2] - middle).T).max()) + most
@@ -239,7 +178,10 @@ def _set_apart(
         if other.moved is not None
         or np.hypot(*(other.pose[:2] - middle)) < radius + _radius(other.shape) + wander
     ]
-    return remove_overlap(shape, poses, near, most)
+    moved, refused = remove_overlap(shape, poses, near, most)
+    columns["start_x"] += (moved - poses)[:, 0]
+    columns["start_y"] += (moved - poses)[:, 1]
+    return refused
 
 
 def _radius(shape: Shape) -> float:
@@ -264,17 +206,3 @@ def _simulated(
         if progress is not None:
             progress(min(k + PORTION, len(rows)), len(rows))
     return pose, status, reasons
-
-
-def _modes(scene: Scene, poses: FloatArray) -> np.ndarray:
-    """Return (n,) contacts of the body with the fixels at poses, one digit per fixel."""
-    shape = scene.bodies[0].shape
-    gap = TOUCHING * float(np.ptp(shape.outline, axis=0).max())
-    digits = [
-        np.where(overlaps(shape, poses, f.shape, f.pose).depth > -gap, "1", "0")
-        for f in scene.fixels
-    ]
-    modes = np.full(len(poses), "", dtype=f"<U{max(1, len(digits))}")
-    for digit in digits:
-        modes = np.char.add(modes, digit)
-    return modes

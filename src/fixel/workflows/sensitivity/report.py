@@ -12,8 +12,7 @@ from fixel.drawing.sensitivity import EnsembleChart, IndicesChart
 from fixel.model import Parameters
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
-from fixel.uncertainty.indices import Indices
-from fixel.uncertainty.outcomes import FLAGS
+from fixel.uncertainty.outcomes import FLAGS, MEANING
 from fixel.workflows.analysis import Analysis
 from fixel.workflows.figures import Picture
 from fixel.workflows.sensitivity.request import Finding, SensitivityRequest
@@ -21,13 +20,6 @@ from fixel.workflows.sentences import rounded, sentences
 
 MAX_SENTENCES: Final = 3  # pushes with sentences in the headline
 MAX_PICTURES: Final = 12  # of the pushes to avoid first; the table has all
-
-MEANING: Final[Mapping[str, str]] = {
-    FLAGS[0]: "its outcomes fall apart into groups",
-    FLAGS[1]: "some starts that lie side by side end far apart",
-    FLAGS[2]: "an error of the start at least doubles",
-    FLAGS[3]: "an error of the start stays about as it is, or shrinks",
-}
 
 
 def analysis_of(
@@ -84,7 +76,7 @@ def _headline(found: Sequence[Finding], request: SensitivityRequest) -> tuple[st
 
 def _largest_share(finding: Finding) -> dict[str, Any]:
     """Input that causes most of the spread of the most variable outcome; empty if none does."""
-    own = finding.indices
+    own = finding.sensitivity.indices
     if own is None or not (own.deviation > 0.0).any():
         return {}
     weight = np.array([1.0, 1.0, finding.sensitivity.arm])
@@ -116,27 +108,13 @@ def _tables(found: Sequence[Finding]) -> list[Table]:
         )
         for finding, own in ((finding, finding.sensitivity) for finding in found)
     ]
-    some = [(f.subject.key, f.indices) for f in found if f.indices is not None]
+    some = [
+        (f.subject.key, f.sensitivity.indices) for f in found if f.sensitivity.indices is not None
+    ]
     return [
         Table(head, rows, title="Pushes, to avoid first", left=2),
-        *(_index_table(key, indices) for key, indices in some),
+        *(indices.table(f"Sobol indices of {key}") for key, indices in some),
     ]
-
-
-def _index_table(key: str, own: Indices) -> Table:
-    rows = [
-        (
-            outcome,
-            factor.name,
-            f"{own.first[k, j]:z.3f} +- {own.first_error[k, j]:.3f}",
-            f"{own.total[k, j]:z.3f} +- {own.total_error[k, j]:.3f}",
-        )
-        for k, outcome in enumerate(own.outcomes)
-        for j, factor in enumerate(own.factors)
-    ]
-    return Table(
-        ("outcome", "input", "first order", "total"), rows, title=f"Sobol indices of {key}"
-    )
 
 
 def _numbers(finding: Finding) -> dict[str, Any]:
@@ -144,12 +122,12 @@ def _numbers(finding: Finding) -> dict[str, Any]:
         "key": finding.subject.key,
         "experiment_id": finding.subject.id,
         **finding.sensitivity.summary(),
-        "moved_apart": finding.ensemble.moved_apart,
-        "nominal_end": finding.ensemble.nominal[-1].tolist(),
+        "moved_apart": finding.sensitivity.prediction.moved_apart,
+        "nominal_end": finding.sensitivity.prediction.nominal[-1].tolist(),
         "values": dict(Parameters(finding.subject.values)),
     }
-    if finding.indices is not None:
-        found["indices"] = finding.indices.summary()
+    if finding.sensitivity.indices is not None:
+        found["indices"] = finding.sensitivity.indices.summary()
     return found
 
 
@@ -157,23 +135,16 @@ def pictures_of(found: Sequence[Finding]) -> list[Picture]:
     """Draw charts of the pushes to avoid first."""
     pictures = []
     for k, finding in enumerate(found[:MAX_PICTURES], 1):
-        own, ensemble, subject = finding.sensitivity, finding.ensemble, finding.subject
+        own, subject = finding.sensitivity, finding.subject
+        ensemble = own.prediction
         stem = f"{k:02d}-" + "".join(c if c.isalnum() else "-" for c in subject.key)
-        chart = EnsembleChart(
-            title=f"{subject.key}: {own.flag}",
-            scene=subject.scene,
-            drawn=ensemble.drawn[ensemble.ended],
-            end=ensemble.end,
-            nominal=ensemble.nominal[-1],
-            outcome=own.outcome,
-            share=own.share,
-        )
+        chart = EnsembleChart.of(own, title=f"{subject.key}: {own.flag}")
         known = {"key": subject.key, "own": own, "ensemble": ensemble}
         (caption,) = sentences("sensitivity", "ensemble_caption", **known)
         pictures.append(Picture(f"{stem}-ensemble", chart, subject.banner, caption))
-        if finding.indices is not None:
+        if own.indices is not None:
             title = f"{subject.key}: where the spread comes from"
-            bars = IndicesChart(title=title, indices=finding.indices)
+            bars = IndicesChart(title=title, indices=own.indices)
             (caption,) = sentences("sensitivity", "indices_caption", key=subject.key)
             pictures.append(Picture(f"{stem}-indices", bars, subject.banner, caption))
     return pictures
@@ -183,7 +154,7 @@ def arrays_of(found: Sequence[Finding]) -> dict[str, FloatArray]:
     """Return the starts and poses shown in the charts."""
     arrays: dict[str, FloatArray] = {}
     for k, finding in enumerate(found[:MAX_PICTURES], 1):
-        arrays[f"drawn_{k}"] = finding.ensemble.drawn
-        arrays[f"pose_{k}"] = finding.ensemble.pose
-        arrays[f"ended_{k}"] = finding.ensemble.ended.astype(np.float64)
+        arrays[f"drawn_{k}"] = finding.sensitivity.prediction.drawn
+        arrays[f"pose_{k}"] = finding.sensitivity.prediction.pose
+        arrays[f"ended_{k}"] = finding.sensitivity.prediction.ended.astype(np.float64)
     return arrays

@@ -9,9 +9,7 @@ from typing import Any, NamedTuple, final
 from fixel.model import Scene
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
-from fixel.uncertainty.indices import Indices
 from fixel.uncertainty.outcomes import Sensitivity
-from fixel.uncertainty.start_ensemble import StartEnsemble
 from fixel.uncertainty.starts import StartError
 
 
@@ -79,6 +77,4 @@ class Finding(NamedTuple):
     """Sensitivity of one push."""
 
     subject: Subject
-    ensemble: StartEnsemble
     sensitivity: Sensitivity
-    indices: Indices | None

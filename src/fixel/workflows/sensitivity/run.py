@@ -15,11 +15,14 @@ from fixel.errors import InvalidInput
 from fixel.formats import load_scene
 from fixel.model import Experiment, Scene
 from fixel.model.selection import ExperimentQuery
-from fixel.simulation import Dynamic
-from fixel.typing import ProgressCallback
+from fixel.progress import ProgressOption, show_progress
+from fixel.simulation import AbstractMotionModel, Dynamic
+from fixel.simulation.stepper import AbstractStepper
 from fixel.uncertainty.indices import indices_of
-from fixel.uncertainty.outcomes import FLAGS, sensitivity_of
+from fixel.uncertainty.outcomes import FLAGS, Sensitivity, sensitivity_of
+from fixel.uncertainty.push import push_of
 from fixel.uncertainty.start_ensemble import simulate_starts
+from fixel.uncertainty.starts import StartError
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.calibration.stored import (
     CalibratedValues,
@@ -58,13 +61,98 @@ class SensitivityAnswer:
     kept: StoredAnalysis | None
 
 
+def sensitivity(
+    scene: Scene | Experiment,
+    start: StartError,
+    model: Mapping[str, float] | None = None,
+    *,
+    samples: int = 1000,
+    vary: Mapping[str, tuple[float, float]] | None = None,
+    indices: bool = False,
+    base: int = 128,
+    motion: AbstractMotionModel | str | None = None,
+    stepper: AbstractStepper | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: ProgressOption = None,
+) -> Sensitivity:
+    """Compute how errors of the start pose grow in a push.
+
+    Parameters
+    ----------
+    scene : Scene or Experiment
+        Push of one free body by at most one pusher.
+    start : StartError
+        Distribution of the start pose about that of the scene.
+    model : mapping of str to float or Calibration, optional
+        Parameters [SI]; by default the scene's own values.
+    samples : int
+        Number of perturbed starts, at least 50.
+    vary : mapping of str to (float, float), optional
+        Bounds of further uncertain parameters for the indices [SI]; by default the intervals of a
+        calibration.
+    indices : bool
+        Whether to compute Sobol indices: the shares of the spread of the end that come from each
+        uncertain input. This takes ``base (n_input + 2)`` more simulations and the package SALib.
+    base : int
+        Base samples of the indices, a power of two.
+    motion : AbstractMotionModel or str, optional
+        Motion model; by default that of the calibration, else `Dynamic()`.
+    stepper : AbstractStepper, optional
+        Stepper; `Adaptive()` by default.
+    seed : int
+        Seed of the random numbers.
+    threads : int, optional
+        Number of threads; all cores by default. Results are the same for any number.
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
+
+    Returns
+    -------
+    Sensitivity
+        Growth of the start error, separate outcomes, and the word for both: `.flag`.
+
+    Raises
+    ------
+    InvalidInput
+        The scene has several free bodies or pushers, hardly any start has an outcome, or a
+        parameter is not known.
+
+    Examples
+    --------
+    >>> from fixel.testing.scenes import micro_push
+    >>> from fixel.units import deg, um
+    >>> found = sensitivity(micro_push(1), StartError(x=5*um, y=5*um, theta=0.5*deg), samples=100)
+    >>> found.flag
+    'sensitive'
+    >>> bool(found.gain > 2)
+    True
+    """
+    push = push_of(scene, model, motion)
+    ranges = dict(push.intervals if vary is None else vary)
+    with show_progress(progress, "simulating starts") as report:
+        method: dict[str, Any] = {
+            "values": push.values,
+            "motion": push.motion,
+            "stepper": stepper,
+            "seed": seed,
+            "threads": threads,
+            "progress": report,
+        }
+        ensemble = simulate_starts(push.scene, start, samples, **method)
+        found = sensitivity_of(ensemble)
+        if not indices:
+            return found
+        report.stage = "computing indices"
+        return replace(found, indices=indices_of(push.scene, start, ranges, base, **method))
+
+
 def analyse_sensitivity(
     things: Sequence[str],
     request: SensitivityRequest,
     project: Callable[[], Project],
     *,
     command: str = "",
-    progress: Callable[[str], ProgressCallback | None] | None = None,
     ready: Callable[[Scene], None] | None = None,
 ) -> SensitivityAnswer:
     """Analyse stored experiments or scene files; store the result if there is a project.
@@ -78,8 +166,6 @@ def analyse_sensitivity(
         Opens the project; not called for scene files without a calibration.
     command : str
         Command as typed.
-    progress : callable, optional
-        Returns the progress callback for the starts of a push with this name.
     ready : callable, optional
         Called with the first scene before anything is simulated.
 
@@ -103,9 +189,8 @@ def analyse_sensitivity(
         ready(subjects[0].scene)
     found = []
     for subject in subjects:
-        told = progress(subject.key) if progress is not None else None
         try:
-            found.append(_look(subject, request, told))
+            found.append(Finding(subject, _analysed(subject, request)))
         except InvalidInput as problem:
             if len(subjects) == 1:
                 raise
@@ -135,21 +220,20 @@ def _badness(finding: Finding) -> tuple[int, float, str]:
     return FLAGS.index(own.flag), -max(own.amplification, own.gain), finding.subject.key
 
 
-def _look(subject: Subject, request: SensitivityRequest, told: ProgressCallback | None) -> Finding:
-    method: dict[str, Any] = {
-        "values": subject.values,
-        "motion": subject.motion,
-        "stepper": subject.stepper,
-        "seed": request.seed,
-        "threads": request.threads,
-        "progress": told,
-    }
-    ensemble = simulate_starts(subject.scene, request.error, request.samples, **method)
-    judged = sensitivity_of(ensemble)
-    indices = None
-    if request.indices:
-        indices = indices_of(subject.scene, request.error, subject.ranges, request.base, **method)
-    return Finding(subject, ensemble, judged, indices)
+def _analysed(subject: Subject, request: SensitivityRequest) -> Sensitivity:
+    return sensitivity(
+        subject.scene,
+        request.error,
+        subject.values,
+        samples=request.samples,
+        vary=subject.ranges,
+        indices=request.indices,
+        base=request.base,
+        motion=subject.motion,
+        stepper=subject.stepper,
+        seed=request.seed,
+        threads=request.threads,
+    )
 
 
 # --- pushes to analyse --------------------------------------------------------------------------

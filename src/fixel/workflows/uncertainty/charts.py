@@ -59,18 +59,18 @@ def _of_experiment(one: ExperimentPrediction, number: int) -> Iterator[Picture]:
     what = f"{one.experiment.key}, held out" if one.held_out else one.experiment.key
     measured = one.target.pose.copy()
     # Angles on the same turn as the simulated ones.
-    off = prediction.best[:, 2] - measured[:, 2]
+    off = prediction.nominal[:, 2] - measured[:, 2]
     measured[:, 2] += 2.0 * np.pi * np.round(off / (2.0 * np.pi))
-    path = BandsChart(time=prediction.time, measured=measured, best=prediction.best,
-                      bands=prediction.bands(LEVELS), title=what)  # fmt: skip
+    path = BandsChart(time=prediction.time, measured=measured, best=prediction.nominal,
+                      bands=[prediction.bands(level) for level in LEVELS], title=what)  # fmt: skip
     yield Picture(f"bands-{number}", path, banner,
                   f"Path of {what} with bands of 50 and 90 %, frame by frame.")  # fmt: skip
     final = FinalPoseChart(
         outline=_outline(one),
         start=one.target.case.scene.bodies[0].pose,
         measured=measured[-1],
-        draws=prediction.draws[:, -1],
-        regions=[prediction.bounds(level) for level in LEVELS],
+        draws=prediction.ends,
+        regions=[prediction.region(level) for level in LEVELS],
         title=what,
     )
     yield Picture(f"final-{number}", final, banner,

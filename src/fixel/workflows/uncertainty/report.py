@@ -15,10 +15,10 @@ from fixel.drawing.chart import display_unit
 from fixel.model.records import CalibrationRecord
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
-from fixel.uncertainty.bands import PARTS
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.uncertainty.near_optimal import NearOptimal
 from fixel.uncertainty.posterior import Posterior
+from fixel.uncertainty.repetition import PARTS
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.calibration.stored import misfit_of
 from fixel.workflows.sentences import rounded, sentences
@@ -102,7 +102,7 @@ def numbers_of(found: Uncertainty) -> dict[str, Any]:
 
 
 def _final(one: ExperimentPrediction) -> dict[str, Any]:
-    bounds = one.prediction.bounds(0.9)
+    bounds = one.prediction.region(0.9)
     shares = one.prediction.shares
     return {
         "experiment": one.experiment.key,
@@ -163,7 +163,7 @@ def _headline(found: Uncertainty) -> tuple[str, ...]:
         "headline",
         posterior=posterior,
         first=first,
-        bounds=first.prediction.bounds(0.9),
+        bounds=first.prediction.region(0.9),
         largest_part=max(PARTS, key=lambda name: float(np.hypot(*shares[name][:2]))),
         model_error=None if k is None else posterior.quantiles()[:, k].tolist(),
         held=held,
@@ -261,7 +261,7 @@ def _spread(value: FloatArray) -> tuple[str, str, str]:
 def _bounds_table(found: Uncertainty) -> Table:
     rows = []
     for one in found.predicted:
-        bounds = one.prediction.bounds(0.9)
+        bounds = one.prediction.region(0.9)
         x, y = 1e3 * bounds.position.centre
         a, b = 1e3 * bounds.position.radii
         angles = " .. ".join(f"{degrees(end):.2f}" for end in bounds.angle)

@@ -24,11 +24,12 @@ from fixel.model.selection import ExperimentQuery
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation.motion import MOTION_MODELS
 from fixel.typing import FloatArray
-from fixel.uncertainty.bands import PushPrediction, predict
 from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
 from fixel.uncertainty.near_optimal import NearOptimal, near_optimal, rise_of
 from fixel.uncertainty.posterior import NestedSampling, Posterior, SamplerProgress
+from fixel.uncertainty.prediction import Prediction
+from fixel.uncertainty.repetition import predict_repetition
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.stored import (
     CalibratedValues,
@@ -89,7 +90,7 @@ class ExperimentPrediction:
     experiment : Experiment
     target : Target
     held_out : bool
-    prediction : PushPrediction
+    prediction : Prediction
     levels : (float, float)
         Levels of the smallest bounds that contain the measured last pose: position, angle.
     """
@@ -98,7 +99,7 @@ class ExperimentPrediction:
     experiment: Experiment
     target: Target
     held_out: bool
-    prediction: PushPrediction
+    prediction: Prediction
     levels: tuple[float, float]
 
 
@@ -285,7 +286,7 @@ def _predicted(
     held_out: bool,
 ) -> ExperimentPrediction:
     target = comparer.targets[member]
-    prediction = predict(
+    prediction = predict_repetition(
         comparer,
         member,
         posterior,

@@ -1,0 +1,251 @@
+"""Predictions: simulated motions of a push whose start, parameters or model are uncertain."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, ClassVar, Final, final
+
+import numpy as np
+
+from fixel.model import Probability, Scene, Seated
+from fixel.model.fields import settle
+from fixel.model.goals import touching
+from fixel.results import Result, Summary
+from fixel.table import Column, Table
+from fixel.typing import BoolArray, FloatArray
+from fixel.uncertainty.bands import Band, EndBounds, bounds_of, levels_of
+from fixel.uncertainty.starts import StartError
+
+SHARES: Final = (0.05, 0.5, 0.95)  # quantiles of the ends in a summary
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
+class Prediction(Result):
+    """Ensemble of simulated motions of one push.
+
+    Made by `fixel.predict`.
+
+    Attributes
+    ----------
+    scene : Scene
+    error : StartError or None
+        Distribution of the start errors; None if they have another source, or there are none.
+    drawn : (n, 3) float64
+        Errors of the start [m, m, rad].
+    start : (n, 3) float64
+        Start poses, moved out of neighbours that they overlapped [m, m, rad].
+    time : (n_time,) float64
+        Instants of the poses [s].
+    pose : (n, n_time, 3) float64
+        Simulated poses of the body, with continuous angles; valid only in rows with `ended`.
+    nominal : (n_time, 3) float64
+        Poses of the simulation without a start error, with the nominal or likeliest parameters.
+    ended : (n,) bool
+        Simulations that ended: as planned, or because a rigid drive was jammed.
+    reasons : tuple of str
+        Reason why a simulation did not end, or that it jammed; empty for a planned end.
+    motion : str
+        Name of the motion model.
+    seed : int
+    parameters : mapping of str to float or (n,) float64
+        Parameters of the simulations, by name.
+    drift : (n, n_time, 3) float64, optional
+        Errors of the model itself, which are added to the poses.
+    noise : (n, n_time, 3) float64, optional
+        Errors of the camera, which are added to the poses.
+    shares : mapping of str to (3,) float64
+        Standard deviations of the end by their origin [m, m, rad]; empty if not computed.
+    """
+
+    _drawings: ClassVar[Mapping[str, str]] = {
+        "ends": "fixel.drawing.sensitivity:draw_ends",
+        "bands": "fixel.drawing.uncertainty:draw_bands",
+    }
+
+    scene: Scene
+    error: StartError | None
+    drawn: FloatArray
+    start: FloatArray
+    time: FloatArray
+    pose: FloatArray
+    nominal: FloatArray
+    ended: BoolArray
+    reasons: tuple[str, ...]
+    motion: str
+    seed: int
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    drift: FloatArray | None = None
+    noise: FloatArray | None = None
+    shares: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        settle(self, parameters=MappingProxyType(dict(self.parameters)))
+
+    @property
+    def truths(self) -> FloatArray:
+        """Poses (k, n_time, 3) of the simulations that ended, with model error."""
+        poses = self.pose if self.drift is None else self.pose + self.drift
+        return np.asarray(poses[self.ended])
+
+    @property
+    def draws(self) -> FloatArray:
+        """Poses (k, n_time, 3) of the simulations that ended, with model error and camera noise."""
+        return self.truths if self.noise is None else self.truths + self.noise[self.ended]
+
+    @property
+    def ends(self) -> FloatArray:
+        """Last poses (k, 3) of the draws [m, m, rad]."""
+        return np.asarray(self.draws[:, -1])
+
+    @property
+    def failed(self) -> int:
+        """Number of simulations without an end, which are left out."""
+        return int(np.sum(~self.ended))
+
+    @property
+    def moved_apart(self) -> float:
+        """Share of starts that were moved out of a neighbour."""
+        asked = self.scene.bodies[0].pose + self.drawn
+        return float(np.mean(np.hypot(*(self.start - asked)[:, :2].T) > 1e-12))
+
+    @property
+    def arm(self) -> float:
+        """Radius of gyration of the body, by which rotations are counted as lengths [m/rad]."""
+        return float(np.sqrt(self.scene.bodies[0].shape.unit_inertia))
+
+    # --- contacts -------------------------------------------------------------------------------
+
+    def meets(self, goal: Seated) -> BoolArray:
+        """Return whether each of the k simulations that ended meets a goal, (k,) bool.
+
+        Goals regard the simulated end poses, without model error and camera noise: these would
+        separate bodies in contact.
+        """
+        return goal.met(self.scene, {self.scene.bodies[0].name: self.pose[self.ended, -1]})
+
+    def probability(self, goal: Seated, *, level: float = 0.95) -> Probability:
+        """Return the probability that the push meets a goal, with its interval.
+
+        Parameters
+        ----------
+        goal : Seated
+        level : float
+            Confidence level of the interval, which covers the number of runs alone: not an error
+            of the model or of the distributions it was given.
+
+        Returns
+        -------
+        Probability
+            Share of the runs that ended, with interval and number.
+        """
+        met = self.meets(goal)
+        return Probability.of(int(met.sum()), len(met), level)
+
+    @property
+    def mode(self) -> np.ndarray:
+        """Contacts (n,) with the fixels at the end, one digit (0 or 1) each; empty without any."""
+        touched = touching(self.scene, self.scene.bodies[0], self.pose[:, -1])
+        modes = np.full(len(touched), "", dtype=f"<U{max(1, touched.shape[1])}")
+        for column in touched.T:
+            modes = np.char.add(modes, np.where(column, "1", "0"))
+        return modes
+
+    @property
+    def modes(self) -> Mapping[str, Probability]:
+        """Probability of each contact mode at the end, the most frequent first.
+
+        A mode has one digit per fixel: `"011"` where the second and third are touched.
+        """
+        own = self.mode[self.ended]
+        return {
+            str(name): Probability.of(n, len(own))
+            for name, n in Counter(own.tolist()).most_common()
+        }
+
+    # --- poses ----------------------------------------------------------------------------------
+
+    def bands(self, level: float = 0.9) -> Band:
+        """Return a pointwise band of the path: quantiles of each instant.
+
+        Parameters
+        ----------
+        level : float
+            Share of the draws inside, at each instant and in each coordinate.
+        """
+        shares = (0.5 - level / 2, 0.5 + level / 2)
+        return Band(level, *np.quantile(self.draws, shares, axis=0))
+
+    def region(self, level: float = 0.9) -> EndBounds:
+        """Return an ellipse of positions and an interval of angles that contain the end.
+
+        Parameters
+        ----------
+        level : float
+            Probability of each of them.
+        """
+        return bounds_of(self.draws[:, -1], level)
+
+    def levels_of(self, pose: FloatArray) -> tuple[float, float]:
+        """Return levels of the smallest regions that contain an end pose (3,): position, angle."""
+        return levels_of(self.draws[:, -1], np.asarray(pose, np.float64))
+
+    # --- text -----------------------------------------------------------------------------------
+
+    def _summary(self) -> Summary:
+        ends, n = self.ends, len(self.ended)
+        units = (("x", "mm", 1e3), ("y", "mm", 1e3), ("theta", "deg", math.degrees(1.0)))
+        low, middle, high = (
+            np.quantile(ends, SHARES, axis=0) if len(ends) else np.full((3, 3), np.nan)
+        )
+        head = ("end", *(Column(c, format=".2f") for c in ("nominal", "5 %", "median", "95 %")))
+        rows = [
+            (f"{name} [{unit}]", *(factor * x[k] for x in (self.nominal[-1], low, middle, high)))
+            for k, (name, unit, factor) in enumerate(units)
+        ]
+        starts = "" if self.error is None else f" from starts {self.error.written()}"
+        notes = [] if not self.failed else [f"{self.failed} runs without an end are left out"]
+        if self.drift is not None:
+            notes.append("ends include the error of the model; contacts are simulated ones")
+        return Summary(
+            f"Prediction: {n} runs{starts} ({self.motion})",
+            [Table(head, rows), *self._mode_table()],
+            notes,
+            {"seed": str(self.seed), "parameters": ", ".join(self.parameters) or "of the scene"},
+        )
+
+    def _mode_table(self) -> list[Table]:
+        names = [fixel.name for fixel in self.scene.fixels]
+        if not names or not self.ended.any():
+            return []
+        rows = [
+            (", ".join(f for f, d in zip(names, mode, strict=True) if d == "1") or "nothing",
+             own.value, own.low, own.high)
+            for mode, own in self.modes.items()
+        ]  # fmt: skip
+        numbers = (Column(c, format=".3f") for c in ("probability", "low", "high"))
+        return [Table(("touches at the end", *numbers), rows)]
+
+    def _data(self) -> Table:
+        """Start error, end and contact mode of each run that ended."""
+        names = ("x", "y", "theta")
+        units = ("m", "m", "rad")
+        columns = [
+            *(Column(f"start_error_{name}", unit) for name, unit in zip(names, units, strict=True)),
+            *(Column(f"end_{name}", unit) for name, unit in zip(names, units, strict=True)),
+            Column("contact_mode"),
+        ]
+        own = self.ended
+        return Table(
+            columns,
+            [
+                (*start, *end, mode)
+                for start, end, mode in zip(
+                    self.drawn[own].tolist(), self.ends.tolist(), self.mode[own], strict=True
+                )
+            ],
+        )
