@@ -107,7 +107,7 @@ def calibrate_by_simulation(
         truth = prior.draw(1, rng)[0]
         posterior = _posterior(comparer, truth, prior, noise, chosen, rng, k, threads)
         truths.append(truth)
-        ranks.append(rank_of(truth, posterior.samples, rng))
+        ranks.append(rank_of(truth, posterior.points, rng))
         if progress is not None:
             progress(k + 1 - first, data_sets)
     return Ranks(prior.labels, np.array(truths), np.array(ranks))

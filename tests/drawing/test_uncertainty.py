@@ -26,7 +26,7 @@ def _posterior(units, low, high, samples, weights=(1.0,)):
     modes = [SimpleNamespace(weight=w, members=m) for w, m in zip(weights, members, strict=True)]
     return SimpleNamespace(
         labels=tuple(units), units=tuple(units.values()), low=np.array(low), high=np.array(high),
-        samples=samples, modes=modes,
+        points=samples, modes=modes,
     )  # fmt: skip
 
 
@@ -113,7 +113,7 @@ def test_axes_of_a_corner_are_as_wide_as_the_samples(scale):
     panels = chart.figure().axes
     factors = (1.0, 1e3, 1e3, 180.0 / np.pi)
     for k, factor in enumerate(factors):
-        own = factor * chart.posterior.samples[:, k]
+        own = factor * chart.posterior.points[:, k]
         low, high = panels[5 * k].get_xlim()  # on the diagonal
         assert low <= np.quantile(own, 0.0005)
         assert high >= np.quantile(own, 0.9995)

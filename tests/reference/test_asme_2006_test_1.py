@@ -39,7 +39,7 @@ def judged(fans):
 def test_the_midpoint_push_is_flagged(judged):
     """And test 5 is: its tip is flush with a corner, and a few um off it slips past."""
     flags = {test: found.flag for test, found in judged.items()}
-    assert flags == {test: "sensitive" if test in (1, 5) else "calm" for test in range(1, 9)}
+    assert flags == {test: "sensitive" if test in (1, 5) else "insensitive" for test in range(1, 9)}
 
 
 def test_its_error_grows_most(judged):
@@ -69,5 +69,5 @@ def test_a_flat_tip_of_25_um_takes_the_sensitivity_away():
     """The paper's model of the probe, "a polygon with a 25 um side", if that side lies flat on the
     part: with the centre of mass in front of it the push aligns the part, from all of +-5 um."""
     ensemble = simulate_starts(micro_push(1), ASME, SAMPLES)
-    assert sensitivity_of(ensemble).flag == "calm"
-    assert math.degrees(np.abs(ensemble.end[:, 2]).max()) < 0.01
+    assert sensitivity_of(ensemble).flag == "insensitive"
+    assert math.degrees(np.abs(ensemble.ends[:, 2]).max()) < 0.01

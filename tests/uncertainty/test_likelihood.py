@@ -77,7 +77,7 @@ def test_batches_do_not_change_a_bit(comparer):
 def test_threads_do_not_change_a_bit():
     def samples(threads):
         likelihood = LogLikelihood(measured(threads=threads), [0, 1], NOISE, MODEL_ERROR)
-        return NestedSampling(samples=30, live=40).sample(likelihood, likelihood.prior).samples
+        return NestedSampling(samples=30, live=40).sample(likelihood, likelihood.prior).points
 
     np.testing.assert_array_equal(samples(1), samples(3))
 

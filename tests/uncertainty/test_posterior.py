@@ -53,7 +53,7 @@ def test_the_evidence_is_that_of_the_integral(two):
     assert two.log_evidence == pytest.approx(exact, abs=4.0 * two.log_evidence_error)
     assert two.log_evidence_error < 0.2
     assert two.effective >= 800
-    assert len(two.samples) == min(1000, int(two.effective))
+    assert len(two.points) == min(1000, int(two.effective))
 
 
 def test_few_samples_wanted_do_not_break_one_mode_into_many():
@@ -66,8 +66,8 @@ def test_a_seed_gives_the_same_bits_and_another_gives_others():
         wanted = NestedSampling(samples=50, live=50)
         return wanted.sample(lambda p: peak(p, (0.5, 0.5)), Cube(2), seed)
 
-    np.testing.assert_array_equal(run(3).samples, run(3).samples)
-    assert not np.array_equal(run(3).samples, run(4).samples)
+    np.testing.assert_array_equal(run(3).points, run(3).points)
+    assert not np.array_equal(run(3).points, run(4).points)
 
 
 @pytest.mark.parametrize("walks", [False, True])
@@ -76,8 +76,8 @@ def test_a_normal_posterior_has_its_spread(walks):
         lambda p: peak(p, (0.4, 0.5, 0.6)), Cube(3), seed=5
     )
     assert len(found.modes) == 1
-    np.testing.assert_allclose(found.samples.mean(axis=0), (0.4, 0.5, 0.6), atol=0.3 * SD)
-    np.testing.assert_allclose(found.samples.std(axis=0), SD, rtol=0.2)
+    np.testing.assert_allclose(found.points.mean(axis=0), (0.4, 0.5, 0.6), atol=0.3 * SD)
+    np.testing.assert_allclose(found.points.std(axis=0), SD, rtol=0.2)
 
 
 def test_half_a_prior_that_fails_is_half_the_evidence():
@@ -87,7 +87,7 @@ def test_half_a_prior_that_fails_is_half_the_evidence():
     found = NestedSampling(samples=200, live=120).sample(some, Cube(2), seed=2)
     exact = math.log(2.0 * math.pi * SD**2)
     assert found.log_evidence == pytest.approx(exact, abs=4.0 * found.log_evidence_error)
-    assert (found.samples[:, 0] >= 0.5).all()
+    assert (found.points[:, 0] >= 0.5).all()
 
 
 def test_a_prior_that_fails_everywhere_is_refused():

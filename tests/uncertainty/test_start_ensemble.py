@@ -59,7 +59,7 @@ def test_a_free_slide_keeps_its_error():
     found = sensitivity_of(simulate_starts(sliding_block(), SMALL, 200, motion=None, times=[0.01]))
     assert found.amplification == pytest.approx(1.0, abs=1e-2)
     assert found.gain == pytest.approx(1.0, abs=1e-2)
-    assert found.flag == "calm"
+    assert found.flag == "insensitive"
 
 
 def test_a_fork_is_flagged_with_its_shares():

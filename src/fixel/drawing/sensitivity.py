@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
@@ -16,16 +16,20 @@ from fixel.drawing.chart import (
     clean,
     display_unit,
     legend_below,
+    plot_axes,
     sheet,
     shorten,
     tint,
 )
 from fixel.drawing.top_view import closed_line
 from fixel.drawing.view import unit_for
-from fixel.model import Scene, placed
+from fixel.errors import InvalidInput
+from fixel.model import Scene, Seated, placed
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.indices import Indices
+from fixel.uncertainty.outcomes import Sensitivity
+from fixel.uncertainty.prediction import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,6 +64,8 @@ class EnsembleChart(AbstractChart):
         Outcome of each end pose, from 0.
     share : sequence of float
         Share of each outcome.
+    names : sequence of str
+        Names of the outcomes; by default numbers.
     """
 
     title: str
@@ -69,6 +75,7 @@ class EnsembleChart(AbstractChart):
     nominal: FloatArray
     outcome: IntArray
     share: Sequence[float]
+    names: Sequence[str] = ()
 
     @classmethod
     def of(cls, found: Sensitivity, title: str = "") -> EnsembleChart:
@@ -139,7 +146,9 @@ def _scene(axes: Axes, chart: EnsembleChart) -> None:
     axes.plot(*outline_at(body.pose), "--", color=palette.INK, linewidth=0.8, label="start")
     chosen = np.unique(np.linspace(0, len(chart.end) - 1, OUTLINES).round().astype(int))
     for k in range(len(chart.share)):
-        name = "ends" if len(chart.share) == 1 else f"outcome {k + 1}: {chart.share[k]:.0%}"
+        name = f"{chart.names[k] if chart.names else f'outcome {k + 1}'}: {chart.share[k]:.0%}"
+        if len(chart.share) == 1 and not chart.names:
+            name = "ends"
         # Draw at least one pose of a rare outcome.
         own = [j for j in chosen if chart.outcome[j] == k] or [int(np.argmax(chart.outcome == k))]
         for j in own:
@@ -230,3 +239,52 @@ class IndicesChart(AbstractChart):
                 **{name: values.ravel() for name, values in parts.items()},
             }
         )
+
+
+# --- plots of results ---------------------------------------------------------------------------
+
+
+def draw_sensitivity(found: Sensitivity, *, ax: Axes | None = None) -> Any:
+    """Draw end poses over the scene, coloured by outcome, with start errors and end angles."""
+    return plot_axes(EnsembleChart.of(found, f"Sensitivity: {found.flag}").figure, ax)
+
+
+def draw_indices(found: Sensitivity, *, ax: Axes | None = None) -> Any:
+    """Draw the Sobol indices of a sensitivity, one panel per coordinate of the end."""
+    if found.indices is None:
+        hint = "compute them with indices=True"
+        raise InvalidInput(
+            "kind", found="no indices", expected="a sensitivity with them", hint=hint
+        )
+    return plot_axes(IndicesChart(title="Sobol indices", indices=found.indices).figure, ax)
+
+
+def draw_ends(found: Prediction, *, goal: Seated | None = None, ax: Axes | None = None) -> Any:
+    """Draw end poses over the scene, coloured by contact mode, or by whether they meet a goal."""
+    if goal is None:
+        fixels = [fixel.name for fixel in found.scene.fixels]
+        modes = list(found.modes)
+        own = found.mode[found.ended]
+        outcome = np.array([modes.index(mode) for mode in own.tolist()])
+        names = [_touched(fixels, mode) for mode in modes] if fixels else ["ends"]
+    else:
+        outcome = np.where(found.meets(goal), 0, 1)
+        names = ["goal met", "goal not met"]
+    share = np.bincount(outcome, minlength=len(names)) / len(outcome)
+    some = np.flatnonzero(share > 0.0)
+    chart = EnsembleChart(
+        title="Prediction" if goal is None else f"P(goal) = {found.probability(goal)}",
+        scene=found.scene,
+        drawn=found.drawn[found.ended],
+        end=found.ends,
+        nominal=found.nominal[-1],
+        outcome=np.searchsorted(some, outcome),
+        share=share[some].tolist(),
+        names=[names[k] for k in some],
+    )
+    return plot_axes(chart.figure, ax)
+
+
+def _touched(fixels: Sequence[str], mode: str) -> str:
+    touched = [name for name, digit in zip(fixels, mode, strict=True) if digit == "1"]
+    return f"touches {', '.join(touched)}" if touched else "touches nothing"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, final
+from typing import TYPE_CHECKING, Any, Final, Literal, final
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from fixel.drawing.chart import (
     clean,
     display_unit,
     legend_below,
+    plot_axes,
     sheet,
     tint,
 )
@@ -23,9 +24,10 @@ from fixel.drawing.top_view import closed_line
 from fixel.model import placed
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.bands import Band, CoverageCurve, EndBounds
+from fixel.uncertainty.bands import LEVELS, Band, CoverageCurve, EndBounds
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.uncertainty.posterior import Posterior
+from fixel.uncertainty.prediction import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +51,7 @@ class CornerChart(AbstractChart):
     @property
     def modes(self) -> IntArray:
         """Mode of each sample, (k,); mode 0 has the largest weight."""
-        mode = np.zeros(len(self.posterior.samples), np.int64)
+        mode = np.zeros(len(self.posterior.points), np.int64)
         for k, part in enumerate(self.posterior.modes):
             mode[part.members] = k
         return mode
@@ -73,12 +75,12 @@ class CornerChart(AbstractChart):
 
     def _values(self, k: int) -> FloatArray:
         factor = display_unit(self.posterior.units[k]).factor
-        return np.asarray(factor * self.posterior.samples[:, k])
+        return np.asarray(factor * self.posterior.points[:, k])
 
     def _ends(self, k: int) -> tuple[float, float]:
         """Range of the samples, with a margin, within the prior."""
         own = self.posterior
-        low, high = float(own.samples[:, k].min()), float(own.samples[:, k].max())
+        low, high = float(own.points[:, k].min()), float(own.points[:, k].max())
         if own.labels[k] == LABEL:
             wide = (low / 1.1, 1.1 * high)
         else:
@@ -162,7 +164,7 @@ class CornerChart(AbstractChart):
         own = self.posterior
         labels = [label_text(label) for label in own.labels]
         names = [x if u == "-" else f"{x}_{u}" for x, u in zip(labels, own.units, strict=True)]
-        columns = dict(zip(names, own.samples.T, strict=True))
+        columns = dict(zip(names, own.points.T, strict=True))
         return Table.from_columns({**columns, "mode": self.modes + 1})
 
 
@@ -188,16 +190,17 @@ class BandsChart(AbstractChart):
     ----------
     time : (n,) float64
         Times [s].
-    measured, best : (n, 3) float64
+    best : (n, 3) float64
+    measured : (n, 3) float64, optional
     bands : sequence of Band
         Bands, the narrowest first.
     title : str
     """
 
     time: FloatArray
-    measured: FloatArray
     best: FloatArray
     bands: Sequence[Band]
+    measured: FloatArray | None = None
     title: str = ""
 
     def figure(self) -> Figure:
@@ -225,12 +228,14 @@ class BandsChart(AbstractChart):
             )
         axes.plot(self.time, factor * (self.best[:, k] - off), color=palette.BODY, linewidth=0.9,
                   label="likeliest")  # fmt: skip
-        axes.plot(self.time, factor * (self.measured[:, k] - off), color=palette.INK,
-                  linewidth=0.6, linestyle=(0, (2, 1.2)), label="measured")  # fmt: skip
+        if self.measured is not None:
+            axes.plot(self.time, factor * (self.measured[:, k] - off), color=palette.INK,
+                      linewidth=0.6, linestyle=(0, (2, 1.2)), label="measured")  # fmt: skip
         clean(axes)
 
     def table(self) -> Table:
-        parts = {"measured": self.measured, "likeliest": self.best}
+        parts = {} if self.measured is None else {"measured": self.measured}
+        parts["likeliest"] = self.best
         for band in self.bands:
             level = f"{100.0 * band.level:.0f}"
             parts |= {f"low_{level}": band.low, f"high_{level}": band.high}
@@ -382,3 +387,17 @@ def _draw_coverage(axes: Axes, curve: CoverageCurve, groups: Sequence[FloatArray
     axes.set(xlim=(0, 100), ylim=(0, 100), xlabel="level promised [%]")
     axes.set_aspect("equal")
     clean(axes)
+
+
+# --- plots of results ---------------------------------------------------------------------------
+
+
+def draw_bands(found: Prediction, *, ax: Axes | None = None) -> Any:
+    """Draw the nominal path of a prediction with bands of 50 and 90 %."""
+    bands = [found.bands(level) for level in LEVELS]
+    return plot_axes(BandsChart(time=found.time, best=found.nominal, bands=bands).figure, ax)
+
+
+def draw_posterior(found: Posterior, *, ax: Axes | None = None) -> Any:
+    """Draw samples of the parameters against one another, with modes in colours."""
+    return plot_axes(CornerChart(posterior=found).figure, ax)

@@ -44,7 +44,7 @@ class Seated:
     body: str | None
 
     def __init__(self, *fixels: str, body: str | None = None) -> None:
-        if not fixels or not all(isinstance(name, str) and name for name in fixels):
+        if not fixels or not all(fixels):
             raise InvalidInput("fixels", found=repr(fixels), expected="names of fixels")
         settle(self, fixels=tuple(fixels), body=body)
 

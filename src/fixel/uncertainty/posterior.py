@@ -10,16 +10,22 @@ from __future__ import annotations
 import math
 import time as clock
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, final
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any, ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
+from fixel.calibration.noise import Noise
 from fixel.calibration.solutions import find_solutions
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, MissingExtra
+from fixel.model.space import ParameterSpace
+from fixel.results import Result, Summary
+from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.batched_sampler import Batched, BatchedSampler
+from fixel.uncertainty.discrepancy import LABEL, ModelError
 
 # Effective samples that a live point brings, over sqrt(n / 2): 2 sqrt(pi) = 3.5 for a normal
 # posterior of n parameters.
@@ -61,6 +67,13 @@ class SamplerProgress(NamedTuple):
     share: float  # approximate share of the work done
 
 
+class Evidence(NamedTuple):
+    """Probability of the data under the prior, for comparing models of the same data."""
+
+    log: float  # natural logarithm
+    error: float  # its standard error
+
+
 class Mode(NamedTuple):
     """Separate part of the posterior."""
 
@@ -73,9 +86,11 @@ class Mode(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Posterior:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
+class Posterior(Result):
     """Samples of equal weight from a posterior, with their quality.
+
+    Made by `fixel.posterior`.
 
     Attributes
     ----------
@@ -83,8 +98,8 @@ class Posterior:
         Names and units of the n unknowns.
     low, high : (n,) float64
         Bounds of the prior.
-    samples : (k, n) float64
-        Samples of equal weight.
+    points : (k, n) float64
+        Samples of equal weight, one column per unknown.
     log_likelihood : (k,) float64
         Log likelihood of the samples.
     log_evidence, log_evidence_error : float
@@ -99,13 +114,29 @@ class Posterior:
         Separate parts, the heaviest first; one if there are no separate parts.
     seconds : float
     seed : int
+    method : str
+        Description of the sampler.
+    space : ParameterSpace, optional
+        Parameters with their bounds; None for a likelihood that is no experiment's.
+    noise : Noise, optional
+        Noise of the camera.
+    model_error : ModelError, optional
+        Prior of the standard deviation of the model's own error; None without this term.
+    motion : str
+        Name of the motion model.
+    experiments : tuple of str
+        Names of the experiments.
     """
+
+    _drawings: ClassVar[Mapping[str, str]] = {
+        "parameters": "fixel.drawing.uncertainty:draw_posterior",
+    }
 
     labels: tuple[str, ...]
     units: tuple[str, ...]
     low: FloatArray
     high: FloatArray
-    samples: FloatArray
+    points: FloatArray
     log_likelihood: FloatArray
     log_evidence: float
     log_evidence_error: float
@@ -116,16 +147,107 @@ class Posterior:
     modes: tuple[Mode, ...]
     seconds: float
     seed: int
-    method: str = field(default="")
+    method: str = ""
+    space: ParameterSpace | None = None
+    noise: Noise | None = None
+    model_error: ModelError | None = None
+    motion: str = ""
+    experiments: tuple[str, ...] = ()
+
+    @property
+    def samples(self) -> Mapping[str, FloatArray]:
+        """Samples (k,) of every unknown, by label."""
+        return dict(zip(self.labels, self.points.T, strict=True))
+
+    @property
+    def evidence(self) -> Evidence:
+        """Logarithm of the evidence, with its standard error."""
+        return Evidence(self.log_evidence, self.log_evidence_error)
 
     def quantiles(self, levels: tuple[float, ...] = (0.025, 0.5, 0.975)) -> FloatArray:
         """Return the quantiles (len(levels), n) of the parameters."""
-        return np.asarray(np.quantile(self.samples, levels, axis=0))
+        return np.asarray(np.quantile(self.points, levels, axis=0))
 
     @property
     def best(self) -> FloatArray:
         """Sample (n,) of the largest likelihood."""
-        return np.asarray(self.samples[int(np.argmax(self.log_likelihood))])
+        return np.asarray(self.points[int(np.argmax(self.log_likelihood))])
+
+    def summary(self) -> Table:
+        """Return median, 95 % interval and likeliest value of every unknown [SI]."""
+        low, middle, high = self.quantiles()
+        numbers = (Column(c, format=".4g") for c in ("median", "2.5 %", "97.5 %", "likeliest"))
+        columns = zip(self.labels, self.units, middle, low, high, self.best, strict=True)
+        rows = [(name, *values, unit) for name, unit, *values in columns]
+        return Table(("parameter", *numbers, "unit"), rows)
+
+    def to_arviz(self) -> Any:
+        """Return the samples in ArviZ's container, as one chain.
+
+        Raises
+        ------
+        MissingExtra
+            ArviZ is not installed.
+        """
+        try:
+            arviz = import_module("arviz")
+        except ImportError:
+            raise MissingExtra("to_arviz", "arviz", command="pip install arviz") from None
+        chain = {name: x[None] for name, x in self.samples.items()}
+        if arviz.__version__.startswith("0."):
+            return arviz.from_dict(posterior=chain)
+        return arviz.from_dict({"posterior": chain})
+
+    def under(self, conditions: Mapping[str, str | float]) -> Posterior:
+        """Return the posterior of the parameters that apply under conditions of an experiment."""
+        space = self._searched
+        if all(unknown.covers(conditions) for unknown in space.unknowns):
+            return self
+        own = ParameterSpace(unknowns=tuple(u for u in space.unknowns if u.covers(conditions)))
+        kept = [k for k, label in enumerate(self.labels) if label in (*own.labels, LABEL)]
+        return replace(
+            self,
+            labels=tuple(self.labels[k] for k in kept),
+            units=tuple(self.units[k] for k in kept),
+            low=self.low[kept],
+            high=self.high[kept],
+            points=self.points[:, kept],
+            modes=(),
+            space=own,
+        )
+
+    def values(
+        self, points: FloatArray, conditions: Mapping[str, str | float]
+    ) -> dict[str, FloatArray]:
+        """Return the parameters (m,) at points (m, n), by name, for one experiment."""
+        space = self._searched
+        return space.columns(points[:, : len(space.labels)], conditions)
+
+    @property
+    def _searched(self) -> ParameterSpace:
+        if self.space is None:
+            expected = "one that fixel.posterior has made"
+            raise InvalidInput("model", found="a posterior without parameters", expected=expected)
+        return self.space
+
+    def _summary(self) -> Summary:
+        n = len(self.experiments)
+        of = f" of {n} experiment{'s' if n > 1 else ''}" if n else ""
+        modes = ", ".join(f"{100.0 * mode.weight:.0f} %" for mode in self.modes)
+        notes = [f"{len(self.modes)} separate modes: {modes}"] if len(self.modes) > 1 else []
+        notes.append(f"log evidence {self.log_evidence:.2f} +- {self.log_evidence_error:.2f}")
+        return Summary(
+            f"Posterior{of}: {self.effective:.0f} effective samples"
+            + (f" ({self.motion})" if self.motion else ""),
+            [self.summary()],
+            notes,
+            {"method": self.method, "seed": str(self.seed), "evaluations": str(self.evaluations)},
+        )
+
+    def _data(self) -> Table:
+        """Return the samples, one row each."""
+        columns = [Column(*pair) for pair in zip(self.labels, self.units, strict=True)]
+        return Table(columns, self.points.tolist())
 
 
 @final
@@ -207,7 +329,7 @@ class NestedSampling:
             units=prior.units,
             low=prior.low,
             high=prior.high,
-            samples=np.ascontiguousarray(samples),
+            points=np.ascontiguousarray(samples),
             log_likelihood=values,
             log_evidence=evidence,
             log_evidence_error=math.sqrt(information / live),

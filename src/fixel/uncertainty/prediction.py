@@ -202,7 +202,10 @@ class Prediction(Result):
         low, middle, high = (
             np.quantile(ends, SHARES, axis=0) if len(ends) else np.full((3, 3), np.nan)
         )
-        head = ("end", *(Column(c, format=".2f") for c in ("nominal", "5 %", "median", "95 %")))
+        head: tuple[Column | str, ...] = (
+            "end",
+            *(Column(c, format=".2f") for c in ("nominal", "5 %", "median", "95 %")),
+        )
         rows = [
             (f"{name} [{unit}]", *(factor * x[k] for x in (self.nominal[-1], low, middle, high)))
             for k, (name, unit, factor) in enumerate(units)

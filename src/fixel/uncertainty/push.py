@@ -9,6 +9,7 @@ from typing import NamedTuple
 from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
+from fixel.model.fields import instance
 from fixel.simulation.motion import MOTION_MODELS, AbstractMotionModel, Dynamic
 from fixel.typing import FloatArray
 
@@ -49,11 +50,9 @@ def push_of(
         times: FloatArray | None = target.case.times
         scene = replace(target.case.scene, duration=float(target.case.times[-1]))
         conditions = target.conditions
-    elif isinstance(what, Scene):
-        times, scene, conditions = None, what, {}
     else:
-        found = f"a {type(what).__name__}"
-        raise InvalidInput("scene", found=found, expected="a Scene or an Experiment")
+        instance(what, Scene, "scene", "a Scene or an Experiment")
+        times, scene, conditions = None, what, {}
     return Push(scene, times, conditions, dict(Parameters(model or {})), motion_named(motion), {})
 
 

@@ -59,8 +59,8 @@ def predict_repetition(
     seed : int
     """
     rng = np.random.default_rng([seed, member])
-    rows = rng.permutation(len(posterior.samples))[: max(2, draws)]
-    points, k = posterior.samples[rows], len(rows)
+    rows = rng.permutation(len(posterior.points))[: max(2, draws)]
+    points, k = posterior.points[rows], len(rows)
     n_free = len(comparer.space.labels)
     own = noise.standard_deviations if start_sd is None else np.asarray(start_sd, np.float64)
     errors = rng.standard_normal((k, 3)) * own

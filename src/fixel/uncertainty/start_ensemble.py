@@ -90,9 +90,9 @@ def simulate_starts(
     for k in np.flatnonzero(~good):
         reasons[k] = refused[k]
     ended = good & np.isin(status, (codes.CONVERGED, codes.JAMMED))
-    nominal = pose[-1]
+    still = pose[-1]
     # Relative to the nominal motion, angles are small, also for a body that turns by full turns.
-    pose[:, :, 2] = nominal[:, 2] + wrapped(pose[:, :, 2] - nominal[:, 2])
+    pose[:, :, 2] = still[:, 2] + wrapped(pose[:, :, 2] - still[:, 2])
     if not ended[-1]:
         raise InvalidInput(
             "scene", found=f"no end without an error: {reasons[-1]}", expected="a push that ends"
@@ -105,7 +105,7 @@ def simulate_starts(
         start=scene.bodies[0].pose + offset,
         time=instants,
         pose=pose[:-1],
-        nominal=nominal,
+        nominal=still,
         ended=ended[:-1],
         reasons=tuple(reasons[:-1]),
         motion=ensemble.motion.name,

@@ -87,7 +87,7 @@ def test_the_cameras_noise_is_found_out(folder):
     found = find_uncertainty(Project.open(folder), wanted)
     assert found.noise.position_m == pytest.approx(5e-5, rel=0.4)
     assert found.noise.angle_rad == pytest.approx(2e-3, rel=0.4)
-    assert np.isfinite(found.posterior.samples).all()
+    assert np.isfinite(found.posterior.points).all()
 
 
 @pytest.mark.parametrize(

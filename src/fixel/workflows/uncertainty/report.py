@@ -53,7 +53,7 @@ def store_uncertainty(project: Project, found: Uncertainty, command: str = "") -
         seed=found.request.seed,
         seconds=posterior.seconds,
     )
-    arrays = {"samples": posterior.samples, "log_likelihood": posterior.log_likelihood}
+    arrays = {"samples": posterior.points, "log_likelihood": posterior.log_likelihood}
     return store_analysis(project, analysis, list(pictures_of(found)), arrays)
 
 

@@ -1,0 +1,184 @@
+"""Predict how a push ends when its start, parameters and model are uncertain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fixel.calibration.objective import Comparer
+from fixel.calibration.target import target_of
+from fixel.errors import InvalidInput
+from fixel.model import Experiment, Scene
+from fixel.model.fields import non_negative
+from fixel.progress import ProgressOption, show_progress
+from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.stepper import AbstractStepper
+from fixel.typing import FloatArray
+from fixel.uncertainty.discrepancy import LABEL, ModelError, draw_walks, shares_of_way
+from fixel.uncertainty.posterior import Posterior
+from fixel.uncertainty.prediction import Prediction
+from fixel.uncertainty.prior import ParameterPrior
+from fixel.uncertainty.push import push_of
+from fixel.uncertainty.repetition import predict_repetition
+from fixel.uncertainty.start_ensemble import simulate_starts
+from fixel.uncertainty.starts import StartError
+
+MAX_SAMPLES = 1_000_000
+
+
+def predict(
+    scene: Scene | Experiment,
+    model: Mapping[str, float] | Posterior | None = None,
+    *,
+    start: StartError | None = None,
+    model_error: bool | float | None = None,
+    times: ArrayLike | None = None,
+    samples: int = 1000,
+    motion: AbstractMotionModel | str | None = None,
+    stepper: AbstractStepper | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: ProgressOption = None,
+) -> Prediction:
+    """Predict the motion and the end of a push whose start or parameters are uncertain.
+
+    Parameters
+    ----------
+    scene : Scene or Experiment
+        Push of one free body by at most one pusher.
+    model : mapping of str to float, Calibration or Posterior, optional
+        Parameters [SI]; by default the scene's own values. Of a posterior, every run has the
+        parameters of another sample.
+    start : StartError, optional
+        Distribution of the start pose about that of the scene. By default the start is exact; that
+        of an experiment predicted with a posterior has the noise of its camera, as in
+        `fixel uncertainty`.
+    model_error : bool or float, optional
+        Standard deviation of the model's own error at the end of the way [m]. True: that of the
+        posterior. By default as the posterior has it; none with fixed parameters.
+    times : (n_time,) array_like, optional
+        Instants of the path [s]; by default those of the experiment, or twelve up to the end.
+    samples : int
+        Number of runs.
+    motion : AbstractMotionModel or str, optional
+        Motion model; by default that of the calibration or posterior, else `Dynamic()`.
+    stepper : AbstractStepper, optional
+        Stepper; `Adaptive()` by default.
+    seed : int
+        Seed of the random numbers.
+    threads : int, optional
+        Number of threads; all cores by default. Results are the same for any number.
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
+
+    Returns
+    -------
+    Prediction
+        Poses of all runs; `.probability(goal)`, `.modes`, `.bands()`, `.region()`.
+
+    Raises
+    ------
+    InvalidInput
+        Nothing is uncertain, the scene has several free bodies or pushers, it cannot be simulated
+        without an error, or a parameter is not known.
+
+    Examples
+    --------
+    >>> from fixel.model import Seated
+    >>> from fixel.testing.scenes import grasp
+    >>> from fixel.units import deg, mm
+    >>> error = StartError(x=1*mm, y=1*mm, theta=2*deg)
+    >>> ends = predict(grasp("seated"), {"mu_support": 0.3}, start=error, samples=40)
+    >>> ends.probability(Seated("fixel-1"))
+    1.00 (0.91 to 1.00, n = 40)
+    """
+    if isinstance(samples, bool) or not 2 <= samples <= MAX_SAMPLES:
+        raise InvalidInput("samples", found=samples, expected=f"2 to {MAX_SAMPLES} runs")
+    if not isinstance(model, Posterior):
+        if start is None and not model_error:
+            raise InvalidInput(
+                "start",
+                found="no start error, no posterior and no model error",
+                expected="at least one uncertain input",
+                hint="simulate() computes the one end; or give start=StartError(x=, y=, theta=)",
+            )
+        push = push_of(scene, model, motion)
+        values: Mapping[str, ArrayLike] = push.values
+        best, tau = push.values, None
+    else:
+        push = push_of(scene, None, motion or model.motion)
+        own = model.under(push.conditions)
+        if isinstance(scene, Experiment) and start is None and times is None:
+            return _repetition(scene, own, push.motion, model_error, samples, seed, threads)
+        rows = np.resize(np.random.default_rng(seed).permutation(len(own.points)), samples)
+        values = own.values(own.points[rows], push.conditions)
+        best = {
+            name: float(x[0]) for name, x in own.values(own.best[None], push.conditions).items()
+        }
+        tau = own.points[rows, -1] if own.labels[-1] == LABEL else None
+    if not isinstance(model_error, bool | None):
+        tau = np.full(samples, non_negative(model_error, "model_error", "m"))
+    elif model_error is False:
+        tau = None
+    elif model_error and tau is None:
+        raise _no_model_error()
+    with show_progress(progress, "simulating") as report:
+        found = simulate_starts(
+            push.scene,
+            start,
+            samples,
+            values=values,
+            nominal=best,
+            times=push.times if times is None else times,
+            motion=push.motion,
+            stepper=stepper,
+            seed=seed,
+            threads=threads,
+            progress=report,
+        )
+    return found if tau is None else replace(found, drift=_drift(found, tau))
+
+
+def _repetition(
+    experiment: Experiment,
+    posterior: Posterior,
+    motion: AbstractMotionModel,
+    model_error: bool | float | None,
+    samples: int,
+    seed: int,
+    threads: int | None,
+) -> Prediction:
+    """Predict a repetition from the same measured start, as `fixel uncertainty` does."""
+    error = None if model_error is False else posterior.model_error
+    if not isinstance(model_error, bool | None):
+        error = ModelError()
+        tau = np.full((len(posterior.points), 1), non_negative(model_error, "model_error", "m"))
+        posterior = replace(posterior, points=np.hstack((posterior.points, tau)))
+    elif model_error and error is None:
+        raise _no_model_error()
+    if posterior.space is None or posterior.noise is None:
+        raise InvalidInput("model", found="a posterior without noise", expected="fixel.posterior")
+    comparer = Comparer([target_of(experiment)], posterior.space, motion=motion, threads=threads)
+    prior = ParameterPrior(posterior.space, error)
+    return predict_repetition(
+        comparer, 0, posterior, prior, posterior.noise, draws=samples, seed=seed
+    )
+
+
+def _no_model_error() -> InvalidInput:
+    return InvalidInput(
+        "model_error",
+        found="True, without a posterior that has estimated it",
+        expected="its standard deviation at the end of the way [m]",
+    )
+
+
+def _drift(found: Prediction, tau: FloatArray) -> FloatArray:
+    """Draw errors of the model (n, n_time, 3) with standard deviations tau (n,) at the end [m]."""
+    error = ModelError()
+    share = shares_of_way(found.scene.bodies[0].pose, found.nominal, error.angle_scale)
+    rng = np.random.default_rng([found.seed, 1])
+    return draw_walks(share, tau, error.sides, rng)

@@ -1,0 +1,94 @@
+"""Predictions against single simulations from the same starts."""
+
+import math
+
+import numpy as np
+import pytest
+from benchmarks.sbc import MODEL_ERROR, NOISE
+from tests.uncertainty.forks import fork
+from tests.uncertainty.test_likelihood import measured
+
+import fixel
+from fixel.errors import InvalidInput
+from fixel.model import Probability, Seated
+from fixel.testing.scenes import grasp, micro_push
+from fixel.uncertainty.likelihood import LogLikelihood
+from fixel.uncertainty.posterior import NestedSampling
+from fixel.uncertainty.starts import ASME, StartError
+from fixel.workflows.uncertainty.prediction import predict
+
+QUIET = {"progress": False, "threads": 1}
+LOOSE = StartError(x=4e-3, y=20e-3, theta=math.radians(8.0))
+
+
+def test_the_probability_of_seating_is_that_of_single_simulations():
+    scene, values = grasp("slip"), {"mu_support": 0.3}
+    found = predict(scene, values, start=LOOSE, samples=24, **QUIET)
+    touched = []
+    for start in found.start:
+        x, y, theta = start - scene.bodies[0].pose
+        own = fixel.simulate(
+            scene, fixel.Parameters(values | {"start_x": x, "start_y": y, "start_theta": theta})
+        )
+        touched.append({other for pair in own.touching for other in pair if "object" in pair})
+    for goal in (Seated("fixel-1"), Seated("fixel-3"), Seated("fixel-1", "fixel-2")):
+        good = sum(set(goal.fixels) <= own for own in touched)
+        assert found.probability(goal) == Probability.of(good, 24)
+    assert sum(one.value for one in found.modes.values()) == pytest.approx(1.0)
+    assert len(found.modes) > 1
+
+
+def test_a_prediction_tells_its_ends():
+    found = predict(fork(), start=LOOSE, samples=40, motion="quasistatic", **QUIET)
+    low, high = found.bands(0.8)[1:]
+    inside = (found.ends >= low[-1]) & (found.ends <= high[-1])
+    assert inside.mean() == pytest.approx(0.8, abs=0.07)
+    text = repr(found)
+    assert text.startswith("Prediction: 40 runs from starts within")
+    assert len(text.splitlines()) <= 25
+
+
+def test_model_error_widens_the_ends_and_leaves_the_contacts():
+    own = predict(micro_push(1), start=ASME, samples=200, **QUIET)
+    more = predict(micro_push(1), start=ASME, samples=200, model_error=1e-3, **QUIET)
+    np.testing.assert_array_equal(own.pose, more.pose)
+    off = (more.ends - own.ends)[:, :2]
+    assert off.std(axis=0) == pytest.approx([1e-3, 1e-3], rel=0.2)
+    assert "error of the model" in repr(more)
+
+
+@pytest.fixture(scope="module")
+def sampled():
+    from dataclasses import replace
+
+    comparer = measured(seed=5)
+    likelihood = LogLikelihood(comparer, [0], NOISE, MODEL_ERROR)
+    posterior = NestedSampling(samples=60, live=40).sample(likelihood, likelihood.prior)
+    posterior = replace(
+        posterior,
+        space=comparer.space,
+        noise=NOISE,
+        model_error=MODEL_ERROR,
+        motion=comparer.ensemble.motion.name,
+    )
+    return comparer.targets[0].case.scene, posterior
+
+
+def test_every_run_has_the_parameters_of_a_sample(sampled):
+    scene, posterior = sampled
+    found = predict(scene, posterior, samples=100, **QUIET)
+    for name, values in found.parameters.items():
+        assert set(values) <= set(posterior.samples[name])
+    assert found.drift is not None
+    assert predict(scene, posterior, model_error=False, samples=10, **QUIET).drift is None
+
+
+def test_what_is_certain_or_unknown_is_refused(sampled):
+    with pytest.raises(InvalidInput, match="uncertain input"):
+        predict(micro_push(1), **QUIET)
+    with pytest.raises(InvalidInput, match="model_error"):
+        predict(micro_push(1), start=ASME, model_error=True, **QUIET)
+    with pytest.raises(InvalidInput, match="samples"):
+        predict(micro_push(1), start=ASME, samples=1, **QUIET)
+    with pytest.raises(InvalidInput, match="model_error"):
+        predict(micro_push(1), start=ASME, model_error=-1.0, **QUIET)
