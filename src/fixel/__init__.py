@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         Polygon as Polygon,
         Pusher as Pusher,
         Scene as Scene,
+        Seated as Seated,
         SupportPoints as SupportPoints,
         Trajectory as Trajectory,
         Tripod as Tripod,
@@ -51,6 +52,13 @@ if TYPE_CHECKING:
         simulate_batch as simulate_batch,
     )
 
+    from fixel.uncertainty.outcomes import Sensitivity as Sensitivity
+    from fixel.uncertainty.posterior import Posterior as Posterior
+    from fixel.uncertainty.prediction import Prediction as Prediction
+    from fixel.uncertainty.starts import StartError as StartError
+    from fixel.workflows.sensitivity.run import sensitivity as sensitivity
+    from fixel.workflows.uncertainty.prediction import predict as predict
+
     __version__: str
 
 # Public names by module. A new one also joins the imports above, which type checkers read.
@@ -59,9 +67,15 @@ _NAMES = {
     "fixel.formats": "load_scene",
     "fixel.io": "load",
     "fixel.model": "Body Disk Ellipsoid Fixel LineDrive NoSupport PairFriction Parameters PathDrive"
-    " Plane Polygon Pusher Scene SupportPoints Trajectory Tripod UniformPressure",
+    " Plane Polygon Pusher Scene Seated SupportPoints Trajectory Tripod UniformPressure",
     "fixel.simulation": "Adaptive BatchResult Dynamic FirstOrder GaussSeidel Lemke Newton"
     " QuasiStatic Simulation StewartTrinkle simulate simulate_batch",
+    "fixel.uncertainty.outcomes": "Sensitivity",
+    "fixel.uncertainty.posterior": "Posterior",
+    "fixel.uncertainty.prediction": "Prediction",
+    "fixel.uncertainty.starts": "StartError",
+    "fixel.workflows.sensitivity.run": "sensitivity",
+    "fixel.workflows.uncertainty.prediction": "predict",
 }
 _HOME_OF = {name: module for module, names in _NAMES.items() for name in names.split()}
 

@@ -53,7 +53,7 @@ def test_its_error_grows_most(judged):
 
 
 def test_it_turns_either_way_and_further_than_it_was_turned(fans):
-    turn = fans[1].end[:, 2]
+    turn = fans[1].ends[:, 2]
     assert 0.4 < np.mean(turn > 0.0) < 0.6
     assert turn.std() > 2.0 * fans[1].drawn[:, 2].std()
     assert math.degrees(np.abs(turn).max()) > 1.0
@@ -61,7 +61,7 @@ def test_it_turns_either_way_and_further_than_it_was_turned(fans):
 
 def test_other_pushes_of_long_sides_turn_one_way(fans):
     for test in (2, 3, 4, 5):
-        turn = fans[test].end[:, 2]
+        turn = fans[test].ends[:, 2]
         assert (turn > 0.3).all() or (turn < -0.3).all()
 
 

@@ -122,11 +122,10 @@ def sensitivity(
     --------
     >>> from fixel.testing.scenes import micro_push
     >>> from fixel.units import deg, um
-    >>> found = sensitivity(micro_push(1), StartError(x=5*um, y=5*um, theta=0.5*deg), samples=100)
+    >>> start = StartError(x=5*um, y=5*um, theta=0.5*deg)
+    >>> found = sensitivity(micro_push(1), start, samples=60)
     >>> found.flag
-    'sensitive'
-    >>> bool(found.gain > 2)
-    True
+    'insensitive'
     """
     push = push_of(scene, model, motion)
     ranges = dict(push.intervals if vary is None else vary)
