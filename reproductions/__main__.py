@@ -34,7 +34,7 @@ def reproduce_published(
     ),
     only: str = option(
         "mit",
-        "Part of the benchmark: mit, promise, new-sides, coverage, rates, cmu-tripod,"
+        "Part of the benchmark: mit, error-bounds, new-sides, coverage, rates, cmu-tripod,"
         " rpi-141, repeats, asme-table-1 or asme-figure-11.",
         metavar="PART",
     ),

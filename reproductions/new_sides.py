@@ -22,7 +22,7 @@ from fixel.domain.features import Configurations
 from fixel.model import wrapped
 from fixel.replay.base import Row
 from fixel.typing import BoolArray, FloatArray, IntArray
-from reproductions.charts.promise import new_sides_figure
+from reproductions.charts.error_bounds import new_sides_figure
 from reproductions.fitting import FittedPushes
 from reproductions.protocols import BenchmarkData, calibrated_bench, full_fit
 from reproductions.pushes import Key, PushGroup
@@ -224,10 +224,10 @@ def _counted(
             rows = np.flatnonzero(own.new)
             table, name = own.features[rows], [" ".join(own.key)] * len(rows)
             contact = own.contacts.rows(rows)
-            promise = plain.for_contacts(contacts, names, beyond[own.key[1]])
+            bounds = plain.for_contacts(contacts, names, beyond[own.key[1]])
             kind = pushed.novelty(contact, name).kind
             parts.append((name, own.errors[rows, column], plain.bounds(table, name),
-                          promise.bounds(table, name, contact), np.array(kind) != ""))  # fmt: skip
+                          bounds.bounds(table, name, contact), np.array(kind) != ""))  # fmt: skip
     if not parts:
         return None
     return CoverageCount(

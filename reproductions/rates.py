@@ -23,7 +23,7 @@ from fixel.replay.base import Row
 from fixel.replay.runs import read_runs
 from fixel.typing import FloatArray
 from reproductions import cmu_tripod, rpi_141
-from reproductions.charts.promise import rates_figure
+from reproductions.charts.error_bounds import rates_figure
 from reproductions.protocols import calibrated_bench, full_fit
 from reproductions.result import Reproduction, RunOptions
 from reproductions.tripod_pushes import TripodPush, comparer_of, read_pushes, support_of

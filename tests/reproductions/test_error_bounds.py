@@ -1,4 +1,4 @@
-"""Promised bounds and relative errors on made-up pushes, and on real ones where there are any."""
+"""Error bounds and relative errors on made-up pushes, and on real ones where there are any."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from reproductions.promise import LEVELS, PushTable, _halves, _rank_correlation
+from reproductions.error_bounds import LEVELS, PushTable, _halves, _rank_correlation
 from reproductions.protocols import BenchmarkData, BenchmarkRequest, full_fit
 from reproductions.rates import PAPER_RATE, extent
 from reproductions.residuals import evidence_of
@@ -25,7 +25,7 @@ def bench_of(folder: Path) -> BenchmarkData:
     return BenchmarkData(read_mit_pushes(folder), request, ResultCache(None), lambda *_: None)
 
 
-def test_what_is_promised_from_is_known_before_the_push(tmp_path: Path) -> None:
+def test_features_are_known_before_the_push(tmp_path: Path) -> None:
     """Wrong ends of held-out pushes change their errors, and no feature of anything."""
     bench = bench_of(made_up(tmp_path / "data", 20))
     key = next(iter(bench.rows))
@@ -66,7 +66,7 @@ def test_the_part_leaves_tables_and_a_picture(tmp_path: Path) -> None:
     data, out = tmp_path / "mit_push_endpoints", tmp_path / "out"
     made_up(data)
 
-    answer = reproduce("promise", tmp_path, out=out, quick=True)
+    answer = reproduce("error-bounds", tmp_path, out=out, quick=True)
 
     reported = [row for row in answer.tables["overall"] if row["pushes"] == "reported"]
     assert [row["error"] for row in reported] == ["position", "angle", "both"]
@@ -77,12 +77,12 @@ def test_the_part_leaves_tables_and_a_picture(tmp_path: Path) -> None:
     assert [row["level"] for row in curve] == list(LEVELS)
     shares = [row["coverage"] for row in curve]
     assert shares == sorted(shares)
-    assert (out / "promise.png").stat().st_size > 10_000
-    with (out / "promise_groups.csv").open(encoding="utf-8") as stream:
+    assert (out / "error-bounds.png").stat().st_size > 10_000
+    with (out / "error-bounds_groups.csv").open(encoding="utf-8") as stream:
         assert len(list(csv.DictReader(stream))) == 6
     assert len(list((out / "fits").iterdir())) == 2
 
-    again = reproduce("promise", tmp_path, out=out, quick=True)
+    again = reproduce("error-bounds", tmp_path, out=out, quick=True)
     assert again.tables == answer.tables
 
 
@@ -113,7 +113,7 @@ def test_extent_is_the_largest_distance() -> None:
 
 def test_folders_without_data_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetMissing):
-        reproduce("promise", tmp_path)
+        reproduce("error-bounds", tmp_path)
     with pytest.raises(DatasetMissing):
         reproduce("rates", tmp_path)
     with pytest.raises(DatasetMissing):
@@ -124,7 +124,7 @@ def test_folders_without_data_are_refused(tmp_path: Path) -> None:
 def test_bounds_hold_on_real_pushes(data_root: Path) -> None:
     """Quick: 72 held-out pushes of three plates, once each. A share of these scatters by 5 % with
     its judges, so three times that."""
-    answer = reproduce("promise", data_root, quick=True)
+    answer = reproduce("error-bounds", data_root, quick=True)
     for row in answer.tables["overall"]:
         assert row["coverage"] == pytest.approx(0.91, abs=0.15)
         assert row["sharper"] > -0.1

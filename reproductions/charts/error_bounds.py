@@ -60,7 +60,7 @@ def new_sides_figure(groups: Sequence[Row], level: float) -> Figure:
     return figure
 
 
-def promise_figure(
+def error_bounds_figure(
     groups: Sequence[Row],
     curve: Sequence[Row],
     error: FloatArray,
@@ -99,7 +99,7 @@ def _groups(axes: Axes, groups: Sequence[Row], level: float) -> None:
     spread = [row["coverage_sd_of_counts"] for row in groups]
     constant = [row["coverage_constant"] for row in groups]
     axes.errorbar(share, place, xerr=spread, fmt="D", color=palette.TOUCHED, markersize=3.5,
-                  linewidth=0.8, label="promised (bar: sd of counts)")  # fmt: skip
+                  linewidth=0.8, label="stated (bar: sd of counts)")  # fmt: skip
     axes.plot(constant, place, "o", color=palette.FIXEL, markersize=3.5,
               markerfacecolor="none", label="constant bound")  # fmt: skip
     axes.set_yticks(place, [row["group"] for row in groups])
@@ -124,7 +124,7 @@ def _scatter(axes: Axes, error: FloatArray, bound: FloatArray, constant: float) 
                  label="constant bound")  # fmt: skip
     log_scale(axes, "x", bound)
     log_scale(axes, "y", np.quantile(error, [0.005, 1.0]))
-    axes.set(xlabel="promised bound [mm]", ylabel="error, held out [mm]")
+    axes.set(xlabel="bound [mm]", ylabel="error, held out [mm]")
     clean(axes)
     axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0),
                 handletextpad=0.2, columnspacing=1.0, markerscale=3.0)  # fmt: skip
@@ -133,7 +133,7 @@ def _scatter(axes: Axes, error: FloatArray, bound: FloatArray, constant: float) 
 def _histogram(axes: Axes, bound: FloatArray, constant: float) -> None:
     top = float(np.quantile(bound, 0.995))
     edges = np.linspace(0.0, max(top, 1.1 * constant), 45)
-    axes.hist(bound, edges.tolist(), color=palette.BODY, alpha=0.8, label="promised bounds")
+    axes.hist(bound, edges.tolist(), color=palette.BODY, alpha=0.8, label="bounds")
     axes.axvline(float(bound.mean()), color=palette.INK, linewidth=1.0, label="their mean")
     axes.axvline(constant, color=palette.FIXEL, linewidth=1.0, linestyle=(0, (4, 2)),
                  label="constant bound")  # fmt: skip

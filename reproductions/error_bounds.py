@@ -16,7 +16,7 @@ import numpy as np
 from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, constant_bound
 from fixel.replay.base import Row
 from fixel.typing import BoolArray, FloatArray, IntArray
-from reproductions.charts.promise import promise_figure
+from reproductions.charts.error_bounds import error_bounds_figure
 from reproductions.protocols import BenchmarkData, calibrated_bench, full_fit
 from reproductions.residuals import PushErrors, Split, evidence_of
 from reproductions.result import Reproduction, RunOptions
@@ -70,7 +70,7 @@ def run(options: RunOptions) -> Reproduction:
             for column, what in enumerate(WHAT):
                 model, both = _both_ways(table, column, repeat, halving)
                 counted[what] += both
-                bench.advance(f"promise {what}, split {repeat + 1}")
+                bench.advance(f"{what}, split {repeat + 1}")
     overall = [row for what in WHAT for row in _overall(what, counted[what])]
     groups = [row for what in WHAT for row in _by_group(what, counted[what], names)]
     curve = [row for what in WHAT for row in _curve(what, _reported(counted[what]))]
@@ -121,9 +121,9 @@ def _both_ways(
     first, second = _halves(table, 100 * repeat + halving)
     answer = []
     for judging, counting in ((first, second), (second, first)):
-        promise, own = _counted(table, column, repeat, judging, counting)
+        bounds, own = _counted(table, column, repeat, judging, counting)
         answer.append(own)
-    return promise.model, answer
+    return bounds.model, answer
 
 
 def _halves(table: PushTable, seed: int) -> tuple[IntArray, IntArray]:
@@ -142,7 +142,7 @@ def _counted(
 ) -> tuple[ErrorBound, HalfCount]:
     error, group = table.errors[:, column], table.group
     train = np.flatnonzero(~table.held_out)
-    promise = ErrorBound.fit(
+    bounds = ErrorBound.fit(
         table.features[judging],
         error[judging],
         group[judging].tolist(),
@@ -150,13 +150,13 @@ def _counted(
         repeat,
         also=Experience(table.features[train], error[train]),
     )
-    bound = promise.quantiles(table.features[counting], group[counting].tolist(), LEVELS)
+    bound = bounds.quantiles(table.features[counting], group[counting].tolist(), LEVELS)
     by_group = np.full(len(counting), np.inf)
     for g in np.unique(group):
         own = error[judging][group[judging] == g]
         if len(own) >= 9:
             by_group[group[counting] == g] = constant_bound(own, LEVEL)
-    return promise, HalfCount(
+    return bounds, HalfCount(
         repeat, counting, group[counting], error[counting], bound,
         constant_bound(error[judging], LEVEL), by_group,
     )  # fmt: skip
@@ -283,14 +283,14 @@ def _conclusions(overall: Sequence[Row], groups: Sequence[Row]) -> list[str]:
             continue
         name = {"position": "Position", "angle": "Angle", "both": "Both, angles at 35 mm/rad"}
         sentences.append(
-            f"{name[row['error']]}: {100 * LEVEL:g} % bounds hold for {100 * row['coverage']:.1f} %"
+            f"{name[row['error']]}: {100 * LEVEL:g} % bounds cover {100 * row['coverage']:.1f} %"
             f" of {row['counted']} counts, {100 * row['coverage_least_group']:.1f} % in the worst"
             f" group; {row['bound_mean']:.2f} {row['unit']} on average against a constant"
             f" {row['constant']:.2f} ({100 * row['sharper']:.1f} % sharper)."
         )
     worst = min(groups, key=lambda row: float(row["coverage_constant"]))
     sentences.append(
-        f"The constant bound holds for {100 * worst['coverage_constant']:.0f} % only of"
+        f"The constant bound covers {100 * worst['coverage_constant']:.0f} % only of"
         f" {worst['group']} ({worst['error']})."
     )
     return sentences
@@ -302,7 +302,7 @@ def _figure(
     error, bound, _, constant = _joined(_reported(counted["both"]))
     near = np.isfinite(bound) & np.isfinite(error)
     return partial(
-        promise_figure,
+        error_bounds_figure,
         groups=[row for row in groups if row["error"] == "both"],
         curve=curve,
         error=1e3 * error[near],
