@@ -52,10 +52,20 @@ def test_python_blocks_run_in_order(
 
 @pytest.mark.parametrize("page", ALL_PAGES, ids=lambda page: page.stem)
 def test_local_links_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8")):
-        if "://" not in target:
-            found = page.parent / target
-            assert found.exists() or _is_generated(found), f"{page.name} links to {target}"
+    for target, anchor in re.findall(
+        r"\]\((?!\w+:)([^)#\s]*)#?([^)\s]*)\)", page.read_text(encoding="utf-8")
+    ):
+        found = page.parent / target if target else page
+        assert found.exists() or _is_generated(found), f"{page.name} links to {target}"
+        if anchor and found.exists():
+            assert anchor in _anchors(found), f"{page.name} links to {target}#{anchor}"
+
+
+def _anchors(page: Path) -> set[str]:
+    """Names of the headings of a page, as links write them."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    words = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings)
+    return {name.strip().replace(" ", "-") for name in words}
 
 
 def test_calibration_page_names_every_parameter() -> None:
