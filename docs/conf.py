@@ -14,6 +14,9 @@ import repository  # noqa: E402
 
 reference.write_pages(HERE / "reference")
 repository.write_pages()
+for page in (HERE / "gallery").glob("*.rst"):  # of a script that was renamed
+    if page.stem != "index" and not (HERE.parent / f"examples/gallery/{page.stem}.py").exists():
+        page.unlink()
 
 project = "fixel"
 author = "The fixel authors"
