@@ -9,6 +9,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_ext"))
 os.environ.setdefault("MPLBACKEND", "agg")
 
+import numpydoc.xref  # noqa: E402
 import reference  # noqa: E402
 import repository  # noqa: E402
 
@@ -59,7 +60,12 @@ autodoc_member_order = "bysource"
 autodoc_class_signature = "mixed"
 autodoc_preserve_defaults = True
 numpydoc_show_class_members = False
-numpydoc_xref_param_type = False
+numpydoc_xref_param_type = True
+numpydoc_xref_ignore = "all"  # but the public names
+numpydoc_xref_aliases = {
+    **{name: name for name in numpydoc.xref.DEFAULT_LINKS},
+    **{name: f"fixel.{name}" for name in reference.public_names()},
+}
 default_role = "py:obj"
 
 # --- gallery ------------------------------------------------------------
@@ -97,6 +103,7 @@ mathjax_path = "tex-svg.js"
 mathjax3_config = {"options": {"enableMenu": False}}
 html_css_files = ["fixel.css"]
 html_copy_source = False
+html_show_search_summary = False  # a page opened from a file may not read other files
 html_show_sourcelink = False
 html_show_sphinx = False
 html_permalinks_icon = "#"

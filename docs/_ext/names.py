@@ -5,11 +5,10 @@ any other name is set as code, since most of them are arguments, units or values
 """
 
 from docutils import nodes
+from reference import public_names
 from sphinx.addnodes import pending_xref
 
-import fixel
-
-PUBLIC = {*fixel.__all__, "filter"}
+PUBLIC = set(public_names())
 
 
 def resolve(app, env, node: pending_xref, content: nodes.TextElement):

@@ -47,9 +47,15 @@ def write_pages(folder: Path) -> None:
             page.unlink()
 
 
+def public_names() -> list[str]:
+    """Return the public names of the package, also `filter`, which a star import leaves out."""
+    names = {*fixel.__all__, "filter"} - {"__version__"}
+    return sorted(name for name in names if hasattr(fixel, name))
+
+
 def api() -> str:
     """Return the page of public names, by groups."""
-    public = sorted({*fixel.__all__, "filter"} & {*dir(fixel)} - {"__version__"})
+    public = public_names()
     groups = {title: [n for n in names.split() if n in public] for title, names in GROUPS.items()}
     grouped = {name for names in groups.values() for name in names}
     groups["Others"] = [name for name in public if name not in grouped]
