@@ -52,10 +52,12 @@ if TYPE_CHECKING:
         simulate_batch as simulate_batch,
     )
 
+    from fixel.filtering.recorded import FilterRun as FilterRun
     from fixel.uncertainty.outcomes import Sensitivity as Sensitivity
     from fixel.uncertainty.posterior import Posterior as Posterior
     from fixel.uncertainty.prediction import Prediction as Prediction
     from fixel.uncertainty.starts import StartError as StartError
+    from fixel.workflows.filtering import filter as filter
     from fixel.workflows.sensitivity.run import sensitivity as sensitivity
     from fixel.workflows.uncertainty.prediction import predict as predict
 
@@ -70,10 +72,12 @@ _NAMES = {
     " Plane Polygon Pusher Scene Seated SupportPoints Trajectory Tripod UniformPressure",
     "fixel.simulation": "Adaptive BatchResult Dynamic FirstOrder GaussSeidel Lemke Newton"
     " QuasiStatic Simulation StewartTrinkle simulate simulate_batch",
+    "fixel.filtering.recorded": "FilterRun",
     "fixel.uncertainty.outcomes": "Sensitivity",
     "fixel.uncertainty.posterior": "Posterior",
     "fixel.uncertainty.prediction": "Prediction",
     "fixel.uncertainty.starts": "StartError",
+    "fixel.workflows.filtering": "filter",
     "fixel.workflows.sensitivity.run": "sensitivity",
     "fixel.workflows.uncertainty.prediction": "predict",
 }

@@ -23,7 +23,7 @@ from fixel.model.records import (
     Estimate,
     Evaluations,
     FilterParameters,
-    FilterRun,
+    FilterRecord,
     Member,
     SimulationRecord,
 )
@@ -113,7 +113,7 @@ def fill(store):
         FilterParameters(name="pf", is_particle_filter=True, provenance=HERE, values={"n": 100})
     )
     store.add_filter_run(
-        FilterRun(
+        FilterRecord(
             experiment_id=a, filter_parameters_id=f, provenance=HERE, trajectory=path(),
             uses_tactile=True, occlusion=(0.2, 0.4), estimate_names=("mu",),
             estimates=np.ones((5, 1)),

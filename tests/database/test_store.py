@@ -16,7 +16,7 @@ from fixel.model.records import (
     Estimate,
     Evaluations,
     FilterParameters,
-    FilterRun,
+    FilterRecord,
     Member,
     SimulationRecord,
 )
@@ -267,7 +267,7 @@ def test_simulations_calibrations_and_filters(store):
     )
     settings_id = store.add_filter_parameters(settings)
     assert same_but_for_time(settings, store.filter_parameters(settings_id))
-    run = FilterRun(
+    run = FilterRecord(
         experiment_id=one,
         filter_parameters_id=settings_id,
         provenance=HERE,

@@ -10,7 +10,7 @@ from tests.fixtures import project_of
 
 from fixel.errors import InvalidInput, NotStored
 from fixel.filtering.particle_filter import ParticleFilter
-from fixel.workflows.filtering import filter_experiment
+from fixel.workflows.filtering import filter, filter_experiment
 
 FEW = ParticleFilter(n_particles=40, priors={"mu_pusher": (0.2, 0.6)})
 
@@ -45,13 +45,13 @@ def test_a_run_is_kept_with_its_settings(project):
 
 def test_errors_are_told_inside_and_outside_of_the_occlusion(project):
     answer = filter_experiment(project, "push", FEW, occlusion=(1.0, 2.0), save=False)
-    position, angle, hidden = answer.estimates.errors(answer.experiment.trajectory)
+    position, angle, hidden = answer.estimates.errors(answer.estimates.experiment.trajectory)
 
     assert answer.run_id is None
     for inside in (True, False):
         wanted = hidden == inside
         expected = [np.sqrt(np.mean(e[wanted] ** 2)) for e in (position, angle)]
-        assert answer.rms(hidden=inside) == pytest.approx(expected)
+        assert answer.estimates.rms(hidden=inside) == pytest.approx(expected)
     summary = answer.summary()
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
     assert summary["frames"] == len(answer.estimates.time)
@@ -70,3 +70,15 @@ def test_refusals_keep_nothing(project):
         filter_experiment(project, "nothing", FEW)
     with pytest.raises(InvalidInput, match="no measured path of the pusher"):
         filter_experiment(project, "bare", FEW)
+
+
+def test_a_filter_in_python_is_that_of_the_command(project):
+    with project.store() as store:
+        experiment = store.experiment(store.find("push"))
+    found = filter(experiment, FEW.priors, particles=40, occlusion=(1.0, 2.0), progress=False)
+    stored = filter_experiment(project, "push", FEW, occlusion=(1.0, 2.0), save=False)
+    assert found.parameters == stored.estimates.parameters
+    assert repr(found).startswith(f"FilterRun of {experiment.key}")
+    assert len(found.to_dict()["time"]) == len(found.time)
+    with pytest.raises(InvalidInput, match="motion"):
+        filter(experiment, motion="dynamic", progress=False)

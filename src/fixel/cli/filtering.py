@@ -20,7 +20,6 @@ from fixel.cli.screen import (
     origin_of,
     paragraphs,
     print_answer,
-    progress_bar,
     project_words,
     wrote,
 )
@@ -102,7 +101,6 @@ def filter_(
         seed=options.seed,
         save=options.save,
         command=command,
-        progress=progress_bar("Filtering"),
     )
     if plot is not None:
         _draw(answer, plot)
@@ -135,13 +133,13 @@ def _draw(answer: "FilterAnswer", plot: Path) -> None:
     from fixel.io.atomic import written_whole
 
     with written_whole(plot) as unfinished:
-        draw_filter(answer.experiment, answer.estimates, unfinished)
+        draw_filter(answer.estimates.experiment, answer.estimates, unfinished)
 
 
 def _lines(answer: "FilterAnswer", plot: Path | None, project: Path, command: str) -> list[str]:
     kept = [] if answer.run_id is None else [f"kept as filter run {answer.run_id}"]
     return paragraphs(
-        [origin_of(answer.experiment)],
+        [origin_of(answer.estimates.experiment)],
         _misfit(answer),
         _noise(answer),
         _input(answer),
@@ -202,7 +200,10 @@ def _input(answer: "FilterAnswer") -> list[str]:
 
 
 def _errors(answer: "FilterAnswer") -> list[str]:
-    found = {"while seen": answer.rms(hidden=False), "while hidden": answer.rms(hidden=True)}
+    found = {
+        "while seen": answer.estimates.rms(hidden=False),
+        "while hidden": answer.estimates.rms(hidden=True),
+    }
     rows = [(k, 1e3 * pair[0], degrees(pair[1])) for k, pair in found.items() if pair is not None]
     columns = ("error, rms", Column("position", "mm", ".3f"), Column("angle", "deg", ".3f"))
     return Table(columns, rows).lines() if rows else []
@@ -244,9 +245,9 @@ def _label_and_factor(name: str) -> tuple[str, float]:
 def _modes(answer: "FilterAnswer") -> list[str]:
     if answer.estimates.touch.shape[1] == 0:
         return []
-    measured, estimated = answer.experiment.contact_mode, answer.estimates.contact_mode
+    measured, estimated = answer.estimates.experiment.contact_mode, answer.estimates.contact_mode
     verdict = "" if not measured else ", the same" if measured == estimated else ", another"
-    what = "measured" if answer.experiment.real else "recorded"
+    what = "measured" if answer.estimates.experiment.real else "recorded"
     return [f"contact mode, {what} {measured or 'not known'}, estimated {estimated}{verdict}"]
 
 
@@ -265,7 +266,7 @@ def _effort(answer: "FilterAnswer") -> list[str]:
 
 def _next(answer: "FilterAnswer", plot: Path | None, project: Path, command: str) -> str:
     """Return the command that most users need next."""
-    experiment, found = answer.experiment, answer.estimates
+    experiment, found = answer.estimates.experiment, answer.estimates
     if plot is None:
         return f"{command} --plot {shlex.quote(experiment.name.replace('/', '-') + '-filter.png')}"
     if found.occlusion is None:

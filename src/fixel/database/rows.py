@@ -23,7 +23,7 @@ from fixel.model import (
     Scene,
     Trajectory,
 )
-from fixel.model.records import Estimate, Evaluations, FilterRun
+from fixel.model.records import Estimate, Evaluations, FilterRecord
 from fixel.typing import FloatArray
 
 Measured = tuple[str, tuple[str, ...], FloatArray]  # name, columns, (n, n_column) values
@@ -129,7 +129,7 @@ def estimates_of(row: Sequence[Mapping[str, Any]] | None) -> tuple[Estimate, ...
     return tuple(Estimate(**plain) for plain in row or ())
 
 
-def filtered_of(run: FilterRun) -> list[Measured]:
+def filtered_of(run: FilterRecord) -> list[Measured]:
     """Series of a filter's trajectory and further estimates."""
     found = paths_of(run.trajectory, None)
     if run.estimate_names:

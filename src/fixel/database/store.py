@@ -23,7 +23,7 @@ from fixel.model import Experiment, Flag
 from fixel.model.records import (
     CalibrationRecord,
     FilterParameters,
-    FilterRun,
+    FilterRecord,
     Member,
     SimulationRecord,
 )
@@ -507,7 +507,7 @@ class Store:
             values=row.options,
         )
 
-    def add_filter_run(self, record: FilterRun) -> int:
+    def add_filter_run(self, record: FilterRecord) -> int:
         """Store the run of a filter on an experiment; return its id."""
         self._require(record.experiment_id)
         occlusion = record.occlusion or (None, None)
@@ -529,7 +529,7 @@ class Store:
         return number
 
     @_damage_named("filter run")
-    def filter_run(self, filter_run_id: int) -> FilterRun:
+    def filter_run(self, filter_run_id: int) -> FilterRecord:
         """Load a filter run by its id."""
         with reading(self._engine) as connection:
             row = _row(connection, tables.filter_run, filter_run_id, "filter run")
@@ -537,7 +537,7 @@ class Store:
         found = {name: (columns, values) for name, columns, values in series}
         names, estimates = found.get("estimates", ((), np.zeros((0, 0))))
         hidden = (row.occlusion_start_s, row.occlusion_end_s)
-        return FilterRun(
+        return FilterRecord(
             experiment_id=row.experiment_id,
             filter_parameters_id=row.filter_parameters_id,
             provenance=rows.provenance_of(row),

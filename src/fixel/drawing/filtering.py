@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import Style, save_figure, tint
+from fixel.drawing.chart import Style, plot_axes, save_figure, tint
 from fixel.drawing.top_view import (
     DASHED,
     DOTTED,
@@ -25,7 +25,7 @@ from fixel.drawing.top_view import (
     time_axes,
     touch_spans,
 )
-from fixel.filtering.recorded import FilterEstimates
+from fixel.filtering.recorded import FilterRun
 from fixel.model import Experiment, Scene, Shape, Trajectory, placed, wrapped
 from fixel.typing import FloatArray
 
@@ -47,14 +47,14 @@ LABELS: Final = {
 FACTORS: Final = {"tripod_radius": 1e3}  # from SI to the unit of the label
 
 
-def draw_filter(experiment: Experiment, estimates: FilterEstimates, path: str | Path) -> None:
+def draw_filter(experiment: Experiment, estimates: FilterRun, path: str | Path) -> None:
     """Draw the estimates of a filter and the measurements of an experiment.
 
     Parameters
     ----------
     experiment : Experiment
         Experiment that was filtered.
-    estimates : FilterEstimates
+    estimates : FilterRun
     path : str or Path
         File to write (`.pdf`, `.svg` or `.png`).
 
@@ -66,7 +66,12 @@ def draw_filter(experiment: Experiment, estimates: FilterEstimates, path: str | 
     save_figure(lambda: filter_figure(experiment, estimates), path)
 
 
-def filter_figure(experiment: Experiment, estimates: FilterEstimates) -> Figure:
+def plot_filter(found: FilterRun, *, ax: Axes | None = None) -> Any:
+    """Draw the estimates of a filter and the measurements of its experiment."""
+    return plot_axes(lambda: filter_figure(found.experiment, found), ax)
+
+
+def filter_figure(experiment: Experiment, estimates: FilterRun) -> Figure:
     """Create the figure that `draw_filter` saves."""
     from matplotlib.patches import Patch
 
@@ -100,18 +105,18 @@ def _scene(experiment: Experiment) -> Scene:
     return experiment.scene
 
 
-def _pusher(experiment: Experiment, estimates: FilterEstimates) -> Trajectory:
+def _pusher(experiment: Experiment, estimates: FilterRun) -> Trajectory:
     assert experiment.pusher is not None
     return _cut(experiment.pusher, estimates)
 
 
-def _cut(track: Trajectory, estimates: FilterEstimates) -> Trajectory:
+def _cut(track: Trajectory, estimates: FilterRun) -> Trajectory:
     first, last = estimates.time[0], estimates.time[-1]
     kept = (track.time >= first - 1e-6) & (track.time <= last + 1e-6)
     return Trajectory(time=track.time[kept], pose=track.pose[kept])
 
 
-def _draw_view(axes: Axes, experiment: Experiment, estimates: FilterEstimates) -> list[Artist]:
+def _draw_view(axes: Axes, experiment: Experiment, estimates: FilterRun) -> list[Artist]:
     scene, measured = _scene(experiment), _cut(experiment.trajectory, estimates)
     shape, pusher = scene.bodies[0].shape, _pusher(experiment, estimates)
     handles = add_fixels(axes, scene)
@@ -133,7 +138,7 @@ def _draw_view(axes: Axes, experiment: Experiment, estimates: FilterEstimates) -
 
 
 def _outlines(
-    axes: Axes, shape: Shape, measured: Trajectory, estimates: FilterEstimates, what: str
+    axes: Axes, shape: Shape, measured: Trajectory, estimates: FilterRun, what: str
 ) -> list[Artist]:
     """Draw the object at start, end and the end of the occlusion, where errors are largest."""
     dotted: Style = {"facecolor": "none", "edgecolor": palette.FIXEL, "linewidth": 0.8}
@@ -155,7 +160,7 @@ def _outlines(
     return handles
 
 
-def _estimated_path(axes: Axes, estimates: FilterEstimates) -> list[Artist]:
+def _estimated_path(axes: Axes, estimates: FilterRun) -> list[Artist]:
     way = estimates.pose[:, :2] * MM.factor
     (seen,) = axes.plot(
         *way.T, color=palette.BODY, linewidth=1.0, label="estimated, path", zorder=3.5
@@ -170,7 +175,7 @@ def _estimated_path(axes: Axes, estimates: FilterEstimates) -> list[Artist]:
     return [seen, dark]
 
 
-def _draw_poses(panels: Sequence[Axes], measured: Trajectory, estimates: FilterEstimates) -> None:
+def _draw_poses(panels: Sequence[Axes], measured: Trajectory, estimates: FilterRun) -> None:
     """Draw estimates with their 90 % bands, and measured poses."""
     deviation = np.sqrt(np.diagonal(estimates.covariance, axis1=1, axis2=2))
     angle = np.unwrap(measured.pose[:, 2])
@@ -186,7 +191,7 @@ def _draw_poses(panels: Sequence[Axes], measured: Trajectory, estimates: FilterE
         axes.plot(estimates.time, factor * middle, color=palette.BODY, linewidth=0.9)
 
 
-def _draw_parameters(panels: Sequence[Axes], estimates: FilterEstimates) -> None:
+def _draw_parameters(panels: Sequence[Axes], estimates: FilterRun) -> None:
     """Draw medians with 5 % to 95 % bands, within the bounds of the prior."""
     prior = estimates.prior
     for k, (axes, name) in enumerate(zip(panels, prior.names, strict=True)):
@@ -203,7 +208,7 @@ def _band(axes: Axes, time: FloatArray, low: FloatArray, high: FloatArray) -> No
     axes.fill_between(time, low, high, color=palette.TRAIL, alpha=0.4, linewidth=0.0, zorder=1.2)
 
 
-def _draw_touches(axes: Axes | None, experiment: Experiment, estimates: FilterEstimates) -> None:
+def _draw_touches(axes: Axes | None, experiment: Experiment, estimates: FilterRun) -> None:
     """Draw a row per fixel: above its readings, below the estimated probability of contact."""
     if axes is None:
         return
@@ -225,7 +230,7 @@ def _draw_touches(axes: Axes | None, experiment: Experiment, estimates: FilterEs
         )
 
 
-def _set_time(every: Sequence[Axes], estimates: FilterEstimates) -> None:
+def _set_time(every: Sequence[Axes], estimates: FilterRun) -> None:
     """Set the time axes of all panels, with a shade while the object is hidden."""
     time_axes(every, estimates.time)
     for k, axes in enumerate(every):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
-from dataclasses import dataclass
-from typing import Final, final
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Final, final
 
 import numpy as np
 
@@ -15,6 +17,8 @@ from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.prior import UniformPrior, excited, touches_bound
 from fixel.filtering.running import FilterEstimate, FilterFrame, start_filter
 from fixel.model import Experiment, Scene, Trajectory, pose_error
+from fixel.results import Result, Summary
+from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray, IntArray, ProgressCallback
 
 SAME_INSTANT: Final = 1e-6  # [s]; clocks of two sensors are the same frames, rounded differently
@@ -23,12 +27,15 @@ TACTILE: Final = "tactile"  # the channel of the fixels
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FilterEstimates:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
+class FilterRun(Result):
     """Estimates of a filter for a recorded experiment, frame by frame.
+
+    Made by `fixel.filter`.
 
     Attributes
     ----------
+    experiment : Experiment
     options : ParticleFilter
     seed : int
     prior : UniformPrior
@@ -63,6 +70,9 @@ class FilterEstimates:
         Wall time each frame took [s]; the only thing that is not the same every time.
     """
 
+    _drawings: ClassVar[Mapping[str, str]] = {"run": "fixel.drawing.filtering:plot_filter"}
+
+    experiment: Experiment
     options: ParticleFilter
     seed: int
     prior: UniformPrior
@@ -81,7 +91,7 @@ class FilterEstimates:
     recovered: BoolArray
     draws: FloatArray
     misfit: FilterMisfit
-    busy: FloatArray
+    busy: FloatArray = field(compare=False)
 
     @property
     def trajectory(self) -> Trajectory:
@@ -120,6 +130,62 @@ class FilterEstimates:
             for name, told in zip(self.prior.names, near, strict=True)
         }
 
+    @property
+    def parameters(self) -> dict[str, dict[str, float | bool]]:
+        """Estimates at the end, by name: mean, quantiles, and whether the run informs them [SI]."""
+        rows = zip(self.prior.names, self.mean[-1], self.quantiles[-1], strict=True)
+        return {
+            name: {
+                "mean": float(mean),
+                "q05": float(low),
+                "q50": float(middle),
+                "q95": float(high),
+                "excited": self.excited[name],
+                "at_bound": self.at_bound[name],
+            }
+            for name, mean, (low, middle, high) in rows
+        }
+
+    def rms(self, hidden: bool) -> tuple[float, float] | None:
+        """Root mean square errors [m, rad] inside or outside the occlusion; None without poses."""
+        position, angle, inside = self.errors(self.experiment.trajectory)
+        wanted = inside == hidden
+        if not wanted.any():
+            return None
+        return _rms(position[wanted]), _rms(angle[wanted])
+
+    def _summary(self) -> Summary:
+        found = {"while seen": self.rms(hidden=False), "while hidden": self.rms(hidden=True)}
+        errors = [(k, 1e3 * e[0], math.degrees(e[1])) for k, e in found.items() if e is not None]
+        head = ("error, rms", Column("position", "mm", ".3f"), Column("angle", "deg", ".3f"))
+        numbers = (Column(name, format=".3g") for name in ("mean", "5 %", "95 %"))
+        rows = [
+            (name, own["mean"], own["q05"], own["q95"], "" if own["excited"] else "not informed")
+            for name, own in self.parameters.items()
+        ]
+        measured, mode = self.experiment.contact_mode, self.contact_mode
+        notes = [f"contact mode at the end: {mode}" + (f", measured {measured}" * bool(measured))]
+        if self.misfit.warns and self.misfit.ratio is not None:
+            notes.append(f"misfit: residuals are {self.misfit.ratio:.2g} times the noise")
+        return Summary(
+            f"FilterRun of {self.experiment.key}: {len(self.time)} frames,"
+            f" {self.options.n_particles} particles ({self.options.motion.name})",
+            [Table(("at the end [SI]", *numbers, ""), rows), Table(head, errors)],
+            notes if mode else notes[1:],
+            {
+                "seed": str(self.seed),
+                "tactile readings": "used" if self.uses_tactile else "not used",
+            },
+        )
+
+    def _data(self) -> Table:
+        """Estimated pose and parameters, one row per frame."""
+        names = [f"{name}{end}" for name in self.prior.names for end in ("", "_q05", "_q95")]
+        values = np.stack((self.mean, self.quantiles[:, :, 0], self.quantiles[:, :, 2]), axis=2)
+        columns = [Column("time", "s"), Column("x", "m"), Column("y", "m"), Column("theta", "rad")]
+        table = np.column_stack((self.time, self.pose, values.reshape(len(self.time), -1)))
+        return Table((*columns, *names), table.tolist())
+
     def errors(self, measured: Trajectory) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Distance [m] and angle [rad] to the measured poses, and which of them were hidden.
 
@@ -141,7 +207,7 @@ def run_filter(
     use_tactile: bool = True,
     seed: int = 0,
     progress: ProgressCallback | None = None,
-) -> FilterEstimates:
+) -> FilterRun:
     """Filter a recorded experiment, frame by frame from its first useful one on.
 
     Parameters
@@ -179,6 +245,7 @@ def run_filter(
             progress(done, len(frames))
     return _gathered(
         estimates,
+        experiment=experiment,
         options=options,
         seed=seed,
         prior=running.prior,
@@ -191,6 +258,10 @@ def run_filter(
     )
 
 
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def _within_run(experiment: Experiment, frames: list[FilterFrame]) -> tuple[Trajectory, Trajectory]:
     """Measured paths of the object and the pusher while the filter ran."""
     first, last = frames[0].time - SAME_INSTANT, frames[-1].time + SAME_INSTANT
@@ -201,7 +272,7 @@ def _within_run(experiment: Experiment, frames: list[FilterFrame]) -> tuple[Traj
     return found[0], found[1]
 
 
-def _gathered(estimates: list[FilterEstimate], **rest: object) -> FilterEstimates:
+def _gathered(estimates: list[FilterEstimate], **rest: object) -> FilterRun:
     columns = {
         name: np.array([getattr(estimate, name) for estimate in estimates])
         for name in (
@@ -209,7 +280,7 @@ def _gathered(estimates: list[FilterEstimate], **rest: object) -> FilterEstimate
             "recovered"
         )
     }  # fmt: skip
-    return FilterEstimates(**columns, **rest)  # type: ignore[arg-type]
+    return FilterRun(**columns, **rest)  # type: ignore[arg-type]
 
 
 def _frames(

@@ -292,7 +292,7 @@ class FilterParameters(Comparable):
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FilterRun(Comparable):
+class FilterRecord(Comparable):
     """Result of a filter for a stored experiment.
 
     Parameters

@@ -11,15 +11,96 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.recorded import FilterEstimates, run_filter
+from fixel.filtering.recorded import FilterRun, run_filter
 from fixel.model import Experiment, Provenance
-from fixel.model.records import CalibrationRecord, FilterParameters, FilterRun
-from fixel.typing import FloatArray, ProgressCallback
+from fixel.model.records import CalibrationRecord, FilterParameters, FilterRecord
+from fixel.progress import ProgressOption, show_progress
+from fixel.simulation.motion import AbstractMotionModel
+from fixel.typing import FloatArray
+from fixel.uncertainty.push import motion_named
 
 NAME: Final = "particle"  # name of the settings in the project
 
 # Suffixes of the columns stored for every parameter.
 ENDINGS: Final = ("", "_q05", "_q50", "_q95")
+
+
+def filter(
+    experiment: Experiment,
+    priors: Mapping[str, tuple[float, float] | None] | None = None,
+    *,
+    particles: int = 125,
+    occlusion: tuple[float, float] | None = None,
+    tactile: bool = True,
+    motion: AbstractMotionModel | str | None = None,
+    options: ParticleFilter | None = None,
+    seed: int = 0,
+    threads: int = 1,
+    progress: ProgressOption = None,
+) -> FilterRun:
+    """Estimate pose and parameters during a recorded experiment with a particle filter.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Experiment with a scene and the measured path of its pusher.
+    priors : mapping of str to (float, float) or None, optional
+        Uniform priors of parameters [SI], in addition to the usual ones; None leaves a parameter
+        at the value of the scene.
+    particles : int
+        Number of particles, at least 2.
+    occlusion : (float, float), optional
+        First and last instant at which the object is hidden from the filter [s].
+    tactile : bool
+        Whether to use the readings of the fixels, if there are any.
+    motion : AbstractMotionModel or str, optional
+        `"quasistatic"` (default) or `"first-order"`.
+    options : ParticleFilter, optional
+        All other settings, such as the noise of the camera; `priors`, `particles`, `motion` and
+        `threads` are then taken from it.
+    seed : int
+        Seed of the random numbers.
+    threads : int
+        Number of threads of the simulation. Results are the same for any number.
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
+
+    Returns
+    -------
+    FilterRun
+        Pose, parameters and contacts of every frame, with their uncertainty.
+
+    Raises
+    ------
+    InvalidInput
+        There is no scene or no measured path of the pusher, the occlusion lies outside the
+        recording, or a prior does not fit the scene.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> import fixel
+    >>> from fixel.model import PlannedExperiment
+    >>> from fixel.testbed.simulated import SimulatedTestbed
+    >>> from fixel.testing.scenes import grasp
+    >>> planned = PlannedExperiment(name="grasp", scene=replace(grasp("seated"), duration=1.0))
+    >>> (experiment,) = SimulatedTestbed.ideal(seed=1).run([planned])
+    >>> found = fixel.filter(experiment, particles=10, progress=False)
+    >>> sorted(found.parameters)
+    ['mu_fixel', 'mu_pusher', 'mu_support', 'tripod_radius']
+    """
+    if options is None:
+        own: dict[str, Any] = {} if motion is None else {"motion": motion_named(motion)}
+        options = ParticleFilter(n_particles=particles, priors=priors or {}, threads=threads, **own)
+    with show_progress(progress, "filtering") as report:
+        return run_filter(
+            experiment,
+            options,
+            occlusion=occlusion,
+            use_tactile=tactile,
+            seed=seed,
+            progress=report,
+        )
 
 
 @final
@@ -30,8 +111,7 @@ class FilterAnswer:
     Attributes
     ----------
     experiment_id : int
-    experiment : Experiment
-    estimates : FilterEstimates
+    estimates : FilterRun
     run_id : int or None
         Id of the run in the project; None if it was not stored.
     calibrations : mapping from int to CalibrationRecord
@@ -39,22 +119,13 @@ class FilterAnswer:
     """
 
     experiment_id: int
-    experiment: Experiment
-    estimates: FilterEstimates
+    estimates: FilterRun
     run_id: int | None = None
     calibrations: Mapping[int, CalibrationRecord] = field(default_factory=dict)
 
-    def rms(self, hidden: bool) -> tuple[float, float] | None:
-        """Root mean square errors [m, rad] inside or outside the occlusion; None without poses."""
-        position, angle, inside = self.estimates.errors(self.experiment.trajectory)
-        wanted = inside == hidden
-        if not wanted.any():
-            return None
-        return _rms(position[wanted]), _rms(angle[wanted])
-
     def summary(self) -> dict[str, Any]:
         """Return all results as plain values, for `--json`."""
-        found, experiment = self.estimates, self.experiment
+        found, experiment = self.estimates, self.estimates.experiment
         return {
             "experiment": experiment.key,
             "experiment_id": self.experiment_id,
@@ -67,9 +138,9 @@ class FilterAnswer:
             "to_s": float(found.time[-1]),
             "occlusion_s": None if found.occlusion is None else list(found.occlusion),
             "uses_tactile": found.uses_tactile,
-            "seen": _named(self.rms(hidden=False)),
-            "hidden": _named(self.rms(hidden=True)),
-            "parameters": self._parameters(),
+            "seen": _named(found.rms(hidden=False)),
+            "hidden": _named(found.rms(hidden=True)),
+            "parameters": found.parameters,
             "contact_mode": {
                 "measured": experiment.contact_mode,
                 "estimated": found.contact_mode,
@@ -95,21 +166,6 @@ class FilterAnswer:
             "real_time_factor": found.real_time_factor,
         }
 
-    def _parameters(self) -> dict[str, dict[str, float | bool]]:
-        found = self.estimates
-        rows = zip(found.prior.names, found.mean[-1], found.quantiles[-1], strict=True)
-        return {
-            name: {
-                "mean": float(mean),
-                "q05": float(low),
-                "q50": float(middle),
-                "q95": float(high),
-                "excited": found.excited[name],
-                "at_bound": found.at_bound[name],
-            }
-            for name, mean, (low, middle, high) in rows
-        }
-
     def compared(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Return value, interval and verdict by calibration id and parameter."""
         names = self.estimates.prior.names
@@ -127,11 +183,11 @@ class FilterAnswer:
             for number, record in self.calibrations.items()
         }
 
-    def record(self, filter_parameters_id: int, command: str = "") -> FilterRun:
+    def record(self, filter_parameters_id: int, command: str = "") -> FilterRecord:
         """Return the record of the run for a project; `command` is the command as typed."""
         found = self.estimates
         values = np.concatenate((found.mean[:, :, None], found.quantiles), axis=2)
-        return FilterRun(
+        return FilterRecord(
             experiment_id=self.experiment_id,
             filter_parameters_id=filter_parameters_id,
             provenance=_provenance(found, command),
@@ -162,12 +218,8 @@ class FilterAnswer:
         )
 
 
-def _provenance(found: FilterEstimates, command: str) -> Provenance:
+def _provenance(found: FilterRun, command: str) -> Provenance:
     return Provenance(version=version("fixel"), command=command, seed=found.seed)
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _mean(values: FloatArray) -> float | None:
@@ -188,7 +240,7 @@ def filter_experiment(
     seed: int = 0,
     save: bool = True,
     command: str = "",
-    progress: ProgressCallback | None = None,
+    progress: ProgressOption = None,
 ) -> FilterAnswer:
     """Filter an experiment of a project and store the run.
 
@@ -199,7 +251,7 @@ def filter_experiment(
         Id, name, or dataset/name.
     options : ParticleFilter, optional
     occlusion, use_tactile, seed, progress
-        See `run_filter`.
+        See `filter`.
     save : bool
         Whether to store the run and its settings in the project.
     command : str
@@ -215,11 +267,11 @@ def filter_experiment(
     with project.store() as store:
         number = store.find(key)
         experiment = store.experiment(number)
-        estimates = run_filter(
+        estimates = filter(
             experiment,
-            options,
+            options=options,
             occlusion=occlusion,
-            use_tactile=use_tactile,
+            tactile=use_tactile,
             seed=seed,
             progress=progress,
         )
@@ -228,9 +280,7 @@ def filter_experiment(
             for key, record in store.calibration_summaries().items()
             if number in {member.experiment_id for member in record.members}
         }
-        answer = FilterAnswer(
-            experiment_id=number, experiment=experiment, estimates=estimates, calibrations=of_it
-        )
+        answer = FilterAnswer(experiment_id=number, estimates=estimates, calibrations=of_it)
         if not save:
             return answer
         settings = store.add_filter_parameters(answer.settings(command))
