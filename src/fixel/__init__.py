@@ -7,6 +7,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fixel.calibration.noise import Noise as Noise
+    from fixel.calibration.usual_parameters import known_parameters as known_parameters
     from fixel.errors import (
         FixelError as FixelError,
         Interrupted as Interrupted,
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
         Tripod as Tripod,
         UniformPressure as UniformPressure,
     )
+    from fixel.model.records import Estimate as Estimate
+    from fixel.model.space import Parameter as Parameter
     from fixel.simulation import (
         Adaptive as Adaptive,
         BatchResult as BatchResult,
@@ -58,6 +62,15 @@ if TYPE_CHECKING:
     from fixel.uncertainty.prediction import Prediction as Prediction
     from fixel.uncertainty.starts import StartError as StartError
     from fixel.workflows.filtering import filter as filter
+    from fixel.workflows.calibration.calibration import (
+        Calibration as Calibration,
+        Calibrations as Calibrations,
+    )
+    from fixel.workflows.calibration.run import (
+        calibrate as calibrate,
+        calibrate_campaign as calibrate_campaign,
+        calibrate_each as calibrate_each,
+    )
     from fixel.workflows.sensitivity.run import sensitivity as sensitivity
     from fixel.workflows.uncertainty.prediction import predict as predict
 
@@ -65,11 +78,15 @@ if TYPE_CHECKING:
 
 # Public names by module. A new one also joins the imports above, which type checkers read.
 _NAMES = {
+    "fixel.calibration.noise": "Noise",
+    "fixel.calibration.usual_parameters": "known_parameters",
     "fixel.errors": "FixelError Interrupted InvalidInput MissingExtra SolveFailed StoreRefused",
     "fixel.formats": "load_scene",
     "fixel.io": "load",
     "fixel.model": "Body Disk Ellipsoid Fixel LineDrive NoSupport PairFriction Parameters PathDrive"
     " Plane Polygon Pusher Scene Seated SupportPoints Trajectory Tripod UniformPressure",
+    "fixel.model.records": "Estimate",
+    "fixel.model.space": "Parameter",
     "fixel.simulation": "Adaptive BatchResult Dynamic FirstOrder GaussSeidel Lemke Newton"
     " QuasiStatic Simulation StewartTrinkle simulate simulate_batch",
     "fixel.filtering.recorded": "FilterRun",
@@ -78,6 +95,8 @@ _NAMES = {
     "fixel.uncertainty.prediction": "Prediction",
     "fixel.uncertainty.starts": "StartError",
     "fixel.workflows.filtering": "filter",
+    "fixel.workflows.calibration.calibration": "Calibration Calibrations",
+    "fixel.workflows.calibration.run": "calibrate calibrate_campaign calibrate_each",
     "fixel.workflows.sensitivity.run": "sensitivity",
     "fixel.workflows.uncertainty.prediction": "predict",
 }

@@ -5,6 +5,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from tests import calibrating as calibrations
 from tests.fixtures import project_of
 from tests.jobs.helpers import blocks_written, names_in
 
@@ -16,7 +17,6 @@ from fixel.model.selection import ExperimentQuery
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.toy_work import MAKER, make_toy_work
-from fixel.workflows.calibration import run as calibrations
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.result import outcome_bytes, outcome_of

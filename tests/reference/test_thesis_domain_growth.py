@@ -10,6 +10,7 @@ from math import pi
 
 import numpy as np
 import pytest
+from tests import calibrating as run
 from tests.fixtures import project_of
 from tests.workflows.growing import comparer_of, planned
 
@@ -18,7 +19,6 @@ from fixel.model import Parameters
 from fixel.model.selection import ExperimentQuery
 from fixel.simulation import QuasiStatic, simulate
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration import run
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.growth.explore import explore

@@ -51,8 +51,9 @@ def _simulate(store, numbers):
 @pytest.fixture(scope="session")
 def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
     """The same with a calibration of six experiments and a map of all; not to be changed."""
+    from tests import calibrating as run
+
     from fixel.web.views.calibration_form import CalibrationForm
-    from fixel.workflows.calibration import run
     from fixel.workflows.domain.request import DomainRequest
     from fixel.workflows.domain.run import map_domain
 
@@ -71,8 +72,8 @@ def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
     )
     project = Project.open(folder)
     with project.store() as store:
-        chosen, request = form.selection(store), form.request()
-    job = run.prepare(project, chosen, request)
+        chosen = form.selection(store)
+    job = run.prepare(project, chosen, form.plan(chosen).request)
     run.run(job)
     run.collect(project, job, "fixel calibrate --name first", {})
     asked = DomainRequest(axes=("offset_y_m", "shape"), fit=("mu_pusher",), folds=2, threshold=6.0)

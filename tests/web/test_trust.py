@@ -27,7 +27,7 @@ from fixel.web.views import domain_views
 from fixel.web.views.background_fits import Fits
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.workflows import jobs
-from fixel.workflows.calibration.run import collected
+from fixel.workflows.calibration.project import collected
 
 HERE = "http://127.0.0.1:8000"
 ANSWERS_WITHIN = 0.2  # [s] of processor time: a map at another threshold
@@ -224,7 +224,7 @@ def test_what_a_terminal_went_on_with_is_stored_by_who_looks(trusted_laboratory,
     alone = Bench(folder)
     (one,) = alone.get("/calibrations")["calibrations"]
     assert one["sets"] == 2  # and the one that was stored before
-    assert collected(Project.open(folder), job) == [2]
+    assert collected(Project.open(folder), job).ids == (2,)
     alone.context.close()
 
 

@@ -26,6 +26,7 @@ from fixel.calibration.study import box_of, run_study
 from fixel.calibration.target import repetitions
 from fixel.calibration.verdict import judge
 from fixel.model import Fixel, Parameters, Pusher
+from fixel.model.parameters import info_of
 from fixel.model.records import Estimate
 from fixel.model.space import ParameterSpace
 from fixel.simulation.simulate import simulate
@@ -441,8 +442,7 @@ def excitation(comparer: Comparer, members: IntArray, point: FloatArray) -> Call
     Friction at a fixel means nothing where no fixel is touched, whatever its value; likewise at the
     pusher.
     """
-    acts_on = {"mu_fixel": "fixel", "mu_pusher": "pusher"}
-    wanted = {u.label: u for u in comparer.space.free if u.name in acts_on}
+    wanted = {u.label: u for u in comparer.space.free if info_of(u.name).contact}
     touched: dict[str, bool] = {}
 
     def excited(label: str) -> bool:
@@ -451,7 +451,9 @@ def excitation(comparer: Comparer, members: IntArray, point: FloatArray) -> Call
             return True
         if label not in touched:
             own = [m for m in members.tolist() if unknown.covers(comparer.targets[m].conditions)]
-            touched[label] = any(acts_on[unknown.name] in _touches(comparer, m, point) for m in own)
+            touched[label] = any(
+                info_of(unknown.name).contact in _touches(comparer, m, point) for m in own
+            )
         return touched[label]
 
     return excited

@@ -10,6 +10,7 @@ Source: RPI thesis, sections 5.1.1, 5.2.1 and 5.2.2; mechanics of Dakota's searc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Final, NamedTuple, TypeVar
 
@@ -36,6 +37,12 @@ class RolloutRequest(NamedTuple):
 Study = Generator[RolloutRequest, Evaluation, T]
 
 OUT_OF_BUDGET: Final = "the budget is used up"
+MADE: Final = "evaluations were made"
+
+
+def made(evaluations: int) -> str:
+    """Return the reason of a search that ended after its maximum number of evaluations."""
+    return f"{evaluations} {MADE}"
 
 
 class Trace(NamedTuple):
@@ -90,16 +97,22 @@ def calibrate_each(
     optimiser: AbstractOptimiser,
     seed: int = 0,
     feasible: Feasible | None = None,
+    max_evaluations: float = math.inf,
 ) -> Study[list[Trace]]:
     """Calibrate every member alone; all searches advance together, so that batches are large.
 
-    The result of a member does not depend on the others.
+    The result of a member does not depend on the others. A search ends with the batch in which it
+    reaches `max_evaluations`.
     """
     logs = [_Log(optimiser.start(box, seed, feasible)) for _ in members]
     while True:
-        running = [(m, log) for m, log in zip(members, logs, strict=True) if not log.search.done]
+        running = [
+            (m, log)
+            for m, log in zip(members, logs, strict=True)
+            if not log.search.done and log.search.evaluations < max_evaluations
+        ]
         if not running:
-            return [log.trace() for log in logs]
+            return [log.trace(made(log.search.evaluations)) for log in logs]
         asked = [log.search.ask() for _, log in running]
         which = np.repeat([m for m, _ in running], [len(points) for points in asked])
         answer = yield RolloutRequest(which, np.concatenate(asked))
@@ -117,7 +130,7 @@ def calibrate_joint(
     combine: Callable[[FloatArray], FloatArray],
     seed: int = 0,
     feasible: Feasible | None = None,
-    stop: Callable[[], bool] = lambda: False,
+    stop: Callable[[], str] = str,
 ) -> Study[tuple[Trace, Search]]:
     """Calibrate one parameter set for all members, by minimisation of their combined error.
 
@@ -126,16 +139,15 @@ def calibrate_joint(
     combine : callable
         Function of errors (k, n_member) -> (k,): their sum, mean or largest.
     stop : callable
-        Test whether to end the search early; called after every batch.
+        Returns the reason to end the search early, empty to continue; called after every batch.
     """
     log = _Log(optimiser.start(box, seed, feasible))
     while not log.search.done:
         points = log.search.ask()
         errors, reasons = yield from at_points(members, points)
         log.tell(points, combine(errors), reasons)
-        if stop():
-            trace = log.trace()
-            return trace._replace(ended=trace.ended or OUT_OF_BUDGET), log.search
+        if reason := stop():
+            return log.trace(reason), log.search
     return log.trace(), log.search
 
 
@@ -170,7 +182,7 @@ class _Log:
         self._errors.append(errors)
         self._reasons += reasons
 
-    def trace(self) -> Trace:
+    def trace(self, ended: str = "") -> Trace:
         best = self.search.best
         n = self.search.box.n
         sizes = [len(own) for own in self._owners]
@@ -181,7 +193,7 @@ class _Log:
             np.concatenate([np.zeros((0, n)), *self._points]),
             np.concatenate([np.zeros(0), *self._errors]),
             self._reasons,
-            self.search.reason,
+            self.search.reason or ended,
             np.repeat(np.arange(len(sizes)), sizes),
             owners if owners.any() else owners[:0],
         )

@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
 
+from fixel.calibration.target import Target
 from fixel.errors import InvalidInput
-from fixel.model import Disk, Ellipsoid, Scene, SupportPoints, Tripod, UniformPressure
-from fixel.model.parameters import info_of
-from fixel.model.space import Unknown
+from fixel.model import (
+    Disk,
+    Ellipsoid,
+    Fixel,
+    Pusher,
+    Scene,
+    SupportPoints,
+    Tripod,
+    UniformPressure,
+)
+from fixel.model.parameters import KNOWN_PARAMETERS, info_of, is_parameter
+from fixel.model.space import Parameter, ParameterSpace, Unknown, split_label
 from fixel.simulation.uneven_table import TABLE_NAMES
+from fixel.table import Table
 
 MAX_FRICTION: Final = 1.0
 MIN_RADIUS: Final = 1e-3  # [m] of a tripod: with zero all loads would act at one point
@@ -65,12 +77,12 @@ def usual_unknown(name: str, scene: Scene) -> Unknown:
         return Unknown(name=name, low=-width, high=width, nominal=0.0)
     body = scene.bodies[0]
     support = body.support
-    if name in ("mu_pusher", "mu_fixel"):
-        things = scene.pushers if name == "mu_pusher" else scene.fixels
+    if contact := info_of(name).contact:
+        things = touched_by(contact, scene)
         if not things:
             raise InvalidInput(
                 name,
-                found=f"no {name.removeprefix('mu_')} in any of the experiments",
+                found=f"no {contact} in any of the experiments",
                 expected="an experiment that could inform it",
                 hint="leave it out",
             )
@@ -96,11 +108,179 @@ def usual_unknown(name: str, scene: Scene) -> Unknown:
     if name.startswith("load_"):
         return Unknown(name=name, low=0.0, high=10.0, nominal=1.0)
     raise InvalidInput(
-        f"--fit {name}",
+        name,
         found=f"a body on {type(support).__name__}",
         expected="a support that this parameter could change",
         hint=f"{name} is the {info_of(name).meaning}",
     )
+
+
+def known_parameters() -> Table:
+    """Return the parameters that a calibration can search, with units, meanings and usual bounds.
+
+    Bounds that depend on the scene are missing in the table: friction of the plane, for example,
+    starts at the scene's own value, and a tripod is never larger than its body.
+
+    Returns
+    -------
+    Table
+        Columns `parameter`, `unit`, `meaning`, `low` and `high`, in SI units.
+
+    Examples
+    --------
+    >>> known_parameters().records()[3]["parameter"]
+    'mu_pusher'
+    """
+    rows = []
+    for name, info in KNOWN_PARAMETERS.items():
+        width = _AROUND_ZERO.get(name, _TABLE.get(name))
+        bounds = (None, None) if width is None else (-width, width)
+        if name.startswith("mu_"):
+            bounds = (MIN_FRICTION if name == "mu_support" else 0.0, MAX_FRICTION)
+        rows.append((name, info.unit, info.meaning, *bounds))
+    return Table(("parameter", "unit", "meaning", "low", "high"), rows, left=3)
+
+
+def touched_by(contact: str, scene: Scene) -> Sequence[Pusher | Fixel]:
+    """Return the bodies of a scene of one kind: `"pusher"` or `"fixel"`."""
+    return scene.pushers if contact == "pusher" else scene.fixels
+
+
+# --- spaces of one's own ------------------------------------------------------------------------
+
+Bounds = tuple[float, float] | float | Parameter | None
+Space = Mapping[str, Bounds] | Sequence[str] | ParameterSpace | None
+
+_UNITS: Final = {"_mm": "mm", "_cm": "cm", "_um": "um", "_deg": "deg", "_mrad": "mrad", "_g": "g"}
+
+
+def search_space(
+    parameters: Space, targets: Sequence[Target], start: Mapping[str, float] | None = None
+) -> ParameterSpace:
+    """Return the space in which a calibration searches.
+
+    Parameters
+    ----------
+    parameters : mapping, sequence of str, ParameterSpace or None
+        `{"mu_pusher": (0, 1)}` is free within bounds, `{"mu_pusher": 0.3}` is fixed, and
+        `["mu_pusher"]` has its usual bounds. None selects the usual parameters. Keys may be labels
+        such as `"mu_pusher[surface=abs]"`.
+    targets : sequence of Target
+        Experiments, whose scenes and conditions decide about usual bounds and starts.
+    start : mapping from name to float, optional
+        Start of the search; by default the scenes' own values.
+
+    Raises
+    ------
+    InvalidInput
+        A name is not known, or no experiment can inform a parameter.
+    """
+    if isinstance(parameters, ParameterSpace):
+        space = parameters
+    elif parameters is None:
+        scenes = [target.case.scene for target in targets]
+        space = ParameterSpace(unknowns=tuple(default_unknowns(scenes)))
+    else:
+        named = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
+        space = ParameterSpace(
+            unknowns=tuple(u for key, own in named.items() for u in _unknowns(key, own, targets))
+        )
+    if start is None:
+        return space
+    names = zip(space.free, space.nominal.tolist(), strict=True)
+    return space.started_at([start.get(u.label, start.get(u.name, x)) for u, x in names])
+
+
+def _unknowns(key: str, entry: Bounds, targets: Sequence[Target]) -> list[Unknown]:
+    """Return the unknowns of an entry of a space; several where conditions have their own."""
+    name, where = _named(key, targets)
+    if isinstance(entry, int | float):
+        return [Unknown.fixed(name, float(entry), where)]
+    if isinstance(entry, tuple | list):
+        if len(entry) != 2:
+            raise InvalidInput(key, found=f"{len(entry)} numbers", expected="two bounds")
+        entry = _at(key, lambda pair: Parameter(*pair), entry)
+    if not isinstance(entry, Parameter | None):
+        raise InvalidInput(
+            key, found=entry, expected="(low, high), a number to fix it, or a fixel.Parameter"
+        )
+    by = () if entry is None else entry.by
+    groups = dict.fromkeys(
+        tuple((name, target.conditions[name]) for name in by)
+        for target in targets
+        if all(name in target.conditions for name in by) and _covers(where, target)
+    )
+    if not groups:
+        conditions = sorted({name for target in targets for name in target.conditions})
+        raise InvalidInput(
+            key,
+            found=f"no experiment with {', '.join(by) or key}",
+            expected=f"an experiment that could inform it, with {', '.join(conditions)}",
+        )
+    return [_unknown(name, entry, where | dict(group), targets) for group in groups]
+
+
+def _unknown(
+    name: str, entry: Parameter | None, where: Mapping[str, str | float], targets: Sequence[Target]
+) -> Unknown:
+    usual = replace(
+        usual_in(name, [t.case.scene for t in targets if _covers(where, t)]), where=where
+    )
+    if entry is None:
+        return usual
+    start = usual.nominal if entry.start is None else entry.start
+    return replace(
+        usual,
+        low=entry.low,
+        high=entry.high,
+        nominal=min(max(start, entry.low), entry.high) if entry.start is None else start,
+        scale=entry.scale,
+        prior=None if entry.prior is None else entry.prior[1],
+    )
+
+
+def usual_in(name: str, scenes: Sequence[Scene]) -> Unknown:
+    """Return a parameter with its usual bounds in the first of the scenes that can inform it."""
+    contact = info_of(name).contact
+    able = (scene for scene in scenes if not contact or touched_by(contact, scene))
+    return usual_unknown(name, next(able, scenes[0]))
+
+
+def _covers(where: Mapping[str, str | float], target: Target) -> bool:
+    return all(target.conditions.get(name) == value for name, value in where.items())
+
+
+def _named(key: str, targets: Sequence[Target]) -> tuple[str, dict[str, str | float]]:
+    """Return the parameter and the conditions of a key."""
+    name, written = split_label(key)
+    for ending, unit in _UNITS.items():
+        bare = name.removesuffix(ending)
+        if bare != name and not is_parameter(name) and is_parameter(bare):
+            raise InvalidInput(
+                key,
+                found="a unit in the name",
+                expected=f"{bare!r} in SI units",
+                hint=f'write {{"{bare}": (10 * {unit}, 60 * {unit})}} with fixel.units',
+            )
+    info_of(name)
+    where: dict[str, str | float] = {}
+    for condition, text in written.items():
+        values = (target.conditions.get(condition) for target in targets)
+        where[condition] = next((x for x in values if x is not None and str(x) == text), text)
+    return name, where
+
+
+def _at(key: str, make: Callable[[Any], Parameter], entry: object) -> Parameter:
+    """Make a parameter; a refusal names the key."""
+    try:
+        return make(entry)
+    except InvalidInput as problem:
+        raise InvalidInput(
+            problem.where.replace("parameter", key, 1),
+            found=problem.found,
+            expected=problem.expected,
+            hint=problem.hint,
+        ) from None
 
 
 def _corner(name: str, scene: Scene, support: SupportPoints) -> Unknown:

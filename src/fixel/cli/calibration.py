@@ -21,12 +21,16 @@ from fixel.cli.options import (
     require_one_of,
     with_options,
 )
-from fixel.cli.screen import command_line, job_bar, notice, notify, print_answer
-from fixel.errors import InvalidInput
+from fixel.cli.screen import command_line, notice, notify, print_answer
+from fixel.errors import Interrupted, InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-    from fixel.workflows.calibration.run import ExperimentSelection
+    from fixel.database.project import Project
+    from fixel.model.space import ParameterSpace
+    from fixel.workflows.calibration.calibration import Calibrations
+    from fixel.workflows.calibration.project import ExperimentSelection
+    from fixel.workflows.calibration.request import NamedOptions
+    from fixel.workflows.calibration.run import CalibrationPlan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,49 +97,45 @@ class SearchOptions:
     )
     name: str = option("calibration", "Name of the calibration.", metavar="NAME")
 
-    def request(self, chosen: "ExperimentSelection") -> "CalibrationRequest":
-        """Return the request for the selected experiments, without stored sets of parameters."""
-        from fixel.workflows.calibration.parameter_options import fixed_unknowns
-        from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
+    def chosen_mode(self, chosen: "ExperimentSelection") -> Any:
+        """Return the mode: by default one set of parameters for several experiments."""
+        usual = "each" if len(chosen.targets) == 1 else "joint"
+        return require_one_of("--mode", self.mode or usual, ("each", "joint", "campaign", "stored"))
 
-        n = len(chosen.targets)
-        mode: Any = "each" if n == 1 else "joint"
-        if self.mode is not None:
-            mode = require_one_of("--mode", self.mode, ("each", "joint", "campaign", "stored"))
-        search, unknowns = self._search_and_unknowns(chosen)
-        fixed = fixed_unknowns(self.hold or [])
-        names = {unknown.name for unknown in fixed}
-        unknowns = [unknown for unknown in unknowns if unknown.name not in names] + fixed
-        if not search.name:
-            n_free = sum(not unknown.frozen for unknown in unknowns)
-            usual = self._usual_optimiser(mode, chosen, n_free)
-            search = search.model_copy(update={"name": usual})
+    def arguments(self, chosen: "ExperimentSelection") -> dict[str, Any]:
+        """Return the arguments of `fixel.calibrate` for the selected experiments."""
+        from fixel.calibration.noise import Noise
+
+        optimiser, parameters = self._search_and_parameters(chosen)
         noise = self.noise
-        return CalibrationRequest(
-            name=self.name,
-            mode=mode,
-            unknowns=unknowns,
-            error=NamedOptions(
-                name=self.error, options={"angle_scale": 1e-3 * self.angle_scale_mm}
-            ),
-            motion=self.motion,
-            optimiser=search,
-            starts=self.starts,
-            combine=require_one_of("--combine", self.combine, ("sum", "mean", "largest")),
-            seed=self.seed,
-            noise_position=None if noise.noise_mm is None else 1e-3 * noise.noise_mm,
-            noise_angle=None if noise.noise_mrad is None else 1e-3 * noise.noise_mrad,
-            level=self.level,
-            verdicts=self.verdicts,
-            budget=self.budget,
-            sample_of=chosen.sample_of,
-        )
+        if (noise.noise_mm is None) != (noise.noise_mrad is None):
+            raise InvalidInput(
+                "--noise-mm and --noise-mrad", found="one of them", expected="both, or neither"
+            )
+        return {
+            "parameters": parameters,
+            "error": {"name": self.error, "angle_scale": 1e-3 * self.angle_scale_mm},
+            "combine": require_one_of("--combine", self.combine, ("sum", "mean", "largest")),
+            "optimiser": optimiser,
+            "starts": self.starts,
+            "noise": None
+            if noise.noise_mm is None or noise.noise_mrad is None
+            else Noise(position_m=1e-3 * noise.noise_mm, angle_rad=1e-3 * noise.noise_mrad),
+            "level": self.level,
+            "verdicts": self.verdicts,
+            "motion": self.motion,
+            "seed": self.seed,
+            "budget": self.budget,
+            "name": self.name,
+        }
 
-    def _search_and_unknowns(
+    def _search_and_parameters(
         self, chosen: "ExperimentSelection"
-    ) -> "tuple[NamedOptions, list[Any]]":
+    ) -> "tuple[NamedOptions, ParameterSpace]":
         from fixel.calibration.usual_parameters import default_unknowns
+        from fixel.model.space import ParameterSpace
         from fixel.workflows.calibration.parameter_options import (
+            fixed_unknowns,
             from_dakota,
             read_space,
             searched_unknowns,
@@ -144,20 +144,19 @@ class SearchOptions:
 
         scenes = [target.case.scene for target in chosen.targets]
         options = dict(map(_setting, self.settings or []))
-        search = NamedOptions(name=self.optimiser or "", options=options)
+        search = NamedOptions(name=self.optimiser or "auto", options=options)
         if self.dakota is not None:
-            return from_dakota(self.dakota)
-        if self.space is not None:
-            return search, list(read_space(self.space).unknowns)
-        return search, searched_unknowns(self.fit, scenes) if self.fit else default_unknowns(scenes)
-
-    def _usual_optimiser(self, mode: str, chosen: "ExperimentSelection", n_free: int) -> str:
-        from fixel.calibration.objective import EndPose
-        from fixel.workflows.calibration.request import usual_optimiser
-
-        only_ends = self.error == EndPose.name
-        frames = sum(1 if only_ends else len(target.pose) for target in chosen.targets)
-        return usual_optimiser(mode, self.combine, self.error, 3 * frames, n_free)
+            search, unknowns = from_dakota(self.dakota)
+        elif self.space is not None:
+            unknowns = list(read_space(self.space).unknowns)
+        elif self.fit:
+            unknowns = searched_unknowns(self.fit, scenes)
+        else:
+            unknowns = default_unknowns(scenes)
+        fixed = fixed_unknowns(self.hold or [])
+        names = {unknown.name for unknown in fixed}
+        unknowns = [unknown for unknown in unknowns if unknown.name not in names] + fixed
+        return search, ParameterSpace(unknowns=tuple(unknowns))
 
 
 @with_options
@@ -177,35 +176,52 @@ def calibrate(
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Find the parameters with which simulations meet experiments.
+    """Estimate parameters from experiments, with a verdict on each.
 
-    Interrupted or repeated, the same command goes on from what is finished.
+    Interrupted or repeated, the same command continues with what is finished.
     """
     if experiments and (selection.dataset or selection.where):
         given = "--dataset" if selection.dataset else "--where"
         raise InvalidInput(given, found="experiments by name too", expected="one of them")
+    from dataclasses import replace
+
     from fixel.database.project import Project
-    from fixel.workflows.calibration import run
+    from fixel.workflows.calibration.calibration import Calibration
+    from fixel.workflows.calibration.project import draw_sample, select_experiments
+    from fixel.workflows.calibration.run import (
+        CalibrationPlan,
+        calibrate,
+        calibrate_campaign,
+        calibrate_each,
+        calibrate_stored,
+    )
     from fixel.workflows.compilation import get_ready
 
     project = Project.open(folder)
     with project.store() as store:
-        chosen = run.select_experiments(store, experiments or (), selection.query)
+        chosen = select_experiments(store, experiments or (), selection.query)
     if search.sample is not None:
-        chosen = run.draw_sample(chosen, search.sample, search.seed)
-    request = search.request(chosen)
-    if request.mode == "stored":
-        with project.store() as store:
-            points = run.stored_points(store, request)
-        request = request.model_copy(update={"stored": points, "verdicts": False})
-    get_ready(chosen.targets[0].case.scene, notice(as_json))  # before the clock runs
-    require_folder(plot)
-    job = run.prepare(project, chosen, request)
+        chosen = draw_sample(chosen, search.sample, search.seed)
+    chosen = replace(chosen, command=command_line())
+    mode, arguments = search.chosen_mode(chosen), search.arguments(chosen)
     if prepare_only:
+        job = _prepare(project, CalibrationPlan.of(mode, chosen, **arguments))
         print_answer(as_json, lambda: {"job": str(job)}, lambda: _prepared(job))
         return
-    _run(job, workers, site)
-    done = run.collect(project, job, command_line(), chosen.left_out)
+    get_ready(chosen.targets[0].case.scene, notice(as_json))  # before the clock runs
+    require_folder(plot)
+    functions: dict[str, Any] = {
+        "joint": calibrate,
+        "each": calibrate_each,
+        "campaign": calibrate_campaign,
+        "stored": calibrate_stored,
+    }
+    try:
+        found = functions[mode](chosen, **arguments, store=project, workers=workers or 0, site=site)
+    except Interrupted as interrupted:
+        notify(str(interrupted))
+        raise
+    done: Calibrations = found.run if isinstance(found, Calibration) else found
     pictures = []
     if plot is not None:
         from fixel.workflows.calibration.charts import draw_all
@@ -222,21 +238,19 @@ def calibrate(
     )
 
 
-def _run(job: Path, workers: int | None, site: Path | None) -> None:
-    from fixel.jobs.site import load_site
-    from fixel.workflows.calibration import run
+def _prepare(project: "Project", plan: "CalibrationPlan") -> Path:
+    from fixel.workflows.calibration.stored_run import job_folder, prepare_folder
 
-    place = None if site is None else load_site(site)
-    try:
-        run.run(job, workers=workers, site=place, progress=job_bar())
-    except KeyboardInterrupt:
-        notify(f"what is finished is kept in {job}; the same command goes on from there")
-        raise
+    plan.rehearse()
+    job = job_folder(project, plan)
+    prepare_folder(plan, job)
+    return job
 
 
 def _prepared(job: Path) -> list[str]:
     return [
-        f"prepared {job}; once it is done, this command without --prepare stores its result",
+        f"Prepared {job}. When it has finished, run this command without --prepare to store the"
+        " result.",
         f"Next: fixel jobs submit {shlex.quote(str(job))} --workers 2",
     ]
 

@@ -12,9 +12,9 @@ import numpy as np
 from fixel.calibration.misfit import WARNED
 from fixel.calibration.objective import Robust
 from fixel.cli.screen import compare_command, seconds, table
+from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.commands import PRESSURE, enlarged_command
 from fixel.workflows.calibration.result import FitKind, ParameterSet, length_of, outliers
-from fixel.workflows.calibration.run import Calibration
 
 MAX_ROWS = 20
 ENDS = ("at least", "at most")
@@ -25,7 +25,7 @@ BEST_FIT = (
 )
 
 
-def lines_of(done: Calibration, folder: Path, pictures: list[Path]) -> list[str]:
+def lines_of(done: Calibrations, folder: Path, pictures: list[Path]) -> list[str]:
     """Return the lines to print."""
     outcome = done.outcome
     lines = []
@@ -47,7 +47,7 @@ def lines_of(done: Calibration, folder: Path, pictures: list[Path]) -> list[str]
     return lines
 
 
-def _next(done: Calibration, folder: Path) -> str:
+def _next(done: Calibrations, folder: Path) -> str:
     """Return the command that compares the worst experiment with its simulation."""
     outcome, space = done.outcome, done.request.space
     one = outcome.together[-1] if outcome.together else max(_best_alone(done), key=_worst)
@@ -61,12 +61,12 @@ def _worst(one: ParameterSet) -> float:
     return float(one.errors.max())
 
 
-def _best_alone(done: Calibration) -> list[ParameterSet]:
+def _best_alone(done: Calibrations) -> list[ParameterSet]:
     """Select one set per experiment: a neighbour's follows its own, and only if it is better."""
     return list({one.members: one for one in done.outcome.alone}.values())
 
 
-def _alone_lines(done: Calibration) -> list[str]:
+def _alone_lines(done: Calibrations) -> list[str]:
     outcome, unit = done.outcome, done.request.made_error.unit
     alone = _best_alone(done)
     if len(alone) == 1:
@@ -99,7 +99,7 @@ def _verdicts(alone: Sequence[ParameterSet], labels: list[str]) -> list[str]:
     ]
 
 
-def _together_lines(done: Calibration, one: Any) -> list[str]:
+def _together_lines(done: Calibrations, one: Any) -> list[str]:
     outcome, unit = done.outcome, done.request.made_error.unit
     members = list(one.members)
     before, after = outcome.nominal[members], one.errors
@@ -138,7 +138,7 @@ def _together_lines(done: Calibration, one: Any) -> list[str]:
     return [*lines, f"Next, {what}:", f"  {larger}"]
 
 
-def _outlier_lines(done: Calibration, one: ParameterSet) -> list[str]:
+def _outlier_lines(done: Calibrations, one: ParameterSet) -> list[str]:
     """Name the experiments that stand out, and what to do about them."""
     unit = done.request.made_error.unit
     found = outliers(one.errors, unit)

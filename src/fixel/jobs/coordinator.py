@@ -30,7 +30,11 @@ MIN_PAUSE_S: Final = 1.0  # [s] shortest time between two writes of state.json
 
 
 def coordinate(
-    folder: Path, *, progress: Show | None = None, notify: Notify | None = None
+    folder: Path,
+    *,
+    progress: Show | None = None,
+    notify: Notify | None = None,
+    local: AbstractEngine | None = None,
 ) -> JobState:
     """Run a job until it is done or has to stop.
 
@@ -40,6 +44,8 @@ def coordinate(
         Folder of the job.
     progress, notify : callable, optional
         Called with the progress; called with a sentence when something happens.
+    local : AbstractEngine, optional
+        Engine for a job without workers; `LocalEngine` by default.
 
     Returns
     -------
@@ -60,7 +66,7 @@ def coordinate(
             state.enter("preparing")
             _check_unchanged(folder, job, run)
             _report_damage(journal, state.notify)
-            result = _run(folder, job, run, journal, state)
+            result = _run(folder, job, run, journal, state, local)
             state.enter("collecting")
             _write_result(folder, result)
             state.enter("done")
@@ -111,10 +117,17 @@ def interrupt_on_termination() -> None:
     signal.signal(signal.SIGTERM, interrupt)
 
 
-def _run(folder: Path, job: Job, run: RunSettings, journal: Journal, state: _StateWriter) -> bytes:
+def _run(
+    folder: Path,
+    job: Job,
+    run: RunSettings,
+    journal: Journal,
+    state: _StateWriter,
+    local: AbstractEngine | None,
+) -> bytes:
     inputs = folder / "inputs"
     work = named_function(job.maker)(inputs, job.options)
-    with _engine(folder, job, run, state.notify) as engine:
+    with _engine(folder, job, run, state.notify, local) as engine:
         state.engine = engine
         state.enter("running")
         return run_work(
@@ -122,9 +135,11 @@ def _run(folder: Path, job: Job, run: RunSettings, journal: Journal, state: _Sta
         )
 
 
-def _engine(folder: Path, job: Job, run: RunSettings, notify: Notify) -> AbstractEngine:
+def _engine(
+    folder: Path, job: Job, run: RunSettings, notify: Notify, local: AbstractEngine | None
+) -> AbstractEngine:
     if run.workers == 0:
-        return LocalEngine()
+        return local or LocalEngine()
     from fixel.jobs.dask_engine import DaskEngine
     from fixel.jobs.link import require_dask
     from fixel.jobs.pool import AbstractPool, LocalPool

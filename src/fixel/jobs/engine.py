@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import threading
 import time
-import traceback
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final, Self, final
 
 from fixel.jobs import link
-from fixel.jobs.functions import ChunkFunction, chunk_function
+from fixel.jobs.functions import chunk_function
 from fixel.jobs.stamp import stamp
-from fixel.jobs.work import AbstractEngine, Answer, Batch, Chunk, Failure, framed
+from fixel.jobs.work import AbstractEngine, Batch, Chunk, Failure, answer_of, framed
 
 OTHER_VERSION: Final = b"V"  # first byte of an answer; not used by `fixel.jobs.work.framed`
 
@@ -39,20 +38,6 @@ class LocalEngine(AbstractEngine):
 
     def __exit__(self, *_: object) -> None:
         pass
-
-
-def answer_of(call: ChunkFunction, inputs: Path, payload: bytes) -> Answer:
-    """Return the answer of a chunk function; an exception becomes a `Failure`."""
-    try:
-        answer: object = call(inputs, payload)
-    except (Exception, SystemExit) as problem:
-        where = traceback.extract_tb(problem.__traceback__)[-1]
-        said = str(problem) or "no reason given"
-        place = f"{Path(where.filename).name}, line {where.lineno}"
-        return Failure(f"{type(problem).__name__}: {said} ({place})")
-    if not isinstance(answer, bytes):
-        return Failure(f"the chunk function answered {type(answer).__name__}, expected bytes")
-    return answer
 
 
 def run_chunk(

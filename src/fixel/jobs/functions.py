@@ -22,7 +22,7 @@ THREADS: Final = "FIXEL_THREADS"  # environment variable with the number of core
 
 _MODULES: Final = {
     "calibration": "fixel.workflows.calibration.job",
-    "calibration-result": "fixel.workflows.calibration.run",
+    "calibration-result": "fixel.workflows.calibration.project",
     "domain": "fixel.workflows.domain.job",
     "toy": "fixel.testing.toy_work",
 }

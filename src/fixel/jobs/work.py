@@ -11,6 +11,7 @@ from __future__ import annotations
 import abc
 import hashlib
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
@@ -162,12 +163,12 @@ def run_work(
     work: Work,
     engine: AbstractEngine,
     inputs: Path,
-    journal: Journal,
+    journal: Journal | None,
     *,
     progress: Show | None = None,
     stop: Stop | None = None,
 ) -> bytes:
-    """Compute all rounds of a work; the only function that writes its journal.
+    """Compute all rounds of a work; the only function that writes its journal, if it has one.
 
     Returns
     -------
@@ -192,6 +193,20 @@ def run_work(
         work.close()
 
 
+def answer_of(call: Callable[..., bytes], *arguments: object) -> Answer:
+    """Return the answer of a chunk function; an exception becomes a `Failure`."""
+    try:
+        answer: object = call(*arguments)
+    except (Exception, SystemExit) as problem:
+        where = traceback.extract_tb(problem.__traceback__)[-1]
+        said = str(problem) or "no reason given"
+        place = f"{Path(where.filename).name}, line {where.lineno}"
+        return Failure(f"{type(problem).__name__}: {said} ({place})")
+    if not isinstance(answer, bytes):
+        return Failure(f"the chunk function answered {type(answer).__name__}, expected bytes")
+    return answer
+
+
 def block_name(function: str, chunk: Chunk) -> str:
     """Return the name of a chunk's answer in the journal, which depends on the payload."""
     digest = hashlib.sha256(function.encode() + b"\0" + chunk.payload).hexdigest()[:32]
@@ -212,7 +227,7 @@ def _answered(
     turn: Round,
     engine: AbstractEngine,
     inputs: Path,
-    journal: Journal,
+    journal: Journal | None,
     tally: _Tally,
     stop: Stop | None,
 ) -> Answers:
@@ -222,7 +237,7 @@ def _answered(
         raise InvalidInput("chunks of a round", found="a name twice", expected="each name once")
     answers: Answers = {}
     for name, block in names.items():
-        data = journal.get(block)
+        data = None if journal is None else journal.get(block)
         if data is not None:
             answers[name] = unframed(data)
     tally.begin(turn, answers)
@@ -231,7 +246,8 @@ def _answered(
         _check_stop(stop)
         for batch in engine.results(turn.function, inputs, missing):
             fresh = {name: answer for name, answer in batch if name not in answers}
-            journal.append((names[name], framed(answer)) for name, answer in fresh.items())
+            if journal is not None:
+                journal.append((names[name], framed(answer)) for name, answer in fresh.items())
             answers |= fresh
             tally.add(fresh)
             _check_stop(stop)

@@ -23,6 +23,8 @@ class ParameterInfo(NamedTuple):
     # Property of the real object that an estimate of an effective parameter represents; empty where
     # the parameter itself is such a property.
     stands_for: str = ""
+    # Contact of the free body that the parameter acts on: "pusher" or "fixel"; empty for others.
+    contact: str = ""
 
 
 _ANY = -math.inf
@@ -37,8 +39,12 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
             "friction of every support against the plane",
             stands_for="what happens where the drive stalls or the body coasts",
         ),
-        "mu_fixel": ParameterInfo("-", "friction of every free body against every fixel"),
-        "mu_pusher": ParameterInfo("-", "friction of every free body against every pusher"),
+        "mu_fixel": ParameterInfo(
+            "-", "friction of every free body against every fixel", contact="fixel"
+        ),
+        "mu_pusher": ParameterInfo(
+            "-", "friction of every free body against every pusher", contact="pusher"
+        ),
         "tripod_radius": ParameterInfo(
             "m",
             "distance of tripod points from the centre of mass",
@@ -140,8 +146,8 @@ def info_of(name: str) -> ParameterInfo:
     raise InvalidInput(
         "parameters",
         found=repr(name),
-        expected="one of " + ", ".join(KNOWN_PARAMETERS) + ", load_1, load_2, ...",
-        hint=f"did you mean {close[0]!r}?" if close else None,
+        expected="a known parameter",
+        hint=(f"did you mean {close[0]!r}? " if close else "") + "fixel.known_parameters() lists all",
     )
 
 

@@ -138,6 +138,8 @@ class Estimate:
         Bounds of the search.
     before : float, optional
         Value before the calibration.
+    level : float, optional
+        Confidence level of the interval.
     """
 
     label: str
@@ -150,6 +152,27 @@ class Estimate:
     best_fit: float | None = None
     bounds: tuple[float, float] | None = None
     before: float | None = None
+    level: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Label of the parameter."""
+        return self.label
+
+    @property
+    def identified(self) -> bool:
+        """Whether the data identify the parameter."""
+        return self.verdict == "identified"
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the value may be quoted; False where the data leave it open."""
+        return self.word not in UNKNOWN_WORDS
+
+    @property
+    def partners(self) -> tuple[str, ...]:
+        """Parameters that it trades off with, the most important first."""
+        return tuple(filter(None, self.verdict.partition(" with ")[2].split(", ")))
 
     @property
     def word(self) -> str:
@@ -166,6 +189,8 @@ class Estimate:
         return {name: getattr(self, name) for name in _STORED}
 
 
+# Verdicts of parameters whose value the data leave open.
+UNKNOWN_WORDS: Final = ("not identified", "not excited", "trades off", "at least", "at most")
 _STORED: Final = ("label", "unit", "value", "low", "high", "verdict", "reason")
 
 

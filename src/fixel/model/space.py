@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any, Final, final
 
@@ -17,6 +18,81 @@ from fixel.typing import FloatArray
 
 # Default scale of a parameter, as a share of the range between its bounds, as in Dakota.
 SHARE_OF_RANGE: Final = 0.1
+
+
+_LABEL: Final = re.compile(r"(?P<name>\w+)(?:\[(?P<where>.*)\])?")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """Bounds within which a calibration searches a parameter, and how it searches.
+
+    Parameters
+    ----------
+    low, high : float
+        Bounds, in the parameter's SI unit.
+    start : float, optional
+        Start of the search; by default the mean of the prior, else the scene's own value.
+    prior : (float, float), optional
+        Mean and standard deviation of prior knowledge, in the parameter's unit. The search starts
+        at the mean.
+    scale : float, optional
+        First step of the search; a tenth of the range by default.
+    by : str or sequence of str
+        Names of conditions. Each of their values has a parameter value of its own: `by="surface"`.
+
+    Raises
+    ------
+    InvalidInput
+        A bound, the start or the prior is not a finite number, or they contradict each other.
+
+    Examples
+    --------
+    >>> from fixel.units import mm
+    >>> space = {"mu_pusher": Parameter(0, 1, by="surface"), "tripod_radius": (10 * mm, 60 * mm)}
+    >>> Parameter(1, 0)
+    Traceback (most recent call last):
+    fixel.errors.InvalidInput: parameter: found bounds 1 to 0, expected the lower one first
+    """
+
+    low: float
+    high: float
+    _: KW_ONLY
+    start: float | None = None
+    prior: tuple[float, float] | None = None
+    scale: float | None = None
+    by: str | Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        low, high = finite(self.low, "parameter.low"), finite(self.high, "parameter.high")
+        if not low < high:
+            raise InvalidInput(
+                "parameter",
+                found=f"bounds {low:g} to {high:g}",
+                expected="the lower one first",
+            )
+        start = None if self.start is None else finite(self.start, "parameter.start")
+        prior = self.prior
+        if prior is not None:
+            mean, sd = prior
+            prior = (finite(mean, "parameter.prior"), positive(sd, "parameter.prior"))
+            if start not in (None, mean):
+                raise InvalidInput(
+                    "parameter.start",
+                    found=f"{start:g}, and a prior about {mean:g}",
+                    expected="one of them: the search starts at the mean of the prior",
+                )
+            start = prior[0]
+        settle(
+            self,
+            low=low,
+            high=high,
+            start=start,
+            prior=prior,
+            scale=optional_positive(self.scale, "parameter.scale"),
+            by=(self.by,) if isinstance(self.by, str) else tuple(self.by),
+        )
 
 
 @final
@@ -80,6 +156,22 @@ class Unknown(Comparable):
             where=MappingProxyType(dict(sorted(self.where.items()))),
         )
 
+    @classmethod
+    def fixed(
+        cls, name: str, value: float, where: Mapping[str, str | float] | None = None
+    ) -> Unknown:
+        """Return a parameter that is fixed at a value."""
+        margin = max(abs(value), 1.0)
+        low = max(value - margin, info_of(name).lowest)
+        return cls(
+            name=name,
+            low=low,
+            high=value + margin,
+            nominal=value,
+            frozen=True,
+            where=where or {},
+        )
+
     @property
     def label(self) -> str:
         """Name with the conditions that share it: `"mu_pusher[surface=plywood]"`."""
@@ -100,6 +192,16 @@ class Unknown(Comparable):
     def covers(self, conditions: Mapping[str, str | float]) -> bool:
         """Whether the value applies to an experiment under these conditions."""
         return all(conditions.get(k) == v for k, v in self.where.items())
+
+
+def split_label(label: str) -> tuple[str, dict[str, str]]:
+    """Split the label of a parameter into name and conditions: `"mu_pusher[surface=abs]"`."""
+    match = _LABEL.fullmatch(label)
+    if match is None:
+        raise InvalidInput("label", found=repr(label), expected="NAME or NAME[CONDITION=VALUE]")
+    pairs = (match["where"] or "").split(", ")
+    where = dict(pair.split("=", 1) for pair in pairs if "=" in pair)
+    return match["name"], where
 
 
 @final

@@ -31,7 +31,7 @@ from fixel.jobs.coordinator import coordinate
 from fixel.jobs.folder import Job, JobState, RunSettings
 from fixel.jobs.site import Site
 from fixel.jobs.stamp import stamp
-from fixel.jobs.work import JobProgress, Show
+from fixel.jobs.work import AbstractEngine, JobProgress, Show
 from fixel.typing import Notify
 
 START_S: Final = 30.0  # [s] within which a detached coordinator begins
@@ -155,9 +155,14 @@ def arrange(
     return run
 
 
-def run_here(folder: Path, progress: Show | None = None, notify: Notify | None = None) -> JobStatus:
-    """Run or continue a job in this process, until it ends."""
-    coordinate(folder, progress=progress, notify=notify)
+def run_here(
+    folder: Path,
+    progress: Show | None = None,
+    notify: Notify | None = None,
+    local: AbstractEngine | None = None,
+) -> JobStatus:
+    """Run or continue a job in this process, until it ends; arguments as of `coordinate`."""
+    coordinate(folder, progress=progress, notify=notify, local=local)
     return status_of(folder)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests import calibrating as run
 from tests.fixtures import project_of
 
 from fixel.errors import InvalidInput
@@ -13,7 +14,6 @@ from fixel.model.selection import ExperimentQuery
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views import calibration_detail
-from fixel.workflows.calibration import run
 from fixel.workflows.calibration.charts import draw_all, pictures_of
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.report_data import CalibrationReportData

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from tests import calibrating as run
 
 from fixel.calibration.target import scene_of
 from fixel.cli.calibration_text import lines_of
@@ -18,7 +19,6 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import load_detail
 from fixel.web.views.live_comparison import LiveComparison
-from fixel.workflows.calibration import run
 from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.commands import enlarged_command
 from fixel.workflows.calibration.parameter_options import searched_unknowns

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import calibrating as run
 from tests.fixtures import project_of
 
 from fixel.calibration.usual_parameters import default_unknowns
@@ -23,7 +24,7 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import list_calibrations
-from fixel.workflows.calibration import job, run
+from fixel.workflows.calibration import job
 from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.parameter_options import (
     fixed_unknowns,
@@ -242,7 +243,8 @@ def test_a_killed_calibration_of_each_loses_one_chunk(project, chosen, monkeypat
     folder = run.prepare(project, chosen, request)
     command = f"""
 from pathlib import Path
-from fixel.workflows.calibration import job, run
+from tests import calibrating as run
+from fixel.workflows.calibration import job
 job.MEMBERS_A_CHUNK = 2
 run.run(Path({str(folder)!r}))
 """

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests import calibrating as run
 from tests.fixtures import project_of
 
 import fixel
@@ -23,7 +24,6 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.table import Table
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.analysis import Analysis, store_analysis
-from fixel.workflows.calibration import run
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.stored import CalibratedValues, load_values

@@ -70,11 +70,10 @@ def offer(
 
 @router.post("", summary="Begin one, in a process of its own")
 def start(context: Context, form: CalibrationForm) -> CalibrationJob:
-    request = form.request()
-    request.check()
     chosen = form.selection(context.store)
+    plan = form.plan(chosen)
     with job_list.job_slot(context.project.folder):
-        folder = calibration_form.begin(context.project, chosen, request)
+        folder = calibration_form.begin(context.project, plan)
     progress = context.calibrations.look(folder)
     return CalibrationJob(
         name=folder.name,

@@ -14,14 +14,16 @@ from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.errors import FixelError
 from fixel.model.records import CalibrationRecord, Estimate
+from fixel.model.space import split_label
 from fixel.typing import FloatArray
 from fixel.web.values import Answer, Array, Finite
+from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.commands import python_of
 from fixel.workflows.calibration.job import NEARLY
+from fixel.workflows.calibration.project import reopened
 from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.result import ParameterSet
-from fixel.workflows.calibration.run import Calibration, reopened
-from fixel.workflows.calibration.stored import misfit_of, split_label
+from fixel.workflows.calibration.stored import misfit_of
 
 WORST: Final = 3
 EARLIER: Final = (
@@ -193,7 +195,7 @@ def _estimates(
 def _residuals(
     store: Store,
     record: CalibrationRecord,
-    calibration: Calibration | None,
+    calibration: Calibrations | None,
     one: ParameterSet | None,
 ) -> list[Residual]:
     before: list[float] = [math.nan] * len(record.members)
@@ -215,7 +217,7 @@ def _objective(record: CalibrationRecord) -> FloatArray | None:
     return np.asarray(record.evaluations.error / share)
 
 
-def _siblings(calibration: Calibration | None, store: Store) -> list[Sibling]:
+def _siblings(calibration: Calibrations | None, store: Store) -> list[Sibling]:
     if calibration is None:
         return []
     names = {

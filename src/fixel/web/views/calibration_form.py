@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, StringConstraints
 
-from fixel.calibration.usual_parameters import default_unknowns, usual_unknown
+from fixel.calibration.usual_parameters import default_unknowns, usual_in
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model.parameters import KNOWN_PARAMETERS, info_of
-from fixel.model.space import Unknown
+from fixel.model.space import ParameterSpace, Unknown
 from fixel.web.values import Answer, FilterText, Id, RequestBody, Text
 from fixel.workflows import jobs
-from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.run import (
+from fixel.workflows.calibration.project import (
     STORE_RESULT,
     ExperimentSelection,
     comparable,
     draw_sample,
-    prepare,
 )
+from fixel.workflows.calibration.run import CalibrationPlan
+from fixel.workflows.calibration.stored_run import job_folder, prepare_folder
 from fixel.workflows.project.filters import view_of
 
 LOOKED_AT: Final = 12  # experiments from which the offer is made
@@ -35,8 +35,6 @@ OPTIMISERS: Final = {
     "cma-es": "many evaluations; gets out of local minima",
     "least-squares": "fastest for many experiments, one set for all",
 }
-# Options by which searches limit their evaluations.
-LIMITS: Final = {"pattern-search": "max_function_evaluations", "nelder-mead": "max_evaluations"}
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -104,30 +102,23 @@ class CalibrationForm(RequestBody):
         default=None, description="size of a random sample, spread over the conditions"
     )
 
-    def request(self) -> CalibrationRequest:
-        """Return the request of this form."""
-        entries = [
+    def plan(self, chosen: ExperimentSelection) -> CalibrationPlan:
+        """Return the plan of this form for the selected experiments."""
+        unknowns = [
             Unknown(name=one.name, low=one.low, high=one.high, nominal=one.start)
             for one in self.unknowns
         ]
-        options: dict[str, Any] = {}
-        if self.most_evaluations is not None:
-            if self.optimiser not in LIMITS:
-                raise InvalidInput(
-                    "most_evaluations",
-                    found=f"{self.most_evaluations} for {self.optimiser}",
-                    expected="nothing; it ends by itself",
-                )
-            options[LIMITS[self.optimiser]] = self.most_evaluations
-        return CalibrationRequest(
-            name=self.name,
-            mode=self.mode,
-            unknowns=entries,
-            optimiser=NamedOptions(name=self.optimiser, options=options),
+        return CalibrationPlan.of(
+            self.mode,
+            chosen,
+            ParameterSpace(unknowns=tuple(unknowns)),
+            optimiser=self.optimiser,
+            max_evaluations=self.most_evaluations,
             starts=self.starts,
             seed=self.seed,
             verdicts=self.verdicts,
             budget=self.budget_s,
+            name=self.name,
         )
 
     def selection(self, store: Store) -> ExperimentSelection:
@@ -155,10 +146,8 @@ def offer(store: Store, filter: str, ids: Sequence[int] = ()) -> CalibrationOffe
     first = [unknown.name for unknown in default_unknowns(scenes)] if scenes else []
     offered = []
     for name in dict.fromkeys((*first, *KNOWN_PARAMETERS)) if scenes else ():
-        # An experiment that can inform it, if there is one: fixels may stand in some only.
-        scene = next((s for s in scenes if name != "mu_fixel" or s.fixels), scenes[0])
         try:
-            unknown = usual_unknown(name, scene)
+            unknown = usual_in(name, scenes)
         except InvalidInput:
             continue
         offered.append(
@@ -182,13 +171,14 @@ def offer(store: Store, filter: str, ids: Sequence[int] = ()) -> CalibrationOffe
     )
 
 
-def begin(project: Project, chosen: ExperimentSelection, request: CalibrationRequest) -> Path:
-    """Run a calibration in a process of its own, which outlives this one; the folder of its job.
+def begin(project: Project, plan: CalibrationPlan) -> Path:
+    """Run a calibration in its own process, which outlives this one; return the job folder.
 
-    One that was begun before, and stopped, goes on.
+    One that was begun before, and stopped, continues.
     """
-    request = request.model_copy(update={"sample_of": chosen.sample_of})
-    folder = prepare(project, chosen, request)
+    plan.rehearse()
+    folder = job_folder(project, plan)
+    prepare_folder(plan, folder)
     if jobs.status_of(folder).state != "done":
         go_on(folder)
     return folder

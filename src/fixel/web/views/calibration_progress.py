@@ -21,15 +21,17 @@ from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
 from fixel.typing import FloatArray
 from fixel.web.values import Answer, Finite
-from fixel.web.views.calibration_form import LIMITS
 from fixel.workflows import jobs
 from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.job import ROLLOUTS_A_CHUNK
+from fixel.workflows.calibration.project import collected, experiments_of, stored_ids
 from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import found_of
-from fixel.workflows.calibration.run import MAKER, collected, experiments_of, request_of, stored_ids
+from fixel.workflows.calibration.stored_run import MAKER, request_of
 
 SEARCHES: Final = ("all together", "squares")  # stages whose errors are the objective
+# Options by which searches limit their evaluations.
+LIMITS: Final = ("max_function_evaluations", "max_evaluations")
 ALONE: Final = "alone"
 NOMINAL: Final = "nominal"
 RATE_WINDOW_S: Final = 30.0
@@ -48,6 +50,7 @@ class JournalProgress:
     alone: dict[int, float] = field(default_factory=dict)  # index of an experiment to its error
     waiting: list[FloatArray] = field(default_factory=list)  # chunks of an unfinished round
     rate: deque[tuple[float, int]] = field(default_factory=deque)
+    ids: list[int] = field(default_factory=list)  # experiments in the project
 
 
 class CalibrationProgress(Answer):
@@ -134,9 +137,12 @@ class ProgressReader:
     def look(self, folder: Path, since: int = 0) -> LiveProgress:
         """Return the progress of one; of the objective only what follows evaluation `since`."""
         status = jobs.status_of(folder)
-        request, ids = request_of(folder), experiments_of(folder)
+        request = request_of(folder)
         with self._lock:
             progress = self._known.setdefault(folder.name, JournalProgress())
+            if not progress.ids:
+                progress.ids = experiments_of(self._project, folder)
+            ids = progress.ids
             _read(folder / files.JOURNAL, progress, request, len(ids))
             objective = [_shared(e, request, len(ids)) for e in progress.objective]
             rate = 0.0 if status.ended else _rate(progress)
@@ -182,7 +188,7 @@ class ProgressReader:
 
     def _collected(self, folder: Path) -> list[int]:
         try:
-            return collected(self._project, folder)
+            return list(collected(self._project, folder).ids)
         except JobRefused:  # the process that ran it is about to
             return []
 
@@ -267,7 +273,9 @@ def _rate(progress: JournalProgress) -> float:
 def _most(request: CalibrationRequest) -> int | None:
     if request.least_squares is not None or request.mode == "each":
         return None
+    if request.max_evaluations is not None:
+        return request.max_evaluations
     made = request.made_optimiser
     inner = getattr(made, "optimiser", made)
-    limit = next((getattr(inner, name) for name in LIMITS.values() if hasattr(inner, name)), None)
+    limit = next((getattr(inner, name) for name in LIMITS if hasattr(inner, name)), None)
     return None if limit is None else int(limit) * request.starts

@@ -19,10 +19,10 @@ from fixel.model import Parameters, placed
 from fixel.model.records import Estimate
 from fixel.simulation import Simulation, simulate
 from fixel.typing import FloatArray
+from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.report_data import CalibrationReportData, title_of
 from fixel.workflows.calibration.result import FitKind, ParameterSet
-from fixel.workflows.calibration.run import Calibration
 from fixel.workflows.figures import Picture, make_folder, write_picture
 
 SAMPLES: Final = 200  # minimum number of samples of a simulation
@@ -33,12 +33,12 @@ VISIBLE: Final = 0.005  # share of a range that is visible on paper
 Pictures = Iterator[Picture]
 
 
-def draw_all(calibration: Calibration, folder: Path) -> list[Path]:
+def draw_all(calibration: Calibrations, folder: Path) -> list[Path]:
     """Draw all charts of a calibration.
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : Calibrations
     folder : Path
         Created if missing; files of the same names are replaced.
 

@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, final
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from fixel.calibration.assess import (
 from fixel.calibration.cost import NormalPrior
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer, Evaluation, Objective
+from fixel.calibration.optimiser import Best
 from fixel.calibration.profile import Profiles
 from fixel.calibration.solutions import find_solutions
 from fixel.calibration.study import (
@@ -42,11 +43,13 @@ from fixel.calibration.study import (
     calibrate_each,
     calibrate_joint,
     exchange_with_neighbours,
+    made,
     minimax_of_stored,
     neighbours,
     run_study,
     weighted,
 )
+from fixel.calibration.target import Target
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.jobs.functions import callable_by_jobs, threads
@@ -79,28 +82,33 @@ ROLLOUTS_A_CHUNK: Final = 4000
 
 @callable_by_jobs
 def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
-    """The whole calibration; its result is an `CalibrationResult`."""
+    """Return the rounds of the calibration that is described in a folder of inputs."""
     request, comparer = _load_job(inputs)
+    return calibration_rounds(request, comparer, SearchState(request))
+
+
+def calibration_rounds(request: CalibrationRequest, comparer: Comparer, state: SearchState) -> Work:
+    """Calibrate in rounds of chunks; the result is a `CalibrationResult` as bytes."""
     n = len(comparer.targets)
     members = list(range(n))
     start = comparer.space.nominal
-    budget = _Budget(request.budget)
     before, _ = yield from _evaluate_study(at_points(members, start[None]), "nominal")
     found: list[ParameterSet] = []
     if request.mode in ("each", "campaign"):
         alone = yield from _alone(request, comparer, n)
         found += alone
     if request.mode == "campaign" and n > 1:
-        found = yield from _campaign(request, comparer, found)
+        found = yield from _campaign(request, comparer, found, state)
     elif request.mode == "stored":
         points = np.array(request.stored)
         pooled = yield from _evaluate_study(minimax_of_stored(members, points), "stored")
         found.append(_pooled(FitKind.STORED, members, pooled))
     elif request.mode == "joint":
         one = _by_squares if request.least_squares is not None else _direct
-        found.append((yield from one(request, comparer, members, start, budget)))
+        found.append((yield from one(request, comparer, members, start, state)))
     if request.verdicts and request.mode != "each":
-        found = yield from _assess_all(request, comparer, found, budget)
+        state.found = found
+        found = yield from _assess_all(request, comparer, found, state)
     return outcome_bytes(
         CalibrationResult(
             keys=tuple(target.key for target in comparer.targets),
@@ -111,31 +119,84 @@ def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     )
 
 
+ChunkFunction = Callable[[CalibrationRequest, Comparer, bytes], bytes]
+CHUNKS: Final[dict[str, ChunkFunction]] = {}  # functions of chunks by their name in a round
+
+
+def _chunk(function: ChunkFunction) -> Callable[[Path, bytes], bytes]:
+    """Enter a function of a chunk into `CHUNKS`, and let it be called by jobs."""
+    CHUNKS[f"calibration:{function.__name__}"] = function
+
+    @functools.wraps(function)
+    def load_and_call(inputs: Path, payload: bytes) -> bytes:
+        return function(*_load_job(inputs), payload)
+
+    return callable_by_jobs(load_and_call)
+
+
 Rounds = Generator[Round, Answers, T]
 
 
-class _Budget:
-    """Computing time that chunks have taken, out of their answers: the same after an interruption.
+@final
+class SearchState:
+    """Budget that a calibration has used, and the best point it has found so far.
+
+    Computing times come from the answers of chunks, so they are the same after an interruption.
 
     Parameters
     ----------
-    limit : float or None
-        [s]
+    request : CalibrationRequest
     """
 
-    def __init__(self, limit: float | None) -> None:
-        self._limit = limit
+    def __init__(self, request: CalibrationRequest) -> None:
+        self._budget = request.budget
+        self._share = SEARCH_SHARE if request.verdicts else 1.0
+        self._max_evaluations = request.max_evaluations
         self._spent = 0.0
+        self._points: list[FloatArray] = []
+        self._errors: list[FloatArray] = []
+        self.best = Best(request.space.nominal, math.inf)
+        self.found: list[ParameterSet] = []  # complete sets
 
     def add(self, answers: Answers) -> None:
         """Count the time of a round."""
-        if self._limit is not None:
+        if self._budget is not None:
             good = (one for one in answers.values() if not isinstance(one, Failure))
             self._spent += sum(float(arrays_of(one)[TIME]) for one in good)
 
-    def over(self, share: float = 1.0) -> bool:
-        """Whether more than a share of it is used up."""
-        return self._limit is not None and self._spent > share * self._limit
+    def record(self, points: FloatArray, errors: FloatArray) -> None:
+        """Record the combined errors (k,) of points (k, n_free) that a search evaluated."""
+        self._points.append(points)
+        self._errors.append(errors)
+        k = int(np.argmin(errors))
+        if errors[k] < self.best.error:
+            self.best = Best(points[k], float(errors[k]))
+
+    @property
+    def evaluations(self) -> int:
+        """Number of points that a search evaluated."""
+        return sum(map(len, self._points))
+
+    @property
+    def trace(self) -> Trace:
+        """Evaluations so far, for an interrupted search."""
+        errors = np.concatenate(self._errors)
+        points, reasons = np.concatenate(self._points), [""] * len(errors)
+        return Trace(*self.best, points, errors, reasons, "it was interrupted")
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the budget of the whole calibration is used up."""
+        return self._budget is not None and self._spent > self._budget
+
+    @property
+    def search_end(self) -> str:
+        """Reason to end the search now; empty to continue."""
+        if self._max_evaluations is not None and self.evaluations >= self._max_evaluations:
+            return made(self.evaluations)
+        if self._budget is not None and self._spent > self._share * self._budget:
+            return OUT_OF_BUDGET
+        return ""
 
 
 def _timed(begun: float, **arrays: Any) -> bytes:
@@ -144,7 +205,10 @@ def _timed(begun: float, **arrays: Any) -> bytes:
 
 
 def _evaluate_study(
-    study: Study[T], stage: str, objective: Objective | None = None, budget: _Budget | None = None
+    study: Study[T],
+    stage: str,
+    objective: Objective | None = None,
+    state: SearchState | None = None,
 ) -> Rounds[T]:
     """Answer a study in rounds of chunks; with an objective, the note shows its best."""
     note, best = stage, math.inf
@@ -163,8 +227,8 @@ def _evaluate_study(
                 for k, at in enumerate(starts)
             ]
             answers = yield Round("calibration:evaluate", chunks, note=note)
-            if budget is not None:
-                budget.add(answers)
+            if state is not None:
+                state.add(answers)
             parts = [
                 _evaluated(answers[chunk.name], len(ask.which[at : at + ROLLOUTS_A_CHUNK]))
                 for chunk, at in zip(chunks, starts, strict=True)
@@ -172,7 +236,10 @@ def _evaluate_study(
             errors = np.concatenate([part.error for part in parts])
             if objective is not None:
                 table = errors.reshape(-1, len(objective.members))
-                best = min(best, float(objective.combined(table).min()))
+                combined = objective.combined(table)
+                if state is not None:
+                    state.record(ask.points[:: table.shape[1]], combined)
+                best = min(best, float(combined.min()))
                 note = f"{stage}, {_best_shown(best, objective)}"
             reasons = [reason for part in parts for reason in part.reasons]
             ask = study.send(Evaluation(errors, reasons))
@@ -198,10 +265,9 @@ def _evaluated(answer: bytes | Failure, n: int) -> Evaluation:
     return Evaluation(arrays["error"], reasons)
 
 
-@callable_by_jobs
-def evaluate(inputs: Path, payload: bytes) -> bytes:
+@_chunk
+def evaluate(request: CalibrationRequest, comparer: Comparer, payload: bytes) -> bytes:
     """Chunk: errors of experiments under points."""
-    _, comparer = _load_job(inputs)
     begun, asked = time.process_time(), arrays_of(payload)
     answer = comparer.errors(asked["which"], asked["points"])
     failed = {str(k): reason for k, reason in enumerate(answer.reasons) if reason}
@@ -240,10 +306,9 @@ def _nothing(comparer: Comparer, member: int, reason: str) -> ParameterSet:
     )
 
 
-@callable_by_jobs
-def calibrate_alone(inputs: Path, payload: bytes) -> bytes:
+@_chunk
+def calibrate_alone(request: CalibrationRequest, comparer: Comparer, payload: bytes) -> bytes:
     """Chunk: the calibration of a few experiments, each by itself."""
-    request, comparer = _load_job(inputs)
     members = arrays_of(payload)["members"].tolist()
     begun = time.perf_counter()
     traces = run_study(
@@ -253,8 +318,9 @@ def calibrate_alone(inputs: Path, payload: bytes) -> bytes:
             request.made_optimiser,
             request.seed,
             comparer.feasible,
+            request.max_evaluations or math.inf,
         ),
-        _here(comparer),
+        evaluate_here(comparer),
     )
     shared = (time.perf_counter() - begun) / len(members)
     found = []
@@ -297,7 +363,10 @@ def _distinct_solutions(comparer: Comparer, trace: Trace) -> FloatArray:
 
 
 def _campaign(
-    request: CalibrationRequest, comparer: Comparer, alone: list[ParameterSet]
+    request: CalibrationRequest,
+    comparer: Comparer,
+    alone: list[ParameterSet],
+    state: SearchState,
 ) -> Rounds[list[ParameterSet]]:
     """After the single calibrations: neighbours' values, and one set for all in three ways."""
     members = list(range(len(comparer.targets)))
@@ -315,7 +384,7 @@ def _campaign(
         best_subset(members, better, least, combine, request.seed, informed=informed), "subsets"
     )
     start = subset.point
-    direct = yield from _direct(request, comparer, members, start, _Budget(None))
+    direct = yield from _direct(request, comparer, members, start, state)
     return [
         *alone,
         *_improved(alone, better, least),
@@ -346,10 +415,9 @@ def _direct(
     comparer: Comparer,
     members: Sequence[int],
     start: FloatArray,
-    budget: _Budget,
+    state: SearchState,
 ) -> Rounds[ParameterSet]:
     objective = Objective(comparer, combine=request.combine)
-    share = SEARCH_SHARE if request.verdicts else 1.0
     begun = time.perf_counter()
     trace, _ = yield from _evaluate_study(
         calibrate_joint(
@@ -359,11 +427,11 @@ def _direct(
             objective.combined,
             request.seed,
             comparer.feasible,
-            lambda: budget.over(share),
+            lambda: state.search_end,
         ),
         "all together",
         objective,
-        budget,
+        state,
     )
     errors, reasons = yield from _evaluate_study(at_points(members, trace.point[None]), "best")
     return ParameterSet(
@@ -383,7 +451,7 @@ def _by_squares(
     comparer: Comparer,
     members: Sequence[int],
     start: FloatArray,
-    budget: _Budget,
+    state: SearchState,
 ) -> Rounds[ParameterSet]:
     """One set for all by least squares: tens of evaluations an unknown, for thousands of pushes."""
     options = request.least_squares
@@ -394,20 +462,19 @@ def _by_squares(
     tried, errors = [np.zeros((0, box.n))], [np.zeros(0)]
     best = math.inf
     ended = ""
-    share = SEARCH_SHARE if request.verdicts else 1.0
     divisor = len(members) if request.combine == "sum" else 1
     while not search.done:
         points = search.ask()
         note = "least squares"
         if tried[1:]:
             note += f", best RMS {math.sqrt(best / divisor):.4g} mm"
-        table = yield from _rows("residuals", "squares", points, len(members), budget, note=note)
+        table = yield from _rows("residuals", "squares", points, len(members), state, note=note)
         search.tell(table)
         tried.append(points)
         errors.append(np.einsum("km,km->k", table, table))
+        state.record(points, errors[-1])
         best = min(best, float(errors[-1].min()))
-        if budget.over(share) and not search.done:
-            ended = OUT_OF_BUDGET
+        if (ended := state.search_end) and not search.done:
             break
     trace = Trace(
         search.best.point,
@@ -415,7 +482,7 @@ def _by_squares(
         np.concatenate(tried),
         np.concatenate(errors),
         [""] * sum(map(len, errors)),
-        ended or search.reason,
+        search.reason or ended,
     )
     found, reasons = yield from _evaluate_study(at_points(members, trace.point[None]), "best")
     return ParameterSet(
@@ -434,7 +501,7 @@ def _rows(
     stage: str,
     points: FloatArray,
     n_members: int,
-    budget: _Budget,
+    state: SearchState,
     *,
     note: str,
     left: int | None = None,
@@ -460,7 +527,7 @@ def _rows(
     ]
     rounds = None if left is None else math.ceil(left / size)
     answers = yield Round(f"calibration:{function}", chunks, note=note, left=rounds)
-    budget.add(answers)
+    state.add(answers)
     tables: list[FloatArray] = []
     for chunk in chunks:
         answer = answers[chunk.name]
@@ -470,14 +537,13 @@ def _rows(
     return np.concatenate(tables)
 
 
-@callable_by_jobs
-def residuals(inputs: Path, payload: bytes) -> bytes:
+@_chunk
+def residuals(request: CalibrationRequest, comparer: Comparer, payload: bytes) -> bytes:
     """Chunk: residuals of all experiments under points, whose squares add up to the summed error.
 
     A few frames stand for all of a long trajectory.
     """
     begun = time.process_time()
-    request, comparer = _load_job(inputs)
     members = np.arange(len(comparer.targets))
     scale = request.made_error.angle_scale
     noise = Noise(position_m=1e-3, angle_rad=1e-3 / scale, source="stated")
@@ -491,20 +557,18 @@ def residuals(inputs: Path, payload: bytes) -> bytes:
 
 
 def _assess_all(
-    request: CalibrationRequest, comparer: Comparer, found: list[ParameterSet], budget: _Budget
+    request: CalibrationRequest, comparer: Comparer, found: list[ParameterSet], state: SearchState
 ) -> Rounds[list[ParameterSet]]:
     """Verdicts on the sets that were found by searching for all experiments together."""
     judged = []
     for one in found:
         wanted = one.how == FitKind.DIRECT
-        judged.append(
-            (yield from _with_verdicts(request, comparer, one, budget)) if wanted else one
-        )
+        judged.append((yield from _with_verdicts(request, comparer, one, state)) if wanted else one)
     return judged
 
 
 def _with_verdicts(
-    request: CalibrationRequest, comparer: Comparer, one: ParameterSet, budget: _Budget
+    request: CalibrationRequest, comparer: Comparer, one: ParameterSet, state: SearchState
 ) -> Rounds[ParameterSet]:
     """Add a verdict on every parameter; the journal has every simulation behind them."""
     if not np.isfinite(one.errors).all():
@@ -518,13 +582,13 @@ def _with_verdicts(
                 "verdicts",
                 ask.points,
                 len(one.members),
-                budget,
+                state,
                 note=ask.note,
                 left=ask.left,
                 kind=ask.kind,
                 members=np.array(one.members, np.int64),
             )
-            if budget.over():
+            if state.is_over:
                 more = "give a larger --budget, or fewer experiments: --sample"
                 return dataclasses.replace(one, note=f"no verdicts: {OUT_OF_BUDGET}; {more}")
             ask = running.send(told)
@@ -534,11 +598,10 @@ def _with_verdicts(
         return dataclasses.replace(one, note=f"no verdicts: {problem}")
 
 
-@callable_by_jobs
-def assess_points(inputs: Path, payload: bytes) -> bytes:
+@_chunk
+def assess_points(request: CalibrationRequest, comparer: Comparer, payload: bytes) -> bytes:
     """Chunk: answers to a question of `assessment_steps`."""
     begun = time.process_time()
-    _, comparer = _load_job(inputs)
     asked = arrays_of(payload)
     kind = str(asked["kind"])
     return _timed(begun, table=answer(comparer, asked["members"], kind, asked["points"]))
@@ -623,23 +686,25 @@ def _noise_text(noise: Noise) -> str:
 # --- shared -------------------------------------------------------------------------------------
 
 
-def _here(comparer: Comparer) -> Callable[[RolloutRequest], Evaluation]:
+def evaluate_here(comparer: Comparer) -> Callable[[RolloutRequest], Evaluation]:
+    """Return a function that answers a study in this process."""
     return lambda ask: comparer.errors(ask.which, ask.points)
 
 
+def comparer_of(
+    request: CalibrationRequest, targets: Sequence[Target], n_threads: int | None
+) -> Comparer:
+    """Return the comparison of the experiments of a calibration with simulations."""
+    space, error, motion = request.space, request.made_error, request.made_motion
+    return Comparer(targets, space, error, motion, threads=n_threads)
+
+
 def _load_job(inputs: Path) -> tuple[CalibrationRequest, Comparer]:
-    """Request and experiments of a job; kept in memory from chunk to chunk."""
+    """Load request and experiments of a job; kept in memory from chunk to chunk."""
     return _read(inputs.resolve(), (inputs / REQUEST).stat().st_mtime_ns)
 
 
 @functools.lru_cache(maxsize=2)
 def _read(inputs: Path, _: int) -> tuple[CalibrationRequest, Comparer]:
     request = CalibrationRequest.model_validate_json((inputs / REQUEST).read_bytes())
-    comparer = Comparer(
-        read_targets(inputs),
-        request.space,
-        request.made_error,
-        request.made_motion,
-        threads=threads(),
-    )
-    return request, comparer
+    return request, comparer_of(request, read_targets(inputs), threads())

@@ -10,12 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from fixel.calibration.usual_parameters import usual_unknown
+from fixel.calibration.usual_parameters import usual_in
 from fixel.errors import InvalidInput
 from fixel.formats.dakota_file import load_dakota
 from fixel.io.document import read_document
 from fixel.model import Scene
-from fixel.model.parameters import KNOWN_PARAMETERS, info_of
+from fixel.model.parameters import KNOWN_PARAMETERS
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.workflows.calibration.request import NamedOptions
 
@@ -31,9 +31,7 @@ def searched_unknowns(settings: Sequence[str], scenes: Sequence[Scene]) -> list[
 def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
     written, _, limits = setting.partition("=")
     name, factor = in_si(written.strip())
-    # An experiment that informs the parameter, if any: only some may have fixels.
-    scene = next((s for s in scenes if name != "mu_fixel" or s.fixels), scenes[0])
-    unknown = usual_unknown(name, scene)
+    unknown = usual_in(name, scenes)
     if not limits:
         return unknown
     try:
@@ -59,14 +57,8 @@ def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:
             value = factor * float(text)
         except ValueError:
             raise InvalidInput("--set", found=repr(setting), expected="NAME=NUMBER") from None
-        found.append(_frozen(name, value))
+        found.append(Unknown.fixed(name, value))
     return found
-
-
-def _frozen(name: str, value: float) -> Unknown:
-    margin = max(abs(value), 1.0)
-    low = max(value - margin, info_of(name).lowest)
-    return Unknown(name=name, low=low, high=value + margin, nominal=value, frozen=True)
 
 
 def read_space(path: Path) -> ParameterSpace:

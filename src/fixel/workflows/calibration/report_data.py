@@ -17,9 +17,9 @@ from fixel.drawing.calibration import OffsetSeries
 from fixel.model.records import Estimate
 from fixel.model.space import ParameterSpace
 from fixel.typing import FloatArray
+from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import CalibrationResult, FitKind, ParameterSet
-from fixel.workflows.calibration.run import Calibration, experiments_of
 from fixel.workflows.figures import banner_of
 
 # Axes of a sampling plan, with the units of their offsets among an experiment's conditions.
@@ -31,10 +31,10 @@ class CalibrationReportData:
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : Calibrations
     """
 
-    def __init__(self, calibration: Calibration) -> None:
+    def __init__(self, calibration: Calibrations) -> None:
         self.calibration = calibration
         self.request: CalibrationRequest = calibration.request
         self.outcome: CalibrationResult = calibration.outcome
@@ -56,7 +56,7 @@ class CalibrationReportData:
         return np.asarray(np.sqrt(shared) if self.unit == "mm^2" else shared)
 
     @cached_property
-    def targets(self) -> list[Target]:
+    def targets(self) -> Sequence[Target]:
         """Experiments of the calibration."""
         return self.calibration.targets
 
@@ -84,8 +84,10 @@ class CalibrationReportData:
     def banners(self) -> list[str]:
         """Banner over charts of each experiment; empty for real ones."""
         folder = self.calibration.folder
-        ids = experiments_of(folder)
+        if folder is None or not self.calibration.ids:
+            return []
         with Project.open(folder.parents[1]).store() as store:
+            ids = [store.find(key) for key in self.keys]
             listed = store.experiments(ALL_EXPERIMENTS).rows
             real = {summary.id for summary in listed if summary.is_real}
             makers = {k: store.experiment(k).simulated_by for k in set(ids) - real}

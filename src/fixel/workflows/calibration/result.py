@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Final, final
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from fixel.calibration.study import Trace
 from fixel.io.array_bytes import arrays_of, bytes_of
+from fixel.model.fields import settle
 from fixel.model.records import Estimate, ProfileRecord
 from fixel.typing import FloatArray
 
@@ -85,6 +86,9 @@ class ParameterSet:
     seconds: float = 0.0
     note: str = ""
 
+    def __post_init__(self) -> None:
+        settle(self, how=FitKind(self.how))
+
     def values(self, labels: Sequence[str]) -> FloatArray:
         """Return the values (n_free,) to quote of the free parameters, each inside its interval;
         those of `point` for parameters without an estimate."""
@@ -94,9 +98,9 @@ class ParameterSet:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibrationResult:
-    """Complete result of a calibration.
+    """Complete result of a calibration. Two are equal if all but computing times is.
 
     Attributes
     ----------
@@ -113,6 +117,16 @@ class CalibrationResult:
     labels: tuple[str, ...]
     nominal: FloatArray
     found: tuple[ParameterSet, ...]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, CalibrationResult) and self._bits() == other._bits()
+
+    def __hash__(self) -> int:
+        return hash((self.keys, self.labels))
+
+    def _bits(self) -> bytes:
+        found = tuple(replace(one, seconds=0.0) for one in self.found)
+        return outcome_bytes(replace(self, found=found))
 
     @property
     def alone(self) -> list[ParameterSet]:

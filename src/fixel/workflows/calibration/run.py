@@ -1,460 +1,535 @@
-"""Calibrate stored experiments, and store the results in their project."""
+"""Calibrate experiments: `calibrate`, `calibrate_each` and `calibrate_campaign`."""
 
 from __future__ import annotations
 
-import hashlib
-import json
+import dataclasses
 import math
-import shlex
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, Self, TypedDict, Unpack, final
 
 import numpy as np
 
-from fixel.calibration.objective import Comparer
+from fixel.calibration.noise import Noise
+from fixel.calibration.objective import AbstractError, Comparer, EndPose
+from fixel.calibration.optimiser import AbstractOptimiser
+from fixel.calibration.study import at_points, run_study
 from fixel.calibration.target import Target, target_of
-from fixel.database.project import Project
-from fixel.database.store import Store
-from fixel.errors import InvalidInput
-from fixel.io.atomic import written_whole
-from fixel.io.damaged_files import readable
-from fixel.io.lock import FileLock
-from fixel.jobs import folder as files
-from fixel.jobs.functions import callable_by_jobs
-from fixel.jobs.site import Site
-from fixel.jobs.work import JobProgress
-from fixel.model import Parameters, Provenance
-from fixel.model.records import CalibrationRecord, Evaluations, Member
-from fixel.model.selection import ExperimentQuery
-from fixel.model.space import Unknown
-from fixel.workflows import jobs
-from fixel.workflows.calibration.commands import command_of
-from fixel.workflows.calibration.job import REQUEST
-from fixel.workflows.calibration.request import CalibrationRequest, read_targets, target_files
-from fixel.workflows.calibration.result import SEARCHED, CalibrationResult, ParameterSet, outcome_of
-from fixel.workflows.project.filters import check_known_names
+from fixel.calibration.usual_parameters import Space, search_space
+from fixel.errors import Interrupted, InvalidInput
+from fixel.jobs.work import (
+    AbstractEngine,
+    Batch,
+    Chunk,
+    JobProgress,
+    Show,
+    answer_of,
+    run_work,
+)
+from fixel.model import Experiment
+from fixel.model.space import ParameterSpace
+from fixel.progress import Progress, ProgressOption, Reporter, show_progress
+from fixel.simulation.motion import AbstractMotionModel
+from fixel.workflows.calibration.calibration import Calibration, Calibrations
+from fixel.workflows.calibration.job import (
+    CHUNKS,
+    SearchState,
+    calibration_rounds,
+    comparer_of,
+    evaluate_here,
+)
+from fixel.workflows.calibration.request import (
+    CalibrationRequest,
+    Combine,
+    Mode,
+    NamedOptions,
+    usual_optimiser,
+)
+from fixel.workflows.calibration.result import (
+    CalibrationResult,
+    FitKind,
+    ParameterSet,
+    outcome_of,
+)
 
-MAKER: Final = "calibration:calibration_work"
-STORE_RESULT: Final = "calibration-result:store_result"  # what follows a job in the background
-EXPERIMENTS: Final = "experiments.json"  # ids of the targets in the project
-STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
-MEMBERS_A_GROUP: Final = 5  # experiments for each value of a condition that a sample is spread over
-PREFLIGHT: Final = 16  # experiments simulated before any work starts, to see that they can be
+if TYPE_CHECKING:
+    from os import PathLike
 
+    from fixel.database.project import Project
+    from fixel.jobs.site import Site
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExperimentSelection:
-    """Experiments to calibrate.
+PREFLIGHT: Final = 16  # experiments that are simulated before any work starts
+_BEST: Final = re.compile(r", best RMS (\S+) mm")
 
-    Attributes
-    ----------
-    ids : list of int
-    targets : list of Target
-    left_out : dict from key to reason
-        Those that cannot be compared.
-    sample_of : int, optional
-        Number of experiments that these were drawn from at random; None where they are all.
-    """
-
-    ids: list[int]
-    targets: list[Target]
-    left_out: Mapping[str, str]
-    sample_of: int | None = None
-
-    def check_some(self, which: str, hint: str) -> None:
-        """Raise `InvalidInput` if there are none."""
-        if not self.targets:
-            reason = next(iter(self.left_out.values()), "")
-            raise InvalidInput(
-                "experiments",
-                found=f"none to calibrate with{f' ({reason})' if reason else ''}",
-                expected=f"one at least {which}",
-                hint=hint,
-            )
+Named = Mapping[str, Any] | str
 
 
-def select_experiments(
-    store: Store, keys: Sequence[str], query: ExperimentQuery
-) -> ExperimentSelection:
-    """Select experiments by name, or by what they have in common.
+class CalibrationOptions(TypedDict, total=False):
+    """Options of `calibrate`, `calibrate_each` and `calibrate_campaign`."""
 
-    Named ones must be fit for it, and count once under whatever names; of a listing, those that are
-    not are left out with a reason.
-    """
-    ids = list(dict.fromkeys(store.find(key) for key in keys))
-    if not ids:
-        ids = [summary.id for summary in store.experiments(query).rows]
-        if not ids:
-            check_known_names(store, query)
-    found = comparable(store, ids, strict=bool(keys))
-    found.check_some("with a scene and measured poses", "see what there is: fixel list")
-    return found
-
-
-def comparable(store: Store, ids: Sequence[int], *, strict: bool = False) -> ExperimentSelection:
-    """Select the experiments that can be compared with simulations; raise if `strict` and not."""
-    targets: dict[int, Target] = {}
-    left_out: dict[str, str] = {}
-    for experiment_id in ids:
-        experiment = store.experiment(experiment_id)
-        try:
-            targets[experiment_id] = target_of(experiment)
-        except InvalidInput as problem:
-            if strict:
-                raise
-            left_out[experiment.key] = str(problem)
-    return ExperimentSelection(ids=list(targets), targets=list(targets.values()), left_out=left_out)
+    error: Named | AbstractError
+    combine: Combine
+    optimiser: Named | AbstractOptimiser
+    starts: int
+    start: Mapping[str, float] | None
+    noise: Noise | None
+    level: float
+    verdicts: bool
+    max_evaluations: int | None
+    motion: str | AbstractMotionModel
+    seed: int
+    threads: int | None
+    workers: int
+    site: PathLike[str] | str | Site | None
+    store: PathLike[str] | str | Project | None
+    budget: float | None
+    progress: ProgressOption
+    name: str
 
 
-def draw_sample(chosen: ExperimentSelection, count: int, seed: int) -> ExperimentSelection:
-    """A random part of the chosen experiments, in which every condition keeps its share.
+def calibrate(
+    experiments: Iterable[Experiment | Target],
+    parameters: Space = None,
+    *,
+    error: Named | AbstractError = "mean-square",
+    combine: Combine = "sum",
+    optimiser: Named | AbstractOptimiser = "auto",
+    starts: int = 1,
+    start: Mapping[str, float] | None = None,
+    noise: Noise | None = None,
+    level: float = 0.95,
+    verdicts: bool = True,
+    max_evaluations: int | None = None,
+    motion: str | AbstractMotionModel = "dynamic",
+    seed: int = 0,
+    threads: int | None = None,
+    workers: int = 0,
+    site: PathLike[str] | str | Site | None = None,
+    store: PathLike[str] | str | Project | None = None,
+    budget: float | None = None,
+    progress: ProgressOption = None,
+    name: str = "calibration",
+) -> Calibration:
+    """Calibrate one set of parameters for all experiments together.
 
     Parameters
     ----------
-    chosen : ExperimentSelection
-    count : int
-        Experiments wanted; all are kept where there are no more.
+    experiments : sequence of Experiment
+        One or more, each with a scene.
+    parameters : mapping, sequence of str, or None
+        Parameters to search, in SI units: `{"mu_pusher": (0, 1)}` is free within bounds,
+        `{"mu_pusher": 0.3}` is fixed, `["mu_pusher"]` has its usual bounds, and None selects the
+        usual parameters. A `Parameter` sets more than bounds. `known_parameters` lists the names.
+    error : str, mapping or error
+        Error of one experiment: `"mean-square"` of all poses, `"root-mean-square"`, `"end-pose"`,
+        or `"robust"` against outliers. `{"name": "robust", "distance": 0.002}` has options.
+    combine : str
+        How errors of experiments are combined: `"sum"`, `"mean"` or `"largest"`.
+    optimiser : str, mapping or optimiser
+        `"least-squares"`, `"pattern-search"`, `"nelder-mead"`, `"cma-es"`, `"mads"` or
+        `"fixed-step"`. `"auto"` is least squares where there are several experiments and the error
+        is a sum of squares, else pattern search.
+    starts : int
+        Number of searches, all but the first from random points.
+    start : mapping from name to float, optional
+        Start of the search, such as an earlier calibration; the scenes' own values by default.
+    noise : Noise, optional
+        Noise of measured poses; estimated from the measurements by default.
+    level : float
+        Confidence level of the intervals.
+    verdicts : bool
+        Whether to compute intervals, profiles and verdicts.
+    max_evaluations : int, optional
+        Number of simulated parameter sets after which the search ends, in total over interruptions.
+        A search ends with a whole batch, so it may exceed the number.
+    motion : str or motion model
+        `"dynamic"`, `"quasistatic"` or `"first-order"`.
     seed : int
-        Seed of the draw.
-    """
-    n = len(chosen.ids)
-    if count >= n:
-        return chosen
-    groups: dict[tuple[tuple[str, str], ...], list[int]] = {}
-    kinds = _grouping([target.conditions for target in chosen.targets])
-    for k, target in enumerate(chosen.targets):
-        key = tuple((name, str(target.conditions.get(name, ""))) for name in kinds)
-        groups.setdefault(key, []).append(k)
-    draw = np.random.default_rng(seed)
-    # Shuffled within each group, then taken at even distances along all groups one after another:
-    # each gives its share, to one experiment.
-    order = [k for key in sorted(groups) for k in draw.permutation(groups[key]).tolist()]
-    first = draw.random()
-    places = ((first + np.arange(count)) * n / count).astype(int)
-    kept = sorted(order[place] for place in places.tolist())
-    return ExperimentSelection(
-        ids=[chosen.ids[k] for k in kept],
-        targets=[chosen.targets[k] for k in kept],
-        left_out=chosen.left_out,
-        sample_of=n,
-    )
+        Seed of the random number generator.
+    threads : int, optional
+        Number of threads in this process; all cores by default. The result does not depend on it.
+    workers : int
+        Number of worker processes; 0 computes in this process.
+    site : path, optional
+        Site template of a cluster on which the workers run, as for `fixel jobs`.
+    store : path or Project, optional
+        Folder with the journal of the calibration. The same call continues after an interruption.
+        With a project, the result is stored in its database too.
+    budget : float, optional
+        Computing time [s], in total over interruptions: half of it for the search, the rest for
+        the verdicts. It is exceeded by at most one batch.
+    progress : bool or callable, optional
+        None shows a bar in terminals and notebooks, False nothing; a function is called with
+        every `fixel.progress.Progress`.
+    name : str
+        Name of the calibration in a project.
 
-
-def _grouping(conditions: Sequence[Mapping[str, str | float]]) -> list[str]:
-    """Conditions that sort experiments into groups, not those that number them."""
-    names = sorted({name for own in conditions for name in own})
-    most = max(1, len(conditions) // MEMBERS_A_GROUP)
-    return [
-        name for name in names if 1 < len({str(own.get(name, "")) for own in conditions}) <= most
-    ]
-
-
-def stored_points(store: Store, request: CalibrationRequest) -> list[list[float]]:
-    """Values of the free unknowns in all stored calibrations that have them, each set once."""
-    labels = request.space.labels
-    points: dict[tuple[float, ...], None] = {}
-    for calibration_id in store.calibrations():
-        parameters = store.calibration(calibration_id).parameters
-        if all(label in parameters for label in labels):
-            points[tuple(parameters[label] for label in labels)] = None
-    return [list(point) for point in points]
-
-
-def prepare(project: Project, chosen: ExperimentSelection, request: CalibrationRequest) -> Path:
-    """The job folder of a calibration; the same one for the same request on the same experiments.
+    Returns
+    -------
+    Calibration
+        A mapping from names to the values that fit best, with estimates and verdicts.
 
     Raises
     ------
     InvalidInput
-        The request and the experiments do not fit.
+        An experiment has no scene, no experiment can inform a parameter, the bounds are reversed,
+        or the folder `store` belongs to another calibration.
+    Interrupted
+        Ctrl-C; the best result so far is its `result`.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing import example_pushes
+    >>> fit = fixel.calibrate(example_pushes(2), {"mu_pusher": (0, 1)}, progress=False)
+    >>> print(f"{fit['mu_pusher']:.2f}", fit.verdicts)
+    0.25 {'mu_pusher': 'identified'}
     """
-    request.check()
-    _rehearse(chosen.targets, request)
-    inputs = target_files(chosen.targets) | {REQUEST: request.model_dump_json().encode()}
-    inputs[EXPERIMENTS] = json.dumps(chosen.ids).encode()
-    digest = hashlib.sha256()
-    for name in sorted(inputs):
-        digest.update(name.encode() + b"\0" + hashlib.sha256(inputs[name]).digest())
-    folder = project.folder / jobs.JOBS / f"{request.name}-{digest.hexdigest()[:10]}"
-    if not (folder / "job.json").is_file():
-        jobs.prepare_job(folder, maker=MAKER, inputs=inputs)
-    return folder
+    return _calibrated(
+        "joint",
+        experiments,
+        parameters,
+        error=error,
+        combine=combine,
+        optimiser=optimiser,
+        starts=starts,
+        start=start,
+        noise=noise,
+        level=level,
+        verdicts=verdicts,
+        max_evaluations=max_evaluations,
+        motion=motion,
+        seed=seed,
+        threads=threads,
+        workers=workers,
+        site=site,
+        store=store,
+        budget=budget,
+        progress=progress,
+        name=name,
+    )[-1]
 
 
-def _rehearse(targets: Sequence[Target], request: CalibrationRequest) -> None:
-    """Simulate a few experiments, so that what cannot be is refused now and not hours in."""
-    spread = np.unique(np.linspace(0, len(targets) - 1, PREFLIGHT).astype(int))
-    few = [targets[k] for k in spread.tolist()]
-    comparer = Comparer(targets, request.space, request.made_error, request.made_motion)
-    start = np.repeat(request.space.nominal[None], len(few), axis=0)
-    answer = comparer.errors(spread, start)
-    if np.isinf(answer.error).all():
-        raise InvalidInput(
-            "start of the search",
-            found=f"no simulation at it: {answer.reasons[0]}",
-            expected="parameters with which an experiment can be simulated",
-            hint="start elsewhere: --fit NAME=LOW:HIGH:START",
+def calibrate_each(
+    experiments: Iterable[Experiment | Target],
+    parameters: Space = None,
+    **options: Unpack[CalibrationOptions],
+) -> Calibrations:
+    """Calibrate every experiment by itself.
+
+    Parameters
+    ----------
+    experiments, parameters
+        As for `calibrate`.
+    **options
+        Options of `calibrate`. A budget is not supported.
+
+    Returns
+    -------
+    Calibrations
+        Sequence with one `Calibration` for each experiment.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing import example_pushes
+    >>> pushes = example_pushes(2)
+    >>> fits = fixel.calibrate_each(pushes, {"mu_pusher": (0, 1)}, verdicts=False, progress=False)
+    >>> [round(fit["mu_pusher"], 2) for fit in fits]
+    [0.25, 0.25]
+    """
+    return _calibrated("each", experiments, parameters, **options)
+
+
+def calibrate_campaign(
+    experiments: Iterable[Experiment | Target],
+    parameters: Space = None,
+    **options: Unpack[CalibrationOptions],
+) -> Calibrations:
+    """Calibrate every experiment by itself, then all together, with the steps of the RPI thesis.
+
+    Parameters
+    ----------
+    experiments, parameters
+        As for `calibrate`.
+    **options
+        Options of `calibrate`. A budget is not supported.
+
+    Returns
+    -------
+    Calibrations
+        `each` has the calibrations of single experiments, `joint` that of all together.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing import example_pushes
+    >>> pushes = example_pushes(2)
+    >>> fits = fixel.calibrate_campaign(
+    ...     pushes, {"mu_pusher": (0, 1)}, verdicts=False, progress=False
+    ... )
+    >>> round(fits.joint["mu_pusher"], 2)
+    0.25
+    """
+    return _calibrated("campaign", experiments, parameters, **options)
+
+
+def calibrate_stored(
+    experiments: Iterable[Experiment | Target],
+    parameters: Space = None,
+    **options: Unpack[CalibrationOptions],
+) -> Calibrations:
+    """Select the stored calibration of a project whose largest error is smallest; no search.
+
+    Parameters
+    ----------
+    experiments, parameters
+        As for `calibrate`.
+    **options
+        Options of `calibrate`; `store` is the project.
+    """
+    from fixel.workflows.calibration.project import stored_points
+
+    project: Any = options.get("store")
+    points = stored_points(project, search_space(parameters, _targets(experiments)))
+    options["verdicts"] = False
+    return _calibrated("stored", experiments, parameters, stored=points, **options)
+
+
+def _calibrated(
+    mode: Mode,
+    experiments: Iterable[Experiment | Target],
+    parameters: Space,
+    *,
+    threads: int | None = None,
+    workers: int = 0,
+    site: PathLike[str] | str | Site | None = None,
+    store: PathLike[str] | str | Project | None = None,
+    progress: ProgressOption = None,
+    **options: Any,
+) -> Calibrations:
+    """Calibrate in one of the modes of a request."""
+    plan = CalibrationPlan.of(mode, experiments, parameters, **options)
+    plan.rehearse(threads)
+    if store is not None or workers or site is not None:
+        from fixel.workflows.calibration.stored_run import run_stored
+
+        return run_stored(
+            plan,
+            store,
+            threads=threads,
+            workers=None if site is not None and not workers else workers,
+            site=site,
+            progress=progress,
         )
+    comparer = comparer_of(plan.request, plan.targets, threads)
+    state = SearchState(plan.request)
+    work = calibration_rounds(plan.request, comparer, state)
+    with show_progress(progress, "searching") as report:
+        try:
+            engine = DirectEngine(plan.request, comparer)
+            result = run_work(work, engine, Path(), None, progress=reporting(report))
+        except KeyboardInterrupt:
+            hint = "with store='FOLDER' the same call would continue"
+            raise Interrupted(best_so_far(plan, comparer, state), hint) from None
+    return plan.result(outcome_of(result))
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Calibration:
-    """A finished calibration.
+@dataclass(frozen=True, kw_only=True)
+class CalibrationPlan:
+    """Calibration that has not been run yet: its request and its experiments.
 
-    Attributes
+    Parameters
     ----------
-    folder : Path
-        Of its job.
     request : CalibrationRequest
-    outcome : CalibrationResult
-    ids : list of int
-        Of the stored calibrations, one a set of parameters found.
-    left_out : mapping from key to reason
+    targets : sequence of Target
+    source : str
+        Python expression of the experiments.
     command : str
-        What was typed.
+        Shell command that was typed, if any.
+    left_out : mapping from name to reason
+        Experiments that were skipped.
     """
 
-    folder: Path
     request: CalibrationRequest
-    outcome: CalibrationResult
-    ids: list[int]
-    left_out: Mapping[str, str]
+    targets: Sequence[Target]
+    source: str = "experiments"
     command: str = ""
+    left_out: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
-    @property
-    def targets(self) -> list[Target]:
-        """The experiments it used."""
-        return read_targets(self.folder / "inputs")
-
-    def summary(self) -> dict[str, Any]:
-        """Plain values, for `--json`; infinite errors become none."""
-        outcome = self.outcome
-        return {
-            "name": self.request.name,
-            "mode": self.request.mode,
-            "job": str(self.folder),
-            "experiments": list(outcome.keys),
-            "left_out": dict(self.left_out),
-            "sample_of": self.request.sample_of,
-            "error": self.request.error.name,
-            "unit": self.request.made_error.unit,
-            "nominal_error": [_finite(error) for error in outcome.nominal.tolist()],
-            "found": [
-                _found(one, number, outcome)
-                for one, number in zip(outcome.found, self.ids, strict=True)
-            ],
-        }
-
-
-def _found(one: ParameterSet, calibration_id: int, outcome: CalibrationResult) -> dict[str, Any]:
-    return {
-        "calibration": calibration_id,
-        "how": one.how,
-        "experiments": [outcome.keys[m] for m in one.members],
-        "misfit": list(one.misfit),
-        "misfit_ratio": _finite(one.misfit_ratio),
-        "parameters": dict(zip(outcome.labels, one.values(outcome.labels).tolist(), strict=True)),
-        "best_fit": dict(zip(outcome.labels, one.point.tolist(), strict=True)),
-        "errors": [_finite(error) for error in one.errors.tolist()],
-        "evaluations": 0 if one.trace is None else len(one.trace.errors),
-        "ended": "" if one.trace is None else one.trace.ended,
-        "seconds": one.seconds,
-        "note": one.note,
-        "noise": one.noise,
-        "solutions": [dict(zip(outcome.labels, s, strict=True)) for s in one.solutions.tolist()],
-        "estimates": [estimate.stored() for estimate in one.estimates],
-    }
-
-
-def _finite(error: float) -> float | None:
-    return error if math.isfinite(error) else None
-
-
-def run(
-    folder: Path,
-    *,
-    workers: int | None = None,
-    site: Site | None = None,
-    progress: Callable[[JobProgress], None] | None = None,
-    notify: Callable[[str], None] | None = None,
-) -> None:
-    """Run or continue the job of a calibration; nothing to do where it is done."""
-    if jobs.status_of(folder).state == "done":
-        return
-    jobs.arrange(folder, workers=workers, site=site)
-    jobs.run_here(folder, progress, notify)
-
-
-def collect(
-    project: Project, folder: Path, command: str, left_out: Mapping[str, str]
-) -> Calibration:
-    """Store what a job found in its project, once, and give it back."""
-    request = request_of(folder)
-    path = folder / files.RESULT
-    with readable(path, f"delete that file, then: fixel jobs resume {shlex.quote(str(folder))}"):
-        outcome = outcome_of(path.read_bytes())
-    ids = _stored(project, folder, request, outcome, command)
-    return Calibration(
-        folder=folder,
-        request=request,
-        outcome=outcome,
-        ids=ids,
-        left_out=left_out,
-        command=command,
-    )
-
-
-def collected(project: Project, folder: Path) -> list[int]:
-    """Return the ids of the stored calibrations of a finished job; store them if necessary.
-
-    Raises
-    ------
-    JobRefused
-        Another process is storing them.
-    """
-    request, ids = request_of(folder), experiments_of(folder)
-    command = command_of(project.folder.resolve(), request, [str(number) for number in ids])
-    return collect(project, folder, command, {}).ids
-
-
-@callable_by_jobs
-def store_result(folder: Path) -> None:
-    """Store the result of a finished job in the project that contains its folder.
-
-    The process may be killed at any moment: the next one that inspects the job does the rest.
-    """
-    collected(Project.open(folder.resolve().parents[1]), folder)
-
-
-def reopened(project: Project, record: CalibrationRecord) -> Calibration | None:
-    """The calibration that a stored set of parameters came from; none where its job is gone."""
-    folder = project.folder / jobs.JOBS / str(record.method.get("job", ""))
-    if not ((folder / files.RESULT).is_file() and (folder / STORED).is_file()):
-        return None
-    return collect(project, folder, record.provenance.command, {})
-
-
-def request_of(folder: Path) -> CalibrationRequest:
-    """Load the request of a calibration's job."""
-    path = folder / "inputs" / REQUEST
-    with readable(path, f"delete the folder {folder}"):
-        return CalibrationRequest.model_validate_json(path.read_bytes())
-
-
-def experiments_of(folder: Path) -> list[int]:
-    """Ids of the experiments of a calibration's job."""
-    path = folder / "inputs" / EXPERIMENTS
-    with readable(path, f"delete the folder {folder}"):
-        return [int(number) for number in json.loads(path.read_text())]
-
-
-def stored_ids(folder: Path) -> list[int]:
-    """Load the ids of the calibrations that a job has stored so far."""
-    path = folder / STORED
-    if not path.is_file():
-        return []
-    with readable(path):
-        return [int(number) for number in json.loads(path.read_text())]
-
-
-def _stored(
-    project: Project,
-    folder: Path,
-    request: CalibrationRequest,
-    outcome: CalibrationResult,
-    command: str,
-) -> list[int]:
-    path = folder / STORED
-    experiments = experiments_of(folder)
-    known = stored_ids(folder)
-    if len(known) == len(outcome.found):
-        return known
-    # A page and a command may see the end of a job at the same moment.
-    with FileLock(folder / f"{STORED}.lock", f"the result of {folder}"), project.store() as store:
-        known = stored_ids(folder)
-        # One after the other, each noted at once: a crash between costs one doubled record at most.
-        for one in outcome.found[len(known) :]:
-            known.append(
-                store.add_calibration(_record(folder, request, outcome, one, experiments, command))
-            )
-            with written_whole(path) as temporary:
-                temporary.write_text(json.dumps(known))
-    return known
-
-
-def _record(
-    folder: Path,
-    request: CalibrationRequest,
-    outcome: CalibrationResult,
-    one: ParameterSet,
-    experiments: Sequence[int],
-    command: str,
-) -> CalibrationRecord:
-    keys = [outcome.keys[m] for m in one.members]
-    title = keys[0] if len(keys) == 1 else f"{len(keys)} experiments"
-    unit = request.made_error.unit.replace("^", "")
-    evaluations = None
-    if one.trace is not None:
-        evaluations = Evaluations(
-            names=outcome.labels,
-            values=one.trace.points,
-            error=one.trace.errors,
-            reasons=tuple(one.trace.reasons),
-            unit=unit,
+    @classmethod
+    def of(
+        cls,
+        mode: Mode,
+        experiments: Iterable[Experiment | Target],
+        parameters: Space = None,
+        *,
+        error: Named | AbstractError = "mean-square",
+        combine: Combine = "sum",
+        optimiser: Named | AbstractOptimiser = "auto",
+        start: Mapping[str, float] | None = None,
+        noise: Noise | None = None,
+        motion: str | AbstractMotionModel = "dynamic",
+        **others: Any,
+    ) -> Self:
+        """Return the plan for arguments of `calibrate`, checked."""
+        targets = _targets(experiments)
+        space = search_space(parameters, targets, start)
+        kind = _named(error, "error")
+        search = _named(optimiser, "optimiser")
+        if search.name == "auto":
+            usual = usual_search(mode, combine, kind.name, targets, space)
+            search = search.model_copy(update={"name": usual})
+        request = CalibrationRequest(
+            mode=mode,
+            unknowns=list(space.unknowns),
+            error=kind,
+            combine=combine,
+            optimiser=search,
+            noise_position=None if noise is None else noise.position_m,
+            noise_angle=None if noise is None else noise.angle_rad,
+            motion=motion if isinstance(motion, str) else motion.name,
+            sample_of=getattr(experiments, "sample_of", None),
+            **others,
         )
-    return CalibrationRecord(
-        name=f"{request.name}: {title}, {one.how}",
-        parameters=_parameters(request, one),
-        members=tuple(
-            Member.of(experiments[m], 1.0, error, request.made_error.unit)
-            for m, error in zip(one.members, one.errors.tolist(), strict=True)
-        ),
-        provenance=Provenance(version=version("fixel"), command=command, seed=request.seed),
-        method=_method(folder, request, outcome, one),
-        evaluations=evaluations,
-        estimates=one.estimates,
+        request.check()
+        return cls(
+            request=request,
+            targets=targets,
+            source=str(getattr(experiments, "call", "experiments")),
+            command=str(getattr(experiments, "command", "")),
+            left_out=getattr(experiments, "left_out", {}),
+        )
+
+    def rehearse(self, threads: int | None = None) -> None:
+        """Simulate a few experiments, to refuse now what cannot be simulated at all."""
+        spread = np.unique(np.linspace(0, len(self.targets) - 1, PREFLIGHT).astype(int))
+        few = [self.targets[k] for k in spread.tolist()]
+        comparer = comparer_of(self.request, self.targets, threads)
+        start = np.repeat(self.request.space.nominal[None], len(few), axis=0)
+        answer = comparer.errors(spread, start)
+        if np.isinf(answer.error).all():
+            raise InvalidInput(
+                "start",
+                found=f"values with which nothing can be simulated: {answer.reasons[0]}",
+                expected="values with which an experiment can be simulated",
+                hint="choose another start or other bounds",
+            )
+
+    def result(self, outcome: CalibrationResult, **more: Any) -> Calibrations:
+        """Return the calibrations for the numbers that were found."""
+        return Calibrations(
+            request=self.request,
+            outcome=outcome,
+            targets=tuple(self.targets),
+            source=self.source,
+            command=self.command,
+            left_out=self.left_out,
+            **more,
+        )
+
+
+class DirectEngine(AbstractEngine):
+    """Engine that computes the chunks of one calibration in this process, without files."""
+
+    workers = 1
+
+    def __init__(self, request: CalibrationRequest, comparer: Comparer) -> None:
+        self._own = request, comparer
+
+    def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
+        call = CHUNKS[function]
+        for chunk in chunks:
+            yield [(chunk.name, answer_of(call, *self._own, chunk.payload))]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def best_so_far(
+    plan: CalibrationPlan, comparer: Comparer, state: SearchState
+) -> Calibration | None:
+    """Return the best parameter set of an interrupted calibration; None if there is none yet."""
+    found = list(state.found)
+    members = tuple(range(len(plan.targets)))
+    here = evaluate_here(comparer)
+    if not found and math.isfinite(state.best.error):
+        point = state.best.point
+        errors, _ = run_study(at_points(members, point[None]), here)
+        found.append(
+            ParameterSet(
+                how=FitKind.DIRECT,
+                members=members,
+                point=point,
+                errors=errors[0],
+                trace=state.trace,
+            )
+        )
+    if not found:
+        return None
+    nominal, _ = run_study(at_points(members, comparer.space.nominal[None]), here)
+    outcome = CalibrationResult(
+        keys=tuple(target.key for target in plan.targets),
+        labels=comparer.space.labels,
+        nominal=nominal[0],
+        found=tuple(found),
     )
+    return plan.result(outcome, interrupted=True)[-1]
 
 
-def _parameters(request: CalibrationRequest, one: ParameterSet) -> Parameters:
-    """Return the parameters that all members share; the others are among the estimates."""
-    values = request.space.values(one.point)
-    return Parameters({u.name: values[u.label] for u in request.space.unknowns if not u.where})
+def reporting(report: Reporter) -> Show:
+    """Return a callback that reports the progress of rounds."""
+
+    def show(progress: JobProgress) -> None:
+        best = _BEST.search(progress.note)
+        report.show(
+            Progress(
+                stage=_BEST.sub("", progress.note) or report.stage,
+                done=progress.done,
+                total=None if progress.share is None else progress.total,
+                best=None if best is None else 1e-3 * float(best[1]),
+                left=progress.left_s,
+            )
+        )
+
+    return show
 
 
-def _without_defaults(unknown: Unknown) -> dict[str, Any]:
-    usual: dict[str, Any] = {"frozen": False, "prior": None, "where": {}}
-    return {k: v for k, v in unknown.plain().items() if k not in usual or v != usual[k]}
+def usual_search(
+    mode: Mode, combine: str, error: str, targets: Sequence[Target], space: ParameterSpace
+) -> str:
+    """Return the name of the search that suits a calibration best."""
+    ends = error == EndPose.name
+    frames = sum(1 if ends else len(target.pose) for target in targets)
+    several = mode if len(targets) > 1 else "each"
+    return usual_optimiser(several, combine, error, 3 * frames, len(space.free))
 
 
-def _method(
-    folder: Path, request: CalibrationRequest, outcome: CalibrationResult, one: ParameterSet
-) -> dict[str, str | float]:
-    nominal = outcome.nominal[list(one.members)]
-    options = {f"optimiser.{k}": v for k, v in request.optimiser.options.items()}
-    options |= {f"error.{k}": v for k, v in request.error.options.items()}
-    return {
-        "how": one.how,
-        "mode": request.mode,
-        **({} if request.sample_of is None else {"sample_of": float(request.sample_of)}),
-        **({} if request.budget is None else {"budget_s": request.budget}),
-        "error": request.error.name,
-        "error_unit": request.made_error.unit,
-        "motion": request.motion,
-        "optimiser": request.optimiser.name,
-        "starts": float(request.starts),
-        "combine": request.combine,
-        "job": folder.name,
-        SEARCHED: json.dumps([_without_defaults(unknown) for unknown in request.unknowns]),
-        "seconds": one.seconds,
-        "nominal_error": float(nominal.mean()),
-        "ended": "" if one.trace is None else one.trace.ended,
-        **({"misfit": "\n".join(one.misfit)} if one.misfit else {}),
-        **({"misfit_ratio": one.misfit_ratio} if math.isfinite(one.misfit_ratio) else {}),
-        **{k: v if isinstance(v, str | float | int) else str(v) for k, v in options.items()},
-    }
+def _targets(experiments: Iterable[Experiment | Target]) -> list[Target]:
+    """Return what simulations are compared with."""
+    found = [own if isinstance(own, Target) else target_of(own) for own in experiments]
+    if not found:
+        raise InvalidInput("experiments", found="none", expected="one or more with a scene")
+    return found
+
+
+def _named(choice: Any, where: str) -> NamedOptions:
+    """Return a method by name with its options, from a name, a mapping or the object itself."""
+    if isinstance(choice, NamedOptions):
+        return choice
+    if isinstance(choice, str):
+        return NamedOptions(name=choice)
+    if isinstance(choice, Mapping) and "name" in choice:
+        options = {key: value for key, value in choice.items() if key != "name"}
+        return NamedOptions(name=str(choice["name"]), options=options)
+    if isinstance(choice, AbstractError | AbstractOptimiser):
+        names = [own.name for own in dataclasses.fields(choice)]  # type: ignore[arg-type]
+        options = {name: getattr(choice, name) for name in names}
+        return NamedOptions(name=choice.name, options=options)
+    raise InvalidInput(where, found=choice, expected="a name, or a mapping with a name and options")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,16 +15,14 @@ from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.parameters import is_parameter
 from fixel.model.records import CalibrationRecord
-from fixel.model.space import ParameterSpace, Unknown
+from fixel.model.space import ParameterSpace, Unknown, split_label
 from fixel.simulation import AbstractMotionModel, Dynamic
 from fixel.simulation.motion import MOTION_MODELS
 from fixel.workflows.calibration.job import REQUEST
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.result import SEARCHED, FitKind
-from fixel.workflows.calibration.run import request_of
+from fixel.workflows.calibration.stored_run import request_of
 from fixel.workflows.jobs import JOBS
-
-_LABEL = re.compile(r"(?P<name>\w+)(?:\[(?P<where>.*)\])?")
 
 
 @final
@@ -83,16 +80,6 @@ class CalibratedValues:
 def misfit_of(record: CalibrationRecord) -> list[str]:
     """Return the warning stored with a calibration that the model is wrong, by sentences."""
     return str(record.method.get("misfit", "")).splitlines()
-
-
-def split_label(label: str) -> tuple[str, dict[str, str]]:
-    """Split the label of a parameter into name and conditions: `"mu_pusher[surface=abs]"`."""
-    match = _LABEL.fullmatch(label)
-    if match is None:
-        raise InvalidInput("label", found=repr(label), expected="NAME or NAME[CONDITION=VALUE]")
-    pairs = (match["where"] or "").split(", ")
-    where = dict(pair.split("=", 1) for pair in pairs if "=" in pair)
-    return match["name"], where
 
 
 def _meets(conditions: Mapping[str, str | float], where: Mapping[str, str]) -> bool:

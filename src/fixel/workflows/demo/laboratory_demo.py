@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, final
 
 import numpy as np
 
-from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
@@ -22,12 +21,9 @@ from fixel.table import Table
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import Notify
 from fixel.uncertainty.starts import StartError
-from fixel.workflows.calibration import run as calibration
-from fixel.workflows.calibration.request import (
-    LEAST_SQUARES,
-    CalibrationRequest,
-    NamedOptions,
-)
+from fixel.workflows.calibration.project import select_experiments
+from fixel.workflows.calibration.request import LEAST_SQUARES
+from fixel.workflows.calibration.run import calibrate
 from fixel.workflows.domain.request import DomainRequest
 from fixel.workflows.domain.run import map_domain
 from fixel.workflows.report.write import Report, write_report
@@ -114,16 +110,9 @@ def calibrate_jointly(
 ) -> int:
     """Calibrate the usual parameters to the experiments of a query; return the calibration's id."""
     with project.store() as store:
-        chosen = calibration.select_experiments(store, (), query)
-    request = CalibrationRequest(
-        name=name,
-        mode="joint",
-        unknowns=default_unknowns([t.case.scene for t in chosen.targets]),
-        optimiser=NamedOptions(name=LEAST_SQUARES),
-    )
-    job = calibration.prepare(project, chosen, request)
-    calibration.run(job)
-    return calibration.collect(project, job, command, chosen.left_out).ids[-1]
+        chosen = replace(select_experiments(store, (), query), command=command)
+    fit = calibrate(chosen, optimiser=LEAST_SQUARES, store=project, name=name, progress=False)
+    return fit.run.ids[-1]
 
 
 def _beside_truth(project: Project, number: int) -> Table:

@@ -26,7 +26,7 @@ from fixel.model.trajectory import wrapped
 from fixel.simulation.pack import pusher_path
 from fixel.typing import FloatArray, ProgressCallback
 from fixel.workflows.analysis import ANALYSES
-from fixel.workflows.calibration.run import select_experiments
+from fixel.workflows.calibration.project import select_experiments
 from fixel.workflows.calibration.stored import newest_calibration
 from fixel.workflows.domain.held_out import (
     MAX_TRAINING,

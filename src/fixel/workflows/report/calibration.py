@@ -13,9 +13,9 @@ from fixel.calibration.misfit import shown_ratio
 from fixel.model.records import Estimate
 from fixel.table import Table
 from fixel.typing import FloatArray
+from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.report_data import CalibrationReportData
-from fixel.workflows.calibration.run import Calibration
 from fixel.workflows.calibration.stored import CalibratedValues, misfit_of
 from fixel.workflows.figures import write_picture
 from fixel.workflows.report.content import Figure, Section
@@ -28,7 +28,7 @@ READABLE: Final = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi), "-": ("", 
 OF_PARAMETERS: Final = ("parameters", "profiles", "starts", "search")
 
 
-def figures_of(calibration: Calibration, folder: Path) -> list[Figure]:
+def figures_of(calibration: Calibrations, folder: Path) -> list[Figure]:
     """Draw the charts of a calibration into a folder."""
     found = []
     for picture in pictures_of(CalibrationReportData(calibration)):

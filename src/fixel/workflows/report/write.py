@@ -18,7 +18,8 @@ from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.typing import FloatArray, Notify
 from fixel.workflows.analysis import Kind, StoredAnalysis, load_analyses
-from fixel.workflows.calibration.run import Calibration, reopened
+from fixel.workflows.calibration.calibration import Calibrations
+from fixel.workflows.calibration.project import reopened
 from fixel.workflows.calibration.stored import CalibratedValues, load_values, misfit_of
 from fixel.workflows.figures import ENDINGS, make_folder
 from fixel.workflows.report.bibliography import bibtex, line, works
@@ -213,7 +214,7 @@ def _fits(own: StoredAnalysis, one: CalibratedValues) -> bool:
     return bool(one.members & set(own.analysis.experiments))
 
 
-def _nominal(opened: Calibration | None, one: CalibratedValues) -> FloatArray | None:
+def _nominal(opened: Calibrations | None, one: CalibratedValues) -> FloatArray | None:
     """(n_member,) errors before the calibration, in the order of its members."""
     if opened is None or one.id not in opened.ids:
         return None

@@ -14,6 +14,7 @@ from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.formats import load_scene
 from fixel.model import Experiment, Scene
+from fixel.model.space import split_label
 from fixel.model.selection import ExperimentQuery
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import AbstractMotionModel, Dynamic
@@ -28,7 +29,6 @@ from fixel.workflows.calibration.stored import (
     CalibratedValues,
     load_values,
     newest_calibration,
-    split_label,
 )
 from fixel.workflows.figures import Picture
 from fixel.workflows.sensitivity.report import analysis_of, arrays_of, pictures_of

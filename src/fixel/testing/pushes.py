@@ -1,0 +1,89 @@
+"""Simulated pushes with known parameters, for examples and tests."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from typing import Final
+
+import numpy as np
+
+from fixel.model import (
+    Body,
+    Disk,
+    Experiment,
+    LineDrive,
+    Parameters,
+    Provenance,
+    Pusher,
+    Scene,
+    Trajectory,
+    Tripod,
+)
+from fixel.simulation import simulate
+from fixel.testing.scenes import box, row
+
+TRUTH: Final = {"mu_pusher": 0.25, "tripod_radius": 0.038}
+POSITION_NOISE: Final = 1e-4  # [m]
+ANGLE_NOISE: Final = 1e-3  # [rad]
+
+
+def example_pushes(n: int = 8, *, seed: int = 1, duration: float = 1.0) -> list[Experiment]:
+    """Return simulated pushes of a square part, measured with noise.
+
+    They were made with `mu_pusher` 0.25 and `tripod_radius` 38 mm. Their scenes have other nominal
+    values: 0.4 and 30 mm.
+
+    Parameters
+    ----------
+    n : int
+        Number of pushes, beside the part's centre at even distances.
+    seed : int
+        Seed of the noise.
+    duration : float
+        Duration of each push [s]; 20 poses per second are measured.
+
+    Examples
+    --------
+    >>> [push.key for push in example_pushes(2)]
+    ['example/push-01', 'example/push-02']
+    """
+    rng = np.random.default_rng(seed)
+    time = np.linspace(0.0, duration, max(2, round(20 * duration) + 1))
+    found = []
+    for k, offset in enumerate(np.linspace(-0.03, 0.03, n) if n > 1 else [0.02], 1):
+        scene = _scene(float(offset), duration)
+        exact = simulate(scene, Parameters(TRUTH), output_interval=float(time[1])).pose["part"]
+        noise = rng.normal(size=(len(time), 3)) * (POSITION_NOISE, POSITION_NOISE, ANGLE_NOISE)
+        noise[0] = 0.0
+        found.append(
+            Experiment(
+                dataset="example",
+                name=f"push-{k:02d}",
+                real=False,
+                simulated_by="fixel",
+                provenance=Provenance(version=version("fixel"), seed=seed),
+                trajectory=Trajectory(time=time, pose=exact[: len(time)] + noise),
+                object_name="part",
+                scene=scene,
+                conditions={"offset_m": float(offset), "side": "left" if offset > 0.0 else "right"},
+            )
+        )
+    return found
+
+
+def _scene(offset: float, duration: float) -> Scene:
+    part = Body(
+        name="part",
+        shape=box(0.1, 0.1),
+        mass=0.15,
+        pose=row(0.0, 0.0, 0.0),
+        support=Tripod(radius=0.03, friction=0.25),
+    )
+    finger = Pusher(
+        name="finger",
+        shape=Disk(0.005),
+        pose=row(-0.055, offset, 0.0),
+        drive=LineDrive(direction=row(1.0, 0.0), speed=0.03),
+        friction=0.4,
+    )
+    return Scene(bodies=(part,), pushers=(finger,), duration=duration)

@@ -1,0 +1,661 @@
+"""Calibrations as values: parameters with their estimates, errors, figures and origin."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, final, overload
+
+import numpy as np
+
+from fixel.calibration.misfit import WARNED
+from fixel.calibration.noise import Noise
+from fixel.calibration.objective import ANGLE_SCALE, Comparer, MeanSquare, RootMeanSquare
+from fixel.calibration.study import MADE, OUT_OF_BUDGET
+from fixel.calibration.target import Target, target_of
+from fixel.errors import InvalidInput
+from fixel.model import Experiment, Parameters, Scene
+from fixel.model.records import Estimate
+from fixel.model.space import ParameterSpace, split_label
+from fixel.results import Result, Summary
+from fixel.simulation.motion import AbstractMotionModel
+from fixel.table import Column, Table
+from fixel.typing import FloatArray
+from fixel.workflows.calibration.request import CalibrationRequest, call_of
+from fixel.workflows.calibration.result import CalibrationResult, FitKind, ParameterSet
+
+if TYPE_CHECKING:
+    from fixel.simulation import Simulation
+
+# Units in which people read parameters, by the unit in which they are stored.
+SHOWN_UNITS: Final = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi)}
+# Share of a parameter's range by which the best fit and the value to quote visibly differ.
+VISIBLE: Final = 0.005
+_CHARTS: Final = "fixel.workflows.calibration.charts"
+
+
+class ObjectiveValue(NamedTuple):
+    """Smallest value of the function that a calibration minimised."""
+
+    value: float
+    unit: str
+
+
+class MisfitStatement(NamedTuple):
+    """Residuals of a calibration compared with the noise of the measurements."""
+
+    ratio: float  # residual over noise; nan if the noise is unknown
+    model_error: bool  # whether the model is wrong by much more than the noise
+    reason: str  # sentences; empty without a misfit
+    noise: str  # noise that the intervals assume, and its origin
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Calibration(Result, Mapping[str, float]):
+    """Calibrated parameters, with what the experiments say about each of them.
+
+    It is a mapping from names to the values that fit best, fixed ones included, and can be passed
+    wherever parameters are accepted: `fixel.simulate(scene, fit)`. Values to quote in a text are
+    in `estimates`, with interval and verdict; where the model is wrong, the two differ.
+
+    Parameters
+    ----------
+    run : Calibrations
+        Run of the calibration, with its experiments and method.
+    number : int
+        Index of this parameter set in the run.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing import example_pushes
+    >>> fit = fixel.calibrate(example_pushes(2), {"mu_pusher": (0, 1)}, progress=False)
+    >>> fit.identified
+    ('mu_pusher',)
+    >>> fit.estimates["mu_pusher"].verdict
+    'identified'
+    >>> fit.status
+    'finished'
+    """
+
+    run: Calibrations
+    number: int = 0
+
+    _drawings: ClassVar[Mapping[str, str]] = {
+        "parameters": f"{_CHARTS}:plot_parameters",
+        "profiles": f"{_CHARTS}:plot_profiles",
+        "search": f"{_CHARTS}:plot_search",
+        "errors": f"{_CHARTS}:plot_errors",
+    }
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    @cached_property
+    def _values(self) -> dict[str, float]:
+        return self.space.values(self.found.point)
+
+    @property
+    def found(self) -> ParameterSet:
+        """Numbers of this parameter set, as stored."""
+        return self.run.outcome.found[self.number]
+
+    @property
+    def request(self) -> CalibrationRequest:
+        """Parameters and method of the run."""
+        return self.run.request
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters with the bounds of the search."""
+        return self.run.request.space
+
+    @property
+    def motion(self) -> AbstractMotionModel:
+        """Motion model of the simulations."""
+        return self.run.request.made_motion
+
+    @property
+    def noise(self) -> Noise | None:
+        """Noise of measured poses that was stated; None if it was estimated."""
+        return self.run.request.noise
+
+    @property
+    def level(self) -> float:
+        """Confidence level of the intervals."""
+        return self.run.request.level
+
+    @property
+    def targets(self) -> list[Target]:
+        """Scenes and measured poses of the experiments."""
+        return [self.run.targets[m] for m in self.found.members]
+
+    @property
+    def keys_of_experiments(self) -> tuple[str, ...]:
+        """Names of the experiments."""
+        return tuple(self.run.outcome.keys[m] for m in self.found.members)
+
+    @cached_property
+    def estimates(self) -> Mapping[str, Estimate]:
+        """Value, interval, verdict and reason of each parameter, by name."""
+        known = {estimate.label: estimate for estimate in self.found.estimates}
+        best, level = self._values, self.level
+        found = {
+            u.label: replace(
+                known.get(u.label)
+                or Estimate(
+                    label=u.label,
+                    unit=u.unit,
+                    value=best[u.label],
+                    verdict="frozen" if u.frozen else "",
+                ),
+                unit=u.unit,
+                best_fit=best[u.label],
+                bounds=None if u.frozen else (u.low, u.high),
+                before=u.nominal,
+                level=None if u.frozen else level,
+            )
+            for u in self.space.unknowns
+        }
+        return MappingProxyType(found)
+
+    @property
+    def verdicts(self) -> dict[str, str]:
+        """Verdict of each parameter, by name."""
+        return {label: estimate.verdict for label, estimate in self.estimates.items()}
+
+    @property
+    def identified(self) -> tuple[str, ...]:
+        """Names of the parameters that the experiments identify."""
+        return tuple(label for label, own in self.estimates.items() if own.identified)
+
+    @property
+    def status(self) -> str:
+        """How the search ended: `finished`, `budget`, `interrupted` or `failed`."""
+        if self.run.interrupted:
+            return "interrupted"
+        if not np.isfinite(self.found.errors).all():
+            return "failed"
+        ended = "" if self.found.trace is None else self.found.trace.ended
+        limited = OUT_OF_BUDGET in (ended,) or OUT_OF_BUDGET in self.found.note or MADE in ended
+        return "budget" if limited else "finished"
+
+    @property
+    def message(self) -> str:
+        """Why the search ended, in words."""
+        ended = "" if self.found.trace is None else self.found.trace.ended
+        return self.found.note or ended or str(self.found.how)
+
+    @property
+    def evaluations(self) -> int:
+        """Number of parameter sets that the search simulated."""
+        return 0 if self.found.trace is None else len(self.found.trace.errors)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences on what is doubtful about the result."""
+        warned = self.found.misfit if self.misfit.model_error else ()
+        note = (self.found.note,) if self.found.note else ()
+        left = self.run.left_out
+        skipped = f"{len(left)} experiments were skipped: they cannot be compared with a simulation"
+        return (*warned, *note, *([skipped] if left else []))
+
+    @cached_property
+    def rms_error(self) -> float:
+        """Root mean square distance of simulated and measured poses [m], angles at 35 mm per
+        radian, whatever was minimised."""
+        return self._rms(self.found.errors, self.found.point)
+
+    @cached_property
+    def nominal_rms_error(self) -> float:
+        """The same error with the start values, before calibration [m]."""
+        return self._rms(self.run.outcome.nominal[list(self.found.members)], self.space.nominal)
+
+    def _rms(self, errors: FloatArray, point: FloatArray) -> float:
+        error = self.request.made_error
+        if error.angle_scale == ANGLE_SCALE and isinstance(error, MeanSquare):
+            squares = errors
+        elif error.angle_scale == ANGLE_SCALE and isinstance(error, RootMeanSquare):
+            squares = errors**2
+        else:
+            comparer = Comparer(self.targets, self.space, MeanSquare(), self.motion)
+            which = np.arange(len(self.targets))
+            squares = comparer.errors(which, np.repeat(point[None], len(which), axis=0)).error
+        return 1e-3 * math.sqrt(float(np.mean(squares)))
+
+    @property
+    def objective(self) -> ObjectiveValue:
+        """Smallest value of the function that was minimised, with its unit."""
+        errors = self.found.errors
+        value = {"sum": errors.sum(), "mean": errors.mean(), "largest": errors.max()}
+        return ObjectiveValue(float(value[self.request.combine]), self.request.made_error.unit)
+
+    @property
+    def misfit(self) -> MisfitStatement:
+        """Residuals compared with the noise of the measurements."""
+        ratio = self.found.misfit_ratio
+        return MisfitStatement(
+            ratio, ratio >= WARNED, " ".join(self.found.misfit), self.found.noise
+        )
+
+    @property
+    def solutions(self) -> list[dict[str, float]]:
+        """Distinct parameter sets that fit almost equally well, the best first."""
+        return [self.space.values(point) for point in self.found.solutions]
+
+    @property
+    def errors(self) -> Table:
+        """Errors of the experiments before and after the calibration, one row for each."""
+        unit = self.request.made_error.unit
+        head = ("experiment", Column("nominal", unit, ".4g"), Column("calibrated", unit, ".4g"))
+        before = self.run.outcome.nominal[list(self.found.members)].tolist()
+        rows = zip(self.keys_of_experiments, before, self.found.errors.tolist(), strict=True)
+        return Table(head, rows)
+
+    def values_for(
+        self, experiment: Experiment | None = None, /, **conditions: str | float
+    ) -> dict[str, float]:
+        """Return the parameters by name for one experiment, or for its conditions.
+
+        Parameters
+        ----------
+        experiment : Experiment, optional
+            Experiment whose conditions decide.
+        **conditions
+            Conditions, such as `surface="abs"`, for parameters with a value for each of them.
+
+        Returns
+        -------
+        dict from name to float
+            Values in SI units, which `fixel.simulate` accepts.
+
+        Raises
+        ------
+        InvalidInput
+            A parameter has no value under these conditions.
+        """
+        known: dict[str, str | float] = dict(conditions)
+        if experiment is not None:
+            known = {**experiment.conditions, "experiment": experiment.key, **known}
+        return values_under(self, known)
+
+    def simulate(self, of: Scene | Experiment, /, **options: Any) -> Simulation:
+        """Simulate a scene or an experiment with the calibrated parameters and motion model.
+
+        Parameters
+        ----------
+        of : Scene or Experiment
+        **options
+            Options of `fixel.simulate`, such as `duration`.
+        """
+        from fixel.simulation import simulate
+
+        scene, values = (
+            (of, self.values_for())
+            if isinstance(of, Scene)
+            else (target_of(of).case.scene, self.values_for(of))
+        )
+        return simulate(scene, Parameters(values), motion=self.motion, **options)
+
+    def compare(self, experiments: Sequence[Experiment], **options: Any) -> Any:
+        """Compare experiments with simulations before and after; see `fixel.compare`."""
+        return import_module("fixel").compare(experiments, self, **options)
+
+    def residuals(self, experiment: Experiment) -> FloatArray:
+        """Return simulated less measured poses (n, 3) at the measured times [m, m, rad].
+
+        Parameters
+        ----------
+        experiment : Experiment
+            One with a scene; it need not be one of those calibrated.
+
+        Raises
+        ------
+        InvalidInput
+            It has no scene, or its simulation does not reach the end.
+        """
+        target = target_of(experiment)
+        comparer = Comparer([target], self.space, motion=self.motion)
+        difference, good, reasons = comparer.differences(
+            np.zeros(1, np.int64), self.found.point[None]
+        )
+        if not good[0]:
+            raise InvalidInput(
+                f"experiment {experiment.key}", found=reasons[0], expected="a complete simulation"
+            )
+        return np.asarray(difference[0, : len(target.pose)])
+
+    @property
+    def command(self) -> str:
+        """Shell command of the same calibration; empty if its experiments are in no project."""
+        return self.run.command
+
+    @property
+    def call(self) -> str:
+        """Python expression of the same calibration."""
+        return self.run.call
+
+    # --- what is shown --------------------------------------------------------------------------
+
+    def _summary(self) -> Summary:
+        tables = [
+            Table(
+                ("parameter", "value", f"{100 * self.level:g} % interval", "verdict"),
+                _rows(list(self.estimates.values())),
+                left=4,
+            )
+        ]
+        notes = [self._error_note(), *self._misfit_notes()]
+        notes += [note for note in self.warnings if note not in self.found.misfit]
+        return Summary(self._heading(), tables, notes, self._details())
+
+    def _heading(self) -> str:
+        n = len(self.found.members)
+        of = self.keys_of_experiments[0] if n == 1 else f"{n} experiments"
+        how = {
+            "finished": "finished",
+            "budget": "ended by its limit",
+            "interrupted": "interrupted",
+            "failed": "failed",
+        }[self.status]
+        return (
+            f"Calibration of {of} ({self.request.motion}): {how} after"
+            f" {self.evaluations} evaluations"
+        )
+
+    def _error_note(self) -> str:
+        unit, errors = self.request.made_error.unit, self.found.errors
+        before = self.run.outcome.nominal[list(self.found.members)]
+        shown = [_length(own, unit) for own in (before, errors)]
+        how = "root mean square" if self.request.error.name != "end-pose" else "end pose"
+        if self.request.error.name == "robust":
+            how = "robust mean"
+        scale = 1e3 * self.request.made_error.angle_scale
+        return (
+            f"error   {shown[0]:.3g} mm nominal -> {shown[1]:.3g} mm calibrated"
+            f" ({how}, {scale:g} mm per radian)"
+        )
+
+    def _misfit_notes(self) -> list[str]:
+        if self.found.misfit:
+            return [f"misfit  {sentence}" for sentence in self.found.misfit]
+        if math.isnan(self.misfit.ratio):
+            return []
+        return [f"misfit  residuals agree with the measurement noise; {self.found.noise}"]
+
+    def _details(self) -> dict[str, str]:
+        from importlib.metadata import version
+
+        request = self.request
+        details = {
+            "optimiser": request.optimiser.name,
+            "error": f"{request.error.name}, combined by {request.combine}",
+            "motion model": request.motion,
+            "seed": str(request.seed),
+            "ended": self.message,
+            "fixel": version("fixel"),
+            "call": self.call,
+            "command": self.command,
+        }
+        return {name: value for name, value in details.items() if value}
+
+    def _data(self) -> Table:
+        head = ("parameter", "value", "low", "high", "unit", "verdict", "reason", "best_fit")
+        return Table(
+            head,
+            [
+                (e.label, e.value, e.low, e.high, e.unit, e.verdict, e.reason, e.best_fit)
+                for e in self.estimates.values()
+            ],
+        )
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Calibrations(Result, Sequence[Calibration]):
+    """Calibrations of one run: one for each experiment, or the steps of a campaign.
+
+    Parameters
+    ----------
+    request : CalibrationRequest
+        Parameters and method.
+    outcome : CalibrationResult
+        Numbers of all parameter sets.
+    targets : sequence of Target
+        Scenes and measured poses of the experiments.
+    source : str
+        Python expression of the experiments.
+    command : str
+        Shell command of the same run.
+    left_out : mapping from name to reason
+        Experiments that were skipped.
+    folder : Path, optional
+        Folder of the job, if it has one.
+    ids : sequence of int
+        Ids of the stored calibrations, if they are in a project.
+    interrupted : bool
+        Whether the run was interrupted before its end.
+    """
+
+    request: CalibrationRequest
+    outcome: CalibrationResult
+    targets: Sequence[Target]
+    source: str = "experiments"
+    command: str = ""
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    folder: Path | None = field(default=None, compare=False)
+    ids: Sequence[int] = field(default=(), compare=False)
+    interrupted: bool = False
+
+    @overload
+    def __getitem__(self, k: int) -> Calibration: ...
+    @overload
+    def __getitem__(self, k: slice) -> list[Calibration]: ...
+    def __getitem__(self, k: int | slice) -> Calibration | list[Calibration]:
+        if isinstance(k, slice):
+            return [self[own] for own in range(*k.indices(len(self)))]
+        return Calibration(run=self, number=range(len(self))[k])
+
+    def __len__(self) -> int:
+        return len(self.outcome.found)
+
+    @property
+    def each(self) -> list[Calibration]:
+        """Best calibration of each single experiment, its own or a neighbour's."""
+        # Neighbours' sets follow the experiments' own, and only where they are better.
+        found = self.outcome.found
+        best = {found[k].members: k for k in range(len(found)) if found[k].how.is_single}
+        return [self[k] for k in best.values()]
+
+    @property
+    def joint(self) -> Calibration | None:
+        """Best calibration of all experiments together; None if there was none."""
+        found = self.outcome.found
+        kinds = (FitKind.DIRECT, FitKind.STORED)
+        return next((self[k] for k in range(len(found)) if found[k].how in kinds), None)
+
+    def summary(self) -> dict[str, Any]:
+        """Return plain values, for `--json`; infinite errors become None."""
+        outcome = self.outcome
+        return {
+            "name": self.request.name,
+            "mode": self.request.mode,
+            "job": str(self.folder),
+            "experiments": list(outcome.keys),
+            "left_out": dict(self.left_out),
+            "sample_of": self.request.sample_of,
+            "error": self.request.error.name,
+            "unit": self.request.made_error.unit,
+            "nominal_error": [_finite(error) for error in outcome.nominal.tolist()],
+            "found": [
+                _plain(one, number, outcome)
+                for one, number in zip(outcome.found, self.ids, strict=True)
+            ],
+        }
+
+    @property
+    def call(self) -> str:
+        """Python expression of the same run."""
+        return call_of(self.request, self.source)
+
+    def _summary(self) -> Summary:
+        labels = self.request.space.labels
+        rows = [
+            (
+                one.keys_of_experiments[0]
+                if len(one.found.members) == 1
+                else f"{len(one.found.members)} experiments, {one.found.how}",
+                _length(one.found.errors, self.request.made_error.unit),
+                *(_shown_value(one.estimates[label]) for label in labels),
+            )
+            for one in self
+        ]
+        head: list[Column | str] = ["experiments", Column("error", "mm", ".3g"), *labels]
+        n = len(self.outcome.keys)
+        return Summary(f"{len(self)} calibrations of {n} experiments", [Table(head, rows)])
+
+    def _data(self) -> Table:
+        labels = self.request.space.labels
+        ends = [
+            f"{label} {word}" for label in labels for word in ("value", "low", "high", "verdict")
+        ]
+        rows = []
+        for one in self:
+            own = [one.estimates[label] for label in labels]
+            rows.append(
+                (
+                    ", ".join(one.keys_of_experiments),
+                    str(one.found.how),
+                    one.rms_error,
+                    *(x for e in own for x in (e.value, e.low, e.high, e.verdict)),
+                )
+            )
+        head: list[Column | str] = ["experiments", "how", Column("rms_error", "m"), *ends]
+        return Table(head, rows)
+
+
+def values_under(
+    values: Mapping[str, float], conditions: Mapping[str, str | float]
+) -> dict[str, float]:
+    """Return the values by name of parameter for an experiment under some conditions.
+
+    Parameters
+    ----------
+    values : mapping from label to float
+        Values, where a label is a name or such as `"mu_pusher[surface=abs]"`.
+    conditions : mapping
+        Conditions of the experiment, with its key as `"experiment"`.
+
+    Raises
+    ------
+    InvalidInput
+        A parameter has no value under these conditions.
+    """
+    found: dict[str, float] = {}
+    missing: dict[str, str] = {}
+    for label, value in values.items():
+        name, where = split_label(label)
+        if all(str(conditions.get(key)) == text for key, text in where.items()):
+            found.setdefault(name, value)
+        else:
+            missing.setdefault(name, next(iter(where)))
+    lacking = [name for name in missing if name not in found]
+    if lacking:
+        name = lacking[0]
+        raise InvalidInput(
+            name,
+            found="values for some conditions only, and none for these",
+            expected=f"a value of {missing[name]!r}",
+            hint=f"use fit.values_for({missing[name]}=...)",
+        )
+    return found
+
+
+def _length(errors: FloatArray, unit: str) -> float:
+    """Root mean square of errors [mm]."""
+    squares = errors if unit == "mm^2" else errors**2
+    return math.sqrt(float(np.mean(squares)))
+
+
+def in_shown_unit(unit: str, value: float) -> float:
+    """Convert a value to the unit in which people read it: mm and degrees."""
+    return value * SHOWN_UNITS.get(unit, (unit, 1.0))[1]
+
+
+def _shown_value(estimate: Estimate) -> str:
+    """Value with its unit for people; a dash where the data do not determine it."""
+    if not estimate.is_known:
+        return "-"
+    unit = SHOWN_UNITS.get(estimate.unit, (estimate.unit, 1.0))[0]
+    text = f"{in_shown_unit(estimate.unit, estimate.value):.4g}"
+    return text if unit in ("", "-") else f"{text} {unit}"
+
+
+def _shown_interval(estimate: Estimate) -> str:
+    """Interval with its unit for people, and what the data leave open."""
+    if estimate.word == "frozen":
+        return "fixed"
+    if not estimate.is_assessed:
+        return "not computed"
+    shown = SHOWN_UNITS.get(estimate.unit, (estimate.unit, 1.0))[0]
+    unit = "" if shown in ("", "-") else f" {shown}"
+    low, high = (
+        None if end is None else f"{in_shown_unit(estimate.unit, end):.4g}"
+        for end in (estimate.low, estimate.high)
+    )
+    if low and high:
+        return f"{low} to {high}{unit}"
+    if low or high:
+        return f"at least {low}{unit}" if low else f"at most {high}{unit}"
+    if estimate.bounds is None:
+        return "anything"
+    ends = [f"{in_shown_unit(estimate.unit, end):.4g}" for end in estimate.bounds]
+    return f"anything in {ends[0]} to {ends[1]}{unit}"
+
+
+def _rows(estimates: Sequence[Estimate]) -> list[tuple[str, ...]]:
+    values = [_shown_value(own) for own in estimates]
+    width = max(len("value"), *map(len, values))
+    rows: list[tuple[str, ...]] = []
+    for own, value in zip(estimates, values, strict=True):
+        verdict = own.verdict if own.verdict != "frozen" else ""
+        if own.reason and not own.is_known:
+            verdict = f"{verdict}: {own.reason}"
+        rows.append((own.label, value.rjust(width), _shown_interval(own), verdict or "-"))
+    return rows
+
+
+def _plain(one: ParameterSet, calibration_id: int, outcome: CalibrationResult) -> dict[str, Any]:
+    return {
+        "calibration": calibration_id,
+        "how": one.how,
+        "experiments": [outcome.keys[m] for m in one.members],
+        "misfit": list(one.misfit),
+        "misfit_ratio": _finite(one.misfit_ratio),
+        "parameters": dict(zip(outcome.labels, one.values(outcome.labels).tolist(), strict=True)),
+        "best_fit": dict(zip(outcome.labels, one.point.tolist(), strict=True)),
+        "errors": [_finite(error) for error in one.errors.tolist()],
+        "evaluations": 0 if one.trace is None else len(one.trace.errors),
+        "ended": "" if one.trace is None else one.trace.ended,
+        "seconds": one.seconds,
+        "note": one.note,
+        "noise": one.noise,
+        "solutions": [dict(zip(outcome.labels, s, strict=True)) for s in one.solutions.tolist()],
+        "estimates": [estimate.stored() for estimate in one.estimates],
+    }
+
+
+def _finite(error: float) -> float | None:
+    return error if math.isfinite(error) else None

@@ -1,0 +1,331 @@
+"""Experiments of a project to calibrate, and the calibrations that it stores."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.calibration.target import Target, target_of
+from fixel.database.project import Project
+from fixel.database.store import Store
+from fixel.errors import InvalidInput
+from fixel.io.atomic import written_whole
+from fixel.io.damaged_files import readable
+from fixel.io.lock import FileLock
+from fixel.jobs import folder as files
+from fixel.jobs.functions import callable_by_jobs
+from fixel.model import Parameters, Provenance
+from fixel.model.records import CalibrationRecord, Evaluations, Member
+from fixel.model.selection import ExperimentQuery
+from fixel.model.space import ParameterSpace, Unknown
+from fixel.workflows import jobs
+from fixel.workflows.calibration.calibration import Calibrations
+from fixel.workflows.calibration.commands import command_of
+from fixel.workflows.calibration.request import TARGETS, CalibrationRequest
+from fixel.workflows.calibration.result import SEARCHED, ParameterSet
+from fixel.workflows.calibration.stored_run import collect, plan_in
+from fixel.workflows.project.filters import check_known_names
+
+STORE_RESULT: Final = "calibration-result:store_result"  # what follows a job in the background
+STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
+MEMBERS_A_GROUP: Final = 5  # experiments for each value of a condition that a sample is spread over
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExperimentSelection:
+    """Experiments to calibrate.
+
+    Attributes
+    ----------
+    ids : list of int
+    targets : list of Target
+    left_out : dict from key to reason
+        Those that cannot be compared.
+    sample_of : int, optional
+        Number of experiments that these were drawn from at random; None where they are all.
+    command : str
+        Shell command that selected them.
+    """
+
+    ids: list[int]
+    targets: list[Target]
+    left_out: Mapping[str, str]
+    sample_of: int | None = None
+    command: str = ""
+
+    def __iter__(self) -> Iterator[Target]:
+        return iter(self.targets)
+
+    def check_some(self, which: str, hint: str) -> None:
+        """Raise `InvalidInput` if there are none."""
+        if not self.targets:
+            reason = next(iter(self.left_out.values()), "")
+            raise InvalidInput(
+                "experiments",
+                found=f"none to calibrate with{f' ({reason})' if reason else ''}",
+                expected=f"one at least {which}",
+                hint=hint,
+            )
+
+
+def select_experiments(
+    store: Store, keys: Sequence[str], query: ExperimentQuery
+) -> ExperimentSelection:
+    """Select experiments by name, or by what they have in common.
+
+    Named ones must be fit for it, and count once under whatever names; of a listing, those that are
+    not are left out with a reason.
+    """
+    ids = list(dict.fromkeys(store.find(key) for key in keys))
+    if not ids:
+        ids = [summary.id for summary in store.experiments(query).rows]
+        if not ids:
+            check_known_names(store, query)
+    found = comparable(store, ids, strict=bool(keys))
+    found.check_some("with a scene and measured poses", "see what there is: fixel list")
+    return found
+
+
+def comparable(store: Store, ids: Sequence[int], *, strict: bool = False) -> ExperimentSelection:
+    """Select the experiments that can be compared with simulations; raise if `strict` and not."""
+    targets: dict[int, Target] = {}
+    left_out: dict[str, str] = {}
+    for experiment_id in ids:
+        experiment = store.experiment(experiment_id)
+        try:
+            targets[experiment_id] = target_of(experiment)
+        except InvalidInput as problem:
+            if strict:
+                raise
+            left_out[experiment.key] = str(problem)
+    return ExperimentSelection(ids=list(targets), targets=list(targets.values()), left_out=left_out)
+
+
+def draw_sample(chosen: ExperimentSelection, count: int, seed: int) -> ExperimentSelection:
+    """A random part of the chosen experiments, in which every condition keeps its share.
+
+    Parameters
+    ----------
+    chosen : ExperimentSelection
+    count : int
+        Experiments wanted; all are kept where there are no more.
+    seed : int
+        Seed of the draw.
+    """
+    n = len(chosen.ids)
+    if count >= n:
+        return chosen
+    groups: dict[tuple[tuple[str, str], ...], list[int]] = {}
+    kinds = _grouping([target.conditions for target in chosen.targets])
+    for k, target in enumerate(chosen.targets):
+        key = tuple((name, str(target.conditions.get(name, ""))) for name in kinds)
+        groups.setdefault(key, []).append(k)
+    draw = np.random.default_rng(seed)
+    # Shuffled within each group, then taken at even distances along all groups one after another:
+    # each gives its share, to one experiment.
+    order = [k for key in sorted(groups) for k in draw.permutation(groups[key]).tolist()]
+    first = draw.random()
+    places = ((first + np.arange(count)) * n / count).astype(int)
+    kept = sorted(order[place] for place in places.tolist())
+    return ExperimentSelection(
+        ids=[chosen.ids[k] for k in kept],
+        targets=[chosen.targets[k] for k in kept],
+        left_out=chosen.left_out,
+        sample_of=n,
+    )
+
+
+def _grouping(conditions: Sequence[Mapping[str, str | float]]) -> list[str]:
+    """Conditions that sort experiments into groups, not those that number them."""
+    names = sorted({name for own in conditions for name in own})
+    most = max(1, len(conditions) // MEMBERS_A_GROUP)
+    return [
+        name for name in names if 1 < len({str(own.get(name, "")) for own in conditions}) <= most
+    ]
+
+
+def stored_points(project: Project, space: ParameterSpace) -> list[list[float]]:
+    """Values of the free parameters in all stored calibrations that have them, each set once."""
+    labels = space.labels
+    points: dict[tuple[float, ...], None] = {}
+    with project.store() as store:
+        for calibration_id in store.calibrations():
+            parameters = store.calibration(calibration_id).parameters
+            if all(label in parameters for label in labels):
+                points[tuple(parameters[label] for label in labels)] = None
+    return [list(point) for point in points]
+
+
+def add_to_project(project: Project, run: Calibrations) -> Calibrations:
+    """Store the calibrations of a run in a project; those of a job are stored once.
+
+    Parameters
+    ----------
+    project : Project
+        Project that contains the experiments.
+    run : Calibrations
+
+    Returns
+    -------
+    Calibrations
+        The same, with the ids of the stored calibrations.
+
+    Raises
+    ------
+    NotStored
+        An experiment is not in the project.
+    """
+    with project.store() as store:
+        experiments = [store.find(key) for key in run.outcome.keys]
+        words = [str(number) for number in experiments]
+        command = run.command or command_of(project.folder.resolve(), run.request, words)
+        run = replace(run, command=command)
+        if run.folder is None:
+            ids = [store.add_calibration(record) for record in _records(run, experiments)]
+        else:
+            ids = _stored_once(store, run, experiments, run.folder)
+    return replace(run, ids=tuple(ids))
+
+
+def collected(project: Project, folder: Path) -> Calibrations:
+    """Return the calibrations of a finished job in a project; store them if necessary.
+
+    Raises
+    ------
+    JobRefused
+        Another process is storing them.
+    """
+    return collect(plan_in(folder), folder, project)
+
+
+@callable_by_jobs
+def store_result(folder: Path) -> None:
+    """Store the result of a finished job in the project that contains its folder.
+
+    The process may be killed at any moment: the next one that inspects the job does the rest.
+    """
+    collected(Project.open(folder.resolve().parents[1]), folder)
+
+
+def reopened(project: Project, record: CalibrationRecord) -> Calibrations | None:
+    """The calibration that a stored set of parameters came from; none where its job is gone."""
+    folder = project.folder / jobs.JOBS / str(record.method.get("job", ""))
+    if not ((folder / files.RESULT).is_file() and (folder / STORED).is_file()):
+        return None
+    plan = replace(plan_in(folder), command=record.provenance.command)
+    return collect(plan, folder, project)
+
+
+def experiments_of(project: Project, folder: Path) -> list[int]:
+    """Return the ids of the experiments of a calibration's job."""
+    path = folder / "inputs" / TARGETS
+    with readable(path, f"delete the folder {folder}"):
+        keys = [entry["key"] for entry in json.loads(path.read_text(encoding="utf-8"))]
+    with project.store() as store:
+        return [store.find(key) for key in keys]
+
+
+def stored_ids(folder: Path) -> list[int]:
+    """Load the ids of the calibrations that a job has stored so far."""
+    path = folder / STORED
+    if not path.is_file():
+        return []
+    with readable(path):
+        return [int(number) for number in json.loads(path.read_text())]
+
+
+def _stored_once(
+    store: Store, run: Calibrations, experiments: Sequence[int], folder: Path
+) -> list[int]:
+    """Store what a job found; return the ids, those of an earlier call if it is stored."""
+    path = folder / STORED
+    known = stored_ids(folder)
+    if len(known) == len(run):
+        return known
+    # A page and a command may see the end of a job at the same moment.
+    with FileLock(folder / f"{STORED}.lock", f"the result of {folder}"):
+        known = stored_ids(folder)
+        # One after the other, each noted at once: a crash between costs one doubled record at most.
+        for record in list(_records(run, experiments))[len(known) :]:
+            known.append(store.add_calibration(record))
+            with written_whole(path) as temporary:
+                temporary.write_text(json.dumps(known))
+    return known
+
+
+def _records(run: Calibrations, experiments: Sequence[int]) -> Iterator[CalibrationRecord]:
+    return (_record(run, one, experiments) for one in run.outcome.found)
+
+
+def _record(run: Calibrations, one: ParameterSet, experiments: Sequence[int]) -> CalibrationRecord:
+    request, outcome = run.request, run.outcome
+    keys = [outcome.keys[m] for m in one.members]
+    title = keys[0] if len(keys) == 1 else f"{len(keys)} experiments"
+    unit = request.made_error.unit.replace("^", "")
+    evaluations = None
+    if one.trace is not None:
+        evaluations = Evaluations(
+            names=outcome.labels,
+            values=one.trace.points,
+            error=one.trace.errors,
+            reasons=tuple(one.trace.reasons),
+            unit=unit,
+        )
+    return CalibrationRecord(
+        name=f"{request.name}: {title}, {one.how}",
+        parameters=_parameters(request, one),
+        members=tuple(
+            Member.of(experiments[m], 1.0, error, request.made_error.unit)
+            for m, error in zip(one.members, one.errors.tolist(), strict=True)
+        ),
+        provenance=Provenance(version=version("fixel"), command=run.command, seed=request.seed),
+        method=_method(run, one),
+        evaluations=evaluations,
+        estimates=one.estimates,
+    )
+
+
+def _parameters(request: CalibrationRequest, one: ParameterSet) -> Parameters:
+    """Return the parameters that all members share; the others are among the estimates."""
+    values = request.space.values(one.point)
+    return Parameters({u.name: values[u.label] for u in request.space.unknowns if not u.where})
+
+
+def _without_defaults(unknown: Unknown) -> dict[str, Any]:
+    usual: dict[str, Any] = {"frozen": False, "prior": None, "where": {}}
+    return {k: v for k, v in unknown.plain().items() if k not in usual or v != usual[k]}
+
+
+def _method(run: Calibrations, one: ParameterSet) -> dict[str, str | float]:
+    request = run.request
+    nominal = run.outcome.nominal[list(one.members)]
+    options = {f"optimiser.{k}": v for k, v in request.optimiser.options.items()}
+    options |= {f"error.{k}": v for k, v in request.error.options.items()}
+    return {
+        "how": one.how,
+        "mode": request.mode,
+        **({} if request.sample_of is None else {"sample_of": float(request.sample_of)}),
+        **({} if request.budget is None else {"budget_s": request.budget}),
+        "error": request.error.name,
+        "error_unit": request.made_error.unit,
+        "motion": request.motion,
+        "optimiser": request.optimiser.name,
+        "starts": float(request.starts),
+        "combine": request.combine,
+        **({} if run.folder is None else {"job": run.folder.name}),
+        SEARCHED: json.dumps([_without_defaults(unknown) for unknown in request.unknowns]),
+        "seconds": one.seconds,
+        "nominal_error": float(nominal.mean()),
+        "ended": "" if one.trace is None else one.trace.ended,
+        **({"misfit": "\n".join(one.misfit)} if one.misfit else {}),
+        **({"misfit_ratio": one.misfit_ratio} if math.isfinite(one.misfit_ratio) else {}),
+        **{k: v if isinstance(v, str | float | int) else str(v) for k, v in options.items()},
+    }

@@ -1,0 +1,221 @@
+"""Calibrations with a folder: journal, workers, clusters, and the same call that continues."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from fixel.database.project import SETTINGS, Project
+from fixel.errors import FixelError, Interrupted, InvalidInput
+from fixel.io.damaged_files import readable
+from fixel.io.journal import Journal
+from fixel.jobs import folder as files
+from fixel.jobs.site import Site, load_site
+from fixel.jobs.work import StopRequest, run_work
+from fixel.progress import ProgressOption, show_progress
+from fixel.workflows import jobs
+from fixel.workflows.calibration.calibration import Calibration, Calibrations
+from fixel.workflows.calibration.job import (
+    REQUEST,
+    SearchState,
+    calibration_rounds,
+    comparer_of,
+)
+from fixel.workflows.calibration.request import CalibrationRequest, read_targets, target_files
+from fixel.workflows.calibration.result import outcome_of
+from fixel.workflows.calibration.run import (
+    CalibrationPlan,
+    DirectEngine,
+    best_so_far,
+    reporting,
+)
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+MAKER: Final = "calibration:calibration_work"
+
+
+def run_stored(
+    plan: CalibrationPlan,
+    store: PathLike[str] | str | Project | None,
+    *,
+    threads: int | None = None,
+    workers: int | None = 0,
+    site: PathLike[str] | str | Site | None = None,
+    progress: ProgressOption = None,
+    notify: Callable[[str], None] | None = None,
+) -> Calibrations:
+    """Run or continue a calibration in a folder, in the jobs of a project, or for a moment only.
+
+    Parameters
+    ----------
+    plan : CalibrationPlan
+    store : path, Project or None
+        Folder of the job, or a project; None for a temporary folder.
+    threads, workers, site, progress
+        As for `fixel.calibrate`.
+    notify : callable, optional
+        Called with a sentence when something happens to a worker.
+    """
+    if store is None:
+        with tempfile.TemporaryDirectory(prefix="fixel-") as place:
+            return run_stored(
+                plan, Path(place) / "job", threads=threads, workers=workers, site=site,
+                progress=progress, notify=notify,
+            )  # fmt: skip
+    project = project_at(store)
+    folder = _path(store) if project is None else job_folder(project, plan)
+    prepare_folder(plan, folder)
+    cluster = site if isinstance(site, Site | None) else load_site(Path(site))
+    if jobs.status_of(folder).state != "done":
+        _run(plan, folder, threads, workers, cluster, progress, notify)
+    return collect(plan, folder, project)
+
+
+def project_at(store: PathLike[str] | str | Project) -> Project | None:
+    """Return the project of a `store=`; None for the folder of a single calibration."""
+    folder = _path(store)
+    return Project.open(folder) if (folder / SETTINGS).is_file() else None
+
+
+def _path(store: PathLike[str] | str | Project) -> Path:
+    return store.folder if isinstance(store, Project) else Path(store)
+
+
+def job_folder(project: Project, plan: CalibrationPlan) -> Path:
+    """Return the folder of a calibration in a project; the same one for the same calibration."""
+    digest = hashlib.sha256()
+    for name, content in sorted(_inputs(plan).items()):
+        digest.update(name.encode() + b"\0" + hashlib.sha256(content).digest())
+    return project.folder / jobs.JOBS / f"{plan.request.name}-{digest.hexdigest()[:10]}"
+
+
+def prepare_folder(plan: CalibrationPlan, folder: Path) -> None:
+    """Make the job of a calibration in a folder, if it is not there.
+
+    Raises
+    ------
+    InvalidInput
+        The folder belongs to another calibration; the difference is named.
+    """
+    if not (folder / "job.json").is_file():
+        jobs.prepare_job(folder, maker=MAKER, inputs=_inputs(plan))
+    elif not files.made_by(folder, MAKER):
+        raise InvalidInput("store", found=f"another job in {folder}", expected="a new folder")
+    else:
+        _check_same(plan, folder)
+
+
+def _inputs(plan: CalibrationPlan) -> dict[str, bytes]:
+    return target_files(plan.targets) | {REQUEST: plan.request.model_dump_json().encode()}
+
+
+def _check_same(plan: CalibrationPlan, folder: Path) -> None:
+    """Raise if a folder belongs to another calibration, naming the first difference."""
+    before = request_of(folder)
+    for name in CalibrationRequest.model_fields:
+        own, other = getattr(plan.request, name), getattr(before, name)
+        if own != other:
+            raise InvalidInput(
+                "store",
+                found=f"{folder}, which belongs to a calibration with another"
+                f" {ARGUMENTS.get(name, name)}: {_plain(other)}",
+                expected=f"the same call again, which has {_plain(own)} now",
+                hint="give this calibration a folder of its own",
+            )
+    own = target_files(plan.targets)
+    if own != {name: (folder / "inputs" / name).read_bytes() for name in own}:
+        raise InvalidInput(
+            "store",
+            found=f"{folder}, which belongs to a calibration of other experiments",
+            expected="the same call again",
+            hint="give this calibration a folder of its own",
+        )
+
+
+# Arguments of `calibrate` by the field of a request, where they differ.
+ARGUMENTS: Final = {
+    "unknowns": "parameters",
+    "noise_position": "noise",
+    "noise_angle": "noise",
+    "mode": "function",
+}
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(
+            f"{u.label} = {u.nominal:g}" if u.frozen else f"{u.label} {u.low:g} to {u.high:g}"
+            for u in value
+        )
+    return str(getattr(value, "name", value))
+
+
+def _run(
+    plan: CalibrationPlan,
+    folder: Path,
+    threads: int | None,
+    workers: int | None,
+    site: Site | None,
+    progress: ProgressOption,
+    notify: Callable[[str], None] | None,
+) -> None:
+    settings = jobs.arrange(folder, workers=workers, site=site)
+    local = None
+    if not settings.workers:
+        local = DirectEngine(plan.request, comparer_of(plan.request, plan.targets, threads))
+    with show_progress(progress, "searching") as report:
+        try:
+            jobs.run_here(folder, reporting(report), notify, local)
+        except KeyboardInterrupt:
+            again = f"fixel jobs resume {shlex.quote(str(folder))}"
+            hint = f"the same call with this store continues, or: {again}"
+            raise Interrupted(_best_in(plan, folder), hint) from None
+
+
+def _best_in(plan: CalibrationPlan, folder: Path) -> Calibration | None:
+    """Return the best parameter set in the journal of an interrupted calibration."""
+    comparer = comparer_of(plan.request, plan.targets, None)
+    state = SearchState(plan.request)
+
+    class Nothing(DirectEngine):
+        """Engine that ends where the journal ends."""
+
+        def results(self, *_: Any) -> Any:
+            raise StopRequest
+
+    with suppress(StopRequest, FixelError), Journal(folder / files.JOURNAL) as journal:
+        work = calibration_rounds(plan.request, comparer, state)
+        run_work(work, Nothing(plan.request, comparer), folder, journal)
+    return best_so_far(plan, comparer, state)
+
+
+def collect(plan: CalibrationPlan, folder: Path, project: Project | None) -> Calibrations:
+    """Load the result of a finished job; in a project it is stored, once."""
+    path = folder / files.RESULT
+    with readable(path, f"delete that file, then: fixel jobs resume {shlex.quote(str(folder))}"):
+        outcome = outcome_of(path.read_bytes())
+    run = plan.result(outcome, folder=folder)
+    if project is None:
+        return run
+    from fixel.workflows.calibration.project import add_to_project
+
+    return add_to_project(project, run)
+
+
+def plan_in(folder: Path) -> CalibrationPlan:
+    """Load the plan of a calibration from the folder of its job."""
+    return CalibrationPlan(request=request_of(folder), targets=read_targets(folder / "inputs"))
+
+
+def request_of(folder: Path) -> CalibrationRequest:
+    """Load the request of a calibration's job."""
+    path = folder / "inputs" / REQUEST
+    with readable(path, f"delete the folder {folder}"):
+        return CalibrationRequest.model_validate_json(path.read_bytes())

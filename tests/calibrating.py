@@ -1,0 +1,38 @@
+"""Steps of a stored calibration one by one, for tests that interrupt or inspect it between them."""
+
+from dataclasses import replace
+
+from fixel.workflows import jobs
+from fixel.workflows.calibration import stored_run
+from fixel.workflows.calibration.project import (
+    ExperimentSelection,
+    collected,
+    draw_sample,
+    select_experiments,
+)
+from fixel.workflows.calibration.run import CalibrationPlan
+
+__all__ = ["ExperimentSelection", "collected", "draw_sample", "select_experiments"]
+
+
+def prepare(project, chosen, request):
+    """Prepare the job of a request on selected experiments; return its folder."""
+    request.check()
+    plan = CalibrationPlan(request=request, targets=chosen.targets)
+    plan.rehearse()
+    folder = stored_run.job_folder(project, plan)
+    stored_run.prepare_folder(plan, folder)
+    return folder
+
+
+def run(folder, progress=None):
+    """Run a job in this process, or continue it."""
+    if jobs.status_of(folder).state != "done":
+        jobs.arrange(folder)
+        jobs.run_here(folder, progress)
+
+
+def collect(project, folder, command, left_out):
+    """Store what a job has found, once."""
+    plan = replace(stored_run.plan_in(folder), command=command, left_out=left_out)
+    return stored_run.collect(plan, folder, project)
