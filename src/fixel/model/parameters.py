@@ -147,7 +147,8 @@ def info_of(name: str) -> ParameterInfo:
         "parameters",
         found=repr(name),
         expected="a known parameter",
-        hint=(f"did you mean {close[0]!r}? " if close else "") + "fixel.known_parameters() lists all",
+        hint=(f"did you mean {close[0]!r}? " if close else "")
+        + "fixel.known_parameters() lists all",
     )
 
 

@@ -74,8 +74,9 @@ class Calibration(Result, Mapping[str, float]):
     Examples
     --------
     >>> import fixel
-    >>> from fixel.testing import example_pushes
-    >>> fit = fixel.calibrate(example_pushes(2), {"mu_pusher": (0, 1)}, progress=False)
+    >>> from fixel.testing.pushes import example_pushes
+    >>> space = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    >>> fit = fixel.calibrate(example_pushes(2), space, progress=False)
     >>> fit.identified
     ('mu_pusher',)
     >>> fit.estimates["mu_pusher"].verdict
@@ -352,9 +353,9 @@ class Calibration(Result, Mapping[str, float]):
     def _summary(self) -> Summary:
         tables = [
             Table(
-                ("parameter", "value", f"{100 * self.level:g} % interval", "verdict"),
+                ("parameter", "value", f"{100 * self.level:g} % interval", "best fit", "verdict"),
                 _rows(list(self.estimates.values())),
-                left=4,
+                left=5,
             )
         ]
         notes = [self._error_note(), *self._misfit_notes()]
@@ -633,7 +634,9 @@ def _rows(estimates: Sequence[Estimate]) -> list[tuple[str, ...]]:
         verdict = own.verdict if own.verdict != "frozen" else ""
         if own.reason and not own.is_known:
             verdict = f"{verdict}: {own.reason}"
-        rows.append((own.label, value.rjust(width), _shown_interval(own), verdict or "-"))
+        best = own.best_fit if own.is_assessed and own.word != "frozen" else None
+        fitted = "" if best is None else f"{in_shown_unit(own.unit, best):.4g}"
+        rows.append((own.label, value.rjust(width), _shown_interval(own), fitted, verdict or "-"))
     return rows
 
 

@@ -6,24 +6,29 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fixel.calibration.target import Target
 from fixel.drawing.calibration import BEFORE, ErrorsChart, OffsetsChart, Quantity, SecondsChart
+from fixel.drawing.chart import plot_axes
 from fixel.drawing.overlay import OverlayChart, Track
 from fixel.drawing.profiles import ParametersChart, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
+from fixel.errors import InvalidInput
 from fixel.model import Parameters, placed
 from fixel.model.records import Estimate
 from fixel.simulation import Simulation, simulate
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.calibration import Calibrations
+from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.report_data import CalibrationReportData, title_of
 from fixel.workflows.calibration.result import FitKind, ParameterSet
 from fixel.workflows.figures import Picture, make_folder, write_picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SAMPLES: Final = 200  # minimum number of samples of a simulation
 MAX_OTHERS: Final = 3
@@ -55,6 +60,46 @@ def draw_all(calibration: Calibrations, folder: Path) -> list[Path]:
     make_folder(folder)
     pictures = pictures_of(CalibrationReportData(calibration))
     return [path for picture in pictures for path in write_picture(folder, picture)]
+
+
+# --- plots of a single result -------------------------------------------------------------------
+
+
+def plot_parameters(fit: Calibration, ax: Axes | None = None) -> Any:
+    """Draw values and intervals, each between the bounds of its search; return the axes."""
+    return plot_axes(_parameters_chart(_data(fit), "", fit.found).figure, ax)
+
+
+def plot_profiles(fit: Calibration, ax: Axes | None = None) -> Any:
+    """Draw the profile likelihood of each parameter; return the axes."""
+    if not fit.found.profiles:
+        raise InvalidInput(
+            "kind",
+            found="'profiles' of a calibration without verdicts",
+            expected="one with verdicts",
+            hint=fit.found.note or "calibrate with verdicts=True",
+        )
+    return plot_axes(_profiles_chart(_data(fit), "", fit.found).figure, ax)
+
+
+def plot_search(fit: Calibration, ax: Axes | None = None) -> Any:
+    """Draw the error against the evaluation, with the best so far; return the axes."""
+    if fit.found.trace is None:
+        raise InvalidInput("kind", found="'search' of a result without one", expected="another")
+    return plot_axes(_search_chart(_data(fit), [("", fit.found)]).figure, ax)
+
+
+def plot_errors(fit: Calibration, ax: Axes | None = None) -> Any:
+    """Draw the error of every experiment before and after the calibration; return the axes."""
+    lengths = _data(fit).lengths
+    before = fit.run.outcome.nominal[list(fit.found.members)]
+    series = {BEFORE: lengths(before), "after": lengths(fit.found.errors)}
+    chart = ErrorsChart(keys=fit.keys_of_experiments, series=series, unit="mm")
+    return plot_axes(chart.figure, ax)
+
+
+def _data(fit: Calibration) -> CalibrationReportData:
+    return CalibrationReportData(fit.run)
 
 
 # --- which pictures -----------------------------------------------------------------------------

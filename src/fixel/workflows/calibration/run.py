@@ -182,10 +182,13 @@ def calibrate(
     Examples
     --------
     >>> import fixel
-    >>> from fixel.testing import example_pushes
-    >>> fit = fixel.calibrate(example_pushes(2), {"mu_pusher": (0, 1)}, progress=False)
-    >>> print(f"{fit['mu_pusher']:.2f}", fit.verdicts)
-    0.25 {'mu_pusher': 'identified'}
+    >>> from fixel.testing.pushes import example_pushes
+    >>> space = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    >>> fit = fixel.calibrate(example_pushes(2), space, progress=False)
+    >>> fit.identified
+    ('mu_pusher',)
+    >>> print(f"{fit['mu_pusher']:.2f}")
+    0.25
     """
     return _calibrated(
         "joint",
@@ -234,9 +237,9 @@ def calibrate_each(
     Examples
     --------
     >>> import fixel
-    >>> from fixel.testing import example_pushes
-    >>> pushes = example_pushes(2)
-    >>> fits = fixel.calibrate_each(pushes, {"mu_pusher": (0, 1)}, verdicts=False, progress=False)
+    >>> from fixel.testing.pushes import example_pushes
+    >>> pushes, space = example_pushes(2), {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    >>> fits = fixel.calibrate_each(pushes, space, verdicts=False, progress=False)
     >>> [round(fit["mu_pusher"], 2) for fit in fits]
     [0.25, 0.25]
     """
@@ -265,11 +268,9 @@ def calibrate_campaign(
     Examples
     --------
     >>> import fixel
-    >>> from fixel.testing import example_pushes
-    >>> pushes = example_pushes(2)
-    >>> fits = fixel.calibrate_campaign(
-    ...     pushes, {"mu_pusher": (0, 1)}, verdicts=False, progress=False
-    ... )
+    >>> from fixel.testing.pushes import example_pushes
+    >>> pushes, space = example_pushes(2), {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    >>> fits = fixel.calibrate_campaign(pushes, space, verdicts=False, progress=False)
     >>> round(fits.joint["mu_pusher"], 2)
     0.25
     """

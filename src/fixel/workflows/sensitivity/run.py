@@ -14,8 +14,8 @@ from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.formats import load_scene
 from fixel.model import Experiment, Scene
-from fixel.model.space import split_label
 from fixel.model.selection import ExperimentQuery
+from fixel.model.space import split_label
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import AbstractMotionModel, Dynamic
 from fixel.simulation.stepper import AbstractStepper
