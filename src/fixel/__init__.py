@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fixel.calibration.noise import Noise as Noise
     from fixel.calibration.usual_parameters import known_parameters as known_parameters
+    from fixel.database.project import Project as Project
+    from fixel.datasets import Experiments as Experiments
     from fixel.errors import (
         FixelError as FixelError,
         Interrupted as Interrupted,
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
         Body as Body,
         Disk as Disk,
         Ellipsoid as Ellipsoid,
+        Experiment as Experiment,
         Fixel as Fixel,
         LineDrive as LineDrive,
         NoSupport as NoSupport,
@@ -55,6 +58,11 @@ if TYPE_CHECKING:
         simulate as simulate,
         simulate_batch as simulate_batch,
     )
+    from fixel.workflows.experiments import read_experiments as read_experiments
+    from fixel.workflows.project.comparison import (
+        Comparison as Comparison,
+        compare as compare,
+    )
 
     from fixel.filtering.recorded import FilterRun as FilterRun
     from fixel.uncertainty.outcomes import Sensitivity as Sensitivity
@@ -80,11 +88,14 @@ if TYPE_CHECKING:
 _NAMES = {
     "fixel.calibration.noise": "Noise",
     "fixel.calibration.usual_parameters": "known_parameters",
+    "fixel.database.project": "Project",
+    "fixel.datasets": "Experiments",
     "fixel.errors": "FixelError Interrupted InvalidInput MissingExtra SolveFailed StoreRefused",
     "fixel.formats": "load_scene",
     "fixel.io": "load",
-    "fixel.model": "Body Disk Ellipsoid Fixel LineDrive NoSupport PairFriction Parameters PathDrive"
-    " Plane Polygon Pusher Scene Seated SupportPoints Trajectory Tripod UniformPressure",
+    "fixel.model": "Body Disk Ellipsoid Experiment Fixel LineDrive NoSupport PairFriction"
+    " Parameters PathDrive Plane Polygon Pusher Scene Seated SupportPoints Trajectory Tripod"
+    " UniformPressure",
     "fixel.model.records": "Estimate",
     "fixel.model.space": "Parameter",
     "fixel.simulation": "Adaptive BatchResult Dynamic FirstOrder GaussSeidel Lemke Newton"
@@ -99,6 +110,8 @@ _NAMES = {
     "fixel.workflows.calibration.run": "calibrate calibrate_campaign calibrate_each",
     "fixel.workflows.sensitivity.run": "sensitivity",
     "fixel.workflows.uncertainty.prediction": "predict",
+    "fixel.workflows.experiments": "read_experiments",
+    "fixel.workflows.project.comparison": "Comparison compare",
 }
 _HOME_OF = {name: module for module, names in _NAMES.items() for name in names.split()}
 
@@ -111,6 +124,8 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         value: Any = version("fixel")
+    elif name in ("datasets", "units"):
+        value = import_module(f"fixel.{name}")
     elif name in _HOME_OF:
         value = getattr(import_module(_HOME_OF[name]), name)
     else:

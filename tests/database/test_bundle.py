@@ -72,7 +72,7 @@ def experiment(name="1", **more):
 
 def fill(store):
     """A bit of everything there can be."""
-    video = arrays.keep(b"film" * 1000, store._media)
+    video = arrays.keep(b"film" * 1000, store.media)
     a = store.add_experiment(experiment(flags=[Flag("late", "by 2 s")], video=video)).id
     store.add_experiment(experiment("fixed"))
     b = store.add_experiment(experiment("fixed", contact_mode="110")).id
@@ -192,7 +192,7 @@ def test_round_trip_loses_nothing(store, tmp_path):
         assert store.calibration(1).evaluations == other.calibration(1).evaluations
         assert [m.experiment_id for m in other.calibration(1).members] == [theirs[0], theirs[3]]
         video = other.experiment(theirs[0]).video
-        assert arrays.fetch(video, other._media) == b"film" * 1000
+        assert arrays.fetch(video, other.media) == b"film" * 1000
 
 
 def test_both_ways_give_the_same_bytes(store, tmp_path):

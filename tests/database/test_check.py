@@ -8,8 +8,8 @@ import sqlalchemy as sa
 
 from fixel.database import arrays, project
 from fixel.database.engine import writing
+from fixel.database.project import Project
 from fixel.errors import StoreRefused
-from fixel.workflows.project import maintenance
 
 
 def importing():
@@ -56,12 +56,12 @@ def spoil(store, table, statement):
 
 
 def only_trouble(folder):
-    (trouble,) = maintenance.check(folder).troubles
+    (trouble,) = Project(folder).check().troubles
     return trouble
 
 
 def test_nothing_wrong(store, folder):
-    found = maintenance.check(folder)
+    found = Project(folder).check()
     assert found.troubles == ()
     assert (found.engine, found.version) == (store._engine.dialect.name, "0004")
     assert (found.counts["experiment"], found.counts["series"], found.counts["flag"]) == (3, 6, 3)
@@ -86,12 +86,12 @@ def test_a_file_of_nobody_that_changed(folder):
     stray.parent.mkdir(exist_ok=True)
     stray.write_bytes(b"x")
     assert only_trouble(folder).where == f"file {stray}"
-    assert maintenance.check(folder).unused_files == 1
+    assert Project(folder).check().unused_files == 1
 
 
 def test_what_a_killed_writer_left_is_no_trouble(folder):
     media_of(folder).with_name(".half.123").write_bytes(b"x")
-    assert maintenance.check(folder).troubles == ()
+    assert Project(folder).check().troubles == ()
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_what_a_killed_writer_left_is_no_trouble(folder):
 )
 def test_rows_that_were_changed(store, folder, table, statement, where, sentence):
     spoil(store, table, statement)
-    assert maintenance.check(folder).troubles[0][:2] == (where, sentence)
+    assert Project(folder).check().troubles[0][:2] == (where, sentence)
 
 
 def test_a_video_that_is_gone(store, folder):
@@ -148,18 +148,18 @@ def test_a_row_without_what_it_names(store, folder):
         raw.execute("UPDATE flag SET experiment_id = 99 WHERE id = 1")
         raw.execute("PRAGMA foreign_keys = ON")
         raw.execute("BEGIN")
-    found = [trouble[:2] for trouble in maintenance.check(folder).troubles]
+    found = [trouble[:2] for trouble in Project(folder).check().troubles]
     assert ("flag", "1 row of flag without their experiment_id") in found
 
 
 def test_upgrade_says_both_versions(folder):
-    assert maintenance.upgrade(folder) == ("0004", "0004")
+    assert Project(folder).upgrade() == ("0004", "0004")
 
 
 def test_a_server_makes_its_own_backups(store, folder):
     if store._engine.dialect.name == "sqlite":
-        assert maintenance.backup(folder, folder / "b.db").size > 0
+        assert Project(folder).backup(folder / "b.db").size > 0
         return
     with pytest.raises(StoreRefused, match=r"run: pg_dump --format=custom --file=\S+b\.db"):
-        maintenance.backup(folder, folder / "b.db")
+        Project(folder).backup(folder / "b.db")
     assert not (folder / "b.db").exists()

@@ -14,7 +14,6 @@ from tests.web.conftest import laboratory, trusted_laboratory  # noqa: F401
 from fixel.database.project import Project
 from fixel.errors import FixelError
 from fixel.model import Channel, Experiment, Provenance, Trajectory
-from fixel.workflows.project import maintenance
 
 FROZEN = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger'"
 
@@ -127,7 +126,7 @@ SCHEMA = {
 def found(folder):
     """Troubles, or the refusal that somebody gets."""
     try:
-        return maintenance.check(folder).troubles
+        return Project(folder).check().troubles
     except FixelError as refused:
         return (refused,)
 

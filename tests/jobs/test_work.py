@@ -140,7 +140,7 @@ def test_what_a_chunk_function_may_answer(inputs):
         "../os:system",
         "fixel.testing.toy_work:evaluate",  # a path, not a name
         "fixel.database.arrays:fetch",  # public, and not meant for jobs
-        "fixel.workflows.project.importing:import_plan",
+        "fixel.datasets.reading:plan_import",
         "fixel.jobs.folder:prepare",
         "fixel.cli.main:run",
         "fixel.workflows.domain.work:domain_work",

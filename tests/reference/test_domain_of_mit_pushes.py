@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from tests.fixtures import project_of
 
+from fixel.datasets import plan_import
 from fixel.workflows.domain.request import DomainRequest
 from fixel.workflows.domain.run import map_domain
-from fixel.workflows.project.importing import import_plan
 
 
 def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root: Path, tmp_path: Path) -> None:
     """Every sixth of 360 pushes; a published simulator is off by 2.7 mm on average there."""
-    plan = import_plan(data_root / "mit_push_endpoints")
+    plan = plan_import(data_root / "mit_push_endpoints")
     project = project_of(tmp_path / "lab", islice(plan.experiments(), 0, 360, 6))
     asked = DomainRequest(
         axes=("contact_angle_rad",),

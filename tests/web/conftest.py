@@ -41,10 +41,10 @@ def laboratory(tmp_path_factory) -> Path:
 
 def _simulate(store, numbers):
     """Stored simulations with nominal values, as `fixel compare --save` keeps them."""
-    from fixel.workflows.project.compare import comparison
+    from fixel.workflows.project.compare import compare_run
 
     for number in numbers:
-        answer = comparison(store.experiment(number))
+        answer = compare_run(store.experiment(number))
         store.add_simulation(answer.record(number, "fixel compare --save"))
 
 

@@ -19,7 +19,7 @@ from collections import Counter
 import pytest
 from tests.processes import line_of
 
-from fixel.workflows.project import maintenance
+from fixel.database.project import Project
 
 ALL = list(range(1, 31))
 MARKED, DELETED = ALL[10:], ALL[:10]  # so that the acts of one writer do not meet another's
@@ -123,7 +123,7 @@ def storm(folder, kills, seed):
 
 
 def _whole(folder, notes, flags, deletions, simulations):
-    found = maintenance.check(folder)
+    found = Project(folder).check()
     assert found.troubles == ()
     file = f"file:{folder / 'experiments.db'}?mode=ro"
     with contextlib.closing(sqlite3.connect(file, uri=True)) as records:

@@ -18,7 +18,7 @@ from fixel.web.pages.site import project_pages
 from fixel.web.project import project_api
 from fixel.web.security import WORD_HEADER, Gate
 from fixel.web.views import scene_editor
-from fixel.workflows.project.compare import comparison
+from fixel.workflows.project.compare import compare_run
 
 
 class Bench:
@@ -79,7 +79,7 @@ def test_a_comparison_is_that_of_the_workflow(bench):
     assert offered["sets"][0]["kind"] == "nominal"
     assert offered["sliders"][0]["unit"] == "-"
     answer = bench.post("/experiments/1/comparison", {"parameters": {"mu_support": 0.4}}).json()
-    own = comparison(bench.context.store.experiment(1), {"mu_support": 0.4})
+    own = compare_run(bench.context.store.experiment(1), {"mu_support": 0.4})
     assert answer["error_mm2"] == pytest.approx(own.error_mm2)
     contacts = answer["motion"]["contacts"]
     assert unpacked(contacts["force_n"]).shape == unpacked(contacts["point_m"]).shape
@@ -113,7 +113,7 @@ def test_nominal_simulations_are_kept_once(bench):
     (kept,) = store.simulations(8)
     record = store.simulation(kept)
     assert record.provenance.command.endswith(" --save")
-    assert record.error_mm2 == pytest.approx(comparison(store.experiment(8)).error_mm2)
+    assert record.error_mm2 == pytest.approx(compare_run(store.experiment(8)).error_mm2)
     row = bench.get("/experiments?filter=before>0&limit=1&sort=id").json()
     assert row["experiments"][0]["before_mm"] > 0
     store.delete([bare, stuck])

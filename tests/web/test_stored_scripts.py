@@ -83,9 +83,9 @@ def poisoned(folder):
 
 
 def _keep_simulation(store, number, evil):
-    from fixel.workflows.project.compare import comparison
+    from fixel.workflows.project.compare import compare_run
 
-    store.add_simulation(comparison(store.experiment(number)).record(number, f"fixel {evil}"))
+    store.add_simulation(compare_run(store.experiment(number)).record(number, f"fixel {evil}"))
 
 
 @pytest.fixture(scope="module")

@@ -27,10 +27,10 @@ def upgrade(
     place: ProjectPlace = None, folder: ProjectFolder = Path(), as_json: AsJson = False
 ) -> None:
     """Bring the tables up to date, or leave them be."""
-    from fixel.workflows.project import maintenance
+    from fixel.database.project import Project
 
     project = project_at(place, folder)
-    versions = maintenance.upgrade(project)
+    versions = Project(project).upgrade()
     print_answer(as_json, versions._asdict, lambda: _upgraded(versions, project))
 
 
@@ -42,9 +42,9 @@ def backup(
     as_json: AsJson = False,
 ) -> None:
     """Copy the database, while others may go on using it."""
-    from fixel.workflows.project import maintenance
+    from fixel.database.project import Project
 
-    done = maintenance.backup(project_at(place, folder), file)
+    done = Project(project_at(place, folder)).backup(file)
     print_answer(
         as_json,
         lambda: done._asdict() | {"file": str(done.file), "media": str(done.media)},
@@ -65,10 +65,10 @@ def check(
 
     Exit code 1 if there are any.
     """
-    from fixel.workflows.project import maintenance
+    from fixel.database.project import Project
 
     project = project_at(place, folder)
-    found = maintenance.check(project)
+    found = Project(project).check()
     print_answer(
         as_json,
         found.summary,

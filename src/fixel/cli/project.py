@@ -26,9 +26,9 @@ from fixel.table import Column, Table
 
 if TYPE_CHECKING:
     from fixel.database.browsing import ExperimentPage
+    from fixel.database.project import AddSummary
     from fixel.model.selection import ExperimentRow
     from fixel.workflows.project.export import ExportAnswer
-    from fixel.workflows.project.importing import ImportSummary
 
 MAX_ROWS = 30
 
@@ -47,7 +47,7 @@ def new(
     """Make a project: a folder with settings, a database and media."""
     from fixel.database.project import Project
 
-    name = Project.create(folder, database).settings.name
+    name = Project.create(folder, database=database).settings.name
     print_answer(
         as_json,
         lambda: {"folder": str(folder), "name": name},
@@ -81,14 +81,15 @@ def import_(
 ) -> None:
     """Import recorded experiments; those stored already are skipped."""
     from fixel.database.project import Project
-    from fixel.workflows.project.importing import import_experiments, import_plan, write_template
+    from fixel.datasets import plan_import
+    from fixel.workflows.project.importing import write_template
 
     if source.suffix.lower() == ".zip" and importer is None:
         _import_bundle(source, folder, dry_run, as_json)
         return
     if not dry_run:
-        project = Project.open(folder)
-    plan = import_plan(source, importer, option or (), scene)
+        project = Project(folder)
+    plan = plan_import(source, importer, scene=scene, options=dict(map(_pair, option or ())))
     content: dict[str, Any] = {
         "importer": plan.importer,
         "source": str(source),
@@ -103,7 +104,7 @@ def import_(
         return
     if not as_json:
         typer.echo("\n".join(lines))
-    done = import_experiments(project, plan, progress_bar("Importing"))
+    done = project.add(plan)
     template = write_template(plan, project.folder)
     if template is not None:
         content |= {
@@ -111,6 +112,13 @@ def import_(
             "next": shlex.join(["fixel", *sys.argv[1:], "--scene", str(template)]),
         }
     print_imported(done, content, as_json, folder)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals or not name:
+        raise InvalidInput("option", found=repr(text), expected="NAME=VALUE")
+    return name, value
 
 
 def _without_dry_run() -> str:
@@ -122,7 +130,7 @@ def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> 
     from fixel.database.project import Project
     from fixel.workflows.project.export import import_zip
 
-    counts = import_zip(Project.open(folder), source, progress_bar("Importing"), dry_run=dry_run)
+    counts = import_zip(Project(folder), source, progress_bar("Importing"), dry_run=dry_run)
     verb = "would add" if dry_run else "added"
     found = ", ".join(f"{n} {kind}" for kind, n in counts.items() if n) or "nothing"
     following = _without_dry_run() if dry_run else command_of("list", project=folder)
@@ -134,7 +142,7 @@ def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> 
 
 
 def print_imported(
-    done: "ImportSummary", content: dict[str, Any], as_json: bool, folder: Path
+    done: "AddSummary", content: dict[str, Any], as_json: bool, folder: Path
 ) -> None:
     """Print how many experiments were stored; `content` is more for the JSON answer."""
     known = f", {done.known} were there already" if done.known else ""
@@ -172,7 +180,7 @@ def list_(
     from fixel.model.selection import parse_filter
     from fixel.workflows.project.importing import list_experiments, overview
 
-    project = Project.open(folder)
+    project = Project(folder)
     marks = {"real": real is True, "simulated": real is False, "deleted": deleted}
     query = parse_filter(
         *(where or ()),

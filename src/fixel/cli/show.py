@@ -24,7 +24,7 @@ from fixel.table import Column, Table
 
 if TYPE_CHECKING:
     from fixel.model import Experiment, Parameters
-    from fixel.workflows.project.compare import Comparison
+    from fixel.workflows.project.compare import RunComparison
 
 MAX_ROWS = 20
 
@@ -88,7 +88,7 @@ def compare(
     from fixel.database.project import Project
     from fixel.simulation.motion import MOTION_MODELS
     from fixel.workflows.calibration.stored import parameters_of
-    from fixel.workflows.project.compare import comparison
+    from fixel.workflows.project.compare import compare_run
 
     require_picture(plot)
     parameters = _parameters(set_ or [])
@@ -100,7 +100,7 @@ def compare(
         if calibration is not None:
             parameters, model = parameters_of(store, calibration, experiment, parameters, model)
         _compile(experiment, as_json)
-        answer = comparison(experiment, parameters, model)
+        answer = compare_run(experiment, parameters, model)
         command = _command("compare", experiment, project, set_ or [], motion, calibration)
         saved = store.add_simulation(answer.record(number, command)) if save else None
     if plot is not None:
@@ -255,7 +255,7 @@ def _compile(experiment: "Experiment", as_json: bool) -> None:
         get_ready(experiment.scene, notice(as_json))
 
 
-def _draw(answer: "Comparison", plot: Path) -> None:
+def _draw(answer: "RunComparison", plot: Path) -> None:
     from fixel.drawing.experiment import draw_comparison
     from fixel.io.atomic import written_whole
 
@@ -264,7 +264,7 @@ def _draw(answer: "Comparison", plot: Path) -> None:
 
 
 def _compare_lines(
-    answer: "Comparison", project: Path, plot: Path | None, saved: int | None, command: str
+    answer: "RunComparison", project: Path, plot: Path | None, saved: int | None, command: str
 ) -> list[str]:
     """About a screen of text."""
     kept = [] if saved is None else [f"kept as simulation {saved}"]
@@ -279,7 +279,7 @@ def _compare_lines(
     )
 
 
-def _status(answer: "Comparison") -> list[str]:
+def _status(answer: "RunComparison") -> list[str]:
     first, last = answer.time[0], answer.time[-1]
     if answer.complete:
         return [f"{answer.status}; {len(answer.time)} frames from {first:.4g} to {last:.4g} s"]
@@ -287,7 +287,7 @@ def _status(answer: "Comparison") -> list[str]:
     return [f"{answer.status}, stopped at {stopped:.6g} s: no errors", answer.simulation.advice]
 
 
-def _errors(answer: "Comparison") -> list[str]:
+def _errors(answer: "RunComparison") -> list[str]:
     rms, final, angle = answer.position_rms, answer.final_position, answer.final_angle
     if rms is None or final is None or angle is None:
         return []
@@ -303,7 +303,7 @@ def _errors(answer: "Comparison") -> list[str]:
     return lines + ([f"E, 35 mm/rad       {answer.error_mm2:.3f} mm^2"] if unit == "mm" else [])
 
 
-def _modes(answer: "Comparison") -> list[str]:
+def _modes(answer: "RunComparison") -> list[str]:
     if answer.contacts is None:
         return []
     measured = answer.experiment.contact_mode or "not known"
@@ -313,7 +313,7 @@ def _modes(answer: "Comparison") -> list[str]:
 
 
 def _next_compare(
-    answer: "Comparison", project: Path, plot: Path | None, saved: int | None, command: str
+    answer: "RunComparison", project: Path, plot: Path | None, saved: int | None, command: str
 ) -> str:
     """Return the command that most users need next."""
     if plot is None:

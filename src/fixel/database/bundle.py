@@ -122,7 +122,7 @@ def export_bundle(
             for file in sorted((folder / MEDIA).glob("*/*")):
                 _add_member(archive, file, f"{MEDIA}/{file.parent.name}/{file.name}")
             for digest in dict.fromkeys(videos):
-                _add_video(archive, digest, store._media)
+                _add_video(archive, digest, store.media)
         with unfinished.open("rb+") as stream:
             os.fsync(stream.fileno())
     gone = dataclasses.replace(every, marks=("deleted", "replaced"), limit=0)
@@ -211,8 +211,8 @@ def import_bundle(
     StoreRefused
         The project cannot be written to.
     """
-    store._media.mkdir(parents=True, exist_ok=True)
-    with opened_bundle(path, store._media.parent, limits) as source:
+    store.media.mkdir(parents=True, exist_ok=True)
+    with opened_bundle(path, store.media.parent, limits) as source:
         ids = source.experiment_ids(ALL_EXPERIMENTS)
         copy = _Copy(source, store, lambda digest: _copy_video(digest, source, store))
         with damage_refused(path):
@@ -222,7 +222,7 @@ def import_bundle(
 
 
 def _copy_video(digest: str, source: Store, target: Store) -> None:
-    file, path = (arrays.media_path(digest, store._media) for store in (source, target))
+    file, path = (arrays.media_path(digest, store.media) for store in (source, target))
     if path.exists():
         return
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -330,7 +330,7 @@ class _Copy:
             self._add_video(experiment.video)
         row = rows.experiment_row(experiment)
         series = [
-            arrays.row_of("experiment", place, *one, self._target._media)
+            arrays.row_of("experiment", place, *one, self._target.media)
             for place, one in enumerate(rows.series_of(experiment))
         ]
         with writing(self._target._engine) as connection:

@@ -238,7 +238,7 @@ def _check_values(store: Store, limits: BundleLimits) -> None:
         series = tables.series.c
         largest = connection.scalar(sa.select(sa.func.max(sa.func.length(series.data)))) or 0
         files = connection.scalars(sa.select(series.media_sha256).distinct()).all()
-    for file in (media_path(digest, store._media) for digest in files if digest is not None):
+    for file in (media_path(digest, store.media) for digest in files if digest is not None):
         largest = max(largest, file.stat().st_size if file.is_file() else 0)
     if largest > limits.in_memory:
         raise ValueError(f"{largest} bytes in a series, which must fit in memory")

@@ -11,18 +11,33 @@ from __future__ import annotations
 import os
 import shlex
 import sqlite3
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence, Sized
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
-from typing import Final, final
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple, final
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from fixel.database.experiments import stored_experiments
 from fixel.database.store import Store
+from fixel.datasets.experiments import Experiments
 from fixel.errors import InvalidInput, StoreRefused, machine_failure
 from fixel.io.atomic import written_whole
 from fixel.io.document import read_document
+from fixel.model import Experiment
+from fixel.model.fields import instance
+from fixel.model.records import CalibrationRecord
+from fixel.model.selection import KnownNames, parse_filter, refuse_unknown
+from fixel.progress import ProgressOption, show_progress
+from fixel.results import Summary
+from fixel.table import Table
+from fixel.typing import ProgressCallback
 
 SETTINGS: Final = "fixel.yaml"
 DATABASE: Final = "experiments.db"
@@ -41,23 +56,96 @@ class ProjectSettings(BaseModel):
     database: str | None = None  # URL of a server; None for the file in the folder
 
 
+class AddSummary(NamedTuple):
+    """Number of experiments that were added to a project."""
+
+    new: int
+    known: int  # stored before, and left unchanged
+    faulty: int  # of the new, those that listings leave out by default
+    wall_time_s: float
+
+
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, init=False, repr=False)
 class Project:
-    """Existing project folder and its settings.
+    """Folder that stores experiments and what was computed from them.
+
+    It is opened, never created: `Project.create` does that. Calibrations, maps and other results
+    are computed by the functions of `fixel`; the methods of the same names store them, too.
 
     Parameters
     ----------
+    place : path or str
+        Folder of the project; or the URL of its database,
+        ``postgresql+psycopg://USER@HOST/NAME`` or ``sqlite:///FILE``.
+    media : path, optional
+        Folder of long arrays and videos, for a URL.
+
+    Attributes
+    ----------
     folder : Path
     settings : ProjectSettings
+
+    Raises
+    ------
+    StoreRefused
+        There is no project; the error has the command that creates one.
+
+    Examples
+    --------
+    >>> import fixel, tempfile
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> lab = fixel.Project.create(folder.name)
+    >>> lab.add(fixel.datasets.example()).new
+    40
+    >>> lab.experiments("surface=abs moved>50").keys[:2]
+    ('example/06', 'example/12')
+    >>> lab.experiment("example/12").conditions["surface"]
+    'abs'
     """
 
     folder: Path
     settings: ProjectSettings
 
+    def __init__(self, place: str | os.PathLike[str], *, media: Path | None = None) -> None:
+        if "://" in str(place):
+            _settle(self, *_server(str(place), media))
+            return
+        folder = Path(place)
+        path = folder / SETTINGS
+        if not path.is_file():
+            name = str(folder)
+            raise StoreRefused(
+                f"{folder} is no project (it has no {SETTINGS})",
+                hint=f"make one with: {shlex.join(['fixel', 'new', name])}, or in Python"
+                f" fixel.Project.create({name!r})",
+            )
+        content = read_document(path)
+        try:
+            _settle(self, folder, ProjectSettings.model_validate(content))
+        except ValidationError as problem:
+            first = problem.errors()[0]
+            raise InvalidInput(
+                f"{path}: {'.'.join(map(str, first['loc'])) or 'settings'}",
+                found=first["msg"].lower(),
+                expected="name and, for a server, database",
+            ) from None
+
     @classmethod
-    def create(cls, folder: Path, database: str | None = None) -> Project:
+    def open(cls, folder: Path) -> Project:
+        """Load the project in a folder; raise `StoreRefused` if there is none."""
+        return cls(folder)
+
+    @classmethod
+    def create(cls, folder: str | os.PathLike[str], *, database: str | None = None) -> Project:
         """Create a project with an empty database, in a new or empty folder.
+
+        Parameters
+        ----------
+        folder : path
+        database : str, optional
+            URL of the database on a server, ``postgresql+psycopg://USER@HOST/NAME``; by default a
+            file in the folder.
 
         Raises
         ------
@@ -66,6 +154,7 @@ class Project:
         StoreRefused
             The database cannot be created.
         """
+        folder = Path(folder)
         if (folder / SETTINGS).exists():
             raise InvalidInput(str(folder), found="a project", expected="a new folder")
         was_there = folder.exists()
@@ -74,15 +163,15 @@ class Project:
                 str(folder), found="something else", expected="a new or an empty folder"
             )
         name = folder.resolve().name[:MAX_NAME] or "project"
-        settings = ProjectSettings(name=name, database=database)
-        project = cls(folder, settings)
+        project = object.__new__(cls)
+        _settle(project, folder, ProjectSettings(name=name, database=database))
         try:
             (folder / MEDIA).mkdir(parents=True, exist_ok=True)
             with Store(project.url, project.media) as store:
                 store.upgrade()
             # Last, since this file makes the folder a project.
             with written_whole(folder / SETTINGS) as path:
-                path.write_text(_settings_text(settings), encoding="utf-8")
+                path.write_text(_settings_text(project.settings), encoding="utf-8")
         except BaseException as problem:
             _clear(folder, keep=was_there)
             if isinstance(problem, OSError) and (failure := machine_failure(problem)) is not None:
@@ -90,22 +179,216 @@ class Project:
             raise
         return project
 
-    @classmethod
-    def open(cls, folder: Path) -> Project:
-        """Load the project in a folder; raise `StoreRefused` if there is none."""
-        path = folder / SETTINGS
-        if not path.is_file():
-            raise StoreRefused(f"{folder} is no project", hint=f"make one with: fixel new {folder}")
-        content = read_document(path)
-        try:
-            return cls(folder, ProjectSettings.model_validate(content))
-        except ValidationError as problem:
-            first = problem.errors()[0]
+    # --- experiments ----------------------------------------------------------------------------
+
+    def add(self, what: Any, *, progress: ProgressOption = None) -> Any:
+        """Store experiments, or the result of a calibration or of an analysis.
+
+        Each experiment is stored completely or not at all; one that is stored already is skipped.
+
+        Parameters
+        ----------
+        what : Experiments, Experiment, iterable of Experiment, or result
+        progress : bool or callable, optional
+
+        Returns
+        -------
+        AddSummary
+            For a result, what its own module returns: ids, or the stored analysis.
+
+        Raises
+        ------
+        InvalidInput
+            Something that cannot be stored, or a result of experiments that are not stored.
+        """
+        stored_by = getattr(what, "_stored_by", None)
+        if stored_by is not None:
+            return _named(stored_by)(self, what)
+        several = [what] if isinstance(what, Experiment) else what
+        if not isinstance(several, Iterable):
             raise InvalidInput(
-                f"{path}: {'.'.join(map(str, first['loc'])) or 'settings'}",
-                found=first["msg"].lower(),
-                expected="name and, for a server, database",
-            ) from None
+                "what", found=f"a {type(what).__name__}", expected="experiments, or a result"
+            )
+        with self.store() as store, show_progress(progress, "storing experiments") as report:
+            return add_experiments(store, several, report)
+
+    def experiments(
+        self,
+        *filters: str,
+        flagged: bool = False,
+        sort: str = "id",
+        descending: bool = False,
+        limit: int | None = None,
+    ) -> Experiments:
+        """Return the stored experiments that match a filter, without reading their series.
+
+        Parameters
+        ----------
+        *filters : str
+            Terms such as `surface=abs error>5 real`, as in `Experiments.where`.
+        flagged : bool
+            Include experiments with faults in their data.
+        sort : str
+            Column or condition to sort by, such as `error`.
+        descending : bool
+        limit : int, optional
+            Maximum number of experiments.
+
+        Raises
+        ------
+        InvalidInput
+            An unknown name or value, with the one that resembles it most.
+        """
+        query = parse_filter(
+            *filters, include_faulty=flagged, sort=sort, descending=descending, limit=limit
+        )
+        with self.store() as store:
+            found = stored_experiments(store, query)
+            if filters:
+                known = {name: values.texts for name, values in store.conditions().items()}
+                names = KnownNames(store.datasets(), store.flags(), known)
+                refuse_unknown(query, names, found=bool(found))
+            return found
+
+    def experiment(self, key: str | int) -> Experiment:
+        """Load one experiment by its id, its name, or dataset/name.
+
+        Raises
+        ------
+        NotStored
+            No experiment has this name, or several have; the error names the closest one.
+        """
+        with self.store() as store:
+            return store.experiment(store.find(str(key)))
+
+    # --- results --------------------------------------------------------------------------------
+
+    @property
+    def calibrations(self) -> Mapping[int, CalibrationRecord]:
+        """Stored calibrations by id, oldest first, without their evaluations."""
+        with self.store() as store:
+            return MappingProxyType(store.calibration_summaries())
+
+    @property
+    def analyses(self) -> Sequence[Any]:
+        """Stored analyses, such as domain maps, newest first."""
+        found: Sequence[Any] = _named("fixel.workflows.analysis:load_analyses")(self)
+        return found
+
+    @property
+    def jobs(self) -> Sequence[Any]:
+        """Status of the jobs of the project."""
+        found: Sequence[Any] = _named("fixel.workflows.jobs:jobs_in")(self.folder)
+        return found
+
+    def calibrate(
+        self,
+        experiments: str | Iterable[Experiment] = "",
+        parameters: Any = None,
+        **options: Any,
+    ) -> Any:
+        """Calibrate experiments with `fixel.calibrate`, and store the result.
+
+        Parameters
+        ----------
+        experiments : str or experiments
+            Filter, or experiments of the project.
+        parameters : mapping or sequence, optional
+            Parameters with their bounds, as for `fixel.calibrate`.
+        **options
+            Options of `fixel.calibrate`.
+        """
+        return self._stored("calibrate", experiments, parameters, **options)
+
+    def map_domain(self, experiments: str | Iterable[Experiment], fit: Any, **options: Any) -> Any:
+        """Map where a calibration can be trusted with `fixel.map_domain`, and store the map.
+
+        Parameters
+        ----------
+        experiments : str or experiments
+            Filter, or experiments of the project.
+        fit : Calibration
+        **options
+            Options of `fixel.map_domain`.
+        """
+        return self._stored("map_domain", experiments, fit, **options)
+
+    def posterior(
+        self, experiments: str | Iterable[Experiment], parameters: Any = None, **options: Any
+    ) -> Any:
+        """Sample a posterior with `fixel.posterior`, and store it.
+
+        Parameters
+        ----------
+        experiments : str or experiments
+            Filter, or experiments of the project.
+        parameters : mapping or Calibration, optional
+        **options
+            Options of `fixel.posterior`.
+        """
+        return self._stored("posterior", experiments, parameters, **options)
+
+    def _stored(self, name: str, experiments: Any, *arguments: Any, **options: Any) -> Any:
+        chosen = self.experiments(experiments) if isinstance(experiments, str) else experiments
+        result = _named(f"fixel:{name}")(chosen, *arguments, **options)
+        added = self.add(result)
+        return added if isinstance(added, type(result)) else result
+
+    # --- files ----------------------------------------------------------------------------------
+
+    def report(self, path: str | os.PathLike[str] = "report", **options: Any) -> Any:
+        """Write a report on the newest calibration with `fixel.report`.
+
+        Parameters
+        ----------
+        path : path
+            Folder to write to.
+        **options
+            Options of `fixel.report`.
+        """
+        return _named("fixel:report")(self, path, **options)
+
+    def export(self, path: str | os.PathLike[str], **options: Any) -> Any:
+        """Write experiments for other programs with `fixel.export`.
+
+        Parameters
+        ----------
+        path : path
+            A ``.zip`` that another project imports, or a new folder.
+        **options
+            Options of `fixel.export`.
+        """
+        return _named("fixel:export")(self, path, **options)
+
+    def check(self) -> Any:
+        """Read everything that is stored, and return what is wrong with it."""
+        return _named("fixel.workflows.project.maintenance:check")(self)
+
+    def backup(self, path: str | os.PathLike[str]) -> Any:
+        """Copy the database to a file, while other programs may use it."""
+        return _named("fixel.workflows.project.maintenance:backup")(self, Path(path))
+
+    def upgrade(self) -> Any:
+        """Upgrade the tables of the database to this version of fixel."""
+        return _named("fixel.workflows.project.maintenance:upgrade")(self)
+
+    def __repr__(self) -> str:
+        return self._summary().text()
+
+    def _repr_html_(self) -> str:
+        return self._summary().html()
+
+    def _summary(self) -> Summary:
+        heading = f"Project {self.settings.name!r} in {self.folder}"
+        try:
+            with self.store() as store:
+                datasets, n_fit = store.datasets(), len(store.calibrations())
+        except StoreRefused as refused:
+            return Summary(heading, notes=[str(refused)])
+        table = Table(("dataset", "experiments"), [*datasets.items()])
+        return Summary(heading, [table] if datasets else [], [f"{n_fit} calibrations"])
+
+    # --- database -------------------------------------------------------------------------------
 
     @property
     def url(self) -> str:
@@ -132,6 +415,66 @@ class Project:
             store.close()
             raise
         return store
+
+
+def _settle(project: Project, folder: Path, settings: ProjectSettings) -> None:
+    object.__setattr__(project, "folder", folder)
+    object.__setattr__(project, "settings", settings)
+
+
+def _server(url: str, media: Path | None) -> tuple[Path, ProjectSettings]:
+    """Return folder and settings of a project that is opened by the URL of its database."""
+    file = url.removeprefix("sqlite:///")
+    if file == url and media is None:
+        raise InvalidInput(
+            "media",
+            found="none for a database on a server",
+            expected="folder of long arrays and videos",
+            hint="open the folder of the project, or give media=FOLDER",
+        )
+    if file != url and not Path(file).is_file():
+        raise StoreRefused(f"there is no database {file}", hint="make one with: fixel new FOLDER")
+    folder = Path(file).parent if media is None else Path(media).parent
+    name = url.rpartition("/")[2].partition("?")[0] or "project"
+    return folder, ProjectSettings(name=name[:MAX_NAME], database=url)
+
+
+def _named(place: str) -> Any:
+    """Return a function of a floor above, by its module and name."""
+    module, name = place.split(":")
+    return getattr(import_module(module), name)
+
+
+def add_experiments(
+    store: Store,
+    experiments: Iterable[Experiment],
+    report: ProgressCallback | None = None,
+    total: int = 0,
+) -> AddSummary:
+    """Store experiments with the command as typed in their provenance, each whole or not at all.
+
+    `total` is their number, for the progress of an iterator.
+    """
+    begun = time.monotonic()
+    command = typed()
+    total = len(experiments) if isinstance(experiments, Sized) else total
+    new = known = faulty = 0
+    for made in experiments:
+        instance(made, Experiment, "what", "experiments, or a result")
+        experiment = replace(made, provenance=replace(made.provenance, command=command))
+        if store.add_experiment(experiment).new:
+            new += 1
+            faulty += any(flag.fault for flag in experiment.flags)
+        else:
+            known += 1
+        if report is not None:
+            report(new + known, max(total, new + known))
+    return AddSummary(new, known, faulty, time.monotonic() - begun)
+
+
+def typed() -> str:
+    """Return the running command line, as it could be typed again."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def _is_empty(folder: Path) -> bool:

@@ -90,8 +90,9 @@ class Store:
     """
 
     def __init__(self, url: str, media: Path) -> None:
+        self.url = url
+        self.media = media
         self._engine = open_engine(url)
-        self._media = media
 
     def __enter__(self) -> Store:
         return self
@@ -127,7 +128,7 @@ class Store:
         """
         row = rows.experiment_row(experiment)
         measured = [
-            arrays.row_of("experiment", place, *series, self._media)
+            arrays.row_of("experiment", place, *series, self.media)
             for place, series in enumerate(rows.series_of(experiment))
         ]
         with writing(self._engine) as connection:
@@ -190,7 +191,7 @@ class Store:
                     flag.c.experiment_id == experiment_id, flag.c.deleted_at_utc.is_(None)
                 )
             )
-            measured = arrays.read_all(connection, "experiment", experiment_id, self._media)
+            measured = arrays.read_all(connection, "experiment", experiment_id, self.media)
             return rows.experiment_of(row, tuple(Flag(*f) for f in flags), measured)
 
     def find(self, key: str) -> int:
@@ -360,7 +361,7 @@ class Store:
     def add_video(self, file: Path) -> str:
         """Copy a video to the media folder; return its checksum, for `Experiment.video`."""
         try:
-            return arrays.keep(file.read_bytes(), self._media)
+            return arrays.keep(file.read_bytes(), self.media)
         except OSError as problem:
             reason = os_reason(problem)
             raise InvalidInput(str(file), found=reason, expected="a file to read") from None
@@ -369,7 +370,7 @@ class Store:
         """Path of an experiment's video; None if it has none."""
         with reading(self._engine) as connection:
             row = _row(connection, tables.experiment, experiment_id, "experiment")
-        return arrays.media_path(row.video_sha256, self._media) if row.video_sha256 else None
+        return arrays.media_path(row.video_sha256, self.media) if row.video_sha256 else None
 
     # --- results --------------------------------------------------------------------------------
 
@@ -399,7 +400,7 @@ class Store:
         """Load a simulation by its id."""
         with reading(self._engine) as connection:
             row = _row(connection, tables.simulation, simulation_id, "simulation")
-            series = arrays.read_all(connection, "simulation", simulation_id, self._media)
+            series = arrays.read_all(connection, "simulation", simulation_id, self.media)
             parameters = _row(
                 connection, tables.system_parameters, row.system_parameters_id, "parameters"
             )
@@ -466,7 +467,7 @@ class Store:
         with reading(self._engine) as connection:
             row = _row(connection, table, calibration_id, "calibration")
             record = _calibrations(connection, table.c.id == calibration_id)[calibration_id]
-            series = arrays.read_all(connection, "calibration", calibration_id, self._media)
+            series = arrays.read_all(connection, "calibration", calibration_id, self.media)
         reasons = [row.reasons.get(str(k), "") for k in range(row.n_evaluation)]
         return replace(record, evaluations=rows.evaluations_of(series, reasons))
 
@@ -533,7 +534,7 @@ class Store:
         """Load a filter run by its id."""
         with reading(self._engine) as connection:
             row = _row(connection, tables.filter_run, filter_run_id, "filter run")
-            series = arrays.read_all(connection, "filter_run", filter_run_id, self._media)
+            series = arrays.read_all(connection, "filter_run", filter_run_id, self.media)
         found = {name: (columns, values) for name, columns, values in series}
         names, estimates = found.get("estimates", ((), np.zeros((0, 0))))
         hidden = (row.occlusion_start_s, row.occlusion_end_s)
@@ -561,7 +562,7 @@ class Store:
         connection.execute(
             sa.insert(tables.series),
             [
-                arrays.row_of(owner, place, *one, self._media) | {"owner_id": number}
+                arrays.row_of(owner, place, *one, self.media) | {"owner_id": number}
                 for place, one in enumerate(series)
             ],
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -45,6 +45,8 @@ class ImportPlan:
     n_experiments : int
     make : callable
         Function that yields the experiments, built one at a time.
+    skipped : tuple of str
+        Experiments that were left out, with the reason.
     """
 
     importer: str
@@ -52,6 +54,13 @@ class ImportPlan:
     understood: tuple[str, ...]
     n_experiments: int
     make: Callable[[], Iterator[Experiment]] = field(repr=False, compare=False)
+    skipped: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return self.n_experiments
+
+    def __iter__(self) -> Iterator[Experiment]:
+        return self.experiments()
 
     def experiments(self) -> Iterator[Experiment]:
         """Yield the experiments, built one at a time.
@@ -88,6 +97,17 @@ class Importer(ABC):
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
         """Read enough of the source to plan its import."""
 
+    def check_options(self, options: Iterable[str]) -> None:
+        """Raise `InvalidInput` for an option that the importer does not have."""
+        for option in options:
+            if option not in self.options:
+                known = ", ".join(self.options) or "none"
+                raise InvalidInput(
+                    f"importer {self.name}",
+                    found=f"the option {option}",
+                    expected=f"one of those it has: {known}",
+                )
+
     def read(self, source: Path, **options: object) -> ImportPlan:
         """Read a file or folder and plan its import.
 
@@ -99,14 +119,7 @@ class Importer(ABC):
             An unknown option, or a file with invalid content.
         """
         source = Path(source)
-        for option in options:
-            if option not in self.options:
-                known = ", ".join(self.options) or "none"
-                raise InvalidInput(
-                    f"importer {self.name}",
-                    found=f"the option {option}",
-                    expected=f"one of those it has: {known}",
-                )
+        self.check_options(options)
         if not source.exists():
             raise DatasetMissing(source, f"data for {self.name}", "there is no such file or folder")
         with guarded(source.name):
@@ -154,11 +167,12 @@ class Origin:
         if path not in self._known:
             with path.open("rb") as stream:
                 digest = hashlib.file_digest(stream, "sha256").hexdigest()
-            self._known[path] = Provenance(version=_version(), source=path.name, sha256=digest)
+            self._known[path] = Provenance(version=fixel_version(), source=path.name, sha256=digest)
         return self._known[path]
 
 
-def _version() -> str:
+def fixel_version() -> str:
+    """Installed version of fixel; `unknown` in a folder that was never installed."""
     try:
         return version("fixel")
     except PackageNotFoundError:  # run from a source folder that was never installed

@@ -111,8 +111,45 @@ class CsvRows:
         return value
 
 
+def table_rows(table: Any, source: str = "table") -> CsvRows:
+    """Return the rows of a table in memory: pandas, polars, Arrow or columns by name."""
+    if hasattr(table, "to_pydict"):  # Arrow
+        columns = table.to_pydict()
+    elif hasattr(table, "to_dict") and hasattr(table, "columns"):
+        columns = {str(name): [*table[name]] for name in table.columns}
+    elif isinstance(table, Mapping):
+        columns = {str(name): [*column] for name, column in table.items()}
+    else:
+        raise InvalidInput(
+            source,
+            found=f"a {type(table).__name__}",
+            expected="a file, a folder, or a table of pandas, polars or Arrow",
+        )
+    lengths = {name: len(column) for name, column in columns.items()}
+    if not lengths or len({*lengths.values()}) > 1 or not max(lengths.values()):
+        raise InvalidInput(source, found=f"columns of lengths {lengths}", expected="equal ones")
+    return CsvRows(source, {name: [_cell(v) for v in column] for name, column in columns.items()})
+
+
+def _cell(value: Any) -> str:
+    """Return a value as its cell in a CSV file; empty for a missing one."""
+    if value is None or value != value:
+        return ""
+    value = value.item() if hasattr(value, "item") else value
+    return repr(value) if isinstance(value, float) else str(value)
+
+
 def read_table(path: Path) -> CsvRows:
-    """Load the rows of a CSV file, plain or compressed with gzip."""
+    """Load the rows of a Parquet file, or of a CSV file, plain or compressed with gzip."""
+    if path.suffix == ".parquet":
+        import pyarrow
+        import pyarrow.parquet
+
+        try:
+            return table_rows(pyarrow.parquet.read_table(path), path.name)
+        except (OSError, pyarrow.ArrowException) as problem:
+            found = str(problem).splitlines()[0]
+            raise InvalidInput(path.name, found=found, expected="a Parquet file") from None
     opened = gzip.open if path.suffix == ".gz" else open
     try:
         with opened(path, "rt", encoding="utf-8", newline="") as stream:

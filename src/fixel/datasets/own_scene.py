@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -21,6 +22,7 @@ from fixel.formats.scene_model import scene_of
 from fixel.formats.scene_schema import FILL_IN, scene_record
 from fixel.io.document import read_document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
+from fixel.model.fields import instance
 from fixel.typing import FloatArray
 
 # Duration of the correction of a path that starts inside the object [s].
@@ -40,14 +42,18 @@ FAR_AWAY: Final = 1e3  # [m], distance from all bodies
 NOMINAL_FRICTION: Final = 0.25
 
 
+# Scene, file of one, or function that returns one for the conditions of an experiment.
+SceneChoice = Scene | Path | Callable[[Mapping[str, str | float]], Scene]
+
+
 def with_scene(
     experiment: Experiment,
-    path: Path,
+    choice: SceneChoice,
     object_name: str | None = None,
     *,
     sure_of_angles: bool = False,
 ) -> tuple[Experiment, tuple[str, ...]]:
-    """Complete an experiment with the scene from a file.
+    """Complete an experiment with a scene.
 
     The object starts at the first measured pose. A pusher whose path was measured follows it, and
     the scene lasts as long as the table.
@@ -56,8 +62,8 @@ def with_scene(
     ----------
     experiment : Experiment
         Experiment without a scene.
-    path : Path
-        Scene file.
+    choice : Scene, Path or callable
+        Scene, which may be a template; scene file; or function of the experiment's conditions.
     object_name : str, optional
         Body of the scene whose motion was measured; required if there are several.
     sure_of_angles : bool
@@ -75,22 +81,28 @@ def with_scene(
         A placeholder that was not replaced, an unknown body, or a pusher whose measured position is
         impossible.
     """
-    scene = _loaded(path, experiment)
-    body = _object_of(scene, path, object_name)
+    scene, source = _scene(choice, experiment)
+    body = _object_of(scene, source, object_name)
     track, flags = experiment.trajectory, experiment.flags
     sentences = [
-        f"Scene of {path.name}: {body.name!r} starts at the first measured pose.",
+        f"{source}: {body.name!r} starts at the first measured pose.",
     ]
     pushers = scene.pushers
     if experiment.pusher is not None:
-        pusher = _pusher_of(scene, path)
+        pusher = _pusher_of(scene, source)
         if isinstance(pusher.shape, Disk):
-            _refuse_strangers(body.shape, pusher.shape.radius, track, experiment.pusher, path)
+            _refuse_strangers(body.shape, pusher.shape.radius, track, experiment.pusher, source)
             if not sure_of_angles:
                 _refuse_other_angles(body.shape, pusher.shape.radius, track, experiment.pusher)
         driven, more, sentence = _driven(pusher, body.shape, track, experiment.pusher)
         pushers, flags = (driven,), (*flags, *more)
         sentences.append(sentence)
+    elif any(map(_is_template, pushers)):
+        raise InvalidInput(
+            source,
+            found=f"a pusher {pushers[0].name!r} without a drive, and a table without its poses",
+            expected="columns pusher_x and pusher_y, or a drive",
+        )
     elif pushers:
         sentences.append(f"No pusher was measured: {pushers[0].name!r} moves as the scene has it.")
     completed = replace(
@@ -99,7 +111,7 @@ def with_scene(
             replace(one, pose=track.pose[0]) if one is body else one for one in scene.bodies
         ),
         pushers=pushers,
-        duration=max(float(track.time[-1]), scene.duration if not pushers else 0.0),
+        duration=max(float(track.time[-1]), (scene.duration or 0.0) if not pushers else 0.0),
     )
     found = replace(
         experiment,
@@ -157,6 +169,16 @@ _HEAD: Final = """\
 """
 
 
+def _scene(choice: SceneChoice, experiment: Experiment) -> tuple[Scene, str]:
+    """Return the scene for an experiment, and its name in messages."""
+    if isinstance(choice, Path):
+        return _loaded(choice, experiment), choice.name
+    conditions = {**experiment.conditions, "name": experiment.name}
+    scene = choice if isinstance(choice, Scene) else choice(conditions)
+    instance(scene, Scene, "scene", "a Scene, a scene file, or a function that returns a Scene")
+    return scene, "scene"
+
+
 def _loaded(path: Path, experiment: Experiment) -> Scene:
     """Load the scene of a file; a pusher whose path was measured is moved far away.
 
@@ -174,24 +196,29 @@ def _loaded(path: Path, experiment: Experiment) -> Scene:
     return scene_of(record)
 
 
-def _object_of(scene: Scene, path: Path, name: str | None) -> Any:
+def _object_of(scene: Scene, source: str, name: str | None) -> Any:
     names = [body.name for body in scene.bodies]
     if name is None and len(names) == 1:
         return scene.bodies[0]
     if name not in names:
         raise InvalidInput(
-            f"{path.name}: bodies",
+            f"{source}: bodies",
             found=", ".join(names) or "none",
             expected="one body, the object" if name is None else f"the object {name!r}",
-            hint="--option object_name=NAME names the body that was measured",
+            hint="object_name=NAME names the body that was measured",
         )
     return scene.bodies[names.index(name)]
 
 
-def _pusher_of(scene: Scene, path: Path) -> Pusher:
+def _is_template(pusher: Pusher) -> bool:
+    drive: object = pusher.drive
+    return drive is None
+
+
+def _pusher_of(scene: Scene, source: str) -> Pusher:
     if len(scene.pushers) != 1:
         raise InvalidInput(
-            f"{path.name}: pushers",
+            f"{source}: pushers",
             found=f"{len(scene.pushers)} of them",
             expected="one, as the table holds the path of one pusher",
         )
@@ -223,7 +250,8 @@ def _driven(
             sentence += " It is often deep inside the object: listings leave the experiment out."
     else:
         sentence += "."
-    drive = PathDrive(waypoints=measured, force_limit=pusher.drive.force_limit)
+    limit = None if _is_template(pusher) else pusher.drive.force_limit
+    drive = PathDrive(waypoints=measured, force_limit=limit)
     return replace(pusher, pose=measured[0, 1:], drive=drive), flags, sentence
 
 
@@ -257,7 +285,7 @@ def _radius(shape: Shape) -> float:
 
 
 def _refuse_strangers(
-    shape: Shape, radius: float, track: Trajectory, tip: Trajectory, path: Path
+    shape: Shape, radius: float, track: Trajectory, tip: Trajectory, source: str
 ) -> None:
     """Raise for a pusher that starts deep inside the object, or never comes near it."""
     gaps = _gaps(shape, radius, track, tip)
@@ -268,14 +296,14 @@ def _refuse_strangers(
     )
     if gaps[0] < -MAX_CORRECTION:
         raise InvalidInput(
-            f"{path.name} and the table",
+            f"{source} and the table",
             found=f"a pusher {-1e3 * float(gaps[0]):.3g} mm inside the object at the start",
             expected="one that touches it at most",
             hint=hint,
         )
     if float(gaps.min()) > FARTHEST * size:
         raise InvalidInput(
-            f"{path.name} and the table",
+            f"{source} and the table",
             found=f"a pusher that stays {1e3 * float(gaps.min()):.3g} mm from an object of radius"
             f" {1e3 * size:.3g} mm",
             expected="one that comes near it",

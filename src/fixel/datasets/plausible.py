@@ -17,6 +17,7 @@ FASTEST_TURN: Final = 6.0  # [rad/s], a turn per second; pushed parts turn at up
 WINDOW: Final = 0.1  # [s] for rates of turning, long enough to average noise of the angle
 FASTEST: Final = 5.0  # [m/s]
 WIDEST: Final = 5.0  # [m] of motion of a part on a plate
+FARTHEST: Final = 20.0  # [m] of positions from the origin, which may be in a corner of the room
 GLANCES: Final = 60  # number of instants at which a motion is sampled; more would add up noise
 # A pushing tip hardly slides along the object. The unit of angles is wrong if the tip slides this
 # many times farther in the object's frame than with the other unit.
@@ -88,24 +89,27 @@ def _refuse(where: str, found: str, unit: str, other: str) -> None:
 
 
 def hint_of(other: str, unit: str) -> str:
-    """Hint with the import options that set the unit of angles to one or the other."""
+    """Hint with the options that set the unit of angles to one or the other."""
     return (
-        f"if the column is in {WORDS[other]}: --option angle_unit={other};"
-        f" if it is in {WORDS[unit]}: --option angle_unit={unit}"
+        f"set angle_unit={other} if the column is in {WORDS[other]}, angle_unit={unit} if it is in"
+        f" {WORDS[unit]}: with --option, or in Python units={{'angle': '{other}'}}"
     )
 
 
 def _refuse_lengths(track: Trajectory, source: str) -> None:
     width = float(np.ptp(track.pose[:, :2], axis=0).max())
+    reach = float(np.abs(track.pose[:, :2]).max())
     step = np.diff(track.time)
     pace = np.hypot(*np.diff(track.pose[:, :2], axis=0).T) / step if len(step) else np.zeros(1)
     speed = float(np.quantile(pace, 0.75))
-    if width > WIDEST or speed > FASTEST:
-        found = f"{width:.3g} m" if width > WIDEST else f"{speed:.3g} m/s"
+    if width > WIDEST or speed > FASTEST or reach > FARTHEST:
+        found = f"a motion of {width:.3g} m" if width > WIDEST else f"a motion of {speed:.3g} m/s"
+        if width <= WIDEST and speed <= FASTEST:
+            found = f"positions up to {reach:.3g} m"
         raise InvalidInput(
             f"{source}, positions of the object",
-            found=f"a motion of {found}",
-            expected=f"at most {WIDEST:g} m and {FASTEST:g} m/s on a plate",
+            found=found,
+            expected=f"at most {WIDEST:g} m and {FASTEST:g} m/s on a plate, within {FARTHEST:g} m",
             hint="are positions in the unit that the header says? x_mm is in millimetres",
         )
 

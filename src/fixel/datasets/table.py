@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Final, NamedTuple, final
@@ -13,14 +15,16 @@ import numpy as np
 
 from fixel.datasets.base import Importer, ImportPlan, Origin, remark
 from fixel.datasets.files import CsvRows, increasing, rate_of, read_table
-from fixel.datasets.own_scene import with_scene
+from fixel.datasets.own_scene import SceneChoice, with_scene
 from fixel.datasets.plausible import refuse_implausible
 from fixel.errors import InvalidInput
-from fixel.model import Channel, Experiment, Flag, Trajectory
+from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
 from fixel.typing import FloatArray
 
 DATASET: Final = "csv"
-ENDINGS = (".csv", ".csv.gz")
+ENDINGS = (".csv", ".csv.gz", ".parquet")
+MAX_NAMED: Final = 20  # columns that an error lists
+MAX_OTHERS: Final = 3  # sentences about some of the experiments of a table
 
 
 class ColumnUnit(NamedTuple):
@@ -77,6 +81,8 @@ MAX_METRES, MAX_RADIANS = 5.0, 2.0 * math.pi + 0.1
 # Readings come at more than one and less than a thousand per second.
 MAX_SECONDS, MAX_MILLISECONDS = 1.0, 1000.0
 
+# Kinds of quantities that experiments differ by; others, such as forces, are readings.
+_SETTABLE = ("length", "angle", "speed", "turning", "ratio", "count")
 _GROUPS = {"force": "force", "torque": "force", "bool": "tactile"}
 
 _OPTIONS: Final = {
@@ -87,6 +93,7 @@ _OPTIONS: Final = {
     "length_unit": "of positions without unit: m, mm, cm or um",
     "angle_unit": "of angles, whatever the header has: rad or deg",
     "scene": "scene file with the object, the pusher and the pegs",
+    "split_by": "column whose values separate the experiments of a table",
 }
 
 
@@ -95,32 +102,133 @@ class CsvTable(Importer):
     """Importer of any table with time and pose of one object; one experiment per file."""
 
     name = DATASET
-    title = "CSV table of your own: time_s, x_mm, y_mm, theta_deg, pusher_x_mm, ..."
+    title = "CSV or Parquet table of your own: time_s, x_mm, y_mm, theta_deg, pusher_x_mm, ..."
     licence = "yours"
     citation = ""
     options: ClassVar[Mapping[str, str]] = _OPTIONS
 
     def recognised(self, source: Path) -> bool:
-        """Whether the name of a file ends with .csv or .csv.gz."""
+        """Whether the name of a file ends like that of a table."""
         return source.is_file() and source.name.lower().endswith(ENDINGS)
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
         if not source.is_file():
-            raise InvalidInput(source.name, found="a folder", expected="one CSV file")
-        plain = {name: _text_option(name, value) for name, value in options.items()}
-        experiment, understood = _experiment(source, read_table(source), plain)
-        scene = plain.get("scene")
-        if scene is not None:
-            experiment, more = with_scene(
-                experiment,
-                Path(scene),
-                plain.get("object_name"),
-                sure_of_angles="angle_unit" in plain,
-            )
-            understood += more
-        else:
-            understood += ("There is no scene, so it can be shown but not simulated.",)
-        return ImportPlan(DATASET, source, understood, 1, lambda: iter((experiment,)))
+            raise InvalidInput(source.name, found="a folder", expected="one table")
+        texts = {name: _text_option(name, value) for name, value in options.items()}
+        scene, split_by = texts.pop("scene", None), texts.pop("split_by", None)
+        table = read_table(source)
+        choice = None if scene is None else Path(scene)
+        return plan_table(table, source, Origin().of(source), texts, choice, split_by)
+
+
+def plan_table(
+    table: CsvRows,
+    source: Path,
+    provenance: Provenance,
+    options: Mapping[str, str],
+    scene: SceneChoice | None = None,
+    split_by: str | None = None,
+    columns: Mapping[str, str] | None = None,
+) -> ImportPlan:
+    """Plan the import of a table.
+
+    Parameters
+    ----------
+    table : CsvRows
+    source : Path
+        File of the table; its name names the experiments.
+    provenance : Provenance
+    options : mapping of str to str
+        Options of `CsvTable`, except for the next two.
+    scene : Scene, Path or callable, optional
+        Scene, file of a scene, or function that returns one for the conditions of an experiment.
+    split_by : str, optional
+        Column whose values separate experiments.
+    columns : mapping of str to str, optional
+        Titles of columns by role: `{"theta": "yaw"}`.
+
+    Raises
+    ------
+    InvalidInput
+        The table cannot be understood, or does not fit the scene.
+    """
+    chosen = _chosen_columns(table, columns or {})
+    stem = options.get("name", _stem(source))
+    experiments: list[Experiment] = []
+    skipped: list[str] = []
+    sentences: list[tuple[str, ...]] = []
+    for value, part in _parts(table, split_by):
+        if value is not None and len(part) < 2:
+            skipped.append(f"{stem}/{value}: one row")
+            continue
+        key = (DATASET, stem) if value is None else (stem, value)
+        try:
+            experiment, understood = _experiment(key, part, options, provenance, chosen)
+            experiment, more = _on_plate(experiment, scene, options)
+        except InvalidInput as problem:
+            raise problem if value is None else problem.within(f"{split_by} {value}") from None
+        experiments.append(experiment)
+        sentences.append(understood + more)
+    if not experiments:
+        raise InvalidInput(table.source, found="one row each", expected="poses of a motion")
+    understood = sentences[0] if split_by is None else _common(sentences, split_by)
+    return ImportPlan(
+        DATASET, source, understood, len(experiments), lambda: iter(experiments), tuple(skipped)
+    )
+
+
+def _chosen_columns(table: CsvRows, columns: Mapping[str, str]) -> dict[str, str]:
+    """Return the role of each chosen title; raise for unknown roles and titles."""
+    roles = sorted({*_ROLES.values()})
+    for role, title in columns.items():
+        refuse_unknown_name("columns", role, roles)
+        refuse_unknown_name(f"columns[{role!r}]", title, table.columns)
+    return {title: role for role, title in columns.items()}
+
+
+def _parts(table: CsvRows, split_by: str | None) -> Iterator[tuple[str | None, CsvRows]]:
+    """Yield the rows of each experiment with the value that they have in common."""
+    if split_by is None:
+        yield None, table
+        return
+    refuse_unknown_name("split_by", split_by, table.columns)
+    rows: dict[str, list[int]] = {}
+    for row, value in enumerate(table.columns[split_by]):
+        rows.setdefault(value.strip(), []).append(row)
+    for value, own in rows.items():
+        cells = {name: [column[row] for row in own] for name, column in table.columns.items()}
+        yield value, CsvRows(table.source, cells)
+
+
+def _on_plate(
+    experiment: Experiment, scene: SceneChoice | None, options: Mapping[str, str]
+) -> tuple[Experiment, tuple[str, ...]]:
+    """Complete an experiment with a scene, if there is one."""
+    if scene is None:
+        return experiment, ("There is no scene, so it can be shown but not simulated.",)
+    sure = "angle_unit" in options
+    return with_scene(experiment, scene, options.get("object_name"), sure_of_angles=sure)
+
+
+def _common(sentences: Sequence[tuple[str, ...]], split_by: str) -> tuple[str, ...]:
+    """Return the sentences about all experiments of a table, and a few about some of them."""
+    n = len(sentences)
+    counts = Counter(sentence for own in sentences for sentence in own[1:])
+    common = [sentence for sentence, k in counts.items() if k == n]
+    others = [f"{sentence} ({k} of {n})" for sentence, k in counts.items() if k < n]
+    return (f"{n} experiments, one for each value of {split_by!r}.", *common, *others[:MAX_OTHERS])
+
+
+def refuse_unknown_name(where: str, name: str, known: Iterable[str]) -> None:
+    """Raise for a name that is not known, with the one that resembles it most."""
+    if name not in (names := [*known]):
+        close = difflib.get_close_matches(name, names, n=1)
+        raise InvalidInput(
+            where,
+            found=repr(name),
+            expected="one of " + ", ".join(names[:MAX_NAMED]),
+            hint=f"did you mean {close[0]!r}?" if close else None,
+        )
 
 
 def _text_option(name: str, value: object) -> str:
@@ -163,9 +271,13 @@ class _TableReading:
 
 
 def _experiment(
-    path: Path, table: CsvRows, options: Mapping[str, str]
+    key: tuple[str, str],
+    table: CsvRows,
+    options: Mapping[str, str],
+    provenance: Provenance,
+    chosen: Mapping[str, str],
 ) -> tuple[Experiment, tuple[str, ...]]:
-    reading = _columns(table, options)
+    reading = _columns(table, options, chosen)
     _refuse_incomplete(reading)
     for role in ("time", "x", "y", "theta", "pusher_x", "pusher_y", "pusher_theta"):
         if role in reading.roles:
@@ -182,11 +294,11 @@ def _experiment(
     if reading.guesses:
         flags = (*flags, remark("guessed-units", " ".join(reading.guesses)))
     experiment = Experiment(
-        dataset=DATASET,
-        name=options.get("name", _stem(path)),
+        dataset=key[0],
+        name=key[1],
         real="simulated_by" not in options,
         simulated_by=options.get("simulated_by", ""),
-        provenance=Origin().of(path),
+        provenance=provenance,
         object_name=options.get("object_name", "object"),
         trajectory=trajectory,
         pusher=pusher,
@@ -198,13 +310,16 @@ def _experiment(
 
 
 def _stem(path: Path) -> str:
-    return path.name.removesuffix(".gz").rpartition(".")[0]
+    name = path.name.removesuffix(".gz")
+    return name.rpartition(".")[0] or name
 
 
 # --- the header
 
 
-def _columns(table: CsvRows, options: Mapping[str, str]) -> _TableReading:
+def _columns(
+    table: CsvRows, options: Mapping[str, str], chosen: Mapping[str, str]
+) -> _TableReading:
     if len(table.columns) == 1 and ";" in next(iter(table.columns)):
         raise InvalidInput(
             f"{table.source}, header",
@@ -212,7 +327,7 @@ def _columns(table: CsvRows, options: Mapping[str, str]) -> _TableReading:
             expected="columns separated by commas",
             hint="save the table with commas between the columns, and points in the numbers",
         )
-    parsed = [_parsed(title) for title in table.columns]
+    parsed = [_parsed(title, chosen.get(title), {*chosen.values()}) for title in table.columns]
     named = {column.role for column in parsed if column.role and not column.unknown}
     for column in parsed:
         # With x_mm in the table, x_raw is another quantity; alone it is x in an unknown unit.
@@ -231,18 +346,26 @@ def _columns(table: CsvRows, options: Mapping[str, str]) -> _TableReading:
     return _TableReading(table, roles, [column for column in parsed if not column.role], options)
 
 
-def _parsed(title: str) -> _TableColumn:
-    """Parse the title of a column: `Tip x [mm]` is pusher_x in mm."""
+def _parsed(title: str, chosen: str | None, taken: Collection[str]) -> _TableColumn:
+    """Parse the title of a column: `Tip x [mm]` is pusher_x in mm.
+
+    A role that was chosen for it counts, and no other column gets a role that is `taken`.
+    """
+
+    def role_of(stem: str) -> str | None:
+        own = _ROLES.get(stem)
+        return chosen or (None if own in taken else own)
+
     plain = re.sub(r"\W+", "_", title.strip().lower().lstrip("\ufeff")).strip("_")
     for ending in sorted(UNITS, key=len, reverse=True):
         if plain.endswith(f"_{ending}"):
             stem = plain.removesuffix(f"_{ending}")
-            return _checked(_TableColumn(title, stem, _ROLES.get(stem), UNITS[ending]))
-    if plain in _ROLES:
-        return _TableColumn(title, plain, _ROLES[plain], None)
+            return _checked(_TableColumn(title, stem, role_of(stem), UNITS[ending]))
+    if chosen or plain in _ROLES:
+        return _TableColumn(title, plain, role_of(plain), None)
     stem, _, ending = plain.rpartition("_")
-    unknown = ending if stem in _ROLES and re.fullmatch(r"[a-z]{1,4}", ending) else ""
-    return _TableColumn(title, plain, _ROLES[stem] if unknown else None, None, unknown)
+    unknown = ending if role_of(stem) and re.fullmatch(r"[a-z]{1,4}", ending) else ""
+    return _TableColumn(title, plain, role_of(stem) if unknown else None, None, unknown)
 
 
 def _checked(column: _TableColumn) -> _TableColumn:
@@ -270,7 +393,7 @@ def _refuse_incomplete(reading: _TableReading) -> None:
             found="the columns " + ", ".join(reading.table.columns)[:200],
             expected="a column for " + " and ".join(missing),
             hint="name columns for what they are and their unit: time_s, x_mm, y_mm, theta_deg,"
-            " pusher_x_mm, pusher_y_mm",
+            " pusher_x_mm, pusher_y_mm; in Python, columns={'time': TITLE} chooses one",
         )
 
 
@@ -385,7 +508,7 @@ def _check_units(reading: _TableReading, track: Trajectory, pusher: Trajectory |
 def _channels(reading: _TableReading, time: FloatArray) -> tuple[Channel, ...]:
     groups: dict[str, dict[str, FloatArray]] = {}
     for column in reading.others:
-        if column.unit is None or not column.stem:
+        if column.unit is None or not column.stem or _is_condition(reading, column):
             continue
         group = groups.setdefault(_GROUPS.get(column.unit.kind, "readings"), {})
         name = f"{column.stem}_{column.unit.si}"
@@ -405,6 +528,13 @@ def _channels(reading: _TableReading, time: FloatArray) -> tuple[Channel, ...]:
     )
 
 
+def _is_condition(reading: _TableReading, column: _TableColumn) -> bool:
+    """Whether a column is a quantity that was set once: the same in all of several rows."""
+    cells = reading.table.columns[column.title]
+    settable = column.unit is not None and column.unit.kind in _SETTABLE
+    return settable and len(cells) > 1 and bool(cells[0]) and len({*cells}) == 1
+
+
 def _values(reading: _TableReading, column: _TableColumn, unit: ColumnUnit) -> FloatArray:
     if unit.kind != "bool":
         return reading.numbers(column) * unit.scale
@@ -421,10 +551,13 @@ def _values(reading: _TableReading, column: _TableColumn, unit: ColumnUnit) -> F
 
 
 def _conditions(reading: _TableReading) -> dict[str, str | float]:
-    """Conditions: columns without a unit that have the same text in every row."""
+    """Conditions: columns that have the same value in every row, of quantities that are set."""
     conditions: dict[str, str | float] = {}
     for column in reading.others:
         if column.unit is not None:
+            if column.stem and _is_condition(reading, column):
+                value = float(reading.numbers(column)[0]) * column.unit.scale + 0.0
+                conditions[f"{column.stem}_{column.unit.si}"] = value
             continue
         cells = set(reading.table.columns[column.title])
         if len(cells) == 1 and column.stem and (cell := cells.pop().strip()):

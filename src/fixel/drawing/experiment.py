@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import Style, save_figure
+from fixel.drawing.chart import Style, plot_axes, save_figure
 from fixel.drawing.top_view import (
     DASHED,
     FEW_POSES,
@@ -22,6 +22,7 @@ from fixel.drawing.top_view import (
     column_page,
     extent_of,
     finish_page,
+    frame_axes,
     readings,
     swept_points,
     time_axes,
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+MAX_PATHS: Final = 200
+MAX_DRAWN: Final = 6  # experiments that are drawn with outlines
 STEPS: Final = 2  # number of outlines between start and end in a comparison
 
 
@@ -80,6 +83,66 @@ def draw_comparison(
         The file name has another ending, or the simulation does not overlap in time.
     """
     save_figure(lambda: comparison_figure(experiment, simulated, contacts), path)
+
+
+def plot_experiment(experiment: Experiment, *, ax: Axes | None = None) -> Any:
+    """Draw an experiment as `draw_experiment` does, for `Experiment.plot`; return its axes."""
+    return plot_axes(lambda: experiment_figure(experiment), ax)
+
+
+def plot_path(experiment: Experiment, *, ax: Axes | None = None) -> Axes:
+    """Draw the top view of an experiment; return its axes.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    ax : matplotlib.axes.Axes, optional
+    """
+    from matplotlib import pyplot
+
+    axes = ax or pyplot.subplots(figsize=(4.9, 3.5), layout="constrained")[1]
+    handles = add_fixels(axes, experiment.scene, experiment.contact_mode)
+    handles += _draw_pusher(axes, experiment) + _draw_object(axes, experiment)
+    frame_axes(axes, _extent(experiment, experiment.trajectory))
+    axes.set_title(experiment.key)
+    return axes
+
+
+def plot_paths(experiments: Sequence[Experiment], *, ax: Axes | None = None) -> Axes:
+    """Draw the measured paths of several experiments; return the axes.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+        At most `MAX_PATHS` of them are drawn, evenly chosen.
+    ax : matplotlib.axes.Axes, optional
+    """
+    from matplotlib import pyplot
+
+    axes = ax or pyplot.subplots(figsize=(4.9, 4.9), layout="constrained")[1]
+    chosen = np.unique(np.linspace(0, len(experiments) - 1, MAX_PATHS).astype(int))
+    dot: Style = {"marker": "o", "markersize": 2.5, "linestyle": "none", "color": palette.BODY}
+    for k in chosen.tolist() if len(experiments) else ():
+        experiment = experiments[k]
+        shape, pose = _shape(experiment), experiment.trajectory.pose
+        _path(axes, experiment.trajectory, "", color=palette.BODY, linewidth=0.6, alpha=0.6)
+        for row, fill in ((0, "white"), (-1, palette.BODY)):
+            axes.plot(*(pose[row, :2] * MM.factor), markerfacecolor=fill, zorder=3.6, **dot)
+            if shape is not None and len(experiments) <= MAX_DRAWN:
+                outline = placed(shape.outline, pose[row])
+                thin: Style = {"facecolor": "none", "edgecolor": palette.BODY, "linewidth": 0.4}
+                add_outlines(axes, [outline], linestyle="-" if row else DASHED, **thin)
+                axes.update_datalim(outline * MM.factor)
+    axes.autoscale_view()
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel(f"x [{MM.name}]")
+    axes.set_ylabel(f"y [{MM.name}]")
+    axes.set_title(f"{len(experiments)} experiments" + _shown(len(chosen), len(experiments)))
+    return axes
+
+
+def _shown(shown: int, total: int) -> str:
+    return f", {shown} of them drawn" if shown < total else ""
 
 
 def experiment_figure(experiment: Experiment) -> Figure:

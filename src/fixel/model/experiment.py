@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from importlib import import_module
+from math import degrees
 from types import MappingProxyType
-from typing import Final, final
+from typing import Any, ClassVar, Final, final
 
 import numpy as np
 
@@ -14,6 +16,8 @@ from fixel.errors import InvalidInput
 from fixel.model.fields import Comparable, frozen, instance, name_of, optional_positive, settle
 from fixel.model.scene import Scene
 from fixel.model.trajectory import Trajectory
+from fixel.results import Result, Summary
+from fixel.table import Column, Table
 from fixel.typing import FloatArray
 
 # Units of a channel's columns. The name of a column ends with its unit: `fx_n`.
@@ -140,8 +144,8 @@ class Provenance:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Experiment(Comparable):
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Experiment(Comparable, Result):
     """Run on a plate, real or simulated.
 
     Parameters
@@ -177,6 +181,19 @@ class Experiment(Comparable):
         Flags, sorted.
     video : str
         Checksum of a file in the media folder; empty for none.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> push = fixel.datasets.example()[0]
+    >>> push
+    Experiment example/00, simulated by fixel: 61 frames, 3.00 s
+      part   x [mm]  y [mm]  angle [deg]
+      start  210.26  -47.14      -126.63
+      end    202.78  -90.20       -94.97
+      contact_offset_m=-0.022 push=00 push_angle_rad=0 surface=abs
+    >>> push.simulate().status
+    'converged'
     """
 
     dataset: str
@@ -197,6 +214,11 @@ class Experiment(Comparable):
     conditions: Mapping[str, str | float] = field(default_factory=dict)
     flags: tuple[Flag, ...] = ()
     video: str = ""
+
+    _drawings: ClassVar[Mapping[str, str]] = {
+        "motion": "fixel.drawing.experiment:plot_experiment",
+        "path": "fixel.drawing.experiment:plot_path",
+    }
 
     def __post_init__(self) -> None:
         name_of(self.dataset, "experiment.dataset")
@@ -257,6 +279,59 @@ class Experiment(Comparable):
     def channel(self, name: str) -> Channel | None:
         """Return the channel with a name; None if there is none."""
         return next((channel for channel in self.channels if channel.name == name), None)
+
+    def simulate(self, model: Mapping[str, float] | None = None, **options: Any) -> Any:
+        """Simulate the experiment from its first measured pose on.
+
+        Parameters
+        ----------
+        model : mapping or Calibration, optional
+            Values of parameters, such as `{"mu_pusher": 0.2}`, or a calibration; by default the
+            values of the scene.
+        **options
+            `motion`: motion model, such as `"quasistatic"`.
+
+        Returns
+        -------
+        Simulation
+
+        Raises
+        ------
+        InvalidInput
+            The experiment has no scene, or no measured motion.
+        """
+        comparison = import_module("fixel.workflows.project.comparison")
+        found = comparison.compare(self, {"model": model}, progress=False, **options)
+        return found.rows[0].run.simulation
+
+    def _summary(self) -> Summary:
+        kind = "real" if self.real else f"simulated by {self.simulated_by}"
+        n = len(self.trajectory.time)
+        rows = [
+            (end, *(1e3 * pose[:2]).tolist(), degrees(pose[2]))
+            for end, pose in zip(("start", "end"), self.trajectory.pose[[0, -1]], strict=True)
+        ]
+        place = (Column("x", "mm", ".2f"), Column("y", "mm", ".2f"))
+        table = Table((self.object_name, *place, Column("angle", "deg", ".2f")), rows)
+        values = (
+            f"{name}={value if isinstance(value, str) else format(value + 0.0, '.6g')}"
+            for name, value in self.conditions.items()
+        )
+        notes = [" ".join(values)] if self.conditions else []
+        notes += [f"contact mode at the end: {self.contact_mode}"] if self.contact_mode else []
+        notes += [] if self.scene else ["no scene: it can be drawn, but not simulated"]
+        notes += [f"{flag.name}: {flag.detail}" for flag in self.flags]
+        heading = f"Experiment {self.key}, {kind}: {n} frames, {self.duration:.2f} s"
+        return Summary(heading, [table], notes)
+
+    def _repr_html_(self) -> str:
+        picture = import_module("fixel.drawing.thumbnail").thumbnail(self)
+        return f'{self._summary().html()}<div style="width:18em">{picture}</div>'
+
+    def _data(self) -> Table:
+        """Measured poses in SI units."""
+        head = (Column("time", "s"), Column("x", "m"), Column("y", "m"), Column("theta", "rad"))
+        return Table(head, np.column_stack((self.trajectory.time, self.trajectory.pose)).tolist())
 
     def flagged(self, *flags: Flag) -> Experiment:
         """Return the experiment with flags added."""

@@ -11,7 +11,7 @@ from fixel.model import Parameters
 from fixel.sampling import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views import live_comparison
-from fixel.workflows.project.compare import comparison
+from fixel.workflows.project.compare import compare_run
 
 HERE = Path("my_lab")
 
@@ -39,7 +39,7 @@ def test_the_thesis_parameters_come_first_and_all_of_them_have_a_meaning(live):
 def test_a_set_is_the_comparison_of_the_command_line(live):
     values = {"mu_support": 0.3, "tripod_radius": 0.03}
     answer = live.compared(1, values, "quasistatic", HERE)
-    same = comparison(
+    same = compare_run(
         live.experiment(1), Parameters(values), live_comparison.motion_model("quasistatic")
     )
     assert answer.error_mm2 == same.error_mm2

@@ -12,7 +12,7 @@ from fixel.model import Flag, Parameters, PlannedExperiment, Trajectory
 from fixel.simulation.motion import QuasiStatic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import grasp
-from fixel.workflows.project.compare import ANGLE_SCALE, comparison, frame_rate, summary, travelled
+from fixel.workflows.project.compare import ANGLE_SCALE, compare_run, frame_rate, summary, travelled
 
 
 def bench(**settings):
@@ -43,7 +43,7 @@ def moved(experiment, offset):
 
 @pytest.mark.parametrize("lead_in", [0.0, 0.5])
 def test_a_bench_without_imperfection_is_met(lead_in):
-    answer = comparison(bench(lead_in=lead_in))
+    answer = compare_run(bench(lead_in=lead_in))
 
     assert answer.status == "converged"
     assert answer.error_mm2 < 1e-4
@@ -51,7 +51,7 @@ def test_a_bench_without_imperfection_is_met(lead_in):
 
 
 def test_e_counts_an_angle_as_35_mm_a_radian(perfect):
-    answer = comparison(moved(perfect, (0.003, -0.004, 0.1)))
+    answer = compare_run(moved(perfect, (0.003, -0.004, 0.1)))
 
     assert ANGLE_SCALE == 35.0
     assert answer.error_mm2 == pytest.approx(5.0**2 + 3.5**2, abs=0.05)
@@ -61,7 +61,7 @@ def test_e_counts_an_angle_as_35_mm_a_radian(perfect):
 
 
 def test_a_turn_more_is_no_error(perfect):
-    assert comparison(moved(perfect, (0.0, 0.0, 2.0 * np.pi))).error_mm2 < 1e-4
+    assert compare_run(moved(perfect, (0.0, 0.0, 2.0 * np.pi))).error_mm2 < 1e-4
 
 
 def test_frames_outside_of_the_useful_ones_do_not_count(perfect):
@@ -70,7 +70,7 @@ def test_frames_outside_of_the_useful_ones_do_not_count(perfect):
     experiment = replace(
         perfect, trajectory=Trajectory(time=track.time, pose=spoiled), effective=(0.0, last)
     )
-    answer = comparison(experiment)
+    answer = compare_run(experiment)
 
     assert answer.error_mm2 < 1e-4
     assert answer.time[-1] <= last
@@ -83,7 +83,7 @@ def test_of_two_poses_the_second_is_the_error(perfect):
     ends = Trajectory(
         time=track.time[[0, -1]], pose=track.pose[[0, -1]] + np.array([[0, 0, 0], [0.002, 0, 0]])
     )
-    answer = comparison(replace(perfect, trajectory=ends, pusher=None, channels=()))
+    answer = compare_run(replace(perfect, trajectory=ends, pusher=None, channels=()))
 
     assert len(answer.time) == 1
     assert answer.error_mm2 == pytest.approx(4.0, abs=0.05)
@@ -91,7 +91,7 @@ def test_of_two_poses_the_second_is_the_error(perfect):
 
 
 def test_parameters_and_motion_reach_the_simulation(perfect):
-    answer = comparison(perfect, Parameters(mu_pusher=0.0), QuasiStatic())
+    answer = compare_run(perfect, Parameters(mu_pusher=0.0), QuasiStatic())
 
     assert answer.simulation.parameters == Parameters(mu_pusher=0.0)
     assert answer.summary()["parameters"] == {"mu_pusher": 0.0}
@@ -99,7 +99,7 @@ def test_parameters_and_motion_reach_the_simulation(perfect):
 
 
 def test_a_simulation_that_stopped_has_no_errors(perfect):
-    answer = comparison(perfect)
+    answer = compare_run(perfect)
     jammed = replace(answer, simulation=replace(answer.simulation, status="jammed", stopped_at=1.0))
 
     assert jammed.error_mm2 is jammed.position_rms is jammed.final_angle is None
@@ -112,16 +112,16 @@ def test_without_a_scene_there_is_nothing_to_simulate(perfect):
     bare = replace(perfect, scene=None, flags=(Flag("no-fixels", "nobody knows where", False),))
 
     with pytest.raises(InvalidInput, match="no scene: nobody knows where"):
-        comparison(bare)
+        compare_run(bare)
 
 
 def test_useful_data_must_be_there(perfect):
     with pytest.raises(InvalidInput, match="no measured pose from 100 to 101 s"):
-        comparison(replace(perfect, effective=(100.0, 101.0)))
+        compare_run(replace(perfect, effective=(100.0, 101.0)))
 
 
 def test_a_record_keeps_what_was_found(perfect):
-    answer = comparison(perfect, Parameters(mu_support=0.3))
+    answer = compare_run(perfect, Parameters(mu_support=0.3))
     record = answer.record(7, "fixel compare testbed/push")
 
     assert (record.experiment_id, record.parameters) == (7, answer.parameters)
@@ -135,7 +135,7 @@ def test_a_record_keeps_what_was_found(perfect):
 def test_experiment_141_is_as_far_off_as_it_is_known_to_be(real):
     # mechanics.md 6 has 84.4 to 86.3 mm^2 for the laboratory's own parameters, by another stepper;
     # tests/reference has the exact agreement with the laboratory.
-    answer = comparison(real["141"], Parameters(mu_support=0.3))
+    answer = compare_run(real["141"], Parameters(mu_support=0.3))
 
     assert 70.0 < answer.error_mm2 < 95.0
     assert answer.summary()["contact_mode"]["measured"] == "010"

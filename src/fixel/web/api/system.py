@@ -111,7 +111,7 @@ def self_test(context: Context) -> SelfTest:
 )
 def check(context: Context) -> DatabaseCheck:
     with _only_one(context, "the check"):
-        found = maintenance.check(context.project.folder)
+        found = maintenance.check(context.project)
     return DatabaseCheck(
         ok=not found.troubles,
         engine=found.engine,

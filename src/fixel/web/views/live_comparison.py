@@ -28,7 +28,7 @@ from fixel.web.views.motion_views import MotionView, compared_motion, stored_mot
 from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.compilation import INSTANT, get_ready
-from fixel.workflows.project.compare import Comparison, comparison
+from fixel.workflows.project.compare import RunComparison, compare_run
 
 DYNAMIC: Final = "dynamic"
 MAX_STEPS: Final = 20_000  # of one simulation; those of the thesis take about a hundred
@@ -163,8 +163,8 @@ class LiveComparison:
 
     def _comparison(
         self, experiment_id: int, parameters: Mapping[str, float], motion: str
-    ) -> Comparison:
-        return comparison(
+    ) -> RunComparison:
+        return compare_run(
             self.experiment(experiment_id),
             Parameters(parameters),
             motion_model(motion),
@@ -222,7 +222,7 @@ class LiveComparison:
                 try:
                     experiment = self._store.experiment(experiment_id)
                     command = f"{command_of(experiment, folder, {}, DYNAMIC)} --save"
-                    answer = comparison(experiment, stepper=Adaptive(max_steps=MAX_STEPS))
+                    answer = compare_run(experiment, stepper=Adaptive(max_steps=MAX_STEPS))
                     self._store.add_simulation(answer.record(experiment_id, command))
                     stored.append(experiment_id)
                 except InvalidInput as problem:
@@ -270,11 +270,11 @@ def python_of(
             "from fixel.database.project import Project",
             "from fixel.model import Parameters",
             f"from fixel.simulation import {model}",
-            "from fixel.workflows.project.compare import comparison",
+            "from fixel.workflows.project.compare import compare_run",
             "",
             f"with Project.open(Path({str(folder)!r})).store() as store:",
             f"    experiment = store.experiment(store.find({experiment.key!r}))",
-            f"answer = comparison(experiment, {Parameters(parameters)!r}, {model}())",
+            f"answer = compare_run(experiment, {Parameters(parameters)!r}, {model}())",
             "print(answer.summary())",
             "",
         )

@@ -20,7 +20,7 @@ from fixel.model.shape import Shape, placed
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray, IntArray
 from fixel.web.values import Answer, Array, IndexArray, Numbers
-from fixel.workflows.project.compare import Comparison, errors_of
+from fixel.workflows.project.compare import RunComparison, errors_of
 
 Role = Literal["object", "body", "pusher", "fixel"]
 
@@ -224,7 +224,7 @@ def simulated_motion(
     )
 
 
-def compared_motion(answer: Comparison, label: str, *, id: str) -> MotionView:
+def compared_motion(answer: RunComparison, label: str, *, id: str) -> MotionView:
     """Return the motion of a simulation of an experiment, with its errors."""
     simulation = answer.simulation
     start = float(answer.simulated.time[0]) - float(simulation.time[0])

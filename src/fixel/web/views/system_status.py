@@ -160,7 +160,7 @@ def back_up(project: Project) -> Backup:
     folder = project.folder / BACKUPS
     with _making:  # or two might choose the same name
         folder.mkdir(exist_ok=True)
-        return maintenance.backup(project.folder, _new_name(folder))
+        return maintenance.backup(project, _new_name(folder))
 
 
 def _new_name(folder: Path) -> Path:

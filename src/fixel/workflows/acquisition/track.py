@@ -11,7 +11,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.database.project import Project
+from fixel.database.project import Project, typed
 from fixel.drawing import palette
 from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
 from fixel.errors import InvalidInput
@@ -29,7 +29,6 @@ from fixel.vision.tracking import AUTO, FilmTracks, track
 from fixel.vision.tracking.actuator import ActuatorMotion
 from fixel.vision.tracking.follow import things_of
 from fixel.workflows.acquisition.tracked_experiment import Readings, actuator_motion, experiment_of
-from fixel.workflows.project.importing import typed
 
 RIG_FILE: Final = "rig.yaml"
 SCENE_FILE: Final = "scene.yaml"

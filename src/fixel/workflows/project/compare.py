@@ -31,7 +31,7 @@ NOISE: Final = 1e-3  # [m], shortest stride that counts in the length of a path
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+class RunComparison:
     """Simulation of an experiment, compared with the measurement.
 
     Attributes
@@ -155,12 +155,12 @@ class Comparison:
         )
 
 
-def comparison(
+def compare_run(
     experiment: Experiment,
     parameters: Parameters | None = None,
     motion: AbstractMotionModel | None = None,
     stepper: AbstractStepper | None = None,
-) -> Comparison:
+) -> RunComparison:
     """Simulate an experiment from its first pose on, and compare the poses.
 
     Parameters
@@ -200,7 +200,7 @@ def comparison(
     )
     simulated = _track(simulation, experiment.object_name, start)
     time, position, angle = errors_of(experiment, simulated)
-    return Comparison(
+    return RunComparison(
         experiment=experiment,
         parameters=parameters,
         simulation=simulation,

@@ -97,9 +97,8 @@ class CheckResult:
 # --- upgrade ------------------------------------------------------------------------------------
 
 
-def upgrade(folder: Path) -> SchemaVersions:
+def upgrade(project: Project) -> SchemaVersions:
     """Upgrade the tables of a project to this program's version, or leave them unchanged."""
-    project = Project.open(folder)
     with Store(project.url, project.media) as store:
         return SchemaVersions(*store.upgrade())
 
@@ -107,7 +106,7 @@ def upgrade(folder: Path) -> SchemaVersions:
 # --- backup -------------------------------------------------------------------------------------
 
 
-def backup(folder: Path, file: Path) -> Backup:
+def backup(project: Project, file: Path) -> Backup:
     """Copy a project's SQLite database while other programs may use it.
 
     Raises
@@ -117,7 +116,6 @@ def backup(folder: Path, file: Path) -> Backup:
     StoreRefused
         The database is on a server, missing or damaged.
     """
-    project = Project.open(folder)
     database = _database_file(project, file)
     if file.exists() and file.samefile(database):
         raise InvalidInput(str(file), found="the database itself", expected="another file")
@@ -181,9 +179,8 @@ def _read_only(file: Path) -> str:
 # --- check --------------------------------------------------------------------------------------
 
 
-def check(folder: Path) -> CheckResult:
+def check(project: Project) -> CheckResult:
     """Read everything a project stores and report what is wrong with it; changes nothing."""
-    project = Project.open(folder)
     if sa.make_url(project.url).get_backend_name() == "sqlite":
         _database_file(project)
     engine = open_engine(project.url)

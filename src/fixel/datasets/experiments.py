@@ -1,0 +1,339 @@
+"""Immutable, filterable sequence of experiments."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import degrees
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, final, overload
+
+import numpy as np
+
+from fixel.datasets.own_scene import SceneChoice, with_scene
+from fixel.errors import InvalidInput
+from fixel.model import Experiment
+from fixel.model.fields import instance
+from fixel.model.selection import (
+    ERRORS,
+    ExperimentDetails,
+    ExperimentRow,
+    KnownNames,
+    UnknownName,
+    described,
+    holds,
+    parse_filter,
+    refuse_unknown,
+)
+from fixel.results import Result, Summary
+from fixel.table import Column, Table
+
+
+class ExperimentEntry(NamedTuple):
+    """One of several experiments: its facts, and the experiment unless it is read when needed."""
+
+    row: ExperimentRow
+    details: ExperimentDetails
+    experiment: Experiment | None = None
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Experiments(Result, Sequence[Experiment]):
+    """Experiments, as `read_experiments` reads them or a project stores them.
+
+    Filters, samples and splits return other sequences; nothing is modified. Experiments of a
+    project are read from it one by one, when they are used.
+
+    Parameters
+    ----------
+    entries : tuple of ExperimentEntry
+    load : callable, optional
+        Function that returns the experiment with an id, for entries without one.
+    notes : tuple of str
+        How the source was interpreted: units, frames, guesses.
+    skipped : tuple of str
+        Experiments of the source that were left out, with the reason.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> pushes = fixel.datasets.example()
+    >>> len(pushes), pushes[0].key
+    (40, 'example/00')
+    >>> train, test = pushes.split(test=10)
+    >>> [len(train), len(test), len(pushes.where("moved>50"))]
+    [30, 10, 13]
+    """
+
+    entries: tuple[ExperimentEntry, ...] = ()
+    load: Callable[[int], Experiment] | None = field(default=None, compare=False)
+    notes: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
+
+    _drawings: ClassVar[Mapping[str, str]] = {"paths": "fixel.drawing.experiment:plot_paths"}
+
+    @classmethod
+    def of(
+        cls,
+        experiments: Experiment | Iterable[Experiment],
+        notes: Sequence[str] = (),
+        skipped: Sequence[str] = (),
+    ) -> Experiments:
+        """Make a sequence of one experiment, or of several in memory.
+
+        Parameters
+        ----------
+        experiments : Experiment or iterable of Experiment
+        notes, skipped : sequence of str
+
+        Returns
+        -------
+        Experiments
+            The same object if it is one already.
+        """
+        if isinstance(experiments, Experiments):
+            return experiments
+        several = [experiments] if isinstance(experiments, Experiment) else [*experiments]
+        for k, one in enumerate(several):
+            instance(one, Experiment, f"experiments[{k}]", "an Experiment")
+        entries = (ExperimentEntry(*described(one, k), one) for k, one in enumerate(several))
+        return cls(tuple(entries), None, tuple(notes), tuple(skipped))
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    @overload
+    def __getitem__(self, index: int) -> Experiment: ...
+    @overload
+    def __getitem__(self, index: slice) -> Experiments: ...
+    def __getitem__(self, index: int | slice) -> Experiment | Experiments:
+        if isinstance(index, slice):
+            return self._with(self.entries[index])
+        entry = self.entries[index]
+        if entry.experiment is not None:
+            return entry.experiment
+        assert self.load is not None
+        return self.load(entry.row.id)
+
+    def __iter__(self) -> Iterator[Experiment]:
+        return (self[k] for k in range(len(self)))
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Full names of the experiments: dataset/name."""
+        return tuple(entry.row.key for entry in self.entries)
+
+    def _with(self, entries: Iterable[ExperimentEntry]) -> Experiments:
+        return Experiments(tuple(entries), self.load, self.notes, self.skipped)
+
+    def where(self, *filters: str) -> Experiments:
+        """Return the experiments that match all terms of a filter.
+
+        Parameters
+        ----------
+        *filters : str
+            Terms separated by spaces: comparisons such as `surface=abs`, `speed_m_s<0.05`,
+            `moved>50` [mm], `turned>10` [deg] or `error>5` [mm]; marks such as `real`,
+            `simulated`, `flagged` or `clean`; other words occur in the name, a condition, a flag
+            or a note. The same filters are understood by commands and pages.
+
+        Raises
+        ------
+        InvalidInput
+            An unknown condition, or an error of experiments that have none.
+
+        Examples
+        --------
+        >>> import fixel
+        >>> pushes = fixel.datasets.example()
+        >>> len(pushes.where("surface=plywood turned>20"))
+        8
+        """
+        query = parse_filter(*filters, include_faulty=True)
+        kept = [entry for entry in self.entries if holds(query, entry.row, entry.details)]
+        known = KnownNames.of((entry.row, entry.details) for entry in self.entries)
+        refuse_unknown(query, known, found=bool(kept))
+        asked = next((bound.name for bound in query.bounds if bound.name in ERRORS), None)
+        if asked and not any(entry.details.error_mm2 is not None for entry in self.entries):
+            raise InvalidInput(
+                f"filter: {asked.removesuffix('_mm')}",
+                found="experiments that were not simulated",
+                expected="errors of simulations",
+                hint="fixel.compare(experiments).experiments has them, as do those of a project",
+            )
+        return self._with(kept)
+
+    def sample(self, n: int, seed: int = 0) -> Experiments:
+        """Return a random sample without repetitions, in the order of the experiments.
+
+        Parameters
+        ----------
+        n : int
+            Number of experiments.
+        seed : int
+            Seed of the random number generator.
+        """
+        if not 0 < n <= len(self):
+            raise InvalidInput("n", found=n, expected=f"a number from 1 to {len(self)}")
+        drawn = np.random.default_rng(seed).choice(len(self), n, replace=False)
+        return self._with(self.entries[k] for k in sorted(drawn.tolist()))
+
+    def split(
+        self, test: int | float, *, by: str | None = None, seed: int = 0
+    ) -> tuple[Experiments, Experiments]:
+        """Split the experiments at random into two parts, such as for a fit and for its test.
+
+        Parameters
+        ----------
+        test : int or float
+            Size of the second part: a number of experiments, or a share below 1.
+        by : str, optional
+            Condition whose values stay together in one part; `test` then counts its values.
+        seed : int
+            Seed of the random number generator.
+
+        Returns
+        -------
+        train, test : Experiments
+            Both in the order of the experiments.
+        """
+        groups = [*self.groupby(by).values()] if by else [self._with([e]) for e in self.entries]
+        wanted = round(test * len(groups)) if isinstance(test, float) else test
+        if isinstance(test, bool) or not 0 < wanted < len(groups):
+            most = f"from 1 to {len(groups) - 1}, or a share of as many"
+            raise InvalidInput("test", found=test, expected=f"a number {most}")
+        drawn = np.random.default_rng(seed).choice(len(groups), wanted, replace=False)
+        keys = {(e.row.id, e.row.key) for k in drawn.tolist() for e in groups[k].entries}
+        chosen = [(e.row.id, e.row.key) in keys for e in self.entries]
+        parts = (
+            [e for e, own in zip(self.entries, chosen, strict=True) if own is second]
+            for second in (False, True)
+        )
+        train, held_out = map(self._with, parts)
+        return train, held_out
+
+    def groupby(self, condition: str) -> dict[str | float | None, Experiments]:
+        """Return the experiments for each value of a condition; None for those without it.
+
+        Parameters
+        ----------
+        condition : str
+            Name of a condition, or `dataset`.
+
+        Raises
+        ------
+        InvalidInput
+            No experiment has this condition.
+        """
+        found: dict[str | float | None, list[ExperimentEntry]] = {}
+        for entry in self.entries:
+            known = {"dataset": entry.row.dataset, **entry.row.conditions}
+            found.setdefault(known.get(condition), []).append(entry)
+        if self.entries and found.keys() == {None}:
+            names = {name for entry in self.entries for name in entry.row.conditions}
+            raise UnknownName("condition", condition, (*sorted(names), "dataset")).error()
+        return {value: self._with(entries) for value, entries in found.items()}
+
+    def with_scene(
+        self, scene: SceneChoice | str, *, object_name: str | None = None
+    ) -> Experiments:
+        """Return the experiments with a scene, which the measured poses complete.
+
+        The object starts at its first measured pose, and the pusher follows its measured path.
+
+        Parameters
+        ----------
+        scene : Scene, path or callable
+            Scene, which may be a template whose pusher has no drive; scene file; or function that
+            returns a scene for the conditions and the `name` of an experiment.
+        object_name : str, optional
+            Body of the scene whose motion was measured; required if there are several.
+
+        Raises
+        ------
+        InvalidInput
+            The poses do not fit the scene.
+        """
+        choice = Path(scene) if isinstance(scene, str) else scene
+        made, notes = [], dict.fromkeys(self.notes)
+        for one in self:
+            completed, sentences = with_scene(one, choice, object_name)
+            made.append(completed)
+            notes |= dict.fromkeys(sentences[:1])
+        return Experiments.of(made, tuple(notes), self.skipped)
+
+    def in_memory(self) -> Experiments:
+        """Return the same experiments, all of them read."""
+        if self.load is None:
+            return self
+        entries = (entry._replace(experiment=self[k]) for k, entry in enumerate(self.entries))
+        return Experiments(tuple(entries), None, self.notes, self.skipped)
+
+    def save(self, path: str | Path) -> Path:
+        """Save the experiments to a file, which `fixel.load` reads."""
+        return Result.save(self.in_memory(), path)
+
+    def _summary(self) -> Summary:
+        kinds = Counter("real" if entry.row.is_real else "simulated" for entry in self.entries)
+        datasets = sorted({entry.row.dataset for entry in self.entries})
+        of = f"dataset {datasets[0]!r}" if len(datasets) == 1 else f"{len(datasets)} datasets"
+        n_scene = sum(entry.details.has_scene for entry in self.entries)
+        kind = next(iter(kinds)) if len(kinds) == 1 else f"{kinds['real']} real"
+        heading = f"Experiments: {len(self)} of {of} ({kind}), {n_scene} with scene"
+        skipped = [f"skipped {len(self.skipped)}: {self.skipped[0]}, ..."] if self.skipped else []
+        notes = [f"note: {note}" for note in self.notes if note.startswith("Guess")]
+        return Summary(
+            heading if self.entries else "Experiments: none",
+            [self._listed()] if self.entries else [],
+            [*skipped, *notes],
+            {"source": note} if (note := " ".join(self.notes)) else {},
+        )
+
+    def _listed(self) -> Table:
+        with_error = any(entry.details.error_mm2 is not None for entry in self.entries)
+        rows = [
+            (
+                *(row.key, row.n_frame, row.duration_s, 1e3 * row.moved_m),
+                degrees(row.turned_rad),
+                *([_root(details.error_mm2)] if with_error else []),
+            )
+            for row, details, _ in self.entries
+        ]
+        columns = [Column("name"), Column("frames"), Column("duration", "s", ".2f")]
+        columns += [Column("moved", "mm", ".1f"), Column("turned", "deg", ".1f")]
+        columns += [Column("error", "mm", ".2f")] if with_error else []
+        return Table(columns, rows)
+
+    def _data(self) -> Table:
+        """Facts in SI units, and a column for each condition."""
+        conditions = [entry.row.conditions for entry in self.entries]
+        names = sorted({name for own in conditions for name in own})
+        columns: dict[str, tuple[str, list[Any]]] = {
+            name: (unit, [getattr(entry.row, attribute) for entry in self.entries])
+            for name, (attribute, unit) in _FACTS.items()
+        }
+        for label in ("before_mm2", "after_mm2"):
+            errors = [_root(getattr(entry.details, label)) for entry in self.entries]
+            if any(error is not None for error in errors):
+                columns[f"error_{label[:-4]}"] = "mm", errors
+        columns |= {name: ("", [own.get(name) for own in conditions]) for name in names}
+        return Table(
+            [Column(name, unit) for name, (unit, _) in columns.items()],
+            zip(*(values for _, values in columns.values()), strict=True),
+        )
+
+
+_FACTS = {
+    **{name: (name, "") for name in ("dataset", "name")},
+    **{"real": ("is_real", ""), "frames": ("n_frame", ""), "duration": ("duration_s", "s")},
+    **{f"{end}_{axis}": (f"{end}_{axis}_m", "m") for end in ("start", "end") for axis in "xy"},
+    **{f"{end}_theta": (f"{end}_theta_rad", "rad") for end in ("start", "end")},
+    **{"moved": ("moved_m", "m"), "turned": ("turned_rad", "rad")},
+    "contacts": ("contact_mode", ""),
+}
+
+
+def _root(square: float | None) -> float | None:
+    return None if square is None else square**0.5

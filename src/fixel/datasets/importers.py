@@ -1,0 +1,54 @@
+"""Importers of recorded data, one per dataset and one for your own tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from fixel.datasets.base import Importer
+from fixel.datasets.cmu_tripod import CmuTripod
+from fixel.datasets.cmu_two_point import CmuTwoPoint
+from fixel.datasets.mit_push import MitPush
+from fixel.datasets.mit_pusher_slider import MitPusherSlider
+from fixel.datasets.rpi_2dgad import Rpi2dgad
+from fixel.datasets.table import CsvTable
+from fixel.errors import DatasetMissing, InvalidInput
+
+_ALL: Final = (Rpi2dgad(), MitPush(), MitPusherSlider(), CmuTripod(), CmuTwoPoint(), CsvTable())
+
+IMPORTERS: Final[Mapping[str, Importer]] = MappingProxyType(
+    {importer.name: importer for importer in _ALL}
+)
+
+
+def importer_for(source: Path, name: str | None = None) -> Importer:
+    """Return the importer of a given name, or the first that recognises a file or folder.
+
+    Raises
+    ------
+    InvalidInput
+        No importer of that name.
+    DatasetMissing
+        The source does not exist, or no importer recognises it.
+    """
+    known = ", ".join(IMPORTERS)
+    if name is not None:
+        if name not in IMPORTERS:
+            raise InvalidInput("importer", found=repr(name), expected=f"one of {known}")
+        return IMPORTERS[name]
+    source = Path(source)
+    if not source.exists():
+        raise DatasetMissing(source, f"data for one of {known}", "there is no such file or folder")
+    for importer in IMPORTERS.values():
+        if importer.recognised(source):
+            return importer
+    raise DatasetMissing(source, f"data for one of {known}", _hint(source))
+
+
+def _hint(source: Path) -> str:
+    """Hint that names subfolders with known data, or else the option to name an importer."""
+    inside = sorted(path for path in source.iterdir() if path.is_dir()) if source.is_dir() else []
+    found = [path.name for path in inside if any(x.recognised(path) for x in _ALL)]
+    return f"look inside: {', '.join(found)}" if found else "name the importer to use"

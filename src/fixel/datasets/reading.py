@@ -1,0 +1,150 @@
+"""Reading of tables and public datasets as experiments."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fixel.datasets.base import ImportPlan, Origin, fixel_version, guarded
+from fixel.datasets.experiments import Experiments
+from fixel.datasets.files import read_table, table_rows
+from fixel.datasets.importers import IMPORTERS, importer_for
+from fixel.datasets.own_scene import SceneChoice
+from fixel.datasets.table import DATASET as TABLE
+from fixel.datasets.table import CsvTable, plan_table, refuse_unknown_name
+from fixel.errors import InvalidInput
+from fixel.model import Body, Disk, LineDrive, Polygon, Provenance, Pusher, Scene, Tripod
+from fixel.progress import ProgressOption, show_progress
+
+KINDS: Final = ("time", "length", "angle")
+EXAMPLE: Final = "example.csv.gz"
+
+
+def plan_import(
+    source: Any,
+    format: str | None = None,
+    *,
+    scene: SceneChoice | None = None,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    split_by: str | None = None,
+    options: Mapping[str, str] | None = None,
+) -> ImportPlan:
+    """Plan the reading of a file, a folder or a table in memory.
+
+    Parameters
+    ----------
+    source : Path or table
+    format : str, optional
+        Name of an importer; by default the one that recognises the source.
+    scene, columns, units, split_by
+        For tables of one's own, as in `read_experiments`.
+    options : mapping of str to str, optional
+        Options of the importer.
+
+    Raises
+    ------
+    InvalidInput
+        Invalid data, or an argument for tables that was given for another source.
+    DatasetMissing
+        No importer recognises the source.
+    """
+    known = dict(options or {})
+    importer = importer_for(source, format) if isinstance(source, Path) else IMPORTERS[TABLE]
+    if isinstance(importer, CsvTable):
+        importer.check_options(known)
+        file = known.pop("scene", None)
+        choice = Path(file) if file is not None and scene is None else scene
+        split_by = known.pop("split_by", split_by)
+        for kind, unit in (units or {}).items():
+            refuse_unknown_name("units", kind, KINDS)
+            known[f"{kind}_unit"] = unit
+        return _plan_table(source, known, choice, split_by, columns)
+    given = {"scene": scene, "columns": columns, "units": units, "split_by": split_by}
+    for name, value in given.items():
+        if value is not None:
+            found = f"a source read as {importer.name}"
+            raise InvalidInput(name, found=found, expected="a table of your own")
+    return importer.read(source, **known)
+
+
+def _plan_table(
+    table: Any,
+    options: Mapping[str, str],
+    scene: SceneChoice | None,
+    split_by: str | None,
+    columns: Mapping[str, str] | None,
+) -> ImportPlan:
+    if isinstance(table, Path):
+        if not table.is_file():
+            raise InvalidInput(table.name, found="a folder", expected="one table")
+        with guarded(table.name):
+            rows, source, provenance = read_table(table), table, Origin().of(table)
+            return plan_table(rows, source, provenance, options, scene, split_by, columns)
+    rows, source = table_rows(table), Path("table")
+    digest = hashlib.sha256(repr(rows.columns).encode()).hexdigest()
+    provenance = Provenance(version=fixel_version(), source="table in memory", sha256=digest)
+    return plan_table(rows, source, provenance, options, scene, split_by, columns)
+
+
+def collected(
+    plans: Sequence[ImportPlan], limit: int | None, progress: ProgressOption
+) -> Experiments:
+    """Read the experiments of plans, at most `limit`."""
+    total = sum(plan.n_experiments for plan in plans)
+    total = total if limit is None else min(limit, total)
+    every = (experiment for plan in plans for experiment in plan.experiments())
+    found = []
+    with show_progress(progress, "reading experiments") as report:
+        for done, experiment in enumerate(islice(every, limit), start=1):
+            found.append(experiment)
+            report(done, total)
+    notes = dict.fromkeys(sentence for plan in plans for sentence in plan.understood)
+    return Experiments.of(found, tuple(notes), [name for plan in plans for name in plan.skipped])
+
+
+def example() -> Experiments:
+    """Return 40 pushes of a simulated laboratory, which come with fixel.
+
+    A tip with a radius of 5 mm pushes a part of 100 mm by 80 mm over 56 mm, at 20 mm/s and 20
+    poses a second. Conditions: `surface` (abs, plywood), `contact_offset_m` and `push_angle_rad`.
+    The true friction of the tip is 0.22 and varies by 5 % from push to push. The true radius of
+    the tripod is 38 mm; the scenes have other values. Measured positions scatter by 0.2 mm, angles
+    by 0.15 degrees. The friction of the table differs between the surfaces.
+
+    Returns
+    -------
+    Experiments
+
+    Examples
+    --------
+    >>> import fixel
+    >>> pushes = fixel.datasets.example()
+    >>> pushes[0].conditions["surface"]
+    'abs'
+    """
+    return collected([example_plan()], None, False)
+
+
+def example_plan() -> ImportPlan:
+    """Plan the reading of `example`."""
+    away, (x, y) = np.array([1.0, 1.0, 0.0]), (0.05, 0.04)
+    part = Body(
+        name="part",
+        shape=Polygon(np.array([[-x, -y], [x, -y], [x, y], [-x, y]])),
+        mass=0.5,
+        pose=0.0 * away,
+        support=Tripod(radius=0.025, friction=0.25),
+    )
+    drive = LineDrive(direction=away[:2], speed=0.0)  # the measured path replaces it
+    tip = Pusher(name="tip", shape=Disk(0.005), pose=away, drive=drive, friction=0.3)
+    scene = Scene(bodies=(part,), pushers=(tip,), duration=1.0)
+    source = Path(str(files("fixel.datasets") / EXAMPLE))
+    options = {"name": "example", "simulated_by": "fixel"}
+    return plan_import(source, scene=scene, split_by="push", options=options)

@@ -1,0 +1,152 @@
+"""Reading of experiments from files, folders and tables in memory."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from fixel.database.bundle import import_bundle
+from fixel.database.experiments import stored_experiments
+from fixel.database.project import DATABASE, MEDIA
+from fixel.database.store import Store
+from fixel.datasets import Experiments, plan_import
+from fixel.datasets.own_scene import SceneChoice
+from fixel.datasets.reading import collected
+from fixel.errors import InvalidInput
+from fixel.formats.recording import is_recording
+from fixel.model import Scene
+from fixel.model.selection import ExperimentQuery
+from fixel.progress import ProgressOption
+from fixel.workflows.acquisition.track import track_film
+
+PathLike = str | os.PathLike[str]
+
+
+def read_experiments(
+    source: PathLike | Iterable[PathLike] | Any,
+    *,
+    scene: SceneChoice | PathLike | None = None,
+    format: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    split_by: str | None = None,
+    object_name: str | None = None,
+    limit: int | None = None,
+    progress: ProgressOption = None,
+) -> Experiments:
+    """Read experiments from your own table, a public dataset, a recording or an export.
+
+    Parameters
+    ----------
+    source : path, sequence of paths, or table
+        CSV or Parquet table, or table of pandas, polars or Arrow, with columns such as `time_s`,
+        `x_mm`, `y_mm`, `theta_deg`, `pusher_x_mm`, `pusher_y_mm`; folder of a public dataset;
+        folder of a recording with its `rig.yaml` and `scene.yaml`, which is tracked; or `.zip` that
+        `fixel export` wrote. Several paths are read one after the other.
+    scene : Scene, path or callable, optional
+        Scene of a table, without which its experiments can be drawn but not simulated. It may be a
+        template whose pusher has no drive: start poses, path and duration come from the table. A
+        function gets the conditions and the `name` of each experiment.
+    format : str, optional
+        Format of the source, such as `csv`, `mit-push` or `rpi-2dgad`; by default recognised.
+    columns : mapping of str to str, optional
+        Titles of columns whose role is not clear: `{"theta": "yaw", "pusher_x": "robot x"}`.
+    units : mapping of str to str, optional
+        Units of columns without a unit: `{"time": "ms", "length": "mm", "angle": "deg"}`. The unit
+        of angles replaces that in the header.
+    split_by : str, optional
+        Column whose values separate the experiments of a table.
+    object_name : str, optional
+        Body of the scene whose motion was measured; by default its only body.
+    limit : int, optional
+        Maximum number of experiments.
+    progress : bool or callable, optional
+        None: a bar in terminals and notebooks; False: nothing; or a function that is called.
+
+    Returns
+    -------
+    Experiments
+        With `notes` on how the source was read, and experiments that were `skipped`.
+
+    Raises
+    ------
+    InvalidInput
+        A table without times, positions or a known column; poses that do not fit the scene; lengths
+        or angles whose unit in the header cannot be right.
+    DatasetMissing
+        The source does not exist or is not recognised.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> table = {
+    ...     "push": ["a", "a", "b", "b"],
+    ...     "time_s": [0.0, 1.0, 0.0, 1.0],
+    ...     "x_mm": [0.0, 8.0, 0.0, 9.0],
+    ...     "y_mm": [0.0, 0.0, 0.0, 0.0],
+    ...     "theta_deg": [0.0, 5.0, 0.0, -4.0],
+    ...     "pusher_x_mm": [-55.0, -46.0, -55.0, -46.0],
+    ...     "pusher_y_mm": [10.0, 10.0, -10.0, -10.0],
+    ... }
+    >>> fixel.read_experiments(table, split_by="push")
+    Experiments: 2 of dataset 'table' (real), 0 with scene
+      name     frames  duration [s]  moved [mm]  turned [deg]
+      table/a       2          1.00         8.0           5.0
+      table/b       2          1.00         9.0          -4.0
+    """
+    choice = Path(scene) if isinstance(scene, str | os.PathLike) else scene
+    sources = [*source] if isinstance(source, list | tuple) else [source]
+    places = [Path(s) if isinstance(s, str | os.PathLike) else s for s in sources]
+    if limit is not None and limit < 1:
+        raise InvalidInput("limit", found=limit, expected="a number of at least 1")
+    plans, found = [], []
+    for place in places:
+        ready = None if format is not None else _ready(place, choice)
+        if ready is not None:
+            found.append(ready)
+            continue
+        options = {} if object_name is None else {"object_name": object_name}
+        plans.append(
+            plan_import(
+                place,
+                format,
+                scene=choice,
+                columns=columns,
+                units=units,
+                split_by=split_by,
+                options=options,
+            )
+        )
+    read = collected(plans, limit, progress)
+    if not found:
+        return read
+    every = [one for some in (*found, read) for one in some]
+    return Experiments.of(every[:limit], read.notes, read.skipped)
+
+
+def _ready(place: Any, scene: SceneChoice | None) -> Experiments | None:
+    """Experiments of a recording or a bundle; None for another source."""
+    if not isinstance(place, Path):
+        return None
+    if is_recording(place):
+        if scene is not None and not isinstance(scene, Path):
+            found = "a Scene" if isinstance(scene, Scene) else "a function"
+            raise InvalidInput("scene", found=found, expected="a scene file, for a recording")
+        return Experiments.of(track_film(place, scene=scene).experiment)
+    if place.suffix.lower() == ".zip" and place.is_file():
+        return _of_bundle(place)
+    return None
+
+
+def _of_bundle(path: Path) -> Experiments:
+    """Experiments of a bundle, through a database that is removed again."""
+    with (
+        TemporaryDirectory(prefix="fixel-bundle-") as folder,
+        Store(f"sqlite:///{Path(folder) / DATABASE}", Path(folder) / MEDIA) as store,
+    ):
+        store.upgrade()
+        import_bundle(path, store)
+        return stored_experiments(store, ExperimentQuery(include_faulty=True)).in_memory()

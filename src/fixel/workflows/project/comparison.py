@@ -1,0 +1,289 @@
+"""Comparison of measured with simulated motion, for several experiments and models."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import degrees
+from typing import Any, ClassVar, Final, NamedTuple, cast, final
+
+import numpy as np
+
+from fixel.datasets.experiments import Experiments
+from fixel.errors import InvalidInput
+from fixel.model import Experiment, Parameters
+from fixel.progress import ProgressOption, show_progress
+from fixel.results import Result, Summary
+from fixel.simulation import AbstractMotionModel
+from fixel.simulation.motion import MOTION_MODELS
+from fixel.table import Column, Table
+from fixel.workflows.project.compare import RunComparison, compare_run
+
+Model = Mapping[str, float] | None  # values of parameters, a Calibration, or the scene's own values
+
+NOMINAL: Final = "nominal"
+CALIBRATED: Final = "calibrated"
+MAX_WORST: Final = 5  # experiments with the largest errors that a summary names
+
+
+class ComparedModel(NamedTuple):
+    """One experiment, simulated with one model."""
+
+    model: str
+    use: str  # "fitted", "held out", or empty for a model that was not fitted
+    run: RunComparison
+
+    @property
+    def error_mm(self) -> float | None:
+        """Root mean square error, angles at 35 mm per radian [mm]."""
+        square = self.run.error_mm2
+        return None if square is None else square**0.5
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Comparison(Result):
+    """Errors of simulations of experiments, one row for each experiment and model.
+
+    Parameters
+    ----------
+    rows : tuple of ComparedModel
+    skipped : tuple of str
+        Experiments that cannot be compared, with the reason.
+
+    Attributes
+    ----------
+    models : tuple of str
+        Names of the models.
+    experiments : Experiments
+        The experiments with their errors, which `where("error>5")` selects by.
+    """
+
+    rows: tuple[ComparedModel, ...]
+    skipped: tuple[str, ...] = ()
+
+    _drawings: ClassVar[Mapping[str, str]] = {
+        "errors": "fixel.drawing.comparison:plot_errors",
+        "motion": "fixel.drawing.comparison:plot_motion",
+    }
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """Names of the models."""
+        return tuple(dict.fromkeys(row.model for row in self.rows))
+
+    @property
+    def experiments(self) -> Experiments:
+        """Experiments with their errors: before of the first model, after of the last one."""
+        first, last = self.models[0], self.models[-1]
+        before = {row.run.experiment.key: row.run.error_mm2 for row in self.of(first)}
+        after = {row.run.experiment.key: row.run.error_mm2 for row in self.of(last)}
+        found = Experiments.of([row.run.experiment for row in self.of(first)])
+        entries = []
+        for entry in found.entries:
+            key = entry.row.key
+            details = entry.details._replace(before_mm2=before[key], after_mm2=after.get(key))
+            entries.append(entry._replace(details=details))
+        return Experiments(tuple(entries))
+
+    def of(self, model: str) -> list[ComparedModel]:
+        """Return the rows of one model."""
+        return [row for row in self.rows if row.model == model]
+
+    def plot(self, kind: str | None = None, *, ax: Any = None, **options: Any) -> Any:
+        """Draw the errors of all experiments, or the motion of a single one.
+
+        Parameters
+        ----------
+        kind : str, optional
+            ``"errors"``: share of the experiments below an error, for each model; ``"motion"``:
+            measured and simulated motion of one experiment. By default the second for a single
+            experiment.
+        ax : matplotlib.axes.Axes, optional
+        **options
+            `experiment`, the key of the one to draw; `model`.
+
+        Returns
+        -------
+        matplotlib.axes.Axes, or an array of them
+        """
+        single = len({row.run.experiment.key for row in self.rows}) == 1
+        chosen = kind or ("motion" if single or "experiment" in options else "errors")
+        return Result.plot(self, chosen, ax=ax, **options)
+
+    def _summary(self) -> Summary:
+        keys = dict.fromkeys(row.run.experiment.key for row in self.rows)
+        heading = f"Comparison of {len(keys)} experiments with {_some(len(self.models), 'model')}"
+        if len(keys) == 1:
+            return Summary(f"Comparison of experiment {next(iter(keys))}", [self._listed()])
+        notes = [f"skipped {len(self.skipped)}: {self.skipped[0]}"] if self.skipped else []
+        notes.append("error: root mean square, angles at 35 mm per radian")
+        return Summary(heading, [self._by_model(), self._worst()], notes)
+
+    def _by_model(self) -> Table:
+        rows = []
+        for model, use in dict.fromkeys((row.model, row.use) for row in self.rows):
+            errors = [row.error_mm for row in self.of(model) if row.use == use]
+            good = [error for error in errors if error is not None]
+            middle, high = np.quantile(good, (0.5, 0.9)) if good else (None, None)
+            most = max(good, default=None)
+            rows.append((model, use, len(errors), middle, high, most, len(errors) - len(good)))
+        errors_of = (Column(name, "mm", ".2f") for name in ("median", "90 %", "largest"))
+        head = (Column("model"), Column("use"), Column("experiments"), *errors_of, Column("failed"))
+        return Table(head, rows, title="error", left=2)
+
+    def _worst(self) -> Table:
+        last = [row for row in self.of(self.models[-1]) if row.error_mm is not None]
+        worst = sorted(last, key=lambda row: row.error_mm or 0.0, reverse=True)[:MAX_WORST]
+        rows = [(row.run.experiment.key, row.error_mm) for row in worst]
+        columns = (Column("experiment"), Column("error", "mm", ".2f"))
+        return Table(columns, rows, title=f"largest errors, {self.models[-1]}")
+
+    def _listed(self) -> Table:
+        rows = [
+            (
+                *(row.model, row.use, row.run.status, row.error_mm),
+                *(None if x is None else 1e3 * x for x in _positions(row.run)),
+                None if row.run.final_angle is None else degrees(row.run.final_angle),
+            )
+            for row in self.rows
+        ]
+        names = ("error", "position, rms", "position, end")
+        columns = (
+            *map(Column, ("model", "use", "status")),
+            *(Column(n, "mm", ".2f") for n in names),
+        )
+        return Table((*columns, Column("angle, end", "deg", ".2f")), rows, left=3)
+
+    def _data(self) -> Table:
+        """Rows in SI units, apart from the error."""
+        head = (
+            *map(Column, ("experiment", "model", "use", "status")),
+            *(Column("error", "mm"), Column("position_rms", "m"), Column("final_position", "m")),
+            *(Column("final_angle", "rad"), Column("same_contact_mode")),
+        )
+        rows = [
+            (
+                *(row.run.experiment.key, row.model, row.use, row.run.status, row.error_mm),
+                *(*_positions(row.run), row.run.final_angle, row.run.same_contact_mode),
+            )
+            for row in self.rows
+        ]
+        return Table(head, rows)
+
+
+def _positions(run: RunComparison) -> tuple[float | None, float | None]:
+    return run.position_rms, run.final_position
+
+
+def _some(n: int, what: str) -> str:
+    return f"{n} {what}" + ("" if n == 1 else "s")
+
+
+def compare(
+    experiments: Experiment | Iterable[Experiment],
+    models: Model | Mapping[str, Model] = None,
+    *,
+    motion: AbstractMotionModel | str | None = None,
+    progress: ProgressOption = None,
+) -> Comparison:
+    """Simulate experiments from their first pose on, and compare with the measured poses.
+
+    Parameters
+    ----------
+    experiments : Experiment or iterable of Experiment
+        Experiments with a scene.
+    models : mapping, Calibration or mapping of str to one of them, optional
+        Values of parameters, such as `{"mu_pusher": 0.2}`; or a calibration, which is compared with
+        the nominal values of the scenes; or several of them by name. None: the nominal values.
+    motion : AbstractMotionModel or str, optional
+        Motion model, such as `"quasistatic"`; by default that of the calibration, else dynamic.
+    progress : bool or callable, optional
+        None: a bar in terminals and notebooks; False: nothing; or a function that is called.
+
+    Returns
+    -------
+    Comparison
+        Rows are "fitted" or "held out" for models that are calibrations.
+
+    Raises
+    ------
+    InvalidInput
+        No experiment has a scene and motion to compare with, or a parameter changes nothing.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> pushes = fixel.datasets.example()[:4]
+    >>> found = fixel.compare(pushes, {"scene": None, "low": {"mu_pusher": 0.1}}, progress=False)
+    >>> found.models
+    ('scene', 'low')
+    >>> len(found.experiments.where("before<3"))
+    3
+    """
+    named = _named(models)
+    several = Experiments.of(experiments)
+    rows: list[ComparedModel] = []
+    skipped: list[str] = []
+    total = len(several) * len(named)
+    with show_progress(progress, "comparing") as report:
+        report(0, total)
+        for k, experiment in enumerate(several):
+            try:
+                rows += [_compared(experiment, name, named, motion) for name in named]
+            except InvalidInput as problem:
+                if len(several) == 1 or problem.where.startswith("parameters"):
+                    raise
+                skipped.append(str(problem))
+            report((k + 1) * len(named), total)
+    if not rows:
+        raise InvalidInput(
+            "experiments",
+            found=skipped[0] if skipped else "none",
+            expected="at least one with a scene and motion to compare with",
+            hint="give scenes with read_experiments(..., scene=...) or experiments.with_scene(...)",
+        )
+    return Comparison(tuple(rows), tuple(skipped))
+
+
+def _named(models: Model | Mapping[str, Model]) -> dict[str, Any]:
+    """Return models by name."""
+    if models is None:
+        return {NOMINAL: None}
+    if hasattr(models, "values_for"):
+        return {NOMINAL: None, CALIBRATED: models}
+    if not isinstance(models, Mapping) or not models:
+        raise InvalidInput(
+            "models",
+            found=models,
+            expected="values of parameters, a calibration, or several by name",
+        )
+    given = cast(Mapping[str, Any], models)
+    several = any(model is None or isinstance(model, Mapping) for model in given.values())
+    return dict(given) if several else {"given": given}
+
+
+def _motion_model(motion: AbstractMotionModel | str) -> AbstractMotionModel:
+    models = {model.name: model for model in MOTION_MODELS}
+    if isinstance(motion, str) and motion not in models:
+        raise InvalidInput("motion", found=repr(motion), expected="one of " + ", ".join(models))
+    return models[motion]() if isinstance(motion, str) else motion
+
+
+def _compared(
+    experiment: Experiment,
+    name: str,
+    models: Mapping[str, Any],
+    motion: AbstractMotionModel | str | None,
+) -> ComparedModel:
+    """Simulate an experiment with one of the models; nominal values move as calibrated ones do."""
+    model = models[name]
+    fitted = model if hasattr(model, "values_for") else None
+    like = fitted or next((m for m in models.values() if hasattr(m, "values_for")), None)
+    own = like.motion if motion is None and like is not None else motion
+    chosen = None if own is None else _motion_model(own)
+    if fitted is None:
+        return ComparedModel(name, "", compare_run(experiment, Parameters(model or {}), chosen))
+    values = Parameters(fitted.values_for(experiment))
+    use = "fitted" if experiment.key in fitted.keys_of_experiments else "held out"
+    return ComparedModel(name, use, compare_run(experiment, values, chosen))
