@@ -1,40 +1,68 @@
-"""Simulated laboratory of the packaged example."""
-import numpy as np, csv, gzip, io
+"""Simulate the pushes of `fixel.datasets.example`, and print their table.
+
+Run: python tools/example_pushes.py | gzip --no-name > src/fixel/datasets/example.csv.gz
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+
+import numpy as np
+
 import fixel
-from fixel.model import Body, Disk, Polygon, Pusher, Scene, Tripod, PathDrive
-W,H,R=0.100,0.080,0.005
-RATE,T,SPEED=20.0,3.0,0.020
-rng=np.random.default_rng(11)
-rows=[]
-mm=1e3
-for k in range(40):
-    surface="abs" if k%2==0 else "plywood"
-    offset=float(np.round(rng.uniform(-30,30)))/1e3
-    angle=np.radians(float(np.round(rng.uniform(-25,25))))
-    x0,y0=rng.uniform(0.15,0.25),rng.uniform(-0.05,0.05); th=rng.uniform(-np.pi,np.pi)
-    mu=0.22*np.exp(rng.normal(0,0.05))
-    c,s=np.cos(th),np.sin(th)
-    Rm=np.array([[c,-s],[s,c]])
-    local0=np.array([-W/2-R-0.001,offset])
-    d=np.array([np.cos(angle),np.sin(angle)])
-    lead=0.2
-    time=np.arange(0,T+1e-9,1/RATE)
-    way=np.clip(time-lead,0,None)*SPEED*1.0
-    local=local0+way[:,None]*d
-    tip=np.array([x0,y0])+local@Rm.T
-    wp=np.column_stack((time,tip,np.zeros(len(time))))
-    scene=Scene(bodies=(Body(name="part",shape=Polygon([[-W/2,-H/2],[W/2,-H/2],[W/2,H/2],[-W/2,H/2]]),mass=0.5,pose=(x0,y0,th),support=Tripod(radius=0.038,friction=0.15 if surface=="abs" else 0.35)),),
-      pushers=(Pusher(name="tip",shape=Disk(R),pose=None,drive=PathDrive(waypoints=wp),friction=mu),),duration=T)
-    sim=fixel.simulate(scene,output_interval=1/RATE)
-    assert sim.converged,(k,sim.status)
-    tr=sim.pose["part"]; st=sim.time
-    pose=np.column_stack([np.interp(time,st,tr[:,j]) for j in range(3)])
-    noisy=pose+rng.normal(size=pose.shape)*[2e-4,2e-4,np.radians(0.15)]
-    tipn=tip+rng.normal(size=tip.shape)*3e-5
-    for t,p,q in zip(time,noisy,tipn):
-        rows.append([f"{k:02d}",surface,f"{offset*mm:g}",f"{np.degrees(angle):.0f}",f"{t:.2f}",f"{p[0]*mm:.2f}",f"{p[1]*mm:.2f}",f"{np.degrees(p[2]):.2f}",f"{q[0]*mm:.2f}",f"{q[1]*mm:.2f}"])
-b=io.StringIO(); w=csv.writer(b,lineterminator="\n")
-w.writerow("push,surface,contact_offset_mm,push_angle_deg,time_s,x_mm,y_mm,theta_deg,tip_x_mm,tip_y_mm".split(","))
-w.writerows(rows)
-data=gzip.compress(b.getvalue().encode(),mtime=0)
-open("/work/wt/b/src/fixel/datasets/example.csv.gz","wb").write(data); print(len(data),len(rows))
+from fixel.testing.scenes import box, row
+
+LENGTH, WIDTH, TIP = 0.100, 0.080, 0.005  # [m]
+RATE, DURATION, SPEED, REST = 20.0, 3.0, 0.020, 0.2  # [Hz], [s], [m/s], [s]
+FRICTION, SPREAD = 0.22, 0.05  # of the tip, and the spread of its logarithm
+RADIUS = 0.038  # of the tripod [m]
+TABLE = {"abs": 0.15, "plywood": 0.35}  # friction of the table
+HEAD = "push,surface,contact_offset_mm,push_angle_deg,time_s,x_mm,y_mm,theta_deg,tip_x_mm,tip_y_mm"
+
+
+def main() -> None:
+    """Print the table."""
+    rng = np.random.default_rng(11)
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(HEAD.split(","))
+    time = np.arange(0.0, DURATION + 1e-9, 1.0 / RATE)
+    for number in range(40):
+        surface = [*TABLE][number % 2]
+        offset = float(np.round(rng.uniform(-30.0, 30.0))) / 1e3
+        angle = np.radians(float(np.round(rng.uniform(-25.0, 25.0))))
+        x, y = rng.uniform(0.15, 0.25), rng.uniform(-0.05, 0.05)
+        theta = rng.uniform(-np.pi, np.pi)
+        friction = FRICTION * np.exp(rng.normal(0.0, SPREAD))
+        turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
+        begin = row(-LENGTH / 2 - TIP - 0.001, offset)
+        way = np.clip(time - REST, 0.0, None)[:, None] * SPEED * row(np.cos(angle), np.sin(angle))
+        tip = row(x, y) + (begin + way) @ turn.T
+        path = np.column_stack((time, tip, np.zeros(len(time))))
+        part = fixel.Body(
+            name="part",
+            shape=box(LENGTH, WIDTH),
+            mass=0.5,
+            pose=row(x, y, theta),
+            support=fixel.Tripod(radius=RADIUS, friction=TABLE[surface]),
+        )
+        pusher = fixel.Pusher(
+            name="tip",
+            shape=fixel.Disk(TIP),
+            pose=path[0, 1:],
+            drive=fixel.PathDrive(waypoints=path),
+            friction=friction,
+        )
+        scene = fixel.Scene(bodies=(part,), pushers=(pusher,), duration=DURATION)
+        run = fixel.simulate(scene, output_interval=1.0 / RATE)
+        pose = np.column_stack([np.interp(time, run.time, own) for own in run.pose["part"].T])
+        pose = pose + rng.normal(size=pose.shape) * [2e-4, 2e-4, np.radians(0.15)]
+        tip = tip + rng.normal(size=tip.shape) * 3e-5
+        named = (f"{number:02d}", surface, f"{1e3 * offset:g}", f"{np.degrees(angle):.0f}")
+        for t, own, other in zip(time, pose, tip, strict=True):
+            places = (1e3 * own[0], 1e3 * own[1], np.degrees(own[2]), *(1e3 * other))
+            writer.writerow((*named, f"{t:.2f}", *(f"{value:.2f}" for value in places)))
+
+
+if __name__ == "__main__":
+    main()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import degrees
-from typing import Any, ClassVar, Final, NamedTuple, cast, final
+from typing import Any, ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
@@ -246,7 +246,7 @@ def compare(
     return Comparison(tuple(rows), tuple(skipped))
 
 
-def _named(models: Model | Mapping[str, Model]) -> dict[str, Any]:
+def _named(models: Any) -> dict[str, Any]:
     """Return models by name."""
     if models is None:
         return {NOMINAL: None}
@@ -258,9 +258,8 @@ def _named(models: Model | Mapping[str, Model]) -> dict[str, Any]:
             found=models,
             expected="values of parameters, a calibration, or several by name",
         )
-    given = cast(Mapping[str, Any], models)
-    several = any(model is None or isinstance(model, Mapping) for model in given.values())
-    return dict(given) if several else {"given": given}
+    several = any(model is None or isinstance(model, Mapping) for model in models.values())
+    return dict(models) if several else {"given": models}
 
 
 def _motion_model(motion: AbstractMotionModel | str) -> AbstractMotionModel:
