@@ -82,7 +82,6 @@ def _share(
     magnified: float = 1.0,
 ) -> Figure:
     result = simulate_batch(scene, sets, motion=motion)
-    assert isinstance(result, BatchResult)
     share = 100.0 * share_within(result, reference, magnified)
     return Figure(f"{name}, within 0.1 mm and 0.1 deg", "%", (share,), at_least(95.0))
 
@@ -93,7 +92,6 @@ def _check(
     """Whether the converged answer is one: a stepper of another kind, at a tiny step, agrees."""
     few = {key: column[: size.subset] for key, column in sets.items()}
     other = simulate_batch(scene, few, stepper=StewartTrinkle(step=SECOND_STEP))
-    assert isinstance(other, BatchResult)
     distance, angle = apart(other.final[:, 0], reference.final[: size.subset, 0])
     off = np.maximum(distance, angle)
     off[~(other.converged & reference.converged[: size.subset])] = np.inf

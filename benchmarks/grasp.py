@@ -33,7 +33,7 @@ def _milliseconds(scene: Scene, stepper: AbstractStepper | None, size: Size) -> 
 def _errors(scene: Scene) -> list[Figure]:
     """The default stepper's final pose against a converged one."""
     fine = _once(scene, Adaptive(tolerance=FINE * characteristic_length(scene)))
-    distance, angle = apart(_once(scene, None).final["object"], fine.final["object"])
+    distance, angle = apart(_once(scene, None).pose["object"][-1], fine.pose["object"][-1])
     return [
         Figure("grasp, default stepper, error", "mm", (float(distance),), at_most(POSITION_BAR)),
         Figure("grasp, default stepper, error", "deg", (float(angle),), at_most(ANGLE_BAR)),

@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.accuracy import random_sets
 from benchmarks.figures import Figure, Size, seconds
-from fixel.simulation import BatchResult, StewartTrinkle, simulate, simulate_batch
+from fixel.simulation import StewartTrinkle, simulate, simulate_batch
 from fixel.testing.scenes import grasp
 
 STEP = 0.01  # [s]
@@ -57,8 +57,9 @@ def _around(size: Size) -> Figure:
 
 def _rescues(size: Size) -> list[Figure]:
     """How many steps of a rollout Newton does not solve at once, default stepper."""
-    result = simulate_batch(grasp("seated"), random_sets(min(size.rollouts, 1000)))
-    assert isinstance(result, BatchResult)  # one scene was asked about
+    result = simulate_batch(
+        grasp("seated"), random_sets(min(size.rollouts, 1000))
+    )  # one scene was asked about
     return [
         Figure("steps of a seated grasp", "-", (float(np.mean(result.steps)),)),
         Figure("of which need a fallback", "-", (float(np.mean(result.fallbacks)),)),

@@ -160,7 +160,7 @@ def _final(
     scene: Scene, motion: AbstractMotionModel, stepper: AbstractStepper | None = None
 ) -> FloatArray:
     run = simulate(scene, motion=motion, stepper=stepper, output_interval=scene.duration)
-    return run.final["object"] if run.converged else np.full(3, np.nan)
+    return run.pose["object"][-1] if run.converged else np.full(3, np.nan)
 
 
 def nudged(scene: Scene) -> Iterator[Scene]:

@@ -124,7 +124,6 @@ def _point(
 
         def call(scene: Scene = scene, last: list[BatchResult] = last) -> None:
             result = simulate_batch(scene, parameters, motion=motion, stepper=stepper, threads=1)
-            assert isinstance(result, BatchResult)
             last.append(result)
 
         taken += min(seconds(call, REPEATS, warm_up=False, clock=time.process_time))

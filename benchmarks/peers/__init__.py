@@ -65,8 +65,8 @@ def _fixel(scene: Scene, size: Size) -> Ours:
         inside.append(1e3 * simulation.wall_time_s)
         return simulation
 
-    pose = once().final["object"]
-    fine = once(Adaptive(tolerance=FINE * characteristic_length(scene))).final["object"]
+    pose = once().pose["object"][-1]
+    fine = once(Adaptive(tolerance=FINE * characteristic_length(scene))).pose["object"][-1]
     inside.clear()
     whole = seconds(once, size.calls)
     distance, angle = apart(pose, fine)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass
 from html import escape
 from importlib import import_module
 from pathlib import Path
@@ -84,7 +84,9 @@ class Summary:
         parts += [f"<p>{escape(_limited(note))}</p>" for note in self.notes[:MAX_HTML_ROWS]]
         if self.details:
             lines = "<br>".join(
-                f"{escape(name)}: {escape(_limited(value))}" for name, value in self.details.items()
+                f"{escape(name)}: {escape(_limited(value))}"
+                for name, value in self.details.items()
+                if value
             )
             parts.append(f"<details><summary>Method and version</summary>{lines}</details>")
         return f'<div class="fixel-result">{"".join(parts)}</div>'
@@ -119,7 +121,7 @@ class Result:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        return all(_same(getattr(self, n), getattr(other, n)) for n in _compared(self))
+        return _same_fields(self, other)
 
     def __hash__(self) -> int:
         values = (getattr(self, name) for name in _compared(self))
@@ -211,8 +213,12 @@ class Result:
         return saved
 
 
-def _compared(result: Result) -> list[str]:
-    return [own.name for own in fields(result) if own.compare]  # type: ignore[arg-type]
+def _compared(record: Any) -> list[str]:
+    return [own.name for own in fields(record) if own.compare]
+
+
+def _same_fields(a: Any, b: Any) -> bool:
+    return all(_same(getattr(a, name), getattr(b, name)) for name in _compared(a))
 
 
 def _same(a: Any, b: Any) -> bool:
@@ -224,6 +230,8 @@ def _same(a: Any, b: Any) -> bool:
         return list(a) == list(b) and all(_same(a[key], b[key]) for key in a)
     if isinstance(a, list | tuple) and type(a) is type(b):
         return len(a) == len(b) and all(map(_same, a, b))
+    if is_dataclass(a) and type(a) is type(b):
+        return _same_fields(a, b)
     if isinstance(a, float) and isinstance(b, float) and math.isnan(a):
         return math.isnan(b)
     return bool(a == b)

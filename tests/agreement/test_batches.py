@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from fixel.kernels.codes import STATUS_NAMES
 from fixel.model import Parameters
 from fixel.simulation import (
     Adaptive,
@@ -55,14 +54,14 @@ def test_rollout_k_is_the_single_simulation_of_its_parameters(motion, stepper):
     for k in range(6):
         own = Parameters({name: float(v[k]) for name, v in parameters.items()})
         single = simulate(scene, own, motion=motion, stepper=stepper, output_interval=0.5)
-        assert single.status == STATUS_NAMES[batch.status[k]]
+        assert single.status == batch.status[k]
         assert single.steps == batch.steps[k]
         assert single.max_residual == batch.max_residual[k]
         # One that stopped early has a last sample of its own, which the batch holds to the end.
         reached = len(single.time) - (0 if single.converged else 1)
         for name in ("object", "actuator"):
-            assert np.array_equal(single.pose[name][:reached], batch.pose_of(name)[k, :reached])
-            assert np.array_equal(single.final[name], batch.pose_of(name)[k, -1])
+            assert np.array_equal(single.pose[name][:reached], batch[name].pose[k, :reached])
+            assert np.array_equal(single.pose[name][-1], batch[name].pose[k, -1])
         assert single.pushers["actuator"].force[-1] == batch.force[k, 0]
 
 

@@ -56,7 +56,7 @@ def test_peer_moves_the_square_against_the_pegs(module: str) -> None:
     scene, task = slip_grasp()
     settings = next(iter(peer.variants.values()))
     x, y, angle = peer.run(peer.build(task, 0.005, **settings))
-    ours = simulate(scene).final["object"]
+    ours = simulate(scene).pose["object"][-1]
     # At this step peers end within millimetres of their limits, and those lie near ours.
     assert (x, y) == pytest.approx(ours[:2], abs=5e-3)
     assert math.degrees(angle) == pytest.approx(math.degrees(ours[2]), abs=2.0)

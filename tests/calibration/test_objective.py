@@ -89,7 +89,7 @@ def test_as_a_single_simulation(experiments):
         duration=float(target.case.times[-1]),
         output_interval=float(target.case.times[0]) / 2,
     )
-    difference = run.trajectory(experiment.object_name).at(target.case.times) - target.pose
+    difference = run[experiment.object_name].at(target.case.times) - target.pose
     assert error == pytest.approx(MeanSquare().of(difference[None])[0], rel=2e-2)
 
 

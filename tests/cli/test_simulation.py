@@ -108,9 +108,9 @@ def test_people_get_a_table_and_a_next_command(scene, tmp_path, capsys):
     code, out, _ = call(capsys, "simulate", scene, "--plot", picture)
 
     assert code == 0
-    assert "grasp.yaml: converged, simulated 11 s" in out
+    assert "converged, 11 s in" in out
     assert "stalled" in out
-    assert "object - actuator" in out
+    assert "actuator, fixel-1" in out
     assert f"wrote {picture}" in out
     assert out.rstrip().splitlines()[-1].startswith(f"Next: fixel simulate {scene} --animate")
     assert max(len(line) for line in out.splitlines() if "Next" not in line) <= 110
@@ -143,7 +143,7 @@ def test_ctrl_c_leaves_no_file_and_exits_130(scene, tmp_path, capsys, monkeypatc
     def interrupted(*_args, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("fixel.workflows.simulation.animate_simulation", interrupted)
+    monkeypatch.setattr("fixel.drawing.animate_simulation", interrupted)
 
     code, _, err = call(capsys, "simulate", scene, "--animate", tmp_path / "a.mp4")
 

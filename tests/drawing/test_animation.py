@@ -19,7 +19,7 @@ def run():
 def test_mp4_plays_in_real_time(run, tmp_path):
     path, seen = tmp_path / "film.mp4", []
 
-    animate_simulation(run, path, progress=lambda done, total: seen.append((done, total)))
+    animate_simulation(run, path, progress=lambda p: seen.append((p.done, p.total)))
 
     with av.open(str(path)) as film:
         stream = film.streams.video[0]

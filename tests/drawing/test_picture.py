@@ -65,7 +65,7 @@ def test_the_end_is_drawn_where_the_body_ends():
         if len(path.vertices) == 5
     ]
     centres = np.array([corners.mean(axis=0) for corners in drawn])
-    expected = 1e3 * run.final["object"][:2]
+    expected = 1e3 * run.pose["object"][-1][:2]
     assert np.hypot(*(centres - expected).T).min() < 1e-9
     assert axes.get_aspect() == 1.0
     assert axes.get_xlabel() == "x [mm]"
@@ -122,7 +122,7 @@ def test_ghosts_stand_at_equal_travel():
 def test_contacts_are_carried_to_the_face_of_their_body(stepper):
     run = simulate(scenes.grasp("slip"), stepper=stepper, duration=3.0)
     end = float(run.time[-1])
-    head = run.final["actuator"][0] + 0.0145
+    head = run.pose["actuator"][-1][0] + 0.0145
 
     contacts = carried(run, contacts_at(run, end), end)
 

@@ -24,7 +24,7 @@ def _smooth_push(friction: float):
 def _final(scene, stepper, motion):
     run = simulate(scene, stepper=stepper, motion=motion, output_interval=scene.duration)
     assert run.converged
-    return run.final[scene.bodies[0].name] * [1.0, 1.0, 0.04]
+    return run.pose[scene.bodies[0].name][-1] * [1.0, 1.0, 0.04]
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.1, 1.0])

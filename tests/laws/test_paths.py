@@ -27,7 +27,7 @@ def _pushed(waypoints, force_limit=None, duration=None) -> Scene:
 def _final(scene, **method):
     run = simulate(scene, output_interval=scene.duration, **method)
     assert run.converged
-    return run.final["square"]
+    return run.pose["square"][-1]
 
 
 @pytest.mark.parametrize("force_limit", [None, 20.0])
@@ -103,7 +103,7 @@ def test_a_measured_path_of_hundreds_of_frames_costs_a_few_steps_a_frame():
     assert noisy.converged
     assert noisy.steps < 8 * 400
     fixed = _final(scene, motion=QuasiStatic(), stepper=Midpoint(step=0.0005))
-    assert _apart(noisy.final["square"], fixed) < 2e-5
+    assert _apart(noisy.pose["square"][-1], fixed) < 2e-5
 
 
 def test_a_tolerance_decides_how_straight_a_path_is():

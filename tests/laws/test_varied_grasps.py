@@ -15,7 +15,7 @@ DYNAMIC = (181, 250, 292, 383, 23, 212, 357, 1, 2)
 def _final(scene, motion, stepper=None):
     run = simulate(scene, motion=motion, stepper=stepper, output_interval=scene.duration)
     assert run.converged
-    return run.final["object"]
+    return run.pose["object"][-1]
 
 
 @pytest.mark.parametrize(

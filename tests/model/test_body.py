@@ -88,7 +88,7 @@ def test_a_body_that_cannot_be_is_refused(changes, where):
         ({"friction": -0.1}, "pusher 'p'.friction"),
         ({"restitution": 1.1}, "pusher 'p'.restitution"),
         ({"pose": None}, "pusher 'p'.pose"),
-        ({"drive": None}, "pusher 'p'.drive"),
+        ({"drive": "north"}, "pusher 'p'.drive"),
     ],
 )
 def test_a_pusher_that_cannot_be_is_refused(changes, where):

@@ -39,7 +39,7 @@ def test_block_inside_the_cone_holds_for_a_minute(stepper, motion, share):
     )
     run = simulate(Scene(bodies=(block,), duration=60.0), motion=motion, stepper=stepper)
     assert run.converged
-    assert np.abs(run.final["block"] - block.pose).max() < 1e-9
+    assert np.abs(run.pose["block"][-1] - block.pose).max() < 1e-9
 
 
 @pytest.mark.parametrize("stepper", STEPPERS)
@@ -67,7 +67,7 @@ def test_gripped_block_holds_for_a_minute_against_a_side_force(stepper, solver):
     assert run.converged
     assert run.pushers["jaw"].stalled[1:].all()
     assert run.pushers["jaw"].force[-1] == pytest.approx(5.0, rel=1e-6)
-    assert np.abs(run.final["block"]).max() < 1e-9
+    assert np.abs(run.pose["block"][-1]).max() < 1e-9
 
 
 @pytest.mark.parametrize("stepper", STEPPERS)
@@ -98,7 +98,7 @@ def test_rigid_drive_jams_and_keeps_what_came_before(stepper, motion):
     # Up to there it is the grasp of the force-limited drive, which no limit has held yet.
     held = simulate(grasp("seated"), motion=motion, stepper=stepper)
     early = 0.8 * run.stopped_at
-    a, b = (r.trajectory("object").at(early) for r in (run, held))
+    a, b = (r["object"].at(early) for r in (run, held))
     # An adaptive step may end elsewhere: its tolerance, a thousandth of 44 mm, a few times over.
     assert np.abs(a - b).max() < (2e-3 if isinstance(stepper, Adaptive) else 1e-8)
 

@@ -43,7 +43,7 @@ def test_A16_a_bouncing_ball_finishes_at_rest(restitution, stepper):
     total = 2 * 1.0 / (G * (1 - restitution))
     run = simulate(_ball(restitution, 1.0, 2 * total), stepper=stepper)
     assert run.converged
-    assert run.final["ball"][1] == pytest.approx(R, abs=1e-6)
+    assert run.pose["ball"][-1][1] == pytest.approx(R, abs=1e-6)
     assert abs(run.twist["ball"][-1, 1]) < 1e-2
 
 

@@ -19,7 +19,7 @@ G = 9.81
 @pytest.mark.parametrize("heading", [0.0, 2.0])
 def test_A1_block_stops_after_v2_over_2_mu_g(speed, friction, heading):
     scene = sliding_block(speed, friction, heading, duration=1.5 * speed / (friction * G))
-    moved = simulate(scene).final["block"]
+    moved = simulate(scene).pose["block"][-1]
     expected = speed**2 / (2 * friction * G)
     # The adaptive step glides exactly under constant friction; only the step in which it stops
     # errs, by its own tolerance of a thousandth of the characteristic length (0.04 m).
@@ -43,7 +43,7 @@ def test_A2_spinning_disk_stops_after_3_R_spin_over_4_mu_g_seconds():
     # One step, and 2e-4 of quadrature.
     assert run.time[moving].max() == pytest.approx(expected, abs=1.2e-3)
     # Half the first spin over the whole time; the friction torque is constant.
-    final = simulate(scene, stepper=Adaptive(tolerance=1e-6)).final["disk"]
+    final = simulate(scene, stepper=Adaptive(tolerance=1e-6)).pose["disk"][-1]
     assert final[2] == pytest.approx(0.5 * 10.0 * expected, rel=1e-3)
 
 
@@ -73,8 +73,8 @@ def test_A3_tripod_at_the_mean_distance_spins_down_like_the_disk():
     disk = spinning_disk(n_points=1024)
     tripod = replace(disk.bodies[0], support=Tripod(radius=2 / 3 * 0.05, friction=0.25))
     stepper = StewartTrinkle(step=1e-3)
-    a = simulate(disk, stepper=stepper).final["disk"]
-    b = simulate(replace(disk, bodies=(tripod,)), stepper=stepper).final["disk"]
+    a = simulate(disk, stepper=stepper).pose["disk"][-1]
+    b = simulate(replace(disk, bodies=(tripod,)), stepper=stepper).pose["disk"][-1]
     assert b[2] == pytest.approx(a[2], rel=5e-4)  # quadrature
 
 
@@ -101,7 +101,7 @@ def test_A4_disk_stops_sliding_and_spinning_together_at_ratio_0_653(ratio):
 
 def _stops(scene: Scene, steps: np.ndarray) -> np.ndarray:
     name = scene.bodies[0].name
-    return np.array([simulate(scene, stepper=StewartTrinkle(step=h)).final[name] for h in steps])
+    return np.array([simulate(scene, stepper=StewartTrinkle(step=h)).pose[name][-1] for h in steps])
 
 
 @pytest.mark.parametrize(
@@ -132,4 +132,4 @@ def test_block_thrown_across_the_plane_at_rest_stays_at_rest():
         support=Tripod(radius=0.03, friction=0.3),
     )
     run = simulate(Scene(bodies=(body,), duration=5.0))
-    assert np.array_equal(run.final["b"], np.zeros(3))
+    assert np.array_equal(run.pose["b"][-1], np.zeros(3))

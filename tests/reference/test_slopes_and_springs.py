@@ -33,7 +33,7 @@ def test_A14_sticks_below_the_friction_angle(friction, stepper):
     run = simulate(_slope(atan(friction) * (1 - 1e-9), friction, 60.0), stepper=stepper)
     assert run.converged
     # Nothing but the residual of each step may move it: bound asked of sticking for a minute.
-    assert np.abs(run.final["block"] - [0, 0, 0.2]).max() < 1e-9
+    assert np.abs(run.pose["block"][-1] - [0, 0, 0.2]).max() < 1e-9
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.1, 0.4])
@@ -42,9 +42,9 @@ def test_A14_slides_above_it(friction):
     run = simulate(_slope(angle, friction, 0.5), stepper=Adaptive(tolerance=1e-6))
     expected = 0.5 * G * (sin(angle) - friction * cos(angle)) * 0.5**2
     # Gliding is exact under constant forces; 1e-6 is the tolerance of a step.
-    assert run.final["block"][0] == pytest.approx(expected, abs=1e-6)
+    assert run.pose["block"][-1][0] == pytest.approx(expected, abs=1e-6)
     assert run.twist["block"][-1, 0] == pytest.approx(2 * expected / 0.5, rel=1e-9)
-    assert run.final["block"][2] == pytest.approx(0.2, abs=1e-9)
+    assert run.pose["block"][-1][2] == pytest.approx(0.2, abs=1e-9)
 
 
 @pytest.mark.parametrize("motion", [Dynamic(), QuasiStatic()])
@@ -52,7 +52,7 @@ def test_A14_sticks_with_a_wrench_off_the_centre(motion):
     scene = _slope(0.1, 0.4, 60.0)
     pushed = replace(scene.bodies[0], force=(0.1, -0.2, 0.002))
     run = simulate(replace(scene, bodies=(pushed,)), motion=motion)
-    assert np.abs(run.final["block"] - [0, 0, 0.2]).max() < 1e-9
+    assert np.abs(run.pose["block"][-1] - [0, 0, 0.2]).max() < 1e-9
 
 
 def _oscillator(start: float, friction: float = 0.1, duration: float = 5.0) -> Scene:
@@ -88,11 +88,11 @@ def test_A15_rests_inside_the_dead_band(start):
     for stepper in (StewartTrinkle(step=1e-3), Adaptive(tolerance=1e-4)):
         run = simulate(scene, stepper=stepper)
         assert run.converged
-        assert abs(run.final["block"][0]) <= band + 1e-9
+        assert abs(run.pose["block"][-1][0]) <= band + 1e-9
         assert np.abs(run.twist["block"][-1]).max() < 1e-9
 
 
 @pytest.mark.parametrize("start", [-0.0245, 0.0, 0.01, 0.0245])
 def test_A15_stays_anywhere_inside_the_dead_band(start):
     run = simulate(_oscillator(start, duration=60.0))
-    assert abs(run.final["block"][0] - start) < 1e-9
+    assert abs(run.pose["block"][-1][0] - start) < 1e-9

@@ -74,7 +74,7 @@ def _error(experiment, values):
         duration=float(target.case.times[-1]),
         output_interval=INTERVAL,
     )
-    pose = simulation.trajectory(experiment.object_name).at(target.case.times)
+    pose = simulation[experiment.object_name].at(target.case.times)
     difference = pose - target.pose
     turn = (difference[:, 2] + pi) % (2.0 * pi) - pi
     squares = (1e3 * difference[:, :2]) ** 2

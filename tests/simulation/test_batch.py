@@ -18,7 +18,7 @@ def test_shapes_of_what_comes_back():
     assert run.names == ("object", "actuator")
     assert run.pose.shape == (n, 4, 2, 3)
     assert run.final.shape == (n, 2, 3)
-    assert run.pose_of("object").shape == (n, 4, 3)
+    assert run["object"].pose.shape == (n, 4, 3)
     assert run.force.shape == run.stalled.shape == (n, 1)
     for name in ("status", "steps", "fallbacks", "stopped_at", "max_residual", "converged"):
         assert getattr(run, name).shape == (n,)
@@ -30,7 +30,7 @@ def test_one_rollout_where_nothing_varies():
     run = simulate_batch(grasp(), **QUICK)
     assert run.pose.shape == (1, 1, 2, 3)
     single = simulate(grasp(), output_interval=11.0, **QUICK)
-    assert np.array_equal(run.final[0, 0], single.final["object"])
+    assert np.array_equal(run.final[0, 0], single.pose["object"][-1])
 
 
 def test_sequence_of_parameters_is_the_mapping_of_columns():
@@ -117,7 +117,7 @@ def test_several_scenes_with_variations_are_refused():
 def test_a_printed_batch_fits_on_a_screen():
     batch = simulate_batch(grasp(), {"mu_pusher": np.linspace(0.1, 0.4, 50)}, duration=0.05)
     lines = str(batch).splitlines()
-    assert "50 rollouts" in lines[0]
+    assert lines[0] == "BatchResult: 50 runs, varying mu_pusher; 50 converged"
     assert len(lines) <= 24
     assert max(map(len, lines)) <= 100
     assert str(batch) == repr(batch)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fixel.kernels import codes
+from fixel.kernels.codes import STATUS_NAMES
 from fixel.simulation import (
     Adaptive,
     FirstOrder,
@@ -65,13 +65,13 @@ def squeezed(stepper):
 @pytest.mark.parametrize("stepper", [StewartTrinkle(step=1 / 30), Midpoint(step=1 / 30)])
 def test_a_body_squeezed_out_in_one_step_is_thrown(stepper):
     run = squeezed(stepper)
-    assert codes.STATUS_NAMES[run.status[0]] == "thrown"
+    assert run.status[0] == "thrown"
     assert run.stopped_at[0] == 0.0
 
 
 def test_short_steps_do_not_throw_it():
     run = squeezed(Adaptive())
-    assert codes.STATUS_NAMES[run.status[0]] in ("converged", "jammed")
+    assert run.status[0] in ("converged", "jammed")
     assert np.abs(run.final[0, 0] - SQUEEZED).max() < 1.0
 
 
@@ -85,7 +85,7 @@ def test_both_loops_end_alike(stepper):
     times = np.array([0.0, 1 / 30])
     plain = rollout_in_python(packed, motion, stepper, solver, method, times)
     compiled = squeezed(stepper)
-    assert plain.status[0] == compiled.status[0]
+    assert STATUS_NAMES[plain.status[0]] == compiled.status[0]
     assert plain.count[0, 2] == compiled.steps[0]
     assert plain.total[0, 0] * packed.units.time == compiled.stopped_at[0]
 

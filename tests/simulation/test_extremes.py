@@ -93,7 +93,7 @@ def refused_or_finite(content):
             record = simulate(scene_file_from_dict(content).scene)
         except InvalidInput as refused:
             return str(refused)
-    assert np.isfinite(record.trajectory(content["bodies"][0]["name"]).pose).all()
+    assert np.isfinite(record[content["bodies"][0]["name"]].pose).all()
     return record.status
 
 

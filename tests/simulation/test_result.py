@@ -77,9 +77,9 @@ def test_touching_names_the_pairs_of_the_last_sample():
 
 def test_trajectory_of_a_body():
     run = simulate(sliding_block())
-    path = run.trajectory("block")
+    path = run["block"]
     assert isinstance(path, Trajectory)
-    assert np.array_equal(path.pose[-1], run.final["block"])
+    assert np.array_equal(path.pose[-1], run.pose["block"][-1])
 
 
 def test_no_pushers_no_traces():

@@ -37,7 +37,7 @@ def test_output_interval_samples_from_zero_and_includes_the_end(stepper):
     assert run.time[-2:] == pytest.approx([10.8, 11.0])
     fine = simulate(grasp(), stepper=stepper)
     # Samples lie on the chords of the steps.
-    chords = fine.trajectory("object").at(run.time)
+    chords = fine["object"].at(run.time)
     assert np.abs(run.pose["object"] - chords).max() < 1e-9
 
 
@@ -69,7 +69,7 @@ def test_parameters_replace_the_scenes_own_values():
         pushers=tuple(replace(p, friction=0.0) for p in smooth.pushers),
         fixels=tuple(replace(f, friction=0.0) for f in smooth.fixels),
     )
-    assert np.array_equal(run.final["object"], simulate(smooth).final["object"])
+    assert np.array_equal(run.pose["object"][-1], simulate(smooth).pose["object"][-1])
     assert run.parameters == Parameters(mu_pusher=0.0, mu_fixel=0.0)
     assert (run.contacts["tangential_force"] == 0.0).all()
 
@@ -83,11 +83,11 @@ def test_failure_is_a_value_with_advice():
     assert simulate(sliding_block()).advice == ""
 
 
-def test_throw_raises_in_place_of_stopping_early():
+def test_check_raises_instead_of_stopping_early():
     with pytest.raises(SolveFailed, match=r"jammed at 5\.\d+ s\. .*force_limit") as failure:
-        simulate(grasp(force_limit=None), throw=True)
+        simulate(grasp(force_limit=None), check=True)
     assert isinstance(pickle.loads(pickle.dumps(failure.value)), SolveFailed)
-    assert simulate(grasp(), throw=True).converged
+    assert simulate(grasp(), check=True).converged
 
 
 def test_no_room_for_contacts_is_reported():

@@ -48,7 +48,7 @@ def _pushed_by_hand():
 def _end(scene, **values):
     done = simulate(scene, Parameters(values), motion=QuasiStatic())
     assert done.converged, done.status
-    return done.final[scene.bodies[0].name]
+    return done.pose[scene.bodies[0].name][-1]
 
 
 def _on_warped_table(scene, turn, bend_xy, slope_y):

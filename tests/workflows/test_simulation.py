@@ -5,11 +5,12 @@ from pathlib import Path
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.formats import SceneFile, save_scene
-from fixel.simulation import Adaptive, GaussSeidel, QuasiStatic, StewartTrinkle
+from fixel.formats import SceneFile, load_scene, save_scene
+from fixel.simulation import Adaptive, StewartTrinkle
+from fixel.simulation.stepper import stepper_of
 from fixel.testing import scenes
 from fixel.workflows import compilation
-from fixel.workflows.simulation import Outputs, SimulationMethod, parts, simulate_file
+from fixel.workflows.simulation import Outputs, simulate_file
 
 
 @pytest.fixture
@@ -19,44 +20,44 @@ def scene(tmp_path: Path) -> Path:
     return path
 
 
-def given(**options):
-    return SceneFile(scene=scenes.sliding_block(), **options)
+def test_the_file_says_the_method(scene):
+    save_scene(SceneFile(scene=scenes.grasp(), motion="quasistatic", step=0.5), scene)
+
+    method = simulate_file(load_scene(scene)).method
+
+    assert (method["motion"], method["stepper.step"]) == ("quasistatic", 0.5)
 
 
-def test_the_file_says_the_method():
-    motion, stepper, _ = parts(given(motion="quasistatic", step=0.02), SimulationMethod())
+def test_options_come_before_the_file(scene):
+    save_scene(SceneFile(scene=scenes.grasp(), step=0.5), scene)
 
-    assert isinstance(motion, QuasiStatic)
-    assert stepper == StewartTrinkle(step=0.02)
+    method = simulate_file(
+        load_scene(scene),
+        motion="quasistatic",
+        stepper=stepper_of(1.0, None),
+        solver="gauss-seidel",
+    ).method
 
-
-def test_without_a_step_steps_are_adaptive():
-    assert parts(given(), SimulationMethod())[1] == Adaptive()
-
-
-def test_the_command_line_comes_before_the_file():
-    method = SimulationMethod(motion="quasistatic", step=0.001, solver="gauss-seidel")
-
-    motion, stepper, solver = parts(given(step=0.02), method)
-
-    assert isinstance(motion, QuasiStatic)
-    assert stepper == StewartTrinkle(step=0.001)
-    assert isinstance(solver, GaussSeidel)
+    assert method["motion"] == "quasistatic"
+    assert method["stepper.step"] == 1.0
+    assert method["solver"] == "gauss-seidel"
 
 
-def test_a_tolerance_asks_for_adaptive_steps():
-    assert parts(given(step=0.02), SimulationMethod(tolerance=1e-5))[1] == Adaptive(tolerance=1e-5)
+def test_a_tolerance_selects_adaptive_steps():
+    assert stepper_of(None, 1e-5) == Adaptive(tolerance=1e-5)
+    assert stepper_of(0.1, None) == StewartTrinkle(step=0.1)
+    assert stepper_of(None, None) is None
 
 
 def test_step_and_tolerance_exclude_each_other():
     with pytest.raises(InvalidInput, match="leave one out"):
-        parts(given(), SimulationMethod(tolerance=1e-5, step=0.1))
+        stepper_of(0.1, 1e-5)
 
 
 @pytest.mark.parametrize("name", ["motion", "solver"])
-def test_an_unknown_name_is_refused(name):
+def test_an_unknown_name_is_refused(scene, name):
     with pytest.raises(InvalidInput, match="expected one of"):
-        parts(given(), SimulationMethod(**{name: "magic"}))
+        simulate_file(load_scene(scene), **{name: "magic"})
 
 
 def test_all_files_are_written(scene, tmp_path):
@@ -66,7 +67,7 @@ def test_all_files_are_written(scene, tmp_path):
         animate=tmp_path / "block.gif",
     )
 
-    run = simulate_file(scene, ["bodies.block.velocity=[0.2, 0, 0]"], outputs=outputs)
+    run = simulate_file(load_scene(scene, ["bodies.block.velocity=[0.2, 0, 0]"]), outputs)
 
     assert run.converged
     assert sorted(p.name for p in tmp_path.iterdir()) == [
@@ -87,23 +88,23 @@ def test_impossible_files_are_refused_before_anything_is_simulated(scene, tmp_pa
         Outputs(trajectory=tmp_path / "nowhere" / "a.csv"),
     ):
         with pytest.raises(InvalidInput):
-            simulate_file(scene, outputs=outputs)
+            simulate_file(load_scene(scene), outputs)
 
 
 def test_plain_and_compiled_loops_give_the_same(scene):
-    compiled = simulate_file(scene)
-    plain = simulate_file(scene, method=SimulationMethod(plain=True))
+    compiled = simulate_file(load_scene(scene))
+    plain = simulate_file(load_scene(scene), plain=True)
 
-    assert compiled.final["block"].tolist() == plain.final["block"].tolist()
+    assert compiled.final == plain.final
 
 
 def test_compiling_is_announced_only_when_the_cache_is_cold(scene, monkeypatch):
     said: list[str] = []
     monkeypatch.setattr(compilation, "cache_folder", lambda: str(scene.parent / "no-such-folder"))
-    simulate_file(scene, notify=said.append)
+    simulate_file(load_scene(scene), notify=said.append)
     assert said == [compilation.COMPILING]
 
     (scene.parent / "no-such-folder").mkdir()
     (scene.parent / "no-such-folder" / "batch.rollout_batch-1.nbc").touch()
-    simulate_file(scene, notify=said.append)
+    simulate_file(load_scene(scene), notify=said.append)
     assert len(said) == 1

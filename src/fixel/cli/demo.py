@@ -50,7 +50,7 @@ def demo(
         return typer.echo("\n".join(_camera_lines(tour)))
     from fixel.workflows.demo.scene_demo import run_demo
 
-    result = run_demo(out, notify=notify, progress=progress_bar("Filming"))
+    result = run_demo(out, notify=notify)
     typer.echo("\n".join(_scene_lines(result)))
     if not result.simulation.converged:
         raise typer.Exit(NOT_SOLVED)

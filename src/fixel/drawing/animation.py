@@ -31,7 +31,9 @@ from fixel.drawing.view import (
     shapes_of,
     unit_for,
 )
+from fixel.io.atomic import written_whole
 from fixel.model import placed
+from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray, ProgressCallback
 
@@ -53,7 +55,7 @@ def animate_simulation(
     path: str | Path,
     *,
     speed: float | None = None,
-    progress: ProgressCallback | None = None,
+    progress: ProgressOption = None,
 ) -> None:
     """Save an animation of a simulation, with the contact forces.
 
@@ -66,13 +68,13 @@ def animate_simulation(
     speed : float, optional
         Seconds of motion per second of animation. Default: 1, or a round factor that gives a very
         long or short motion a watchable length; a factor other than 1 is stated in the animation.
-    progress : callable, optional
-        Called as `progress(done, total)` after every frame.
+    progress : bool or callable, optional
+        As for `fixel.progress.show_progress`.
 
     Raises
     ------
     InvalidInput
-        The file name has another ending.
+        The file name has another ending, or the file cannot be written.
     """
     path = Path(path)
     refuse_ending(path, FILM_ENDINGS, "film")
@@ -82,8 +84,9 @@ def animate_simulation(
     speed = speed or usual_speed(end)
     times = np.append(np.arange(0.0, end, speed / rate), end)
     times = np.append(times, np.full(rate, end))  # show the end for a second
-    frames = _frames(_Stage(simulation, speed), times, progress)
-    (_write_gif if gif else _write_mp4)(path, frames, rate)
+    with written_whole(path) as temporary, show_progress(progress, "drawing frames") as report:
+        frames = _frames(_Stage(simulation, speed), times, report)
+        (_write_gif if gif else _write_mp4)(temporary, frames, rate)
 
 
 def usual_speed(duration: float) -> float:
@@ -95,11 +98,10 @@ def usual_speed(duration: float) -> float:
     return 1.0
 
 
-def _frames(stage: _Stage, times: FloatArray, progress: ProgressCallback | None) -> Iterator[Any]:
+def _frames(stage: _Stage, times: FloatArray, report: ProgressCallback) -> Iterator[Any]:
     for k, time in enumerate(times, 1):
         yield stage.frame(float(time))
-        if progress:
-            progress(k, len(times))
+        report(k, len(times))
 
 
 class _Stage:

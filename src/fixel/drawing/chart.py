@@ -24,6 +24,7 @@ Style = dict[str, Any]
 
 WIDE: Final = 7.16  # [inch], two columns of text
 HEAD: Final = 0.22  # [inch]
+SCREEN_DPI: Final = 150.0
 BANNER: Final = 0.20  # height of a banner [inch]
 PICTURE_ENDINGS: Final = (".pdf", ".png", ".svg")
 
@@ -84,7 +85,7 @@ def save_figure(make: Callable[[], Figure], *paths: str | Path) -> None:
 _BY_PYPLOT: ContextVar[bool] = ContextVar("_BY_PYPLOT", default=False)
 
 
-def plot_axes(make: Callable[[], Figure], ax: Axes | None = None, *, dpi: float = 150.0) -> Any:
+def plot_axes(make: Callable[[], Figure], ax: Axes | None = None) -> Any:
     """Create a figure in the house style for the `plot` method of a result; return its axes.
 
     Parameters
@@ -93,8 +94,6 @@ def plot_axes(make: Callable[[], Figure], ax: Axes | None = None, *, dpi: float 
         Function that draws the figure, which it creates by `sheet`.
     ax : None
         Axes that the caller of `plot` gave. They are rejected: the figure has axes of its own.
-    dpi : float
-        Resolution on a screen [dots per inch].
 
     Returns
     -------
@@ -111,7 +110,6 @@ def plot_axes(make: Callable[[], Figure], ax: Axes | None = None, *, dpi: float 
             figure = make()
     finally:
         _BY_PYPLOT.reset(token)
-    figure.set_dpi(dpi)
     return figure.axes[0] if len(figure.axes) == 1 else np.array(figure.axes, dtype=object)
 
 
@@ -120,7 +118,7 @@ def new_figure(**options: Any) -> Figure:
     if _BY_PYPLOT.get():
         from matplotlib import pyplot
 
-        return pyplot.figure(**options)
+        return pyplot.figure(dpi=SCREEN_DPI, **options)
     from matplotlib.figure import Figure
 
     return Figure(**options)

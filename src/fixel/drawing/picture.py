@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import DisplayUnit, Style, save_figure, tint
+from fixel.drawing.chart import DisplayUnit, Style, plot_axes, save_figure, tint
 from fixel.drawing.top_view import (
     DASHED,
     DOTTED,
@@ -79,6 +79,15 @@ def draw_simulation(simulation: Simulation, target: str | Path | Axes) -> None:
         save_figure(lambda: _figure(simulation), target)
 
 
+def plot_simulation(simulation: Simulation, *, ax: Axes | None = None) -> Axes:
+    """Draw the top view of a simulation into axes; return them."""
+    if ax is not None:
+        draw_simulation(simulation, ax)
+        return ax
+    axes: Axes = plot_axes(lambda: _figure(simulation))
+    return axes
+
+
 def _figure(simulation: Simulation) -> Figure:
     box = _with_names(simulation, extent(simulation), WIDTH)
     unit = unit_for(box.size)
@@ -127,7 +136,7 @@ def _named_fixels(simulation: Simulation) -> list[tuple[Fixel, FloatArray]]:
     scene = simulation.scene
     if len(scene.bodies) >= MANY or len(scene.fixels) > 2 * MANY:
         return []
-    ends = np.array([simulation.final[b.name][:2] for b in scene.bodies])
+    ends = np.array([simulation.pose[b.name][-1][:2] for b in scene.bodies])
     middle = np.mean(ends, axis=0) if np.isfinite(ends).all() else np.zeros(2)
     sides = []
     for fixel in scene.fixels:
@@ -216,7 +225,7 @@ def _supports(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> list[Art
             body.support, body.shape, body.com, body.mass, simulation.scene.gravity
         )
         if len(at):
-            points.append(placed(at + body.com, simulation.final[body.name]))
+            points.append(placed(at + body.com, simulation.pose[body.name][-1]))
     if not points:
         return []
     place = np.concatenate(points) * unit.factor

@@ -101,7 +101,7 @@ def misfit_of(
         times=moments,
         threads=running.options.threads,
     )
-    away = result.pose[:, :, 0] - track.pose[1:]  # type: ignore[union-attr]
+    away = result.pose[:, :, 0] - track.pose[1:]
     position = np.sqrt(0.5 * np.mean(np.sum(away[:, :, :2] ** 2, axis=2), axis=1))
     angle = np.sqrt(np.mean(wrapped(away[:, :, 2]) ** 2, axis=1))
     scale = np.where(noise > KNOWN, noise, 1.0)

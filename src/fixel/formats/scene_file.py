@@ -15,8 +15,10 @@ from fixel.formats import scene_schema as schema
 from fixel.formats.records import KeyPath, annotation_at, record_at, unknown_key, written
 from fixel.formats.scene_model import scene_content, scene_of
 from fixel.formats.scene_schema import SceneRecord
+from fixel.io.atomic import written_whole
 from fixel.io.document import parse_yaml, read_document, yaml_text
 from fixel.model import Scene
+from fixel.simulation import AbstractStepper, Adaptive, StewartTrinkle
 
 
 @final
@@ -41,6 +43,11 @@ class SceneFile:
     step: float | None = None
     output_interval: float | None = None
 
+    @property
+    def stepper(self) -> AbstractStepper:
+        """Stepper with the step of the file; adaptive if it has none."""
+        return Adaptive() if self.step is None else StewartTrinkle(step=self.step)
+
 
 def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
     """Load a scene file.
@@ -52,10 +59,25 @@ def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
     overrides : sequence of str
         Changes as `path.to.key=value`, applied in order before validation.
 
+    Returns
+    -------
+    SceneFile
+        Scene, and the method that the file requests; `simulate` takes both.
+
     Raises
     ------
     InvalidInput
         The first error, with the path of its key.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.scenes import pushed_square
+    >>> file = load_scene(pushed_square().save("square.yaml"), ["duration=0.5"])
+    >>> file.scene.duration
+    0.5
+    >>> fixel.simulate(file).duration
+    0.5
     """
     return scene_file_from_dict(read_document(Path(path)), overrides)
 
@@ -93,7 +115,8 @@ def save_scene(scene_file: SceneFile, path: str | Path) -> None:
         text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     else:
         text = yaml_text(content)
-    path.write_text(text, encoding="utf-8")
+    with written_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def scene_json_schema() -> dict[str, Any]:

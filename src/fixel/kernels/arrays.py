@@ -197,6 +197,9 @@ STEPS_TAKEN = 2
 FALLBACKS = 3  # solves that needed one
 REACHED = 0  # time
 WORST_RESIDUAL = 1
+STOP = 2  # in: set above 0 by another thread to end the rollout at its next step
+LAST_CONTACTS = 3  # in: above 0 to record the contacts of the last sample only
+N_TOTAL = 4
 
 
 class RolloutRecord(NamedTuple):
@@ -210,7 +213,7 @@ class RolloutRecord(NamedTuple):
         FloatArray  # (n_row, 11) sample, two bodies, gap, normal (2), point (2), forces (2), step
     )
     count: IntArray  # type: ignore[assignment]  # (4,) zeros at first; see SAMPLES
-    total: FloatArray  # (2,) zeros at first; see REACHED
+    total: FloatArray  # (N_TOTAL,) zeros at first; see REACHED
 
 
 class Batch(NamedTuple):
@@ -242,5 +245,5 @@ class BatchRecord(NamedTuple):
     drive: FloatArray  # (n_rollout, n_sample, n_driven, 2)
     contact: FloatArray  # (n_rollout, n_row, 11)
     count: IntArray  # type: ignore[assignment]  # (n_rollout, 4)
-    total: FloatArray  # (n_rollout, 2)
+    total: FloatArray  # (n_rollout, N_TOTAL)
     status: IntArray  # (n_rollout,)

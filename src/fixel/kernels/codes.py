@@ -11,6 +11,7 @@ CONTACT_OVERFLOW: Final = 4
 STEP_TOO_SMALL: Final = 5
 MAX_STEPS: Final = 6
 THROWN: Final = 7
+INTERRUPTED: Final = 8
 
 # What a stepper decides besides: to take its last step back, or to try another length.
 UNDO: Final = -2
@@ -25,6 +26,7 @@ STATUS_NAMES: Final = (
     "step_too_small",
     "max_steps",
     "thrown",
+    "interrupted",
 )
 
 STATUS_ADVICE: Final = (
@@ -40,6 +42,7 @@ STATUS_ADVICE: Final = (
     "The stepper used up its steps. Raise max_steps, or loosen the tolerance.",
     "A body was squeezed out and carried further in one step than the step can tell. "
     "Look for a deep overlap at the start, or make the step smaller.",
+    "The run was interrupted. Run it again to see its end.",
 )
 
 # A motion model or solver of a plug-in, which only the plain Python loop can run.

@@ -133,8 +133,8 @@ def _run(
     samples = contact_rows = 0  # in the record before the last step
     write_samples(model, before, state, control, 0.0, control[at.STEP], problem, record, every_step)
     while control[at.TIME] < control[at.DURATION] * (1.0 - 1e-12):
-        if control[at.STEPS] + control[at.UNDONE] >= method.max_steps:
-            status = codes.MAX_STEPS
+        status = _early_end(control, record, method.max_steps)
+        if status != codes.CONVERGED:
             break
         limit_step(model, state, control)
         choose_trial(control)
@@ -172,6 +172,16 @@ def _run(
     record.count[STEPS_TAKEN] = control[at.STEPS]
     record.total[REACHED] = control[at.TIME]
     return status
+
+
+@kernel
+def _early_end(control: FloatArray, record: RolloutRecord, max_steps: int) -> int:
+    """Status of a rollout that ends before its next step: stopped, or out of steps."""
+    if record.total[at.STOP] > 0.0:
+        return codes.INTERRUPTED
+    if control[at.STEPS] + control[at.UNDONE] >= max_steps:
+        return codes.MAX_STEPS
+    return codes.CONVERGED
 
 
 @spliced_kernel

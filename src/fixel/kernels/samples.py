@@ -71,6 +71,8 @@ def write_samples(
             _sample_driven(
                 model, before, state, from_time, to_time, span, problem, record, d, share
             )
+        if record.total[at.LAST_CONTACTS] > 0.0:
+            record.count[CONTACT_ROWS] = 0
         if to_time > from_time:
             _sample_contacts(before.velocity, problem, record, to_time - from_time, span)
         record.count[SAMPLES] += 1

@@ -23,7 +23,7 @@ from fixel.model.support import (
     UniformPressure,
     support_points,
 )
-from fixel.model.trajectory import Trajectory, pose_error, wrapped
+from fixel.model.trajectory import Pose, Trajectory, pose_error, wrapped
 
 __all__ = [
     "KNOWN_PARAMETERS",
@@ -45,6 +45,7 @@ __all__ = [
     "Plane",
     "PlannedExperiment",
     "Polygon",
+    "Pose",
     "Probability",
     "Provenance",
     "Pusher",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from math import hypot, inf, pi
 from typing import final
 
@@ -56,7 +56,7 @@ class Spring(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Body(Comparable):
     """Free body on the plane.
 
@@ -69,9 +69,9 @@ class Body(Comparable):
     mass : float
         Mass [kg].
     pose : (3,) array_like
-        Pose of the frame of the shape in the world, at t = 0 [m, m, rad].
+        Pose of the frame of the shape in the world, at t = 0 [m, m, rad]; the origin by default.
     support : Support
-        Support on the plane.
+        Support on the plane; none by default.
     inertia : float, optional
         Moment of inertia about the centre of mass [kg m^2]. Default: that of uniform density about
         the centroid, even if the centre of mass lies elsewhere.
@@ -83,12 +83,21 @@ class Body(Comparable):
         Constant wrench on the centre of mass, world axes [N, N, N m], as on a tilted table.
     spring : Spring, optional
         Spring between the centre of mass and a point of the world.
+
+    Examples
+    --------
+    >>> from fixel.model import Polygon, Tripod
+    >>> part = Body("part", Polygon.rectangle(0.1, 0.1), mass=0.15,
+    ...             support=Tripod(radius=0.038, friction=0.25))
+    >>> round(part.moment_of_inertia, 6)
+    0.00025
     """
 
     name: str
     shape: Shape
+    _: KW_ONLY
     mass: float
-    pose: FloatArray
+    pose: FloatArray = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     support: Support = field(default_factory=NoSupport)
     inertia: float | None = None
     centre_of_mass: FloatArray | None = None
@@ -137,23 +146,30 @@ def _check_balance(body: Body) -> None:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class LineDrive(Comparable):
     """Straight motion without rotation, at constant speed.
 
     Parameters
     ----------
     direction : (2,) array_like
-        Direction in world axes; scaled to length 1.
+        Direction in world axes; scaled to length 1. Default: along x.
     speed : float
         Speed [m/s], not negative.
     travel : float
         Distance after which the drive stops [m]; by default infinite.
     force_limit : float, optional
         Force along the direction at which the drive stalls [N]. Default: a rigid drive.
+
+    Examples
+    --------
+    >>> from fixel.units import mm
+    >>> LineDrive((0, -2), speed=20 * mm).direction
+    array([ 0., -1.])
     """
 
-    direction: FloatArray
+    direction: FloatArray = (1.0, 0.0)  # type: ignore[assignment]
+    _: KW_ONLY
     speed: float
     travel: float = inf
     force_limit: float | None = None
@@ -181,7 +197,7 @@ class LineDrive(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class PathDrive(Comparable):
     """Measured path, linear between its waypoints, at rest before the first and after the last.
 
@@ -192,9 +208,16 @@ class PathDrive(Comparable):
         change by at most half a turn from one waypoint to the next.
     force_limit : float, optional
         Force at which the drive stalls [N]. Default: a rigid drive.
+
+    Examples
+    --------
+    >>> drive = PathDrive([(0.0, 0.0, 0.0, 0.0), (1.0, 0.02, 0.0, 0.0)])
+    >>> drive.pose_at(0.5)
+    array([0.01, 0.  , 0.  ])
     """
 
     waypoints: FloatArray
+    _: KW_ONLY
     force_limit: float | None = None
 
     def __post_init__(self) -> None:
@@ -217,9 +240,12 @@ Drive = LineDrive | PathDrive
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Pusher(Comparable):
     """Driven body.
+
+    Without a drive it is a template: a scene with it cannot be simulated until the measured path
+    of an experiment is filled in.
 
     Parameters
     ----------
@@ -230,18 +256,27 @@ class Pusher(Comparable):
     pose : (3,) array_like or None
         Pose of its frame in the world, at t = 0 [m, m, rad]. A `PathDrive` determines the start, so
         that None is allowed and other values are replaced.
-    drive : Drive
-        Prescribed motion.
+    drive : Drive or None
+        Prescribed motion; None: a template.
     friction : float
         Coefficient of friction against every free body [-].
     restitution : float
         Coefficient of restitution, from 0 to 1 [-].
+
+    Examples
+    --------
+    >>> from fixel.model import Disk
+    >>> finger = Pusher("finger", Disk(0.005), pose=(-0.055, 0.02, 0.0), friction=0.3,
+    ...                 drive=LineDrive(speed=0.02))
+    >>> Pusher("finger", Disk(0.005), friction=0.3).is_template
+    True
     """
 
     name: str
     shape: Shape
-    pose: FloatArray
-    drive: Drive
+    _: KW_ONLY
+    pose: FloatArray = None  # type: ignore[assignment]
+    drive: Drive = None  # type: ignore[assignment]
     friction: float
     restitution: float = 0.0
 
@@ -258,10 +293,18 @@ class Pusher(Comparable):
         except InvalidInput as problem:
             raise problem.within(f"pusher {self.name!r}") from None
 
+    @property
+    def is_template(self) -> bool:
+        """Whether it has no drive, so that it cannot be simulated."""
+        drive: object = self.drive
+        return drive is None
+
     def _start(self) -> FloatArray:
-        instance(self.drive, LineDrive | PathDrive, "drive", "a LineDrive or a PathDrive")
         given: object = self.pose
         pose = None if given is None else vector(self.pose, "pose", "x [m], y [m], angle [rad]")
+        if self.is_template:
+            return pose  # type: ignore[return-value]
+        instance(self.drive, LineDrive | PathDrive, "drive", "a LineDrive or a PathDrive")
         if isinstance(self.drive, PathDrive):
             return frozen(self.drive.pose_at(0.0))
         if pose is None:
@@ -295,7 +338,7 @@ def _check_angles(angle: FloatArray) -> None:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Fixel(Comparable):
     """Fixed body.
 
@@ -311,10 +354,17 @@ class Fixel(Comparable):
         Coefficient of friction against every free body [-].
     restitution : float
         Coefficient of restitution, from 0 to 1 [-].
+
+    Examples
+    --------
+    >>> from fixel.model import Disk
+    >>> Fixel("fixel-1", Disk(0.005), pose=(0.1, 0.0, 0.0), friction=0.2).pose
+    array([0.1, 0. , 0. ])
     """
 
     name: str
     shape: Shape
+    _: KW_ONLY
     pose: FloatArray
     friction: float
     restitution: float = 0.0

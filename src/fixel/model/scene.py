@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from fnmatch import fnmatchcase
+from importlib import import_module
+from pathlib import Path
 from typing import Any, TypeVar, final
 
 import numpy as np
@@ -18,7 +20,7 @@ from fixel.model.fields import (
     instance,
     name_of,
     non_negative,
-    positive,
+    optional_positive,
     settle,
 )
 from fixel.model.overlap import boxes, overlap_depth, pairs_of_boxes
@@ -33,7 +35,7 @@ TOUCHING = 1e-6
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class PairFriction(Comparable):
     """Friction of a named pair, which overrides that of its obstacle.
 
@@ -45,9 +47,15 @@ class PairFriction(Comparable):
         Coefficient of friction [-].
     restitution : float, optional
         Coefficient of restitution, from 0 to 1 [-].
+
+    Examples
+    --------
+    >>> PairFriction(("part", "fixel-*"), friction=0.2).covers("fixel-3", "part")
+    True
     """
 
     pair: tuple[str, str]
+    _: KW_ONLY
     friction: float
     restitution: float | None = None
 
@@ -88,17 +96,17 @@ class PairFriction(Comparable):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Scene(Comparable):
     """Bodies, pushers and fixels on a plane, with gravity and duration.
 
     Parameters
     ----------
-    bodies : sequence of Body
+    bodies : Body or sequence of Body
         Free bodies, at least one.
-    pushers : sequence of Pusher
+    pushers : Pusher or sequence of Pusher
         Driven bodies.
-    fixels : sequence of Fixel
+    fixels : Fixel or sequence of Fixel
         Fixed bodies.
     contact_friction : sequence of PairFriction
         Overrides of the obstacle's own value. Every pair of free bodies needs one. Entries without
@@ -107,8 +115,8 @@ class Scene(Comparable):
         Dependence of support friction on direction and place.
     gravity : float
         Acceleration of gravity [m/s^2], not negative.
-    duration : float
-        Simulated time [s].
+    duration : float or None
+        Simulated time [s]; None: to be given to `simulate`, or that of an experiment.
     support_directions : int or None
         Number of friction directions at every support point, at least 4, as in the linear form of
         the complementarity problem. None: the exact friction disc.
@@ -118,15 +126,26 @@ class Scene(Comparable):
     InvalidInput
         There is no free body, a name occurs twice, a friction entry names no body, a pair of free
         bodies has no entry, or bodies overlap at the start.
+
+    Examples
+    --------
+    >>> from fixel.model import Disk, LineDrive, Polygon, Tripod
+    >>> part = Body("part", Polygon.rectangle(0.1, 0.1), mass=0.15,
+    ...             support=Tripod(radius=0.038, friction=0.25))
+    >>> finger = Pusher("finger", Disk(0.005), pose=(-0.055, 0.02, 0.0), friction=0.3,
+    ...                 drive=LineDrive(speed=0.02))
+    >>> Scene(part, finger, duration=2.0).names
+    ('part', 'finger')
     """
 
     bodies: tuple[Body, ...]
     pushers: tuple[Pusher, ...] = ()
     fixels: tuple[Fixel, ...] = ()
+    _: KW_ONLY
     contact_friction: tuple[PairFriction, ...] = ()
     plane: Plane = field(default_factory=Plane)
     gravity: float = 9.81
-    duration: float
+    duration: float = None  # type: ignore[assignment]
     support_directions: int | None = None
 
     def __post_init__(self) -> None:
@@ -137,7 +156,7 @@ class Scene(Comparable):
             fixels=_members(self.fixels, Fixel, "fixels"),
             contact_friction=_members(self.contact_friction, PairFriction, "contact_friction"),
             gravity=non_negative(self.gravity, "gravity", "m/s^2"),
-            duration=positive(self.duration, "duration", "s"),
+            duration=optional_positive(self.duration, "duration", "s"),
         )
         if not self.bodies:
             raise InvalidInput("bodies", found="no free body", expected="at least one")
@@ -153,6 +172,44 @@ class Scene(Comparable):
     def names(self) -> tuple[str, ...]:
         """Names of the bodies, then the pushers, then the fixels."""
         return tuple(thing.name for thing in self._things())
+
+    def save(self, path: str | Path) -> Path:
+        """Write the scene to a file, which `fixel.load_scene` reads.
+
+        Parameters
+        ----------
+        path : str or path
+            YAML file, or JSON if its name ends in `.json`.
+
+        Raises
+        ------
+        InvalidInput
+            The scene is a template, or the file cannot be written.
+        """
+        formats = import_module("fixel.formats")
+        formats.save_scene(formats.SceneFile(scene=self.complete()), path)
+        return Path(path)
+
+    def complete(self, duration: float | None = None) -> Scene:
+        """Return the scene itself; raise `InvalidInput` if it is a template.
+
+        Parameters
+        ----------
+        duration : float, optional
+            Simulated time [s], for a scene without one.
+        """
+        own: object = self.duration if duration is None else duration
+        missing = [f"no drive of pusher {p.name!r}" for p in self.pushers if p.is_template]
+        missing += ["no duration"] if own is None else []
+        if missing:
+            raise InvalidInput(
+                "scene",
+                found=f"a template: {', '.join(missing)}",
+                expected="a drive for every pusher, and a duration",
+                hint="give drive= and duration=, or read_experiments(table, scene=...) takes them"
+                " from measurements",
+            )
+        return self
 
     def _things(self) -> tuple[Body | Pusher | Fixel, ...]:
         return (*self.bodies, *self.pushers, *self.fixels)
@@ -201,8 +258,8 @@ def _two_names(pair: object) -> tuple[str, str]:
     return name_of(pair[0], where), name_of(pair[1], where)
 
 
-def _members(values: Iterable[T], kind: type, where: str) -> tuple[T, ...]:
-    members = tuple(values)
+def _members(values: T | Iterable[T], kind: type[T], where: str) -> tuple[T, ...]:
+    members = (values,) if isinstance(values, kind) else tuple(values)  # type: ignore[arg-type]
     for index, member in enumerate(members):
         instance(member, kind, f"{where}[{index}]", f"a {kind.__name__}")
     return members
@@ -262,7 +319,8 @@ def _check_friction(scene: Scene) -> None:
 
 
 def _check_overlaps(scene: Scene) -> None:
-    things = scene._things()
+    ready = [pusher for pusher in scene.pushers if not pusher.is_template]
+    things: list[Body | Pusher | Fixel] = [*scene.bodies, *ready, *scene.fixels]
     box = boxes([x.shape for x in things], [x.pose for x in things])
     for i, j in pairs_of_boxes(box, len(scene.bodies)):
         a, b = things[i], things[j]

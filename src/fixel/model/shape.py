@@ -59,6 +59,11 @@ class Polygon(Comparable):
     InvalidInput
         The polygon has fewer than three corners, a number that is not finite, or no area, or its
         outline crosses or touches itself.
+
+    Examples
+    --------
+    >>> Polygon([(0.0, 0.0), (0.1, 0.0), (0.0, 0.1)]).area
+    0.005000000000000001
     """
 
     vertices: FloatArray
@@ -83,6 +88,46 @@ class Polygon(Comparable):
             radius=float(np.hypot(*vertices.T).max()),
         )
 
+    @classmethod
+    def rectangle(cls, width: float, height: float) -> Polygon:
+        """Create a rectangle about the origin of its frame.
+
+        Parameters
+        ----------
+        width, height : float
+            Sides along x and y [m].
+
+        Examples
+        --------
+        >>> Polygon.rectangle(0.04, 0.02).centroid
+        array([0., 0.])
+        """
+        x = 0.5 * positive(width, "rectangle.width", "m")
+        y = 0.5 * positive(height, "rectangle.height", "m")
+        return cls(np.array([(-x, -y), (x, -y), (x, y), (-x, y)]))
+
+    @classmethod
+    def regular(cls, n: int, radius: float) -> Polygon:
+        """Create a regular polygon about the origin of its frame.
+
+        Parameters
+        ----------
+        n : int
+            Number of corners, at least 3.
+        radius : float
+            Distance of the corners from the origin [m]; the first one lies on the x axis.
+
+        Examples
+        --------
+        >>> len(Polygon.regular(6, 0.05).vertices)
+        6
+        """
+        if n < 3 or n != int(n):
+            raise InvalidInput("regular.n", found=n, expected="a whole number of at least 3")
+        angle = np.arange(n) * (2.0 * pi / n)
+        corners = np.column_stack((np.cos(angle), np.sin(angle)))
+        return cls(positive(radius, "regular.radius", "m") * corners)
+
     @property
     def outline(self) -> FloatArray:
         """Corners (n, 2), counter-clockwise, in the frame of the shape [m]."""
@@ -105,6 +150,12 @@ class Disk(Comparable):
     ----------
     area, centroid, unit_inertia, is_convex, pieces
         Attributes as for `Polygon`.
+
+    Examples
+    --------
+    >>> from fixel.units import mm
+    >>> Disk(5 * mm).radius
+    0.005
     """
 
     radius: float

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
-from typing import final
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,28 @@ from fixel.model.fields import Comparable, frozen, settle, table
 from fixel.typing import FloatArray
 
 
-@final
+class Pose(NamedTuple):
+    """Position and angle of a body, or of one body in many runs.
+
+    Parameters
+    ----------
+    x, y : float, or (n,) float64
+        Position of the frame of the body in the world [m].
+    theta : float, or (n,) float64
+        Angle of the frame [rad].
+
+    Examples
+    --------
+    >>> x, y, theta = Pose(0.1, 0.0, 0.5)
+    >>> theta
+    0.5
+    """
+
+    x: Any
+    y: Any
+    theta: Any
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Trajectory(Comparable):
     """Pose of one body against time.
@@ -25,6 +46,14 @@ class Trajectory(Comparable):
         Increasing times [s].
     pose : (n, 3) array_like
         Poses in the world [m, m, rad]; angles may wrap.
+
+    Examples
+    --------
+    >>> track = Trajectory(time=[0.0, 1.0], pose=[(0.0, 0.0, 0.0), (0.1, 0.0, 0.5)])
+    >>> track.final.theta
+    0.5
+    >>> track.at(0.5)
+    array([0.05, 0.  , 0.25])
     """
 
     time: FloatArray
@@ -47,6 +76,26 @@ class Trajectory(Comparable):
                 expected="finite, increasing instants [s]",
             )
         settle(self, time=time, pose=pose)
+
+    @property
+    def x(self) -> FloatArray:
+        """Position x (n,) [m]."""
+        return self.pose[:, 0]
+
+    @property
+    def y(self) -> FloatArray:
+        """Position y (n,) [m]."""
+        return self.pose[:, 1]
+
+    @property
+    def theta(self) -> FloatArray:
+        """Angle (n,) [rad]."""
+        return self.pose[:, 2]
+
+    @property
+    def final(self) -> Pose:
+        """Last pose."""
+        return Pose(*self.pose[-1].tolist())
 
     def at(self, time: ArrayLike) -> FloatArray:
         """Interpolate poses (..., 3) at times (...) [s], angles the short way; constant at ends."""

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fixel.datasets.mit_plates import TIP
 from fixel.datasets.mit_push import STROKE
 from fixel.errors import InvalidInput
-from fixel.kernels.codes import CONVERGED, STATUS_NAMES
 from fixel.model import Scene
 from fixel.replay.base import (
     AbstractReplay,
@@ -68,14 +68,13 @@ class PushReplay(AbstractReplay):
         result = simulate_batch(
             scene, start=self.data.start[rows], waypoints=waypoints, motion=self.motion
         )
-        assert isinstance(result, BatchResult)
         return result
 
     def result(self, outcomes: list[BatchResult]) -> Replay:
         """Compare simulated and published ends with the measured ones."""
         data, chosen = self.data, self.chosen
         end = np.full((len(data), 3), np.nan)
-        status = np.zeros(len(data), dtype=np.int64)
+        status = np.full(len(data), "converged", dtype=object)
         for rows, outcome in zip(self.groups.values(), outcomes, strict=True):
             end[rows] = np.where(outcome.converged[:, None], outcome.final[:, 0], np.nan)
             status[rows] = outcome.status
@@ -86,7 +85,7 @@ class PushReplay(AbstractReplay):
             pushes=self._rows(status, end, errors),
             groups=self._aggregates(errors),
             left_out=self.left_out,
-            not_solved=int((status[chosen] != CONVERGED).sum()),
+            not_solved=int((status[chosen] != "converged").sum()),
             settings={
                 **self.settings,
                 "motion": self.motion.name,
@@ -138,7 +137,7 @@ class PushReplay(AbstractReplay):
         body = self.data.bodies[shape]
         return template(body, TIP, self.settings, speed * 1e-3, STROKE / (speed * 1e-3))
 
-    def _rows(self, status: IntArray, end: FloatArray, errors: Errors) -> list[Row]:
+    def _rows(self, status: NDArray[np.object_], end: FloatArray, errors: Errors) -> list[Row]:
         data = self.data
         return [
             {
@@ -146,7 +145,7 @@ class PushReplay(AbstractReplay):
                 "surface": str(data.surface[row]),
                 "shape": str(data.shape[row]),
                 "speed_mm_s": round(float(data.speed[row]) * 1e3, 6),
-                "status": STATUS_NAMES[int(status[row])],
+                "status": status[row],
                 "end": end[row].tolist(),
                 **{
                     f"{name}_{what}": float(values[row])

@@ -17,7 +17,6 @@ from fixel.datasets.mit_pusher_slider import MU_PUSHER, MU_SUPPORT, MitPusherSli
 from fixel.drawing import palette
 from fixel.drawing.chart import sheet
 from fixel.errors import InvalidInput
-from fixel.kernels.codes import CONVERGED, STATUS_NAMES
 from fixel.model import Disk, Experiment, Scene, pose_error
 from fixel.replay.base import (
     AbstractReplay,
@@ -34,7 +33,7 @@ from fixel.replay.base import (
     template,
 )
 from fixel.replay.charts import WIDE, hide_spines, style_of
-from fixel.simulation import BatchResult, simulate_batch
+from fixel.simulation import simulate_batch
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -80,7 +79,7 @@ class WindowOutcome(NamedTuple):
 
     window: RunWindow
     motion: str
-    status: int
+    status: str
     pose: FloatArray  # (n_sample, 3)
     position: FloatArray  # (n_sample,) error [m]
     angle: FloatArray  # (n_sample,) absolute error [rad]
@@ -132,15 +131,15 @@ class RunReplay(AbstractReplay):
             motion=motion,
             times=item.time,
         )
-        assert isinstance(result, BatchResult)
-        pose = result.pose_of("object")[0]
+        pose = result["object"].pose[0]
         position, angle = pose_error(pose, item.measured)
-        status = int(result.status[0])
-        return WindowOutcome(item, motion.name, status, pose, position, np.abs(angle))
+        return WindowOutcome(
+            item, motion.name, str(result.status[0]), pose, position, np.abs(angle)
+        )
 
     def result(self, outcomes: list[WindowOutcome]) -> Replay:
         """List the errors of all windows, and aggregate those of each run."""
-        solved = [outcome for outcome in outcomes if outcome.status == CONVERGED]
+        solved = [outcome for outcome in outcomes if outcome.status == "converged"]
         return Replay(
             dataset="mit_timeseries",
             pushes=[_row(outcome) for outcome in outcomes],
@@ -246,7 +245,7 @@ def _row(outcome: WindowOutcome) -> Row:
         "begin_s": window.begin,
         "duration_s": window.duration,
         "motion": outcome.motion,
-        "status": STATUS_NAMES[outcome.status],
+        "status": outcome.status,
         "moved_mm": float(np.hypot(*(window.measured[-1] - window.start)[:2])) * 1e3,
         "way_mm": _length(np.vstack((window.start, window.measured))[:, :2]) * 1e3,
         "position_mm_rms": rms(outcome.position) * 1e3,

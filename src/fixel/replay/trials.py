@@ -96,7 +96,7 @@ class TrialReplay(AbstractReplay):
             scene = replace(trial_scene(item, measured[0], time, path[useful]), gravity=gravity)
             simulation = simulate(scene, given, motion=motion, output_interval=LAB_STEP)
             reached = time <= simulation.duration * (1.0 + 1e-9)
-            pose = simulation.trajectory(OBJECT).at(time)
+            pose = simulation[OBJECT].at(time)
             row = _row(item.name, "fixel", label, "measured", pose[reached], measured[reached])
             row["status"] = simulation.status
             row["contact_mode"] = contact_mode(simulation.touching, len(scene.fixels))

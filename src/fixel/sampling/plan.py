@@ -251,7 +251,6 @@ def rehearse(plan: Plan) -> Rehearsal:
         distinct.setdefault(experiment.scene, experiment)
     times = np.linspace(0.0, plan.rig.duration, SAMPLES)
     results = simulate_batch(list(distinct), motion=QuasiStatic(), times=times)
-    assert isinstance(results, list)
     touched: dict[str, list[bool]] = {}
     problems = []
     for (scene, experiment), result in zip(distinct.items(), results, strict=True):

@@ -2,53 +2,79 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput
-from fixel.kernels import batch as kernel
+from fixel.errors import Interrupted, InvalidInput
+from fixel.kernels import codes
 from fixel.kernels.arrays import (
+    CONTACT_ROWS,
     FALLBACKS,
+    LAST_CONTACTS,
     REACHED,
     SAMPLES,
     STEPS_TAKEN,
     WORST_RESIDUAL,
-    Batch,
     BatchRecord,
     StepMethod,
 )
 from fixel.model import Parameters, Scene
-from fixel.simulation.motion import AbstractMotionModel, Dynamic
+from fixel.simulation.motion import AbstractMotionModel, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack, stack
 from fixel.simulation.result import BatchResult
 from fixel.simulation.simulate import (
+    CONTACTS_PER_BODY,
     check_method,
+    duration_of,
     empty_record,
+    fixel_version,
     is_compiled,
     method_of,
     one_variation,
-    positive_time,
     shape_poses,
 )
-from fixel.simulation.solver import AbstractSolver, Newton
+from fixel.simulation.solver import SOLVERS, AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
+from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.vary import Variation
-from fixel.typing import FloatArray
+from fixel.typing import BoolArray, FloatArray
+
+_NAMES: Final = np.array(codes.STATUS_NAMES)
 
 
+@overload
 def simulate_batch(
-    scene: Scene | Sequence[Scene],
-    parameters: Mapping[str, ArrayLike] | Sequence[Parameters] | None = None,
+    scene: Scene,
+    parameters: Mapping[str, ArrayLike] | Sequence[Mapping[str, float]] | None = None,
     *,
     start: ArrayLike | None = None,
     waypoints: ArrayLike | None = None,
-    motion: AbstractMotionModel | None = None,
+    motion: AbstractMotionModel | str | None = None,
     stepper: AbstractStepper | None = None,
-    solver: AbstractSolver | None = None,
+    solver: AbstractSolver | str | None = None,
+    duration: float | None = None,
+    times: ArrayLike | None = None,
+    threads: int | None = None,
+    max_contacts: int = 4096,
+) -> BatchResult: ...
+
+
+@overload
+def simulate_batch(scene: Sequence[Scene], **options: Any) -> list[BatchResult]: ...
+
+
+def simulate_batch(  # type: ignore[misc]
+    scene: Scene | Sequence[Scene],
+    parameters: Mapping[str, ArrayLike] | Sequence[Mapping[str, float]] | None = None,
+    *,
+    start: ArrayLike | None = None,
+    waypoints: ArrayLike | None = None,
+    motion: AbstractMotionModel | str | None = None,
+    stepper: AbstractStepper | None = None,
+    solver: AbstractSolver | str | None = None,
     duration: float | None = None,
     times: ArrayLike | None = None,
     threads: int | None = None,
@@ -60,14 +86,16 @@ def simulate_batch(
     ----------
     scene : Scene or sequence of Scene
         One scene to vary, or scenes to simulate as they are.
-    parameters : mapping from name to (n,) array_like, or sequence of Parameters, optional
-        Parameter sets of the one scene.
+    parameters : mapping from name to (n,) array_like, or sequence of mappings, optional
+        Parameters of the one scene, in SI units: arrays of equal length by name, or one mapping
+        from names to numbers for each run.
     start : (n, n_free, 3) or (n, 3) array_like, optional
         Start poses of the free bodies [m, m, rad], each rollout its own. Not checked for overlap.
     waypoints : (n, n_sample, 4) array_like, optional
         Path of the one pusher in each rollout: time [s], x, y [m], theta [rad].
     motion, stepper, solver : optional
-        Built-in methods; `Dynamic()`, `Adaptive()` and `Newton()` by default.
+        Built-in methods, or the name of a motion model or solver; `Dynamic()`, `Adaptive()` and
+        `Newton()` by default.
     duration : float, optional
         Simulated time [s]; the scene's by default.
     times : (n_sample,) array_like, optional
@@ -84,11 +112,24 @@ def simulate_batch(
     Raises
     ------
     InvalidInput
-        Arrays differ in length, or the method does not suit the scene.
+        Arrays differ in length, the scene is a template, or the method does not suit it.
+    Interrupted
+        Ctrl-C; its `result` has the runs that ended.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fixel.testing.scenes import pushed_square
+    >>> friction = np.linspace(0.1, 0.4, 100)
+    >>> runs = simulate_batch(pushed_square(), {"mu_pusher": friction})
+    >>> runs["part"].final.theta.shape
+    (100,)
+    >>> print(f"still touching: {runs.touching('part', 'finger').mean():.0%}")
+    still touching: 100%
     """
-    motion = motion or Dynamic()
+    motion = motion_model(motion)
     stepper = stepper or Adaptive()
-    solver = solver or Newton()
+    solver = named_part(solver or Newton.name, SOLVERS, "solver")
     check_compiled(motion, stepper, solver)
     method = method_of(motion, stepper, solver, max_contacts)
     if not isinstance(scene, Scene):
@@ -101,9 +142,17 @@ def simulate_batch(
         )
     check_method(scene, solver)
     variation, n = _variation(scene, parameters, start, waypoints)
-    seconds = positive_time("duration", scene.duration if duration is None else duration)
+    seconds = duration_of(scene, duration)
     packed = pack(scene, motion, stepper, variation, n, seconds)
-    return simulate_packed(scene, packed, method, _instants(times, seconds), threads)
+    instants = _instants(times, seconds)
+    record = empty_record(packed, len(instants), CONTACTS_PER_BODY * len(scene.names), instants)
+    record.total[:, LAST_CONTACTS] = 1.0
+    try:
+        rollout_in_threads(packed.batch, method, record, threads)
+    except KeyboardInterrupt:
+        partial = _unpack(scene, packed, record, instants, variation.parameters)
+        raise Interrupted(partial, "its result has the runs that ended") from None
+    return _unpack(scene, packed, record, instants, variation.parameters)
 
 
 def simulate_packed(
@@ -142,7 +191,7 @@ def check_compiled(
 
 def _variation(
     scene: Scene,
-    parameters: Mapping[str, ArrayLike] | Sequence[Parameters] | None,
+    parameters: Mapping[str, ArrayLike] | Sequence[Mapping[str, float]] | None,
     start: ArrayLike | None,
     waypoints: ArrayLike | None,
 ) -> tuple[Variation, int]:
@@ -211,40 +260,19 @@ def _instants(times: ArrayLike | None, duration: float) -> FloatArray:
     return instants
 
 
-def rollout_in_threads(
-    batch: Batch, method: StepMethod, record: BatchRecord, threads: int | None
-) -> None:
-    """Distribute the rollouts among threads, in ranges small enough to balance the load."""
-    n = len(record.status)
-    n_threads = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
-    n_threads = (n_threads or 1) if threads is None else threads
-    if n_threads < 1:
-        raise InvalidInput("threads", found=threads, expected="at least 1")
-    if n_threads == 1 or n < 2:
-        kernel.rollout_batch(batch, method, record, False, 0, n)
-        return
-    size = max(1, min(64, n // (4 * n_threads)))
-    with ThreadPoolExecutor(n_threads) as pool:
-        futures = [
-            pool.submit(kernel.rollout_batch, batch, method, record, False, k, min(n, k + size))
-            for k in range(0, n, size)
-        ]
-        try:
-            for future in futures:
-                future.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-
-
 def _unpack(
-    scene: Scene, packed: PackedBatch, record: BatchRecord, times: FloatArray
+    scene: Scene,
+    packed: PackedBatch,
+    record: BatchRecord,
+    times: FloatArray,
+    parameters: Mapping[str, FloatArray] | None = None,
 ) -> BatchResult:
     units = packed.units
     _hold_last(record)
     return BatchResult(
-        names=scene.names[: len(scene.bodies) + len(scene.pushers)],
-        status=record.status,
+        scene=scene,
+        parameters={} if parameters is None else parameters,
+        status=_NAMES[record.status],
         time=times,
         pose=shape_poses(packed, record.pose),
         stopped_at=record.total[:, REACHED] * units.time,
@@ -253,7 +281,23 @@ def _unpack(
         max_residual=record.total[:, WORST_RESIDUAL].copy(),
         force=record.drive[:, -1, :, 0] * units.force,
         stalled=record.drive[:, -1, :, 1] > 0.0,
+        contacts=_last_contacts(scene, record) if record.contact.shape[1] else None,
+        version=fixel_version(),
     )
+
+
+def _last_contacts(scene: Scene, record: BatchRecord) -> BoolArray:
+    """Whether bodies touch (n, n_moving, n_body) at the end of each rollout."""
+    n, n_row = record.contact.shape[:2]
+    n_moving = len(scene.bodies) + len(scene.pushers)
+    last = record.count[:, SAMPLES] - 1
+    seen = np.arange(n_row) < record.count[:, CONTACT_ROWS, None]
+    seen &= record.contact[:, :, 0] == last[:, None]
+    run, row = np.nonzero(seen)
+    pair = np.sort(record.contact[run, row, 1:3].astype(np.int64), axis=1)
+    touching = np.zeros((n, n_moving, len(scene.names)), dtype=np.bool_)
+    touching[run, pair[:, 0], pair[:, 1]] = True
+    return touching
 
 
 def _hold_last(record: BatchRecord) -> None:
@@ -281,7 +325,7 @@ def _simulate_scenes(
     packed, instants = [], []
     for scene in scenes:
         check_method(scene, solver)
-        seconds = positive_time("duration", scene.duration if duration is None else duration)
+        seconds = duration_of(scene, duration)
         packed.append(pack(scene, motion, stepper, one_variation(None), 1, seconds))
         instants.append(_instants(times, seconds))
     if not packed:

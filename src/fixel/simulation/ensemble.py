@@ -18,7 +18,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.kernels.arrays import REACHED, SAMPLES, BatchRecord
 from fixel.model import Pusher, Scene
-from fixel.simulation.batch import check_compiled, rollout_in_threads
+from fixel.simulation.batch import check_compiled
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.pack import (
     PackedBatch,
@@ -30,6 +30,7 @@ from fixel.simulation.pack import (
 from fixel.simulation.simulate import empty_record, method_of, shape_poses
 from fixel.simulation.solver import AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
+from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.vary import Variation, infeasible
 from fixel.typing import FloatArray, IntArray
 

@@ -8,9 +8,11 @@ loop.
 from __future__ import annotations
 
 import abc
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import ClassVar, TypeVar, final
 
+from fixel.errors import InvalidInput
 from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Model, Problem, State
 from fixel.typing import FloatArray
@@ -119,4 +121,20 @@ class FirstOrder(_BuiltInMotion):
     kind: ClassVar[int] = codes.FIRST_ORDER
 
 
+Part = TypeVar("Part")
 MOTION_MODELS: tuple[type[AbstractMotionModel], ...] = (Dynamic, QuasiStatic, FirstOrder)
+
+
+def motion_model(motion: AbstractMotionModel | str | None) -> AbstractMotionModel:
+    """Return a motion model, also by its name; the dynamic one for None."""
+    return named_part(motion or Dynamic.name, MOTION_MODELS, "motion")
+
+
+def named_part(part: Part | str, family: Sequence[type[Part]], where: str) -> Part:
+    """Return a part of a method, also by its name; raise for names outside its family."""
+    if not isinstance(part, str):
+        return part
+    members = {str(getattr(member, "name", "")): member for member in family}
+    if part not in members:
+        raise InvalidInput(where, found=repr(part), expected="one of " + ", ".join(members))
+    return members[part]()

@@ -206,7 +206,7 @@ class _SampleCollector:
             np.zeros((room, self.n_driven, 2)),
             np.zeros((n_row, 11)),
             np.zeros(4, np.int64),
-            np.zeros(2),
+            np.zeros(at.N_TOTAL),
         )
         entries.write_samples(
             loop.model, before, loop.state, loop.control, moved, span, loop.problem, record,
@@ -247,5 +247,5 @@ class _SampleCollector:
         control = self.loop.control
         counts = [self.done, joined[4].shape[1], int(control[at.STEPS]), self.loop.fallbacks]
         count = np.array([counts], np.int64)
-        total = np.array([[control[at.TIME], worst]])
+        total = np.array([[control[at.TIME], worst, 0.0, 0.0]])
         return BatchRecord._make([*joined, count, total, np.array([status], np.int64)])

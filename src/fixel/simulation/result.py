@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import difflib
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final, final
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from math import degrees
+from pathlib import Path
+from typing import Any, ClassVar, Final, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.model import Parameters, Scene, Seated, Trajectory
-from fixel.typing import FloatArray, IntArray
+from fixel.model import Parameters, Pose, Scene, Seated, Trajectory
+from fixel.results import Result, Summary
+from fixel.table import Column, Table
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 CONTACT_FIELDS = np.dtype(
     [
@@ -27,6 +34,10 @@ CONTACT_FIELDS = np.dtype(
         ("step", np.float64),  # [s] of the step; force times step is the impulse
     ]
 )
+
+
+MAX_BODIES: Final = 12  # listed for a printed result
+POSE_NAMES: Final = ("x", "y", "theta")
 
 
 @final
@@ -46,31 +57,81 @@ class PusherTrace:
 
     travel: float
     force: FloatArray
-    stalled: NDArray[np.bool_]
+    stalled: BoolArray
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Simulation:
-    """Record of one simulation: scene, method and results.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PusherTrajectory(Trajectory):
+    """Pose and force of one pusher against time.
+
+    Parameters
+    ----------
+    travel : float
+        Length of the path covered [m].
+    force : (n,) float64
+        Force of the bodies on it, along its path [N].
+    stalled : (n,) bool
+        Whether its drive stalled: a speed below 1 % of the commanded one.
+    """
+
+    travel: float
+    force: FloatArray
+    stalled: BoolArray
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
+class Simulation(Result):
+    """Result of one simulation: scene, method and motion.
+
+    `simulation["part"]` is the trajectory of a body; for a pusher it has also `force`, `travel` and
+    `stalled`.
 
     Attributes
     ----------
+    scene : Scene
+        Scene that was simulated.
+    parameters : Parameters or None
+        Values that replaced those of the scene.
+    method : mapping
+        Names and options of motion model, stepper and solver.
     status : str
         ``converged``, or the reason of an early end (`fixel.kernels.codes.STATUS_NAMES`).
-    advice : str
-        Remedy for an early end; empty when converged.
     stopped_at : float or None
         Time of an early end [s], up to which results are stored.
+    duration : float
+        Simulated time [s].
     time : (n_sample,) float64
         Times of the samples [s].
     pose, twist : mapping from name to (n_sample, 3) float64
         Pose of every body's shape frame, twist of its centre of mass [m, m, rad; m/s, m/s, rad/s].
     contacts : (n_contact,) structured, see CONTACT_FIELDS
         Touching contacts of every sample.
+    pushers : mapping from name to PusherTrace
+        Travel and forces of the pushers.
+    steps, fallbacks : int
+        Number of steps, and of those that needed another solver.
     max_residual : float
         Worst natural-map residual of any step, in the scene's scaled units.
+    wall_time_s : float
+        Computing time [s].
+    version : str
+        Version of fixel.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.scenes import pushed_square
+    >>> push = fixel.simulate(pushed_square())
+    >>> x, y, theta = push.final["part"]
+    >>> print(f"moved {1e3 * x:.1f} mm")
+    moved 32.0 mm
+    >>> push.touching
+    [('part', 'finger')]
     """
+
+    _drawings: ClassVar[Mapping[str, str]] = {"motion": "fixel.drawing.picture:plot_simulation"}
 
     scene: Scene
     parameters: Parameters | None
@@ -91,10 +152,12 @@ class Simulation:
 
     @property
     def advice(self) -> str:
+        """Remedy for an early end; empty when converged."""
         return codes.STATUS_ADVICE[codes.STATUS_NAMES.index(self.status)]
 
     @property
     def converged(self) -> bool:
+        """Whether the simulation reached its end."""
         return self.status == codes.STATUS_NAMES[codes.CONVERGED]
 
     @property
@@ -103,9 +166,9 @@ class Simulation:
         return self.scene.names
 
     @property
-    def final(self) -> dict[str, FloatArray]:
+    def final(self) -> dict[str, Pose]:
         """Last pose of every free and driven body."""
-        return {name: poses[-1] for name, poses in self.pose.items()}
+        return {name: Pose(*poses[-1].tolist()) for name, poses in self.pose.items()}
 
     @property
     def touching(self) -> list[tuple[str, str]]:
@@ -117,14 +180,102 @@ class Simulation:
 
     def meets(self, goal: Seated) -> bool:
         """Return whether the end of the simulation meets a goal."""
-        return bool(goal.met(self.scene, self.final))
+        ends = {name: poses[-1] for name, poses in self.pose.items()}
+        return bool(goal.met(self.scene, ends))
 
-    def trajectory(self, name: str) -> Trajectory:
-        """Return the pose of one body against time."""
-        return Trajectory(time=self.time, pose=self.pose[name])
+    def __getitem__(self, name: str) -> Trajectory:
+        """Return the trajectory of a free or driven body, with forces for a pusher."""
+        pose = self.pose[_known(name, list(self.pose))]
+        if name not in self.pushers:
+            return Trajectory(time=self.time, pose=pose)
+        trace = self.pushers[name]
+        return PusherTrajectory(
+            time=self.time,
+            pose=pose,
+            travel=trace.travel,
+            force=trace.force,
+            stalled=trace.stalled,
+        )
+
+    def animate(self, path: str | Path, *, progress: Any = None) -> Path:
+        """Write an animation of the motion.
+
+        Parameters
+        ----------
+        path : str or path
+            File to write: `.mp4` or `.gif`.
+        progress : bool or callable, optional
+            As for `fixel.progress.show_progress`.
+
+        Raises
+        ------
+        InvalidInput
+            The file name has another ending, or the file cannot be written.
+        """
+        import_module("fixel.drawing").animate_simulation(self, path, progress=progress)
+        return Path(path)
+
+    def _summary(self) -> Summary:
+        names = (self.method["motion"], self.method["stepper"])
+        ended = f"{self.duration:g} s"
+        if self.stopped_at is not None:
+            ended = f"stopped at {self.stopped_at:.4g} s"
+        partners: dict[str, list[str]] = {name: [] for name in self.names}
+        for a, b in self.touching:
+            partners[a].append(b)
+            partners[b].append(a)
+        unit, factor = _length_unit(np.concatenate(list(self.pose.values())))
+        rows = [
+            (
+                *(name, factor * pose.x, factor * pose.y, degrees(pose.theta)),
+                ", ".join(partners[name]) or None,
+            )
+            for name, pose in self.final.items()
+        ]
+        place = (Column("x", unit, ".2f"), Column("y", unit, ".2f"), Column("angle", "deg", ".2f"))
+        traces = [
+            (
+                *(name, factor * own.travel, float(own.force[-1])),
+                "stalled" if own.stalled[-1] else "",
+            )
+            for name, own in self.pushers.items()
+        ]
+        columns = ("pusher", Column("travel", unit, ".2f"), Column("force", "N", ".4g"), "")
+        return Summary(
+            f"Simulation: {self.status}, {ended} in {self.steps} steps ({', '.join(names)})",
+            [
+                Table(("body, at the end", *place, "touching"), rows),
+                *([Table(columns, traces)] if traces else []),
+            ],
+            [*([self.advice] if self.advice else []), f"worst residual {self.max_residual:.1e}"],
+            {
+                "parameters": ", ".join(f"{k} = {v:g}" for k, v in (self.parameters or {}).items()),
+                "solver": str(self.method["solver"]),
+                "version": f"fixel {self.version}",
+            },
+        )
+
+    def _data(self) -> Table:
+        rows = (
+            (float(t), name, *pose, *twist)
+            for name, poses in self.pose.items()
+            for t, pose, twist in zip(
+                self.time, poses.tolist(), self.twist[name].tolist(), strict=True
+            )
+        )
+        units = (("x", "m"), ("y", "m"), ("theta", "rad"))
+        return Table(
+            (
+                *(Column("time", "s"), Column("body")),
+                *(Column(name, unit) for name, unit in units),
+                *(Column(f"v{name}", f"{unit}/s") for name, unit in units[:2]),
+                Column("omega", "rad/s"),
+            ),
+            rows,
+        )
 
     def summary(self) -> dict[str, Any]:
-        """Return the output of `fixel simulate --json` as plain values (scene.md)."""
+        """Return the output of `fixel simulate --json` as plain values."""
         answer: dict[str, Any] = {"status": self.status}
         if self.stopped_at is not None:
             answer["stopped_at"] = self.stopped_at
@@ -134,7 +285,7 @@ class Simulation:
             "steps": self.steps,
             "max_residual": self.max_residual,
             "wall_time_s": self.wall_time_s,
-            "final": {name: pose.tolist() for name, pose in self.final.items()},
+            "final": {name: list(pose) for name, pose in self.final.items()},
             "pushers": {
                 name: {
                     "travel": trace.travel,
@@ -150,34 +301,95 @@ class Simulation:
         return answer
 
 
-MAX_NAMES: Final = 12  # bodies listed for a printed batch
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class BatchResult:
-    """Results of many rollouts.
+class BodyRuns(NamedTuple):
+    """Poses of one body in many runs.
 
     Attributes
     ----------
-    status : (n,) int64
-        Index into `fixel.kernels.codes.STATUS_NAMES`; 0 is converged.
+    time : (n_sample,) float64
+        Times of the samples [s]; the last is the end.
+    pose : (n, n_sample, 3) float64
+        Poses in the world [m, m, rad].
+    """
+
+    time: FloatArray
+    pose: FloatArray
+
+    @property
+    def x(self) -> FloatArray:
+        """Position x (n, n_sample) [m]."""
+        return self.pose[..., 0]
+
+    @property
+    def y(self) -> FloatArray:
+        """Position y (n, n_sample) [m]."""
+        return self.pose[..., 1]
+
+    @property
+    def theta(self) -> FloatArray:
+        """Angle (n, n_sample) [rad]."""
+        return self.pose[..., 2]
+
+    @property
+    def final(self) -> Pose:
+        """Last pose of every run, as arrays (n,)."""
+        return Pose(*self.pose[:, -1].T)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
+class BatchResult(Result):
+    """Results of many runs.
+
+    `runs["part"]` has the poses of a body in all runs; `runs[7]`, `runs[10:20]` and `runs[mask]`
+    are the results of some runs.
+
+    Attributes
+    ----------
+    scene : Scene
+        Scene that was varied.
+    parameters : mapping of name to (n,) float64
+        Parameters of the runs.
+    status : (n,) str
+        ``converged``, or the reason of an early end (`fixel.kernels.codes.STATUS_NAMES`).
     time : (n_sample,) float64
         Times of the samples [s]; the last is the end.
     pose : (n, n_sample, n_moving, 3) float64
         Poses of the shape frames of free bodies, then pushers [m, m, rad]. The last pose of a
-        rollout that stopped early is repeated.
+        run that stopped early is repeated.
     stopped_at : (n,) float64
         Time reached [s].
     steps, fallbacks : (n,) int64
+        Number of steps, and of those that needed another solver.
     max_residual : (n,) float64
+        Worst residual of any step.
     force : (n, n_driven) float64
         Force on each pusher along its path at the end [N].
     stalled : (n, n_driven) bool
+        Whether each pusher's drive stalled at the end.
+    contacts : (n, n_moving, n_body) bool or None
+        Whether two bodies touch at the end; None if contacts were not recorded.
+    version : str
+        Version of fixel.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.scenes import pushed_square
+    >>> runs = fixel.simulate_batch(pushed_square(), {"mu_pusher": [0.1, 0.2, 0.3]})
+    >>> runs["part"].final.theta.shape
+    (3,)
+    >>> runs.touching("part", "finger")
+    array([ True,  True,  True])
+    >>> runs[2].parameters["mu_pusher"]
+    array([0.3])
     """
 
-    names: tuple[str, ...]
-    status: IntArray
+    _drawings: ClassVar[Mapping[str, str]] = {"ends": "fixel.drawing.runs:plot_ends"}
+
+    scene: Scene
+    parameters: Mapping[str, FloatArray] = field(default_factory=dict)
+    status: NDArray[np.str_]
     time: FloatArray
     pose: FloatArray
     stopped_at: FloatArray
@@ -185,7 +397,14 @@ class BatchResult:
     fallbacks: IntArray
     max_residual: FloatArray
     force: FloatArray
-    stalled: NDArray[np.bool_]
+    stalled: BoolArray
+    contacts: BoolArray | None = None
+    version: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free bodies, then of the pushers, as in `pose`."""
+        return self.scene.names[: len(self.scene.bodies) + len(self.scene.pushers)]
 
     @property
     def final(self) -> FloatArray:
@@ -193,32 +412,138 @@ class BatchResult:
         return self.pose[:, -1]
 
     @property
-    def converged(self) -> NDArray[np.bool_]:
-        return np.equal(self.status, codes.CONVERGED)
+    def converged(self) -> BoolArray:
+        """Whether each run reached its end, (n,) bool."""
+        return np.equal(self.status, codes.STATUS_NAMES[codes.CONVERGED])
 
-    def pose_of(self, name: str) -> FloatArray:
-        """Return the poses (n, n_sample, 3) of one body."""
-        return self.pose[:, :, self.names.index(name)]
-
-    def __repr__(self) -> str:
-        """Summarise in a few lines the counts by status and the final poses."""
-        n, n_sample = self.pose.shape[:2]
-        ended = Counter(codes.STATUS_NAMES[int(code)] for code in self.status)
-        lines = [
-            f"BatchResult of {n} rollouts, {n_sample} samples up to {self.time[-1]:g} s"
-            if n_sample
-            else f"BatchResult of {n} rollouts without samples",
-            "  " + ", ".join(f"{name} {count}" for name, count in ended.most_common()),
-            f"  {self.steps.sum()} steps, {self.fallbacks.sum()} fallbacks; worst residual"
-            f" {np.max(self.max_residual, initial=0.0):.1e}",
+    @property
+    def contact_mode(self) -> NDArray[np.str_]:
+        """Contact mode (n,) at the end: a digit per fixel, 1 where a free body touches it."""
+        free = [body.name for body in self.scene.bodies]
+        touched = [
+            np.any([self.touching(name, fixel.name) for name in free], axis=0)
+            for fixel in self.scene.fixels
         ]
+        digits = np.array(touched, dtype=np.int64).reshape(-1, len(self)).T
+        return np.array(["".join(map(str, row)) for row in digits.tolist()], dtype=np.str_)
+
+    def touching(self, a: str, b: str) -> BoolArray:
+        """Return whether two bodies touch at the end of each run.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of free bodies, pushers or fixels, in either order.
+
+        Returns
+        -------
+        (n,) bool
+            False where a run stopped early.
+        """
+        if self.contacts is None:
+            raise InvalidInput("contacts", found="none recorded", expected="those of a batch")
+        names = self.scene.names
+        first, second = sorted(names.index(_known(name, names)) for name in (a, b))
+        if first >= self.contacts.shape[1]:
+            return np.zeros(len(self), dtype=np.bool_)
+        return self.contacts[:, first, second]
+
+    def meets(self, goal: Seated) -> BoolArray:
+        """Return whether the end of each run meets a goal, (n,) bool."""
+        ends = {name: self.final[:, k] for k, name in enumerate(self.names)}
+        return np.asarray(goal.met(self.scene, ends))
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def __getitem__(self, key: str | int | slice | ArrayLike) -> Any:
+        """Return the poses of a body by its name, or the results of some runs."""
+        if isinstance(key, str):
+            place = self.names.index(_known(key, self.names))
+            return BodyRuns(self.time, self.pose[:, :, place])
+        if isinstance(key, int | np.integer):
+            if not -len(self) <= key < len(self):
+                raise IndexError(f"run {key} of {len(self)}")
+            key = slice(int(key) % len(self), int(key) % len(self) + 1)
+        index: Any = key if isinstance(key, slice) else np.asarray(key)
+        own = {name: getattr(self, name)[index] for name in PER_RUN}
+        return replace(
+            self,
+            **own,
+            parameters={name: values[index] for name, values in self.parameters.items()},
+            contacts=None if self.contacts is None else self.contacts[index],
+        )
+
+    def _summary(self) -> Summary:
+        n, n_sample = self.pose.shape[:2]
+        varied = f", varying {', '.join(self.parameters)}" if self.parameters else ""
+        counts = Counter(self.status.tolist()).most_common()
+        notes = [
+            f"{self.steps.sum()} steps, {self.fallbacks.sum()} fallbacks;"
+            f" worst residual {np.max(self.max_residual, initial=0.0):.1e}"
+        ]
+        tables = []
         if n and n_sample:
-            shown = self.names[:MAX_NAMES]
-            rows = [(name, np.median(self.final[:, k], axis=0)) for k, name in enumerate(shown)]
-            lines += [
-                f"  {name}: median end x {x:.6g} m, y {y:.6g} m, angle {angle:.6g} rad"
-                for name, (x, y, angle) in rows
+            unit, factor = _length_unit(self.final)
+            names = [body.name for body in self.scene.bodies]
+            shown = [
+                (f"{name}, {axis} [{own}]", scale * self.final[:, k, j])
+                for k, name in enumerate(names[:MAX_BODIES])
+                for j, (axis, own, scale) in enumerate(
+                    (("x", unit, factor), ("y", unit, factor), ("angle", "deg", degrees(1.0)))
+                )
             ]
-            left_out = len(self.names) - len(shown)
-            lines += [f"  ... and {left_out} more bodies"] if left_out else []
-        return "\n".join(lines)
+            heads = [Column(head, "", ".2f") for head in ("5 %", "median", "95 %")]
+            rows = [(head, *np.percentile(values, (5, 50, 95))) for head, values in shown]
+            tables = [Table(("at the end", *heads), rows)]
+        return Summary(
+            f"BatchResult: {n} run{'s' * (n != 1)}{varied};"
+            f" {', '.join(f'{count} {name}' for name, count in counts)}",
+            tables,
+            notes,
+            {"version": f"fixel {self.version}"},
+        )
+
+    def _data(self) -> Table:
+        columns: list[Column] = [Column("run"), Column("status"), Column("stopped_at", "s")]
+        values: list[Iterable[Any]] = [range(len(self)), self.status, self.stopped_at]
+        for name, own in self.parameters.items():
+            columns.append(Column(name))
+            values.append(own)
+        for k, body in enumerate(self.names):
+            for j, axis in enumerate(POSE_NAMES):
+                columns.append(Column(f"{body}_{axis}", "rad" if j == 2 else "m"))
+                values.append(self.final[:, k, j])
+        return Table(columns, zip(*values, strict=True))
+
+
+# Fields of a batch with one row for each run.
+PER_RUN: Final = (
+    "status",
+    "pose",
+    "stopped_at",
+    "steps",
+    "fallbacks",
+    "max_residual",
+    "force",
+    "stalled",
+)
+
+
+def _known(name: str, names: Sequence[str]) -> str:
+    if name in names:
+        return name
+    close = difflib.get_close_matches(str(name), names, n=1)
+    raise InvalidInput(
+        "name",
+        found=repr(name),
+        expected=f"one of {', '.join(names)}",
+        hint=f"did you mean {close[0]!r}?" if close else None,
+    )
+
+
+def _length_unit(poses: FloatArray) -> tuple[str, float]:
+    """Return the unit in which positions (..., 3) are shown, and its factor from metres."""
+    known = poses[np.isfinite(poses).all(axis=-1)][..., :2]
+    size = float(np.abs(known).max(initial=0.0))
+    return ("um", 1e6) if 0.0 < size < 2e-3 else ("mm", 1e3)

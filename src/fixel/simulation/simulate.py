@@ -6,30 +6,36 @@ import dataclasses
 import functools
 import math
 import time as clock
+from collections.abc import Mapping
+from importlib import import_module
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from os import PathLike
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import InvalidInput, SolveFailed
+from fixel.errors import Interrupted, InvalidInput, SolveFailed
 from fixel.kernels import batch as kernel
 from fixel.kernels import codes
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
+    N_TOTAL,
     REACHED,
+    SAMPLES,
     STEPS_TAKEN,
     WORST_RESIDUAL,
     BatchRecord,
     StepMethod,
 )
 from fixel.model import Parameters, Scene
-from fixel.simulation.motion import AbstractMotionModel, Dynamic
+from fixel.simulation.motion import AbstractMotionModel, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack
 from fixel.simulation.plain import rollout_in_python
 from fixel.simulation.result import CONTACT_FIELDS, PusherTrace, Simulation
-from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
+from fixel.simulation.solver import SOLVERS, AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
+from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.vary import Variation, composed, inverted
 from fixel.typing import FloatArray
 
@@ -39,28 +45,44 @@ USUAL_SAMPLES = 1_000  # steps of an adaptive stepper, of which most scenes take
 CONTACTS_PER_BODY = 8  # rows of the contact table per sample and moving body
 
 
+class SceneWithMethod(Protocol):
+    """Scene with the method that its file requests, such as `fixel.formats.SceneFile`."""
+
+    @property
+    def scene(self) -> Scene: ...
+    @property
+    def motion(self) -> str: ...
+    @property
+    def stepper(self) -> AbstractStepper: ...
+    @property
+    def output_interval(self) -> float | None: ...
+
+
 def simulate(
-    scene: Scene,
-    parameters: Parameters | None = None,
+    scene: Scene | SceneWithMethod | str | PathLike[str],
+    parameters: Mapping[str, float] | None = None,
     *,
-    motion: AbstractMotionModel | None = None,
+    motion: AbstractMotionModel | str | None = None,
     stepper: AbstractStepper | None = None,
-    solver: AbstractSolver | None = None,
+    solver: AbstractSolver | str | None = None,
     duration: float | None = None,
     output_interval: float | None = None,
     max_contacts: int = 4096,
     plain: bool = False,
-    throw: bool = False,
+    check: bool = False,
 ) -> Simulation:
     """Simulate one scene.
 
     Parameters
     ----------
-    scene : Scene
-    parameters : Parameters, optional
-        Values that replace the scene's own.
+    scene : Scene, SceneFile, str or path
+        Scene; or what `load_scene` returns, or a scene file, whose motion model, step and output
+        interval then apply.
+    parameters : mapping of str to float, optional
+        Values in SI units that replace the scene's own, such as ``{"mu_pusher": 0.2}``.
     motion, stepper, solver : optional
-        Method; `Dynamic()`, `Adaptive()` and `Newton()` by default.
+        Method, or the name of a motion model (``"quasistatic"``) or solver; `Dynamic()`,
+        `Adaptive()` and `Newton()` by default.
     duration : float, optional
         Simulated time [s]; the scene's by default.
     output_interval : float, optional
@@ -69,7 +91,7 @@ def simulate(
         Largest number of contacts; more end the rollout with the status ``contact_overflow``.
     plain : bool
         Whether to run the steps in Python, one part at a time; always done for plug-ins.
-    throw : bool
+    check : bool
         Whether to raise `SolveFailed` instead of returning a simulation that stopped early.
 
     Returns
@@ -80,15 +102,36 @@ def simulate(
     Raises
     ------
     InvalidInput
-        The method does not suit the scene.
+        The scene is a template, or the method does not suit it.
     SolveFailed
-        Only with `throw`.
+        Only with `check`.
+    Interrupted
+        Ctrl-C; its `result` is the simulation up to then.
+
+    Examples
+    --------
+    >>> from fixel.testing.scenes import pushed_square
+    >>> push = simulate(pushed_square(), {"mu_pusher": 0.3})
+    >>> x, y, theta = push.final["part"]
+    >>> print(f"moved {1e3 * x:.1f} mm, status {push.status}")
+    moved 32.0 mm, status converged
     """
-    motion = motion or Dynamic()
+    if not isinstance(scene, Scene):
+        file: SceneWithMethod = (
+            import_module("fixel.formats").load_scene(scene)
+            if isinstance(scene, str | PathLike)
+            else scene
+        )
+        motion = motion or file.motion
+        stepper = stepper or file.stepper
+        output_interval = output_interval or file.output_interval
+        scene = file.scene
+    motion = motion_model(motion)
     stepper = stepper or Adaptive()
-    solver = solver or Newton()
-    duration = positive_time("duration", scene.duration if duration is None else duration)
+    solver = named_part(solver or Newton.name, SOLVERS, "solver")
+    duration = duration_of(scene, duration)
     check_method(scene, solver)
+    parameters = None if parameters is None else Parameters(parameters)
     packed = pack(scene, motion, stepper, one_variation(parameters), 1, duration)
     method = method_of(motion, stepper, solver, max_contacts)
     compiled = all(is_compiled(part) for part in (motion, stepper, solver))
@@ -102,11 +145,19 @@ def simulate(
     simulation = _unpack(
         scene, parameters, packed, record, duration, seconds, motion, stepper, solver
     )
-    if throw and not simulation.converged:
+    if simulation.status == codes.STATUS_NAMES[codes.INTERRUPTED]:
+        raise Interrupted(simulation, "its result is the motion up to then")
+    if check and not simulation.converged:
         raise SolveFailed(
             f"{simulation.status} at {simulation.stopped_at:.6g} s. {simulation.advice}"
         )
     return simulation
+
+
+def duration_of(scene: Scene, duration: float | None) -> float:
+    """Return the simulated time of a scene [s]; raise for templates."""
+    scene.complete(duration)
+    return positive_time("duration", scene.duration if duration is None else duration)
 
 
 def positive_time(where: str, value: float) -> float:
@@ -174,7 +225,7 @@ def empty_record(
         drive=np.zeros((n, n_sample, n_driven, 2)),
         contact=np.zeros((n, n_row, 11)),
         count=np.zeros((n, 4), np.int64),
-        total=np.zeros((n, 2)),
+        total=np.zeros((n, N_TOTAL)),
         status=np.zeros(n, np.int64),
     )
 
@@ -208,7 +259,7 @@ def _roll_compiled(
     per_sample = CONTACTS_PER_BODY * n_moving
     if times is not None:
         record = empty_record(packed, len(times), per_sample * len(times), times)
-        kernel.rollout_batch(packed.batch, method, record, False, 0, 1)
+        _roll_one(packed, method, record, every_step=False)
         return record
     room = USUAL_SAMPLES
     if stepper.first_step is not None:
@@ -222,9 +273,9 @@ def _roll_compiled(
                 hint=f"give an output_interval of {duration / 1000:.3g} s, say",
             )
         record = empty_record(packed, room, per_sample * room)
-        kernel.rollout_batch(packed.batch, method, record, True, 0, 1)
+        _roll_one(packed, method, record, every_step=True)
         n_sample = int(record.count[0, STEPS_TAKEN]) + 1
-        if n_sample <= room:
+        if n_sample <= room or record.status[0] == codes.INTERRUPTED:
             break
         room = n_sample  # rare: all steps of an adaptive stepper, once more
     if stepper.first_step is None:
@@ -232,8 +283,19 @@ def _roll_compiled(
     return record
 
 
+def _roll_one(
+    packed: PackedBatch, method: StepMethod, record: BatchRecord, *, every_step: bool
+) -> None:
+    try:
+        rollout_in_threads(packed.batch, method, record, 1, every_step)
+    except KeyboardInterrupt:
+        if record.status[0] != codes.INTERRUPTED or not record.count[0, SAMPLES]:
+            raise
+
+
 @functools.cache
-def _version() -> str:
+def fixel_version() -> str:
+    """Return the version of fixel that is installed."""
     return version("fixel")
 
 
@@ -307,7 +369,7 @@ def _unpack(
         fallbacks=fallbacks,
         max_residual=float(record.total[0, WORST_RESIDUAL]),
         wall_time_s=seconds,
-        version=_version(),
+        version=fixel_version(),
     )
 
 

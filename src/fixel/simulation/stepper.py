@@ -235,6 +235,20 @@ class Adaptive(_BuiltInStepper):
         return None
 
 
+def stepper_of(step: float | None, tolerance: float | None) -> AbstractStepper | None:
+    """Return the stepper with a fixed step [s] or a tolerance [m]; None without either."""
+    if step is not None and tolerance is not None:
+        raise InvalidInput(
+            "step and tolerance",
+            found="both",
+            expected="one of them",
+            hint="a fixed step has no tolerance; leave one out",
+        )
+    if tolerance is not None:
+        return Adaptive(tolerance=tolerance)
+    return None if step is None else StewartTrinkle(step=step)
+
+
 def _check_step(where: str, step: float) -> None:
     if not 0.0 < step < math.inf:
         raise InvalidInput(where, found=step, expected="a positive time [s]")

@@ -329,7 +329,7 @@ class SimulatedTestbed:
     def _truth(self, name: str, simulation: Simulation) -> dict[str, str | float]:
         """Return the true values of a run, under names that end with their unit."""
         drawn = self._draw(name)
-        final = simulation.final[simulation.scene.bodies[0].name]
+        final = simulation.pose[simulation.scene.bodies[0].name][-1]
         stall = simulation.scene.pushers[0].drive.force_limit
         truth = {
             "support_friction_ratio": drawn.support,

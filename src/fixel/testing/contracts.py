@@ -206,13 +206,13 @@ class StepperContract:
     def test_block_slides_to_rest(self, stepper: AbstractStepper) -> None:
         run = simulate(sliding_block(0.5, 0.25, duration=0.5), stepper=stepper)
         # A first-order step of 10 ms has an error of half a step at 0.5 m/s.
-        assert run.final["block"][0] == pytest.approx(0.25 / (0.5 * G), abs=0.0026)
+        assert run.pose["block"][-1][0] == pytest.approx(0.25 / (0.5 * G), abs=0.0026)
         assert np.abs(run.twist["block"][-1]).max() < 1e-9
 
     def test_body_without_forces_goes_straight(self, stepper: AbstractStepper) -> None:
         run = simulate(sliding_block(0.3, 0.0, 0.7, duration=2.0), stepper=stepper)
         expected = [0.6 * math.cos(0.7), 0.6 * math.sin(0.7), 0.0]
-        assert run.final["block"] == pytest.approx(expected, abs=1e-9)
+        assert run.pose["block"][-1] == pytest.approx(expected, abs=1e-9)
 
     def test_samples_are_where_they_were_asked_for(self, stepper: AbstractStepper) -> None:
         run = simulate(sliding_block(duration=1.0), stepper=stepper, output_interval=0.3)
@@ -275,7 +275,7 @@ class MotionModelContract:
 
     def test_body_that_nothing_moves_rests(self, motion: AbstractMotionModel) -> None:
         run = self._run(motion, sliding_block(speed=0.0, duration=1.0))
-        assert np.abs(run.final["block"]).max() == 0.0
+        assert np.abs(run.pose["block"][-1]).max() == 0.0
 
     def test_poses_follow_velocities(self, motion: AbstractMotionModel) -> None:
         run = self._run(motion, grasp("slip"), duration=6.0)
@@ -294,8 +294,8 @@ class MotionModelContract:
             motion, Scene(bodies=(moved,), pushers=scene.pushers, duration=scene.duration)
         )
         # The finger moves 20 mm; the body moves along and turns, since it is pushed off centre.
-        assert run.final["body"][0] - pose[0] > 0.01
-        assert abs(run.final["body"][2] - pose[2]) > 0.01
+        assert run.pose["body"][-1][0] - pose[0] > 0.01
+        assert abs(run.pose["body"][-1][2] - pose[2]) > 0.01
 
     def test_contacts_are_lawful(self, motion: AbstractMotionModel) -> None:
         run = self._run(motion, grasp("slip"))

@@ -63,6 +63,24 @@ _START: Final[dict[str, tuple[float, float, float]]] = {
 }
 
 
+def pushed_square(duration: float = 2.0) -> Scene:
+    """Square that a round finger pushes off its centre line, so that it turns."""
+    part = Body(
+        "part",
+        Polygon.rectangle(0.1, 0.1),
+        mass=0.15,
+        support=Tripod(radius=0.038, friction=0.25),
+    )
+    finger = Pusher(
+        "finger",
+        Disk(FINGER_RADIUS),
+        pose=row(-0.055, 0.02, 0.0),
+        friction=0.3,
+        drive=LineDrive(speed=0.02),
+    )
+    return Scene((part,), (finger,), duration=duration)
+
+
 def grasp(
     layout: Layout = "seated",
     force_limit: float | None = STALL_FORCE,

@@ -32,7 +32,7 @@ def test_a_simulation_is_that_of_the_engine():
     alone = simulate(scene_file_from_dict(scene).scene)
     assert shown.summary["status"] == "converged"
     final = shown.story.motions[0].pose["object"][-1]
-    assert final == pytest.approx(alone.final["object"], abs=1e-12)
+    assert final == pytest.approx(alone.pose["object"][-1], abs=1e-12)
     assert shown.summary["final"]["object"] == pytest.approx(final.tolist())
 
 

@@ -61,7 +61,7 @@ def test_a_scene_becomes_a_recording_with_its_truth_beside_it(tmp_path, rig, sce
     # At rest for half a second, then as simulated.
     pose = arrays["pose_actuator"]
     assert pose[:15] == pytest.approx(np.tile(pose[0], (15, 1)))
-    moved = simulate(grasp(), output_interval=SAMPLE).trajectory("actuator").at(24 / 30 - 0.5)
+    moved = simulate(grasp(), output_interval=SAMPLE)["actuator"].at(24 / 30 - 0.5)
     assert pose[24] == pytest.approx(moved, abs=1e-9)
 
 

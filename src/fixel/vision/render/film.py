@@ -166,7 +166,7 @@ def tracks_of(scene: Scene, motion: Motion) -> dict[str, Trajectory]:
     """Trajectories of all bodies and pushers of a scene, by name."""
     names = [*(body.name for body in scene.bodies), *(pusher.name for pusher in scene.pushers)]
     if isinstance(motion, Simulation):
-        return {name: motion.trajectory(name) for name in names}
+        return {name: motion[name] for name in names}
     missing = [name for name in names if name not in motion]
     if missing:
         raise InvalidInput(

@@ -21,7 +21,6 @@ from fixel.web.values import Answer
 from fixel.web.views.live_comparison import motion_model, warm_up
 from fixel.web.views.motion_views import Animation, animation_of_scene, simulated_motion
 from fixel.workflows.demo.scene_demo import example_names, example_text
-from fixel.workflows.simulation import SimulationMethod, parts
 
 LIMIT: Final = 20.0  # [s] of computing
 MAX_TEXT: Final = 512 * 1024  # [byte] of a scene file
@@ -105,12 +104,9 @@ def simulated(content: Any) -> SceneMotion:
     """Simulate a scene given by its keys, with limited numbers of steps and samples."""
     file = check_scene(content)
     scene = file.scene
-    motion, stepper, solver = parts(file, SimulationMethod())
     simulation = simulate(
-        scene,
-        motion=motion,
-        stepper=Adaptive(max_steps=MAX_STEPS) if isinstance(stepper, Adaptive) else stepper,
-        solver=solver,
+        file,
+        stepper=Adaptive(max_steps=MAX_STEPS) if file.step is None else None,
         output_interval=scene.duration / SAMPLES,
     )
     names = ", ".join(body.name for body in scene.bodies)

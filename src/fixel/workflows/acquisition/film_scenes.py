@@ -18,7 +18,6 @@ from fixel.io.document import read_document
 from fixel.model import Experiment, PlannedExperiment, Scene, pose_error
 from fixel.simulation import Simulation, simulate
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
-from fixel.workflows.simulation import SimulationMethod, parts
 
 SAMPLE: Final = 1.0 / 240.0  # [s] between samples of the true motion
 
@@ -109,10 +108,7 @@ def _makers(
 
 def _as_written(name: str, scene_file: SceneFile, seed: int) -> FilmScene:
     """Simulate a scene file exactly as it is written."""
-    motion, stepper, solver = parts(scene_file, SimulationMethod())
-    simulation = simulate(
-        scene_file.scene, motion=motion, stepper=stepper, solver=solver, output_interval=SAMPLE
-    )
+    simulation = simulate(scene_file, output_interval=SAMPLE)
     bench = SimulatedTestbed.ideal(seed)
     return FilmScene(name=name, planned=scene_file, simulation=simulation, testbed=bench)
 
@@ -140,7 +136,7 @@ def _again(experiment: Experiment) -> FilmScene:
     seed = experiment.provenance.seed
     bench = SimulatedTestbed(seed=1 if seed is None else seed, dataset=experiment.dataset)
     subject = _performed(planned, bench)
-    end = subject.simulation.final[experiment.object_name]
+    end = subject.simulation.pose[experiment.object_name][-1]
     remembered = np.array([conditions[f"{TRUTH}final_{k}"] for k in ("x_m", "y_m", "angle_rad")])
     apart, _ = pose_error(end, remembered)
     if apart > SAME_END:

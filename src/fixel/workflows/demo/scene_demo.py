@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput, os_reason
+from fixel.formats import load_scene
 from fixel.io.atomic import written_whole
 from fixel.model import LineDrive, placed
 from fixel.simulation import Simulation
-from fixel.typing import FloatArray, Notify, ProgressCallback
+from fixel.typing import FloatArray, Notify
 from fixel.workflows.simulation import Outputs, simulate_file
 
 EXAMPLE = "grasp"
@@ -54,16 +55,14 @@ def example_text(name: str) -> str:
         return path.read_text(encoding="utf-8")
 
 
-def run_demo(
-    folder: Path, notify: Notify | None = None, progress: ProgressCallback | None = None
-) -> Demo:
+def run_demo(folder: Path, notify: Notify | None = None) -> Demo:
     """Simulate the example grasp; write its scene, picture, film and trajectory.
 
     Parameters
     ----------
     folder : Path
         Created if missing; files of the same names are replaced.
-    notify, progress : callable, optional
+    notify : callable, optional
         See `simulate_file`.
 
     Raises
@@ -84,7 +83,7 @@ def run_demo(
     )
     with written_whole(scene) as temporary:
         temporary.write_text(example_text(EXAMPLE), encoding="utf-8")
-    simulation = simulate_file(scene, outputs=outputs, notify=notify, progress=progress)
+    simulation = simulate_file(load_scene(scene), outputs, notify=notify)
     return Demo(simulation, motion_events(simulation), {"scene": scene, **outputs.files})
 
 

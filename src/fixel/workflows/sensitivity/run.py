@@ -18,6 +18,7 @@ from fixel.model.selection import ExperimentQuery
 from fixel.model.space import split_label
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import AbstractMotionModel, Dynamic
+from fixel.simulation.motion import motion_model
 from fixel.simulation.stepper import AbstractStepper
 from fixel.uncertainty.indices import indices_of
 from fixel.uncertainty.outcomes import FLAGS, Sensitivity, sensitivity_of
@@ -33,7 +34,6 @@ from fixel.workflows.calibration.stored import (
 from fixel.workflows.figures import Picture
 from fixel.workflows.sensitivity.report import analysis_of, arrays_of, pictures_of
 from fixel.workflows.sensitivity.request import Finding, SensitivityRequest, Subject
-from fixel.workflows.simulation import SimulationMethod, parts
 
 SCENE_ENDINGS: Final = (".yaml", ".yml", ".json")
 
@@ -269,7 +269,6 @@ def _all(store: Store) -> dict[str, int]:
 
 def _of_file(thing: str, request: SensitivityRequest, model: CalibratedValues | None) -> Subject:
     file = load_scene(Path(thing))
-    motion, stepper, _ = parts(file, SimulationMethod())
     values = {} if model is None else model.values({"experiment": thing})
     return Subject(
         key=Path(thing).stem,
@@ -277,8 +276,8 @@ def _of_file(thing: str, request: SensitivityRequest, model: CalibratedValues | 
         scene=file.scene,
         values=values | dict(request.values),
         ranges=_ranges(model, values) | dict(request.ranges),
-        motion=motion if model is None else model.motion,
-        stepper=stepper,
+        motion=motion_model(file.motion) if model is None else model.motion,
+        stepper=file.stepper,
         banner="",
     )
 
