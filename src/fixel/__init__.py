@@ -81,6 +81,7 @@ if TYPE_CHECKING:
     )
     from fixel.workflows.sensitivity.run import sensitivity as sensitivity
     from fixel.workflows.uncertainty.prediction import predict as predict
+    from fixel.workflows.uncertainty.run import posterior as posterior
 
     __version__: str
 
@@ -112,6 +113,7 @@ _NAMES = {
     "fixel.workflows.uncertainty.prediction": "predict",
     "fixel.workflows.experiments": "read_experiments",
     "fixel.workflows.project.comparison": "Comparison compare",
+    "fixel.workflows.uncertainty.run": "posterior",
 }
 _HOME_OF = {name: module for module, names in _NAMES.items() for name in names.split()}
 

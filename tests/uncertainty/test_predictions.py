@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benchmarks.sbc import MODEL_ERROR, NOISE
@@ -21,12 +23,12 @@ def found():
     comparer = measured(seed=5)
     likelihood = LogLikelihood(comparer, [0], NOISE, MODEL_ERROR)
     posterior = NestedSampling(samples=300, live=100).sample(likelihood, likelihood.prior)
-    return comparer, likelihood, posterior
+    return comparer, replace(posterior, noise=NOISE, model_error=MODEL_ERROR)
 
 
 def test_the_parts_of_a_prediction_add_up(found):
-    comparer, likelihood, posterior = found
-    one = predict_repetition(comparer, 0, posterior, likelihood.prior, NOISE, draws=200)
+    comparer, posterior = found
+    one = predict_repetition(comparer, 0, posterior, draws=200)
     assert set(one.shares) == {*PARTS, "all"}
     np.testing.assert_allclose(one.shares["noise"], NOISE.standard_deviations, rtol=0.15)
     together = np.sqrt(sum(one.shares[part] ** 2 for part in PARTS))
@@ -35,8 +37,8 @@ def test_the_parts_of_a_prediction_add_up(found):
 
 
 def test_a_push_that_was_held_out_lies_in_its_bands(found):
-    comparer, likelihood, posterior = found
-    one = predict_repetition(comparer, 1, posterior, likelihood.prior, NOISE, draws=200)
+    comparer, posterior = found
+    one = predict_repetition(comparer, 1, posterior, draws=200)
     narrow, wide = map(one.bands, LEVELS)
     assert (wide.low <= narrow.low).all()
     assert (wide.high >= narrow.high).all()
@@ -47,10 +49,8 @@ def test_a_push_that_was_held_out_lies_in_its_bands(found):
 
 
 def test_a_start_known_exactly_adds_nothing(found):
-    comparer, likelihood, posterior = found
-    one = predict_repetition(
-        comparer, 0, posterior, likelihood.prior, NOISE, start_sd=np.zeros(3), draws=50
-    )
+    comparer, posterior = found
+    one = predict_repetition(comparer, 0, posterior, start_sd=np.zeros(3), draws=50)
     np.testing.assert_allclose(one.shares["start"], 0.0, atol=1e-15)
 
 
@@ -140,6 +140,6 @@ def test_nearly_optimal_points_are_clustered():
 
 
 def test_truth_is_found_among_the_samples(found):
-    _, _, posterior = found
+    _, posterior = found
     low, _, high = posterior.quantiles((0.005, 0.5, 0.995))
     assert ((low <= TRUTH) & (high >= TRUTH)).all()

@@ -1,6 +1,5 @@
 """`fixel uncertainty`: posterior of the parameters, and predictions of paths and poses."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,14 +19,12 @@ from fixel.cli.screen import (
     command_line,
     compare_command,
     print_answer,
-    progress_bar,
     seconds,
     wrote,
 )
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.uncertainty.posterior import SamplerProgress
     from fixel.workflows.analysis import StoredAnalysis
     from fixel.workflows.uncertainty.run import Uncertainty, UncertaintyRequest
 
@@ -102,7 +99,7 @@ def uncertainty(
     request = options.request(experiments or [])
     require_folder(plot)
     project = Project.open(folder)
-    found = find_uncertainty(project, request, _bar())
+    found = find_uncertainty(project, request)
     kept = store_uncertainty(project, found, command_line())
     pictures = [] if plot is None else kept.copy_pictures(plot)
     files = {"folder": str(kept.folder), "pictures": [str(path) for path in pictures]}
@@ -121,23 +118,6 @@ def _noise(mm: float | None, mrad: float | None) -> tuple[float, float] | None:
             expected="both, or neither",
         )
     return None if mm is None or mrad is None else (1e-3 * mm, 1e-3 * mrad)
-
-
-def _bar() -> "Callable[[SamplerProgress], None] | None":
-    show = progress_bar("Sampling")
-    if show is None:
-        return None
-    highest = 0
-
-    def update(progress: "SamplerProgress") -> None:
-        nonlocal highest
-        share = round(1000.0 * progress.share)
-        if share >= 1000 and progress.remaining > 0.0:
-            share = 999
-        highest = max(highest, share)
-        show(highest, 1000)
-
-    return update
 
 
 def _lines(

@@ -200,7 +200,7 @@ class Posterior(Result):
 
     def under(self, conditions: Mapping[str, str | float]) -> Posterior:
         """Return the posterior of the parameters that apply under conditions of an experiment."""
-        space = self._searched
+        space = self.searched
         if all(unknown.covers(conditions) for unknown in space.unknowns):
             return self
         own = ParameterSpace(unknowns=tuple(u for u in space.unknowns if u.covers(conditions)))
@@ -220,11 +220,12 @@ class Posterior(Result):
         self, points: FloatArray, conditions: Mapping[str, str | float]
     ) -> dict[str, FloatArray]:
         """Return the parameters (m,) at points (m, n), by name, for one experiment."""
-        space = self._searched
+        space = self.searched
         return space.columns(points[:, : len(space.labels)], conditions)
 
     @property
-    def _searched(self) -> ParameterSpace:
+    def searched(self) -> ParameterSpace:
+        """Parameters with their bounds; raises where there are none."""
         if self.space is None:
             expected = "one that fixel.posterior has made"
             raise InvalidInput("model", found="a posterior without parameters", expected=expected)

@@ -4,14 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.fields import instance
+from fixel.model.records import Estimate
 from fixel.simulation.motion import MOTION_MODELS, AbstractMotionModel, Dynamic
 from fixel.typing import FloatArray
+
+
+@runtime_checkable
+class CalibratedModel(Protocol):
+    """Calibrated parameters with the motion model that they belong to; `Calibration` is one."""
+
+    @property
+    def motion(self) -> AbstractMotionModel: ...
+    @property
+    def estimates(self) -> Mapping[str, Estimate]: ...
+    def values_for(self, /, **conditions: str | float) -> dict[str, float]: ...
 
 
 class Push(NamedTuple):
@@ -53,7 +65,24 @@ def push_of(
     else:
         instance(what, Scene, "scene", "a Scene or an Experiment")
         times, scene, conditions = None, what, {}
-    return Push(scene, times, conditions, dict(Parameters(model or {})), motion_named(motion), {})
+    calibrated: object = model
+    if not isinstance(calibrated, CalibratedModel):
+        return Push(
+            scene, times, conditions, dict(Parameters(model or {})), motion_named(motion), {}
+        )
+    values = calibrated.values_for(**conditions)
+    intervals = {
+        name: (own.low, own.high)
+        for name, own in calibrated.estimates.items()
+        if own.low is not None
+        and own.high is not None
+        and name in values
+        and own.low < own.high
+        and not name.startswith("start_")
+    }
+    return Push(
+        scene, times, conditions, values, motion_named(motion or calibrated.motion), intervals
+    )
 
 
 def motion_named(motion: AbstractMotionModel | str | None) -> AbstractMotionModel:

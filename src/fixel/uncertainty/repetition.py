@@ -12,16 +12,14 @@ from typing import Final
 
 import numpy as np
 
-from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
-from fixel.errors import SolveFailed
+from fixel.errors import InvalidInput, SolveFailed
 from fixel.model.trajectory import wrapped
 from fixel.typing import BoolArray, FloatArray
 from fixel.uncertainty.discrepancy import draw_walks
 from fixel.uncertainty.likelihood import expected_shares
 from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.prediction import Prediction
-from fixel.uncertainty.prior import ParameterPrior
 from fixel.uncertainty.start_ensemble import START
 
 PARTS: Final = ("parameters", "start", "model error", "noise")
@@ -31,8 +29,6 @@ def predict_repetition(
     comparer: Comparer,
     member: int,
     posterior: Posterior,
-    prior: ParameterPrior,
-    noise: Noise,
     *,
     start_sd: FloatArray | None = None,
     draws: int = 400,
@@ -46,11 +42,7 @@ def predict_repetition(
     member : int
         Index of the experiment among its targets.
     posterior : Posterior
-        Posterior of the comparer's space.
-    prior : ParameterPrior
-        Prior of this posterior.
-    noise : Noise
-        Noise of the camera.
+        Posterior of the comparer's space, with the noise of the camera.
     start_sd : (3,) array, optional
         Standard deviations of the measured first pose [m, m, rad]; by default the camera noise.
         Start errors that are among the unknowns are not drawn again.
@@ -58,6 +50,10 @@ def predict_repetition(
         Number of draws, at most the number of samples.
     seed : int
     """
+    noise, error = posterior.noise, posterior.model_error
+    if noise is None:
+        expected = "one that fixel.posterior has made"
+        raise InvalidInput("posterior", found="one without the camera's noise", expected=expected)
     rng = np.random.default_rng([seed, member])
     rows = rng.permutation(len(posterior.points))[: max(2, draws)]
     points, k = posterior.points[rows], len(rows)
@@ -77,9 +73,9 @@ def predict_repetition(
     begun, good_begun, _ = _simulated(comparer, member, best[:, :n_free], errors)
     target = comparer.targets[member]
     walk = np.zeros_like(both)
-    if prior.model_error is not None:
-        share = expected_shares(comparer, member, prior.model_error)
-        walk = draw_walks(share, points[:, -1], prior.model_error.sides, rng)
+    if error is not None:
+        share = expected_shares(comparer, member, error)
+        walk = draw_walks(share, points[:, -1], error.sides, rng)
     seen = rng.standard_normal(both.shape) * noise.standard_deviations
     paths = [_near(path, centre) for path in (only, begun, both)]
     truths = (paths[2] + walk)[good]
@@ -99,7 +95,7 @@ def predict_repetition(
         motion=comparer.ensemble.motion.name,
         seed=seed,
         parameters=comparer.space.columns(points[:, :n_free], target.conditions),
-        drift=None if prior.model_error is None else walk,
+        drift=None if error is None else walk,
         noise=seen,
         shares={
             "parameters": _spread(paths[0][good_only]),

@@ -9,8 +9,10 @@ from tests.uncertainty.forks import fork
 from tests.uncertainty.test_likelihood import measured
 
 import fixel
+from fixel.calibration.noise import Noise
 from fixel.errors import InvalidInput
 from fixel.model import Probability, Seated
+from fixel.testing.pushes import ANGLE_NOISE, POSITION_NOISE, TRUTH, example_pushes
 from fixel.testing.scenes import grasp, micro_push
 from fixel.uncertainty.likelihood import LogLikelihood
 from fixel.uncertainty.posterior import NestedSampling
@@ -18,6 +20,7 @@ from fixel.uncertainty.starts import ASME, StartError
 from fixel.workflows.uncertainty.prediction import predict
 
 QUIET = {"progress": False, "threads": 1}
+NOISE_OF_EXAMPLE = Noise(position_m=POSITION_NOISE, angle_rad=ANGLE_NOISE)
 LOOSE = StartError(x=4e-3, y=20e-3, theta=math.radians(8.0))
 
 
@@ -88,7 +91,42 @@ def test_what_is_certain_or_unknown_is_refused(sampled):
         predict(micro_push(1), **QUIET)
     with pytest.raises(InvalidInput, match="model_error"):
         predict(micro_push(1), start=ASME, model_error=True, **QUIET)
+    with pytest.raises(InvalidInput, match="goal"):
+        predict(micro_push(1), start=ASME, samples=9, **QUIET).probability(Seated("fixel-1"))
     with pytest.raises(InvalidInput, match="samples"):
         predict(micro_push(1), start=ASME, samples=1, **QUIET)
     with pytest.raises(InvalidInput, match="model_error"):
         predict(micro_push(1), start=ASME, model_error=-1.0, **QUIET)
+
+
+def test_a_calibration_predicts_with_its_values_and_motion_model():
+    pushes = example_pushes(2, duration=0.5)
+    fit = fixel.calibrate(
+        pushes, {"mu_pusher": (0, 1)}, motion="quasistatic", verdicts=False, progress=False
+    )
+    found = predict(pushes[0], fit, start=ASME, samples=8, **QUIET)
+    assert found.motion == "quasistatic"
+    assert set(found.parameters["mu_pusher"]) == {fit["mu_pusher"]}
+    assert found.time[-1] == pytest.approx(0.5)
+
+
+def test_the_posterior_holds_the_truth_and_predicts_another_push():
+    pushes = example_pushes(2, duration=0.3)
+    found = fixel.posterior(
+        pushes[0],
+        {"mu_pusher": (0, 1), "tripod_radius": TRUTH["tripod_radius"]},
+        noise=NOISE_OF_EXAMPLE,
+        model_error=False,
+        samples=20,
+        **QUIET,
+    )
+    assert found.experiments == (pushes[0].key,)
+    assert TRUTH["mu_pusher"] == pytest.approx(np.median(found.samples["mu_pusher"]), abs=0.05)
+    assert "mu_pusher" in repr(found)
+    assert found.evidence.log == found.log_evidence
+    assert found.summary().rows[0][0] == "mu_pusher"
+    told = predict(pushes[1], found, samples=60, **QUIET)
+    assert set(told.shares) >= {"parameters", "start", "noise"}
+    assert max(told.levels_of(pushes[1].trajectory.pose[-1])) < 0.999
+    with pytest.raises(InvalidInput, match="known parameter"):
+        fixel.posterior(pushes[0], {"mu_pushr": (0, 1)}, **QUIET)

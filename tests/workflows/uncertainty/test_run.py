@@ -85,8 +85,8 @@ def test_it_is_kept_as_an_analysis(folder, answered):
 def test_the_cameras_noise_is_found_out(folder):
     wanted = UncertaintyRequest(experiments=("push-1",), fit=FIT, motion="quasistatic", samples=50)
     found = find_uncertainty(Project.open(folder), wanted)
-    assert found.noise.position_m == pytest.approx(5e-5, rel=0.4)
-    assert found.noise.angle_rad == pytest.approx(2e-3, rel=0.4)
+    assert found.posterior.noise.position_m == pytest.approx(5e-5, rel=0.4)
+    assert found.posterior.noise.angle_rad == pytest.approx(2e-3, rel=0.4)
     assert np.isfinite(found.posterior.points).all()
 
 

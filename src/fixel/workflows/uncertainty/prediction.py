@@ -20,7 +20,6 @@ from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import LABEL, ModelError, draw_walks, shares_of_way
 from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.prediction import Prediction
-from fixel.uncertainty.prior import ParameterPrior
 from fixel.uncertainty.push import push_of
 from fixel.uncertainty.repetition import predict_repetition
 from fixel.uncertainty.start_ensemble import simulate_starts
@@ -159,13 +158,9 @@ def _repetition(
         posterior = replace(posterior, points=np.hstack((posterior.points, tau)))
     elif model_error and error is None:
         raise _no_model_error()
-    if posterior.space is None or posterior.noise is None:
-        raise InvalidInput("model", found="a posterior without noise", expected="fixel.posterior")
-    comparer = Comparer([target_of(experiment)], posterior.space, motion=motion, threads=threads)
-    prior = ParameterPrior(posterior.space, error)
-    return predict_repetition(
-        comparer, 0, posterior, prior, posterior.noise, draws=samples, seed=seed
-    )
+    posterior = replace(posterior, model_error=error)
+    comparer = Comparer([target_of(experiment)], posterior.searched, motion=motion, threads=threads)
+    return predict_repetition(comparer, 0, posterior, draws=samples, seed=seed)
 
 
 def _no_model_error() -> InvalidInput:

@@ -42,7 +42,7 @@ def store_uncertainty(project: Project, found: Uncertainty, command: str = "") -
             "uncertainty",
             "methods",
             posterior=posterior,
-            noise=found.noise,
+            noise=found.posterior.noise,
             request=found.request,
         ),
         references=REFERENCES,
@@ -61,14 +61,16 @@ def numbers_of(found: Uncertainty) -> dict[str, Any]:
     """Return plain values in SI units, for `--json`."""
     posterior, request = found.posterior, found.request
     low, middle, high = posterior.quantiles()
+    noise = posterior.noise
+    assert noise is not None  # measured poses have noise
     return {
         "experiments": [one.experiment.key for one in found.predicted if not one.held_out],
         "motion": found.motion,
         "noise": {
-            "position_m": found.noise.position_m,
-            "angle_rad": found.noise.angle_rad,
-            "source": found.noise.source,
-            "correlation": found.noise.correlation,
+            "position_m": noise.position_m,
+            "angle_rad": noise.angle_rad,
+            "source": noise.source,
+            "correlation": noise.correlation,
         },
         "model_error": request.model_error,
         "parameters": {

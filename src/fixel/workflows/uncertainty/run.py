@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Noise, noise_from_residuals
 from fixel.calibration.objective import Comparer
 from fixel.calibration.study import box_of
-from fixel.calibration.target import Target, target_of
-from fixel.calibration.usual_parameters import default_unknowns
+from fixel.calibration.target import Target, target_of, targets_of
+from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
@@ -22,14 +22,17 @@ from fixel.model import Experiment
 from fixel.model.records import CalibrationRecord
 from fixel.model.selection import ExperimentQuery
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.simulation.motion import MOTION_MODELS
+from fixel.progress import ProgressOption, show_progress
+from fixel.simulation.motion import AbstractMotionModel
 from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
 from fixel.uncertainty.near_optimal import NearOptimal, near_optimal, rise_of
 from fixel.uncertainty.posterior import NestedSampling, Posterior, SamplerProgress
 from fixel.uncertainty.prediction import Prediction
+from fixel.uncertainty.push import motion_named
 from fixel.uncertainty.repetition import predict_repetition
+from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.stored import (
     CalibratedValues,
@@ -112,7 +115,6 @@ class Uncertainty:
     ----------
     request : UncertaintyRequest
     space : ParameterSpace
-    noise : Noise
     posterior : Posterior
     predicted : tuple of ExperimentPrediction
         Predictions of the experiments used, then of those held out.
@@ -128,7 +130,6 @@ class Uncertainty:
 
     request: UncertaintyRequest
     space: ParameterSpace
-    noise: Noise
     posterior: Posterior
     predicted: tuple[ExperimentPrediction, ...]
     motion: str
@@ -143,10 +144,92 @@ class Uncertainty:
         return tuple(one for one in self.predicted if one.held_out)
 
 
+def posterior(
+    experiments: Experiment | Iterable[Experiment],
+    parameters: Space | Calibration = None,
+    *,
+    noise: Noise | None = None,
+    model_error: bool | ModelError = True,
+    samples: int = 1000,
+    motion: AbstractMotionModel | str | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: ProgressOption = None,
+) -> Posterior:
+    """Sample the probability distribution of parameters given experiments.
+
+    Parameters
+    ----------
+    experiments : Experiment or sequence of Experiment
+        Measured pushes, each with a scene.
+    parameters : mapping, sequence of str, Calibration or None
+        Parameters to infer, in SI units, as for `fixel.calibrate`. Priors are uniform within the
+        bounds, or normal where a `Parameter` has a prior. A calibration gives its parameters with
+        their bounds, and its motion model. By default the usual parameters of the scenes.
+    noise : Noise, optional
+        Standard deviations of measured poses; estimated by default.
+    model_error : bool or ModelError
+        Whether to include the error of the model itself, with a standard deviation that is
+        inferred as the last unknown, `"model_error"` [m]. Without it, intervals are too narrow
+        wherever the model is wrong.
+    samples : int
+        Number of effective samples, at least 10.
+    motion : AbstractMotionModel or str, optional
+        Motion model; by default that of the calibration, else `Dynamic()`.
+    seed : int
+        Seed of the random numbers.
+    threads : int, optional
+        Number of threads; all cores by default. Results are the same for any number.
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
+
+    Returns
+    -------
+    Posterior
+        Samples of equal weight, quantiles, separate modes, and the evidence.
+
+    Raises
+    ------
+    InvalidInput
+        An experiment cannot be compared with a simulation, a parameter is not known or informed by
+        no experiment, or dynesty is not installed.
+
+    Examples
+    --------
+    >>> from fixel.testing.pushes import example_pushes
+    >>> pushes = example_pushes(1, duration=0.3)
+    >>> space = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    >>> found = posterior(pushes, space, model_error=False, samples=20, progress=False)
+    >>> low, median, high = found.quantiles()[:, 0]
+    >>> bool(low < 0.25 < high)
+    True
+    """
+    own = [experiments] if isinstance(experiments, Experiment) else list(experiments)
+    targets = targets_of(own)
+    if isinstance(parameters, Calibration):
+        space = parameters.space
+        motion = parameters.motion if motion is None else motion
+        noise = parameters.noise if noise is None else noise
+    else:
+        space = search_space(parameters, targets)
+    comparer = Comparer(targets, space, motion=motion_named(motion), threads=threads)
+    error = model_error if isinstance(model_error, ModelError) else ModelError()
+    found, _ = _sampled(
+        comparer,
+        list(range(len(targets))),
+        noise,
+        None if model_error is False else error,
+        samples,
+        seed,
+        progress,
+    )
+    return found
+
+
 def find_uncertainty(
     project: Project,
     request: UncertaintyRequest,
-    progress: Callable[[SamplerProgress], None] | None = None,
+    progress: ProgressOption = None,
 ) -> Uncertainty:
     """Sample the posterior of experiments of a project, and predict with it.
 
@@ -175,23 +258,27 @@ def find_uncertainty(
     unknowns = _unknowns(project, request, one, targets[: len(ids)])
     motion = _motion(request, one)
     space = ParameterSpace(unknowns=tuple(unknowns))
-    comparer = Comparer(targets, space, motion=_motion_model(motion))
-    members = list(range(len(ids)))
-    noise, point = _noise(comparer, members, request)
-    error = ModelError() if request.model_error else None
-    likelihood = LogLikelihood(comparer, members, noise, error)
-    sampling = NestedSampling(samples=request.samples)
-    posterior = sampling.sample(likelihood, likelihood.prior, request.seed, progress)
+    comparer = Comparer(targets, space, motion=motion_named(motion))
+    found, point = _sampled(
+        comparer,
+        list(range(len(ids))),
+        None
+        if request.noise is None
+        else Noise(position_m=request.noise[0], angle_rad=request.noise[1]),
+        ModelError() if request.model_error else None,
+        request.samples,
+        request.seed,
+        progress,
+    )
     predicted = tuple(
-        _predicted(number, experiments[k], comparer, k, likelihood, posterior, k >= len(ids))
+        _predicted(number, experiments[k], comparer, k, found, k >= len(ids))
         for k, number in enumerate((*ids, *held))
     )
-    near, names = _near(one, comparer, members, point)
+    near, names = _near(one, comparer, list(range(len(ids))), point)
     return Uncertainty(
         request=replace(request, experiments=tuple(e.key for e in experiments[: len(ids)])),
         space=space,
-        noise=noise,
-        posterior=posterior,
+        posterior=found,
         predicted=predicted,
         motion=motion,
         near=near,
@@ -239,28 +326,51 @@ def _motion(request: UncertaintyRequest, one: CalibratedValues | None) -> str:
     return "dynamic" if one is None else one.motion.name
 
 
-def _motion_model(name: str) -> Any:
-    found = next((model for model in MOTION_MODELS if model.name == name), None)
-    if found is None:
-        expected = "one of " + ", ".join(model.name for model in MOTION_MODELS)
-        raise InvalidInput("--motion", found=repr(name), expected=expected)
-    return found()
+def _sampled(
+    comparer: Comparer,
+    members: list[int],
+    noise: Noise | None,
+    error: ModelError | None,
+    samples: int,
+    seed: int,
+    progress: ProgressOption,
+) -> tuple[Posterior, FloatArray]:
+    """Return the posterior of some experiments of a comparer, and the point of a rough fit."""
+    with show_progress(progress, "sampling") as report:
+        point = _rough_fit(comparer, members, seed)
+        known = noise or _noise(comparer, members, point, error is not None)
+        likelihood = LogLikelihood(comparer, members, known, error)
+        sampling = NestedSampling(samples=samples)
+        done = 0
+
+        def show(now: SamplerProgress) -> None:
+            nonlocal done
+            done = max(done, min(round(1000.0 * now.share), 1000 if now.remaining == 0.0 else 999))
+            report(done, 1000, f"{now.evaluations} points")
+
+        found = sampling.sample(likelihood, likelihood.prior, seed, show)
+    return replace(
+        found,
+        space=comparer.space,
+        noise=known,
+        model_error=error,
+        motion=comparer.ensemble.motion.name,
+        experiments=tuple(comparer.targets[k].key for k in members),
+    ), point
 
 
-def _noise(
-    comparer: Comparer, members: list[int], request: UncertaintyRequest
-) -> tuple[Noise, FloatArray]:
-    """Return the noise and the point of a rough fit."""
-    own = np.asarray(members, np.int64)
-    residuals = Frames(comparer, own).residuals(FIRST_NOISE)
+def _rough_fit(comparer: Comparer, members: list[int], seed: int) -> FloatArray:
+    residuals = Frames(comparer, np.asarray(members, np.int64)).residuals(FIRST_NOISE)
     search = LeastSquares(loss="soft_l1", width=3.0, starts=FIRST_STARTS, most_iterations=20)
-    point = fit(search.start(box_of(comparer.space), request.seed), residuals).point
-    if request.noise is not None:
-        return Noise(position_m=request.noise[0], angle_rad=request.noise[1]), point
-    if request.model_error:
-        return camera_noise(comparer, members, point), point
-    known = noise_from_repeated(comparer, own)
-    return known or _left(comparer, own, point), point
+    return np.asarray(fit(search.start(box_of(comparer.space), seed), residuals).point)
+
+
+def _noise(comparer: Comparer, members: list[int], point: FloatArray, of_camera: bool) -> Noise:
+    """Return the noise of the camera alone, or of all residuals of a rough fit."""
+    if of_camera:
+        return camera_noise(comparer, members, point)
+    own = np.asarray(members, np.int64)
+    return noise_from_repeated(comparer, own) or _left(comparer, own, point)
 
 
 def _left(comparer: Comparer, members: np.ndarray, point: FloatArray) -> Noise:
@@ -281,7 +391,6 @@ def _predicted(
     experiment: Experiment,
     comparer: Comparer,
     member: int,
-    likelihood: LogLikelihood,
     posterior: Posterior,
     held_out: bool,
 ) -> ExperimentPrediction:
@@ -290,8 +399,6 @@ def _predicted(
         comparer,
         member,
         posterior,
-        likelihood.prior,
-        likelihood.noise,
         draws=DRAWS,
         seed=posterior.seed,
     )
