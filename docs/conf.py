@@ -78,6 +78,7 @@ sphinx_gallery_conf = {
     "backreferences_dir": "reference/generated/examples",
     "doc_module": ("fixel",),
     "abort_on_example_error": True,
+    "ignore_repr_types": r"matplotlib|numpy\.ndarray|'list'|'dict'|'tuple'",
     "only_warn_on_example_error": False,
     "write_computation_times": False,
     "min_reported_time": 1e9,

@@ -2,26 +2,34 @@
 First push
 ==========
 
-A pusher touches a square above its centre, so the square turns clockwise.
+A finger touches a square above its centre. The square moves and turns clockwise.
 """
 
 import fixel
+from fixel.units import deg, mm
 
-half = 0.05  # m
 part = fixel.Body(
-    name="part",
-    shape=fixel.Polygon([(-half, -half), (half, -half), (half, half), (-half, half)]),
+    "part",
+    fixel.Polygon.rectangle(100 * mm, 100 * mm),
     mass=0.15,
-    pose=(0, 0, 0),
-    support=fixel.Tripod(radius=0.038, friction=0.25),
+    support=fixel.Tripod(radius=38 * mm, friction=0.25),
 )
 finger = fixel.Pusher(
-    name="finger",
-    shape=fixel.Disk(0.005),
-    pose=(-0.055, 0.02, 0),
-    drive=fixel.LineDrive(direction=(1, 0), speed=0.02),
+    "finger",
+    fixel.Disk(5 * mm),
+    pose=(-55 * mm, 20 * mm, 0),
     friction=0.3,
+    drive=fixel.LineDrive(speed=20 * mm),
 )
-scene = fixel.Scene(bodies=[part], pushers=[finger], duration=2.0)
+scene = fixel.Scene(part, finger, duration=2.0)
+
+# %%
+# A simulation prints what is most important about it.
 push = fixel.simulate(scene)
-print(push.status, push.final["part"])
+push
+
+# %%
+# It unpacks into numbers, and draws itself.
+x, y, theta = push.final["part"]
+print(f"moved {x / mm:.1f} mm, turned {theta / deg:.1f} degrees")
+push.plot()
