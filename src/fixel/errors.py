@@ -25,7 +25,17 @@ from typing import Any, Final, final
 
 
 class FixelError(Exception):
-    """Base class of the exceptions of fixel."""
+    """Base class of the exceptions of fixel.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> try:
+    ...     fixel.Disk(-1.0)
+    ... except fixel.FixelError as problem:
+    ...     print(problem)
+    disk: found -1.0, expected a number greater than 0 [m]
+    """
 
 
 class _Absent:
@@ -110,6 +120,16 @@ class SolveFailed(FixelError, RuntimeError):
         Name of the status, as in the record of the simulation: `jammed`, `max_iterations`, ...
     stopped_at : float
         Time of the last step that was solved [s].
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.scenes import grasp
+    >>> try:
+    ...     fixel.simulate(grasp(force_limit=None), check=True)
+    ... except fixel.SolveFailed as problem:
+    ...     print(problem.status)
+    jammed
     """
 
     def __init__(
@@ -184,6 +204,15 @@ class StoreRefused(FixelError, RuntimeError):
         Cause: locked by another process, read-only, too new, on a network file system.
     hint : str
         Command that helps.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> try:
+    ...     fixel.Project("no_such_folder")
+    ... except fixel.StoreRefused as problem:
+    ...     print(problem.reason)
+    no_such_folder ...
     """
 
     def __init__(self, reason: str, hint: str | None = None) -> None:

@@ -75,6 +75,11 @@ class Plane(Comparable):
         Angle of the first principal axis from world x [rad].
     friction_map : FrictionMap, optional
         Multiplier by place.
+
+    Examples
+    --------
+    >>> Plane(anisotropy=(1.1, 0.9)).anisotropy
+    array([1.1, 0.9])
     """
 
     anisotropy: FloatArray = (1.0, 1.0)  # type: ignore[assignment]

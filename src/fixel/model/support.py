@@ -41,6 +41,12 @@ class Tripod(Comparable):
         Coefficient of friction against the plane [-].
     angle : float
         Angle of the first point from the body's x axis [rad].
+
+    Examples
+    --------
+    >>> from fixel.units import mm
+    >>> Tripod(radius=38 * mm, friction=0.25).radius
+    0.038
     """
 
     radius: float
@@ -71,6 +77,12 @@ class SupportPoints(Comparable):
         Coefficients of friction against the plane [-].
     loads : (n,) array_like, optional
         Normal force at each point [N]; not for three points.
+
+    Examples
+    --------
+    >>> feet = [(-0.03, -0.02), (0.03, -0.02), (0.0, 0.04)]
+    >>> SupportPoints(points=feet, friction=0.25).points.shape
+    (3, 2)
     """
 
     points: FloatArray
@@ -104,6 +116,11 @@ class UniformPressure(Comparable):
         Coefficient of friction against the plane [-].
     n_points : int
         Approximate number of points of the footprint; the exact one depends on the shape.
+
+    Examples
+    --------
+    >>> UniformPressure(friction=0.25).n_points
+    64
     """
 
     friction: float
@@ -125,7 +142,7 @@ class UniformPressure(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ellipsoid(Comparable):
-    """Ellipsoidal limit surface; prefer points where the pressure is known.
+    """Ellipsoidal limit surface. Prefer points where the pressure is known.
 
     Parameters
     ----------
@@ -135,6 +152,11 @@ class Ellipsoid(Comparable):
         Largest friction torque, rotating about the centre [N m].
     centre : (2,) array_like
         Centre of friction in the frame of the shape [m].
+
+    Examples
+    --------
+    >>> Ellipsoid(force=0.37, torque=0.014).centre
+    array([0., 0.])
     """
 
     force: float
@@ -153,7 +175,14 @@ class Ellipsoid(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoSupport(Comparable):
-    """Support without friction."""
+    """Support without friction.
+
+    Examples
+    --------
+    >>> from fixel.model import Body, Disk
+    >>> Body("puck", Disk(0.03), mass=0.1).support == NoSupport()
+    True
+    """
 
 
 Support = Tripod | SupportPoints | UniformPressure | Ellipsoid | NoSupport

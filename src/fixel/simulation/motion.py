@@ -83,6 +83,13 @@ class Dynamic(_BuiltInMotion):
 
     Source: Stewart & Trinkle (1996), eqs. 6-10, with support friction as in the thesis, eqs.
     2.13-2.14.
+
+    Examples
+    --------
+    >>> from fixel.simulation import simulate
+    >>> from fixel.testing.scenes import pushed_square
+    >>> simulate(pushed_square(), motion=Dynamic()).method["motion"]
+    'dynamic'
     """
 
     name: ClassVar[str] = "dynamic"
@@ -92,13 +99,19 @@ class Dynamic(_BuiltInMotion):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QuasiStatic(_BuiltInMotion):
-    """Balance of forces at every instant: ``0 = h f + impulses``. A body without contacts is at
-    rest.
+    """Balance of forces at every instant: ``0 = h f + impulses``.
 
-    The path is independent of speeds, masses and the friction of the plane (ASME 2006). Every free
+    A body without contacts is at rest. The path is independent of speeds, masses and the friction of the plane (ASME 2006). Every free
     body needs support friction.
 
     Source: ASME 2006 paper, eqs. 1-2.
+
+    Examples
+    --------
+    >>> from fixel.simulation import simulate
+    >>> from fixel.testing.scenes import pushed_square
+    >>> simulate(pushed_square(), motion="quasistatic").method["motion"]
+    'quasistatic'
     """
 
     name: ClassVar[str] = "quasistatic"
@@ -115,6 +128,13 @@ class FirstOrder(_BuiltInMotion):
     gives the mobility.
 
     Source: Halm & Posa (2019), eq. 3, with the ellipsoid of Howe & Cutkosky (1996).
+
+    Examples
+    --------
+    >>> from fixel.simulation import simulate
+    >>> from fixel.testing.scenes import pushed_square
+    >>> simulate(pushed_square(), motion=FirstOrder()).converged
+    True
     """
 
     name: ClassVar[str] = "first-order"

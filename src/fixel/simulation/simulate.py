@@ -149,7 +149,9 @@ def simulate(
         raise Interrupted(simulation, "its result is the motion up to then")
     if check and not simulation.converged:
         raise SolveFailed(
-            f"{simulation.status} at {simulation.stopped_at:.6g} s. {simulation.advice}"
+            f"{simulation.status} at {simulation.stopped_at:.6g} s. {simulation.advice}",
+            status=simulation.status,
+            stopped_at=simulation.stopped_at,
         )
     return simulation
 

@@ -52,6 +52,13 @@ class Newton(AbstractSolver):
     The default: two or three small linear systems per step, for exact friction discs and polygons.
 
     Source: Alart & Curnier (1991).
+
+    Examples
+    --------
+    >>> from fixel.simulation import simulate
+    >>> from fixel.testing.scenes import pushed_square
+    >>> simulate(pushed_square(), solver=Newton()).max_residual < 1e-9
+    True
     """
 
     name: ClassVar[str] = "newton"
@@ -73,6 +80,13 @@ class GaussSeidel(AbstractSolver):
     much.
 
     Source: Jourdan, Alart & Jean (1998).
+
+    Examples
+    --------
+    >>> from fixel.simulation import simulate
+    >>> from fixel.testing.scenes import pushed_square
+    >>> simulate(pushed_square(), solver="gauss-seidel").max_residual < 1e-9
+    True
     """
 
     name: ClassVar[str] = "gauss-seidel"
@@ -106,6 +120,15 @@ class Lemke(AbstractSolver):
         a tenth as many rows (four per contact, one more than its directions per support point).
 
     Source: Cottle, Pang & Stone (1992), section 4.4; the linear form is the thesis's eqs. 2.13-14.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from fixel.simulation import simulate
+    >>> from fixel.testing.scenes import pushed_square
+    >>> scene = replace(pushed_square(duration=0.01), support_directions=4)
+    >>> simulate(scene, solver=Lemke()).method["solver"]
+    'lemke'
     """
 
     name: ClassVar[str] = "lemke"

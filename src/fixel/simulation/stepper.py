@@ -146,7 +146,19 @@ class StewartTrinkle(_BuiltInStepper):
 
     The scheme of the thesis and of most peers; choose it to reproduce them.
 
+    Parameters
+    ----------
+    step : float
+        Length of a step [s].
+
     Source: Stewart & Trinkle (1996).
+
+    Examples
+    --------
+    >>> from fixel.simulation import simulate
+    >>> from fixel.testing.scenes import pushed_square
+    >>> simulate(pushed_square(), stepper=StewartTrinkle(step=0.01)).steps
+    200
     """
 
     name: ClassVar[str] = "stewart-trinkle"
@@ -186,24 +198,33 @@ class Midpoint(_BuiltInStepper):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Adaptive(_BuiltInStepper):
-    """Midpoint steps as long as a tolerance allows: long while bodies glide, short where contacts
-    change.
+    """Midpoint steps that are as long as a tolerance allows.
 
-    The error of a step is taken as half its length times the change of velocity over it, what a
-    first-order step would be wrong by. Steps end where a pusher's path bends and where a gap
-    closes; a bounce is taken in a step of its own; a step in whose second half something happened
-    is taken back. With inertia it is the implicit midpoint rule. docs/theory/stepping.md.
+    The estimated error of a step is half its length times the change of velocity over it, which is
+    the error of a first-order step. Steps end where a pusher's path bends and where a gap closes. A
+    bounce has a step of its own. A step is repeated with a shorter one if contacts change in its
+    second half. With inertia it is the implicit midpoint rule. See docs/theory/stepping.md.
 
     Parameters
     ----------
     tolerance : float
-        Of position in one step [m]; angles count by the characteristic length. None: 1e-5
+        Position error allowed per step [m]; angles count by the characteristic length. None: 1e-5
         of the scene's characteristic length.
     largest_step : float
-        In the time in which the fastest body moves by one characteristic length.
+        Length of the longest step, as a share of the time in which the fastest body moves by one
+        characteristic length.
     max_steps : int
-        After so many the rollout ends with the status ``max_steps``, so that no rollout holds up a
-        batch. A grasp takes about a hundred; a measured path one or two for each of its samples.
+        Maximum number of steps, after which the rollout ends with the status ``max_steps``. A grasp
+        takes about a hundred; a measured path one or two for each of its samples.
+
+    Examples
+    --------
+    >>> from fixel.simulation import simulate
+    >>> from fixel.testing.scenes import pushed_square
+    >>> coarse = simulate(pushed_square(), stepper=Adaptive(tolerance=1e-5))
+    >>> fine = simulate(pushed_square(), stepper=Adaptive(tolerance=1e-8))
+    >>> fine.steps > coarse.steps
+    True
     """
 
     name: ClassVar[str] = "adaptive"
