@@ -93,8 +93,8 @@ class Reporter:
         """Report progress; its time, and the time left if missing, are filled in."""
         seconds = time.monotonic() - self._began
         left = progress.left
-        if left is None and progress.share:
-            left = seconds * (1.0 / progress.share - 1.0)
+        if left is None and progress.total and progress.done:
+            left = seconds * max(0, progress.total - progress.done) / progress.done
         self._display(replace(progress, seconds=seconds, left=left))
 
 

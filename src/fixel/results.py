@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -9,6 +10,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from html import escape
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 from fixel.errors import InvalidInput, MissingExtra
@@ -18,6 +20,15 @@ MAX_LINES: Final = 25
 MAX_COLUMNS: Final = 100  # [characters]
 MAX_HTML_ROWS: Final = 20
 MAX_HTML: Final = 50_000  # [bytes]
+
+
+def read_only(mapping: Mapping[Any, Any]) -> MappingProxyType[Any, Any]:
+    """Return a read-only mapping."""
+    return MappingProxyType(dict(mapping))
+
+
+# Records have read-only mappings, which Python does not pickle by itself.
+copyreg.pickle(MappingProxyType, lambda mapping: (read_only, (dict(mapping),)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +61,10 @@ class Summary:
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
     details: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tables", tuple(self.tables))
+        object.__setattr__(self, "notes", tuple(self.notes))
 
     def text(self) -> str:
         """Return plain text of at most `MAX_LINES` lines and `MAX_COLUMNS` columns."""

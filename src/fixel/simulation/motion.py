@@ -101,8 +101,8 @@ class Dynamic(_BuiltInMotion):
 class QuasiStatic(_BuiltInMotion):
     """Balance of forces at every instant: ``0 = h f + impulses``.
 
-    A body without contacts is at rest. The path is independent of speeds, masses and the friction of the plane (ASME 2006). Every free
-    body needs support friction.
+    A body without contacts is at rest. The path is independent of speeds, masses and the friction
+    of the plane (ASME 2006). Every free body needs support friction.
 
     Source: ASME 2006 paper, eqs. 1-2.
 
