@@ -2,7 +2,14 @@ import pickle
 
 import pytest
 
-from fixel.errors import DatasetMissing, DeviceFailed, FixelError, InvalidInput, SolveFailed
+from fixel.errors import (
+    DatasetMissing,
+    DeviceFailed,
+    FixelError,
+    InvalidInput,
+    SolveFailed,
+    unknown_name,
+)
 
 ERRORS = [
     InvalidInput(
@@ -72,3 +79,10 @@ def test_errors_survive_a_trip_between_processes(error: FixelError) -> None:
 def test_each_error_is_also_the_builtin_one_expects(kind: type, base: type) -> None:
     assert issubclass(kind, FixelError)
     assert issubclass(kind, base)
+
+
+def test_unknown_names_are_compared_without_case() -> None:
+    error = unknown_name("motion", "Dynamc", iter(("dynamic", "quasistatic")), more=", ...")
+    assert error.hint == "did you mean 'dynamic'?"
+    assert str(error).startswith("motion: found 'Dynamc', expected one of dynamic, quasistatic, ")
+    assert unknown_name("motion", 3, ("dynamic",)).hint is None

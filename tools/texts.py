@@ -16,8 +16,8 @@ from tools.source import Module
 
 # Placeholder for a value that is put into a text when it is shown.
 VALUE = "X"
-# A literal is read by people if it has a word followed by another one, or by a value.
-WORDS = re.compile(r"[A-Za-z][a-z']+[,;:.!?)]* +\S")
+# A literal is read by people if it has a word next to another one, or to a value.
+WORDS = re.compile(r"[A-Za-z][a-z']+[,;:.!?)]* +\S|\bX [a-z]{2,}")
 # SQL, styles, types, headers and Python that literals hold too.
 CODE = re.compile(
     r"SELECT |INSERT |CREATE |UPDATE |DELETE |PRAGMA |ALTER |TRIGGER |RAISE|var\(--|^from fixel"
@@ -25,6 +25,9 @@ CODE = re.compile(
 )
 # Texts that are shown without their context: help of options, descriptions of fields and routes.
 ALONE = frozenset({"help", "description", "summary"})
+DECLARATIONS = frozenset(
+    {"option", "argument", "required"}
+)  # of options, with help in second place
 
 # Words without a technical sense in a text that users read, each with its reason.
 # "X" is the value that stands in the text. Rules and sections are those of CONTRIBUTING.md.
@@ -48,9 +51,9 @@ REJECTED = {
     r"heed(?:ed)?|surer|likeliest|lest|whence|thereof|upon|leave (?:them|it) be": "archaic",
 }
 PATTERN = re.compile(r"\b(?:" + "|".join(REJECTED) + r")\b", re.IGNORECASE)
-# A text that opens so needs the text or name above it to be understood.
+# A text that opens so needs the text or name above it to be understood; "whether" is for booleans.
 FRAGMENT = re.compile(
-    r"(of|from|as|with|between|what|whether|where|how|those|none|at|in|on|by|for|to|that|which)\b",
+    r"(of|from|as|with|between|what|where|how|those|none|at|in|on|by|for|to|that|which)\b|\[",
     re.IGNORECASE,
 )
 MAX_WORDS = 32  # words of a sentence; about 20 are good, and a value counts as one
@@ -156,6 +159,8 @@ def _literals(module: Module) -> Iterator[Text]:
             skipped.add(id(node.format_spec))
         elif isinstance(node, ast.keyword) and node.arg in ALONE:
             alone.add(id(node.value))
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) in DECLARATIONS:
+            alone.update(map(id, node.args[:2]))
     for node in nodes:
         if not isinstance(node, ast.Constant | ast.JoinedStr) or id(node) in skipped:
             continue

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import errno
 import reprlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -49,6 +50,7 @@ class _Absent:
 
 
 _ABSENT: Final = _Absent()
+_MAX_NAMED: Final = 40  # known names that an error lists
 
 
 @final
@@ -338,6 +340,50 @@ _MACHINE: Final = frozenset(
 )
 
 
+def closest(name: object, known: Iterable[str]) -> str | None:
+    """Return the known name that resembles a misspelt one most; None if none is similar."""
+    import difflib
+
+    by_lower = {other.lower(): other for other in known}
+    found = difflib.get_close_matches(str(name).lower(), by_lower, n=1)
+    return by_lower[found[0]] if found else None
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str | None:
+    """Return a hint with the known name that resembles a misspelt one; None if none is similar."""
+    meant = closest(name, known)
+    return None if meant is None else f"did you mean {meant!r}?"
+
+
+def unknown_name(where: str, name: object, known: Iterable[str], *, more: str = "") -> InvalidInput:
+    """Return the error for an unknown name: it lists the known names and hints at the closest.
+
+    Parameters
+    ----------
+    where : str
+        Path of the value, as in `InvalidInput`.
+    name : object
+        Name that was found.
+    known : iterable of str
+    more : str
+        Text behind the list of known names.
+
+    Examples
+    --------
+    >>> print(unknown_name("motion", "dynamc", ("dynamic", "quasistatic")))
+    motion: found 'dynamc', expected one of dynamic, quasistatic; did you mean 'dynamic'?
+    """
+    names = list(known)
+    if len(names) > _MAX_NAMED:
+        more = f", ... ({len(names)} in all){more}"
+    return InvalidInput(
+        where,
+        found=repr(name),
+        expected=f"one of {', '.join(names[:_MAX_NAMED])}{more}",
+        hint=did_you_mean(name, names),
+    )
+
+
 def os_reason(problem: OSError) -> str:
     """Return the reason that the operating system gives, such as "permission denied"."""
     return (problem.strerror or str(problem)).lower()
@@ -351,7 +397,7 @@ def machine_failure(problem: OSError) -> FixelError | None:
     name = str(problem.filename) if problem.filename is not None else ""
     place = f"{name[:80]}...: " if len(name) > 200 else f"{name}: " if name else ""
     full = problem.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
-    hint = "make room, then repeat the command" if full else None
+    hint = "free disk space, then repeat the command" if full else None
     return StoreRefused(f"{place}{reason}", hint=hint)
 
 

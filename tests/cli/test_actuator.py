@@ -77,7 +77,7 @@ def test_questions_to_the_operator_stay_out_of_the_answer(capsys, monkeypatch):
     code, out, err = fixel(capsys, "actuator", "move", "--driver", "manual", "--to", 40, "--json")
 
     assert (code, json.loads(out)["position_m"]) == (0, 0.04)
-    assert "Where does the drive stand, in mm?" in err
+    assert "Position of the drive in mm: " in err
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_questions_to_the_operator_stay_out_of_the_answer(capsys, monkeypatch):
     [
         (("where",), "the port of the actuator's controller"),
         (("where", "--driver", "robot"), "one of grbl, manual, simulated"),
-        (("move", "--driver", "simulated"), "a place to go to"),
+        (("move", "--driver", "simulated"), "a target position"),
         (("move", "--driver", "simulated", "--to", 500), "from 0 to 150 mm"),
     ],
 )

@@ -47,7 +47,7 @@ def test_upgrade_that_has_nothing_to_do(folder):
     code, out = call("upgrade", folder)
     assert code == 0
     assert out.splitlines() == [
-        "The database has schema 0004 already.",
+        "The database already has schema 0004.",
         "",
         f"Next: fixel db check '{folder}'",
     ]
@@ -77,7 +77,7 @@ def test_check(folder):
         "series         3",
         "media files: 0",
         "",
-        "Everything can be read.",
+        "No errors: everything could be read.",
         "",
         f"Next: fixel db backup backup.db '{folder}'",
     ]
@@ -105,7 +105,7 @@ def test_check_of_a_damaged_file(folder):
     assert code == 1
     assert " wrong\n" in out
     assert out.splitlines()[-1] == (
-        "Next: put a backup in place of experiments.db: one made with: fixel db backup"
+        "Next: replace experiments.db with a backup, which fixel db backup wrote"
     )
     with pytest.raises(StoreRefused, match="see what is wrong with: fixel db check"):
         call("backup", folder.parent / "copy.db", folder)
@@ -119,7 +119,7 @@ def test_check_of_what_is_no_database(folder):
     code, out = call("check", folder, "--json")
     (trouble,) = json.loads(out)["troubles"]
     assert code == 1
-    assert trouble["sentence"].endswith("is no SQLite database")
+    assert trouble["sentence"].endswith("is not a SQLite database")
 
 
 def test_a_backup_reads_back_while_another_process_writes(folder, tmp_path):
@@ -175,7 +175,9 @@ def test_a_backup_of_a_server(folder, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("command", [["upgrade"], ["check"], ["backup", "copy.db"]])
 def test_no_project(command, tmp_path):
-    with pytest.raises(StoreRefused, match="is no project; make one with: fixel new"):
+    with pytest.raises(
+        StoreRefused, match=r"is not a fixel project .no fixel.yaml.; create a project: fixel new"
+    ):
         call(*command, tmp_path)
 
 

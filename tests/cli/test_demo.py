@@ -51,7 +51,7 @@ def test_the_whole_tour_ends_in_a_report(tmp_path, capsys, monkeypatch):
     for part in ("data", "errors", "parameters", "domain", "sensitivity", "uncertainty"):
         assert f'<section id="{part}">' in text
     assert "was not analysed" not in text
-    assert "were not tried" not in text
+    assert "were not tested on held-out experiments" not in text
     assert str(report.relative_to(tmp_path)) in out
     assert call("demo") == 0  # again, from what is there
     commands = [line.split()[1:] for line in out.splitlines() if line.startswith("  fixel domain")]

@@ -29,7 +29,7 @@ def test_a_healthy_machine_exits_0_on_one_screen(quick, capsys):
     out = capsys.readouterr().out
     assert code == 0
     assert "PASS  fine" in out
-    assert "All in order" in out
+    assert "All checks passed" in out
     assert len(out.splitlines()) <= 24
 
 

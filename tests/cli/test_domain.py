@@ -71,7 +71,7 @@ def test_what_was_offset_elsewhere_is_left_out_and_said(capsys, project):
     assert code == 0
     answer = json.loads(out)
     assert sum(cell["members"] for cell in answer["numbers"]["cells"]) == 6
-    assert any("5 experiments were offset" in sentence for sentence in answer["warnings"])
+    assert any("5 experiments were skipped" in sentence for sentence in answer["warnings"])
 
 
 @pytest.mark.parametrize(

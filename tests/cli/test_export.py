@@ -133,8 +133,8 @@ def test_what_cannot_be(project, capsys, tmp_path):
     (tmp_path / "full" / "x").touch()
     for words, arguments in (
         ("one of them", [tmp_path / "n", "--parquet", "--lerobot"]),
-        ("a new or an empty folder", [tmp_path / "full", "--parquet"]),
-        ("a new or an empty folder", [tmp_path / "full" / "x", "--lerobot"]),
+        ("a new or empty folder", [tmp_path / "full", "--parquet"]),
+        ("a new or empty folder", [tmp_path / "full" / "x", "--lerobot"]),
         (r"\.zip", [tmp_path / "a.tar"]),
         ("no folder", [tmp_path / "none" / "a.zip"]),
         ("LeRobot", [tmp_path / "a.zip", "--fps", "10"]),
@@ -142,6 +142,6 @@ def test_what_cannot_be(project, capsys, tmp_path):
     ):
         with pytest.raises(InvalidInput, match=words):
             call(capsys, project.folder, *arguments)
-    with pytest.raises(StoreRefused, match="is no project"):
+    with pytest.raises(StoreRefused, match="is not a fixel project"):
         call(capsys, tmp_path, tmp_path / "a.zip")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["full", "lab"]

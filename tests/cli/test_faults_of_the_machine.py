@@ -185,7 +185,7 @@ def test_a_database_that_holds_something_is_not_taken(laboratory, tmp_path):
     shutil.copytree(laboratory, tmp_path / "lab")
     (tmp_path / "lab" / "fixel.yaml").unlink()
     before = (tmp_path / "lab" / "experiments.db").read_bytes()
-    with pytest.raises(InvalidInput, match="something else"):
+    with pytest.raises(InvalidInput, match="other files"):
         Project.create(tmp_path / "lab")
     assert (tmp_path / "lab" / "experiments.db").read_bytes() == before
 

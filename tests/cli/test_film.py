@@ -67,4 +67,4 @@ def test_what_carries_no_mark_is_said(capsys, files):
     )  # fmt: skip
 
     assert code == 0
-    assert "without a mark, since the rig knows none: block" in said
+    assert "rendered without markers, since the rig has none for them: block" in said

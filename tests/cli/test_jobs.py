@@ -77,7 +77,7 @@ def test_status_of_a_project(folder, monkeypatch, tmp_path):
 
 
 def test_status_where_there_is_none(tmp_path):
-    assert call("status", tmp_path)[1].splitlines()[0] == "no jobs here"
+    assert call("status", tmp_path)[1].splitlines()[0] == "no jobs in this folder"
 
 
 def test_a_lost_job_says_what_is_kept_and_what_goes_on(tmp_path):
@@ -90,8 +90,8 @@ def test_a_lost_job_says_what_is_kept_and_what_goes_on(tmp_path):
     assert " lost " in out
     kept = len(names_in(folder))
     assert out.splitlines()[-2:] == [
-        f"The process that ran {folder} has died; {kept} answers are kept, "
-        "and resume goes on from them.",
+        f"The process that ran {folder} has died. {kept} chunks are stored; "
+        "resume continues from them.",
         f"Next: fixel jobs resume {folder}",
     ]
     assert call("resume", folder)[0] == 0
@@ -116,7 +116,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=20)
     assert process.returncode == 130
-    assert f"Go on with: fixel jobs resume {folder}" in said
+    assert f"Resume with: fixel jobs resume {folder}" in said
     assert "Traceback" not in said
     assert call("resume", folder)[1].splitlines()[0] == f"{folder} is done; 8 of 8 chunks"
 

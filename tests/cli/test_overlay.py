@@ -115,7 +115,7 @@ def test_the_page_until_the_film_ends(bench, capsys):
     assert code == 0
     assert out.startswith("object: push 6.")
     assert "Open http://127.0.0.1:" in err
-    assert "the file is at its end" in err
+    assert "the file has ended" in err
 
 
 def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):

@@ -37,11 +37,11 @@ def test_a_film_is_recorded(capsys: Any, tmp_path: Path) -> None:
     )
     assert code == 0
     assert "30 frames in 0.290 s, 100.00 frames/s, 0 lost" in said
-    assert "ended: the file is at its end" in said
+    assert "ended: the file has ended" in said
     assert f"Next: fixel track '{out}'" in said
     code, said, _ = fixel(capsys, "record", "check", out)
     assert code == 0
-    assert "30 readings, 160 x 120 pixels, as-it-comes\nevery frame belongs to its row" in said
+    assert "30 readings, 160 x 120 pixels, as-it-comes\nevery frame matches its row" in said
 
 
 @pytest.mark.parametrize("rig", [None, "thesis-tags"])
@@ -57,7 +57,7 @@ def test_it_ends_when_the_fixels_say_so(
     )  # fmt: skip
     answer = json.loads(said)
     assert (code, answer["frames"], answer["without_reading"]) == (0, 71, 0)
-    assert answer["reason"] == "seated: the fixels say 100 for 0.5 s"
+    assert answer["reason"] == "seated: contact mode 100 for 0.5 s"
     assert (out / "rig.yaml").exists() == (rig is not None)
     kept = open_recording(out)
     assert kept.header.rig == (rig or "")
@@ -71,12 +71,12 @@ def test_what_broke_off_is_checked_and_repaired(capsys: Any, tmp_path: Path) -> 
     video.write_bytes(video.read_bytes()[:-99])
     code, said, _ = fixel(capsys, "record", "check", folder)
     assert code == 0
-    assert "problem: cut off at t = 0.280 s: no mark of a good end" in said
+    assert "problem: interrupted at t = 0.280 s: no mark of a good end" in said
     assert f"Next: fixel record repair {folder}" in said
     code, said, _ = fixel(capsys, "record", "repair", folder, "--json")
     answer = json.loads(said)
     assert (code, answer["complete"], answer["frames"]) == (0, True, 29)
-    assert "cut off at t = 0.280 s" in answer["reason"]
+    assert "interrupted at t = 0.280 s" in answer["reason"]
     rows = (folder / ROWS).read_bytes()
     (folder / ROWS).write_bytes(rows[:100] + b"0" + rows[101:])
     code, _, complaint = fixel(capsys, "record", "check", folder)
@@ -93,9 +93,9 @@ def test_what_broke_off_is_checked_and_repaired(capsys: Any, tmp_path: Path) -> 
         (["--camera", "FILM", "--out", "OUT", "--rig", "thesis-tags"], "expected 1280 x 720"),
         (["--camera", "FILM", "--out", "OUT", "--rig", "nowhere"], "rig: found no file"),
         (["--camera", "FILM", "--out", "FILM"], "found a recording, expected a folder that is"),
-        (["--camera", "FILM", "--out", "OUT/.."], "found something there already"),
+        (["--camera", "FILM", "--out", "OUT/.."], "found an existing file or folder"),
         (["--camera", "FILM", "--out", "OUT", "--codec", "h264"], "as-it-comes, near, exact"),
-        (["--camera", "EXACT", "--out", "OUT", "--codec", "as-it-comes"], "pixels, no JPEG"),
+        (["--camera", "EXACT", "--out", "OUT", "--codec", "as-it-comes"], "does not send JPEG"),
         (["--camera", "FILM", "--out", "OUT", "--until", "limit"], "a duration such as 15s"),
         (["--camera", "FILM", "--out", "OUT", "--limit", "soon"], "expected a duration"),
         (["--camera", "FILM", "--out", "OUT", "--limit", "0s"], "more than 0 s"),
@@ -179,7 +179,7 @@ def test_an_interrupt_ends_it_well(tmp_path: Path) -> None:
 
 
 def test_a_polite_kill_ends_it_well(tmp_path: Path) -> None:
-    assert ended_by(tmp_path, lambda p, tty: p.terminate()) == "asked to stop"
+    assert ended_by(tmp_path, lambda p, tty: p.terminate()) == "stopped by a signal"
 
 
 def test_a_served_film_is_a_camera(tmp_path: Path, capsys: Any) -> None:

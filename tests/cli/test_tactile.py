@@ -55,8 +55,8 @@ def test_check_says_that_the_plug_was_pulled(capsys, mega, monkeypatch):
 
     assert code == 1
     assert "protocol 2, with time stamps" in out
-    assert "broken off" in out
-    assert "went away" in out
+    assert "stopped " in out
+    assert "was disconnected" in out
 
 
 def test_watch(capsys, mega):

@@ -154,7 +154,7 @@ def test_a_trigger_less(folder, weaker):
         raw.execute(weaker)
         raw.commit()
     (trouble,) = found(folder)
-    assert trouble.sentence.startswith("nothing refuses to ")
+    assert trouble.sentence.startswith("its rows are not protected")
 
 
 def test_a_trigger_that_does_nothing(folder):

@@ -268,7 +268,7 @@ def test_locked_by_another_process(filled, monkeypatch):
         other.execute("ROLLBACK")
         assert store.add_experiment(importing.experiment(0, 1)).new is False
     assert reason.endswith("is locked by another process for more than 0.05 s")
-    assert hint == "wait for it to finish, or find it with: fuser FILE"
+    assert hint == "wait until it has finished, or find it with: fuser FILE"
     still_one(filled)
 
 
@@ -279,7 +279,7 @@ def test_a_server_locked_by_another_process(store, monkeypatch):
     with engine.writing(store._engine):
         reason, hint = refusal(store.add_experiment, importing.experiment(0, 2))
     assert "is locked by another process" in reason
-    assert hint == "wait for it to finish"
+    assert hint == "wait until it has finished"
     assert store.experiments().total == 0
 
 
@@ -294,7 +294,7 @@ def test_a_full_disk(filled):
         reason, hint = refusal(add_all, store, 0)
         there = whole(store, 0)
     assert reason == f"the disk of sqlite:///{filled} is full"
-    assert hint == "make room, then repeat the command"
+    assert hint == "free disk space, then repeat the command"
     with store_of(filled) as store:
         assert whole(store, 0) == there
         assert sum(added.new for added in add_all(store, 0)) == importing.N - len(there)
@@ -306,8 +306,8 @@ def test_no_database(file):
     for act in ("upgrade", "check_version", "experiments"):
         with store_of(file) as store:
             reason, hint = refusal(getattr(store, act))
-            assert reason == f"sqlite:///{file} is no SQLite database"
-            assert hint.endswith("made with: fixel db backup")
+            assert reason == f"sqlite:///{file} is not a SQLite database"
+            assert hint == "replace it with a backup, which fixel db backup wrote"
     assert file.read_bytes() == before
 
 
@@ -320,7 +320,7 @@ def test_a_damaged_database(filled):
     with store_of(filled) as store:
         reason, hint = refusal(store.experiments)
     assert reason == f"sqlite:///{filled} is damaged"
-    assert hint == "see how far with: fixel db check"
+    assert hint == "list the errors: fixel db check"
 
 
 def test_a_schema_that_is_newer(store):
@@ -329,8 +329,8 @@ def test_a_schema_that_is_newer(store):
         connection.execute(sa.text("UPDATE alembic_version SET version_num = '9999'"))
     for act in (store.check_version, store.upgrade):
         reason, hint = refusal(act)
-        assert "has schema 9999, and this fixel knows 0004 at most" in reason
-        assert hint == "install the fixel that wrote it, or a newer one"
+        assert "has schema 9999, newer than schema 0004" in reason
+        assert hint == "install the version of fixel that wrote it, or a newer one"
     assert whole(store, 0) == {1}
 
 
@@ -406,6 +406,6 @@ def test_a_database_of_somebody_else_is_left_alone(tmp_path):
         theirs.commit()
     with (
         Store(f"sqlite:///{path}", tmp_path / "media") as store,
-        pytest.raises(StoreRefused, match="not fixel's"),
+        pytest.raises(StoreRefused, match="do not belong to fixel"),
     ):
         store.upgrade()

@@ -119,7 +119,7 @@ def test_matlab_plane_that_looks_away_is_turned(tmp_path: Path) -> None:
     found = import_camera(path)
     camera = found.camera.placed()
     assert camera.position[2] > 0.4
-    assert any("turned round" in remark for remark in found.remarks)
+    assert any("reversed" in remark for remark in found.remarks)
     # A point of the file's plane, by OpenCV; in ours its y has the other sign.
     rotation, _ = cv2.Rodrigues(np.array([0.02, -0.03, 0.4]))
     seen = rotation @ [0.1, 0.05, 0.0] + [-0.1, 0.05, 0.516]
@@ -243,10 +243,10 @@ def test_camera_files_read_back(
         ("a.yaml", ROS.replace("0.0007, 0.0", "0.0007, 0.0, 0.1"), "at most 5"),
         ("a.yaml", ROS.replace("438.7", "0.0"), "calibrated"),
         ("a.yaml", ROS.replace("438.7, 0.0", "438.7, 1.0"), "skew"),
-        ("a.yaml", ROS + "binning_x: 2\n", "together"),
+        ("a.yaml", ROS + "binning_x: 2\n", "binned"),
         ("a.yaml", ROS + "roi: {x_offset: 12, width: 320}\n", "cropped"),
         ("a.yaml", ROS.replace("640", "many"), "image_width"),
-        ("a.yaml", "hello: world", "no known format"),
+        ("a.yaml", "hello: world", "unknown format"),
         ("a.yml", "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3\n", "OpenCV"),
         (
             "a.xml",

@@ -85,7 +85,7 @@ def test_spoilt_data_are_refused_or_read_as_they_are():
         with suppress(InvalidInput):
             assert frame.luma.dtype == np.uint8
     for part in (data[: len(data) // 2], b"", b"no picture" + data[-2:]):
-        with pytest.raises(InvalidInput, match="spoilt"):
+        with pytest.raises(InvalidInput, match="damaged"):
             _ = jpeg_frame(0.0, part, SIZE).luma
 
 

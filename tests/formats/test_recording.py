@@ -97,7 +97,7 @@ def test_wherever_either_file_is_cut_the_rest_is_read(tmp_path: Path, codec: str
         noted = rows[:cut_rows].count(b"\n") - 1 if k % 2 else N
         recording = open_recording(folder)
         assert recording.n_frames == min(held, noted)
-        assert "cut off at t = " in recording.problems[0]
+        assert "interrupted at t = " in recording.problems[0]
         assert len(list(recording.frames())) == recording.n_frames
 
 
@@ -112,7 +112,7 @@ def test_repair_cuts_both_files_to_what_belongs_together(tmp_path: Path) -> None
     assert after.complete
     assert after.n_frames == before.n_frames == N - 1
     assert after.end is not None
-    assert after.end.reason.startswith("cut off at t = ")
+    assert after.end.reason.startswith("interrupted at t = ")
     assert (folder / ROWS).read_bytes().count(b"\n") == N
     assert repair_recording(folder).problems == after.problems
 
@@ -169,12 +169,12 @@ def edit_json(name: str, **values: object) -> Callable[[Path], None]:
 @pytest.mark.parametrize(
     ("spoil", "sentence"),
     [
-        (swap_video, "not the one its row describes"),
-        (spoil_picture, "not the one its row describes"),
+        (swap_video, "does not match its row"),
+        (spoil_picture, "does not match its row"),
         (edit_rows(lambda x: [*x[:4], *x[5:]]), "frame 4, expected frame 3"),
         (edit_rows(lambda x: [*x[:4], x[4].replace(b",3,", b",5,"), *x[5:]]), "damaged row"),
         (edit_rows(lambda x: [*x[:4], x[5], x[4], *x[6:]]), "expected frame 3"),
-        (edit_rows(lambda x: x[1:]), "another first line"),
+        (edit_rows(lambda x: x[1:]), "an unexpected first line"),
         (edit_rows(lambda x: x[:1]), "before its first frame"),
         (lambda folder: (folder / VIDEO).write_bytes(b""), "before its first frame"),
         (lambda folder: (folder / VIDEO).write_bytes(b"no video" * 99), "before its first frame"),
@@ -216,7 +216,7 @@ def test_writing_refuses_what_cannot_be(tmp_path: Path) -> None:
     assert is_recording(folder)
     with pytest.raises(InvalidInput, match="found a recording"):
         RecordingWriter(folder, RecordingHeader(size=SIZE))
-    with pytest.raises(InvalidInput, match="not there yet"):
+    with pytest.raises(InvalidInput, match="a new folder"):
         RecordingWriter(tmp_path, RecordingHeader(size=SIZE))
     (tmp_path / "file").touch()
     with pytest.raises(InvalidInput, match="not a directory"):
@@ -234,7 +234,7 @@ def test_a_picture_the_camera_sent_spoilt_is_named(tmp_path: Path) -> None:
     frames = open_recording(tmp_path / "r").frames()
     assert next(frames).luma.shape == (SIZE[1], SIZE[0])
     spoilt = next(frames)
-    with pytest.raises(InvalidInput, match=r"video\.nut, frame 1: found spoilt JPEG data"):
+    with pytest.raises(InvalidInput, match=r"video\.nut, frame 1: found damaged JPEG data"):
         _ = spoilt.picture
     with pytest.raises(InvalidInput, match=r"video\.nut, frame 2: found no picture"):
         next(frames)

@@ -251,7 +251,11 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
             "finite",
         ),
         ({"bodies.0.shape": {"polygon": []}}, "bodies[0].shape.polygon", "empty"),
-        ({"bodies.0.shape": {"disk": 0}}, "bodies[0].shape.disk", "greater than 0 (radius [m])"),
+        (
+            {"bodies.0.shape": {"disk": 0}},
+            "bodies[0].shape.disk",
+            "greater than 0 (radius of a disk [m])",
+        ),
         (
             {"bodies.0.support.tripod.friction": -0.1},
             "bodies[0].support.tripod.friction",
@@ -294,7 +298,7 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         (
             {"pushers.0.drive": {"waypoints": [[0, 0, 0, 0]], "speed": 1}},
             "pushers[0].drive.speed",
-            "besides waypoints",
+            "in addition to waypoints",
         ),
         (
             {"pushers.0.drive": {"waypoints": [[0, 0, 0, 0], [2, 0, 0, 0], [1, 0, 0, 0]]}},
@@ -492,11 +496,11 @@ def test_an_override_leaves_the_dict_it_was_given_alone():
     [
         (
             "bodies.1.mass=1",
-            "bodies.1: found no such entry, expected a number below 1, or one of object",
+            "bodies.1: found no such index, expected a number below 1, or one of object",
         ),
         ("bodies.objekt.mass=1", "one of object"),
         ("bodies.0.mas=1", "bodies[0].mas: found an unknown key"),
-        ("bodies.0.mass.kg=1", "expected a list or keys"),
+        ("bodies.0.mass.kg=1", "expected a list or a mapping"),
         ("durations=1", "did you mean 'duration'?"),
         ("duration", "expected path.to.key=value"),
         ("=1", "expected path.to.key=value"),
@@ -520,7 +524,7 @@ def test_an_override_cannot_add_to_a_list_the_file_left_out():
         "duration": 1,
         "bodies": [{"name": "a", "shape": {"disk": 1}, "mass": 1, "pose": [0] * 3}],
     }
-    with pytest.raises(InvalidInput, match="no such entry"):
+    with pytest.raises(InvalidInput, match="no such index"):
         scene_file_from_dict(raw, ["fixels.0.friction=1"])
 
 

@@ -68,7 +68,7 @@ def test_truncated_matroska_is_read_to_its_last_whole_frame(tmp_path, codec):
     frames = list(video.frames())
     assert 5 < len(frames) < 60
     assert np.abs(frames[-1].picture.astype(int) - picture(len(frames) - 1)).max() <= 12
-    assert video.remarks[0].startswith("truncated: it ends after frame")
+    assert video.remarks[0].startswith("truncated: the file ends after frame")
 
 
 def test_mp4_without_its_index_is_refused(tmp_path):
@@ -79,7 +79,7 @@ def test_mp4_without_its_index_is_refused(tmp_path):
         open_video(path)
 
 
-@pytest.mark.parametrize(("stamp", "found"), [(33, "the time of the frame before"), (5, "back")])
+@pytest.mark.parametrize(("stamp", "found"), [(33, "the time of the previous frame"), (5, "back")])
 def test_time_that_does_not_grow_is_refused(tmp_path, stamp, found):
     path = write(tmp_path / "film.mkv", [0.0, 0.033, 0.066, 0.1], "ffv1")
     track = b"\x81"

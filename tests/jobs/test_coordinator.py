@@ -141,7 +141,7 @@ def test_another_fixel_does_not_go_on_unless_told_to(tmp_path, monkeypatch):
 def test_changed_inputs_are_refused(tmp_path):
     folder = toy_job(tmp_path / "job", **OPTIONS)
     (folder / "inputs" / "offset").write_text("0.32")
-    with pytest.raises(JobRefused, match="are not those the job was made of"):
+    with pytest.raises(JobRefused, match="are not those with which the job was prepared"):
         coordinate(folder)
 
 

@@ -122,7 +122,7 @@ def test_a_chunk_that_kills_its_workers_is_given_up_and_the_rest_goes_on(folder)
     said = []
     with workers(folder, said=said, max_deaths=3) as engine:
         found = answers(engine, folder, chunks(6, poison=["c1"]))
-    assert found["c1"] == Failure("it was running when its worker died, 3 times")
+    assert found["c1"] == Failure("its worker died 3 times while computing it")
     assert all(isinstance(found[f"c{k}"], bytes) for k in (0, 2, 3, 4, 5))
     assert sum("died with c1" in sentence for sentence in said) == 3
 

@@ -130,7 +130,7 @@ def test_workers_end_before_their_walltime_and_are_replaced(slurm, tmp_path):
         assert jobs.run_here(folder).state == "done"
         log = (folder / "log.txt").read_text()
         assert log.count("has ended: completed") >= 2
-        assert "died with" not in log
+        assert "died while computing" not in log
         toy.assert_as_undisturbed(folder)
 
 

@@ -178,7 +178,7 @@ def test_a_worker_that_never_starts_is_waited_for_and_said(fake, pool):
     fake.set(state="PENDING")
     steps(pool, 8)
     assert fake.active() == [101, 102]
-    assert pool.note == "2 jobs wait in the queue (Priority)"
+    assert pool.note == "2 jobs are waiting in the queue (Priority)"
 
 
 def test_a_requeued_job_is_the_same_worker(fake, folder, pool):
@@ -198,7 +198,7 @@ def test_workers_that_fail_before_they_join_end_the_job_with_their_words(fake, f
         fake.job(number, state="FAILED")
     with pytest.raises(JobRefused) as refused:
         pool.keep()
-    assert str(refused.value).endswith("the last one said:\nbash: module: not found")
+    assert str(refused.value).endswith("output of the last one:\nbash: module: not found")
 
 
 def test_workers_cancelled_before_they_start_are_not_submitted_for_ever(fake, pool):
@@ -269,14 +269,14 @@ def test_an_end_that_cannot_cancel_says_so(fake, pool, said):
     steps(pool)
     fake.set(stuck=True)
     pool.close()
-    assert "could not be cancelled, and end by themselves" in said[-1]
+    assert "could not be cancelled and will end by themselves" in said[-1]
 
 
 def test_without_slurm_it_says_where_to_run(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(InvalidInput, match="found no command sbatch"):
         require_slurm()
-    with pytest.raises(slurm.SlurmError, match="sbatch is not there"):
+    with pytest.raises(slurm.SlurmError, match="sbatch is not installed"):
         slurm.submit(tmp_path / "script")
 
 

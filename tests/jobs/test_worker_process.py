@@ -75,7 +75,7 @@ def test_others_wait_for_their_turn_only_so_long():
     with WorkerProcess(time.sleep, limit=0.5) as sleep:
         sleep.start()
         sleep._turn.acquire()
-        with pytest.raises(JobRefused, match="others have been computing"):
+        with pytest.raises(JobRefused, match="another computation has run"):
             sleep.call(0.0)
         with pytest.raises(CallCancellation):
             sleep.call(0.0, lambda: True)

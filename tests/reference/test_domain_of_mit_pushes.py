@@ -35,4 +35,4 @@ def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root: Path, tmp_pat
     assert colours <= {"trusted", "doubtful", "not trusted", "no data"}
     grey = np.array([[v.colour == "no data" for v in own] for own in done.verdicts])
     np.testing.assert_array_equal(grey, counts == 0)
-    assert any("noise of the measurement is not known" in text for text in done.warnings)
+    assert any("measurement noise is unknown" in text for text in done.warnings)

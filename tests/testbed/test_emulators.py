@@ -39,7 +39,7 @@ def test_a_board_that_does_not_start_is_told(tmp_path, monkeypatch):
 def test_a_board_that_hangs_is_told(tmp_path, monkeypatch):
     with board_that("echo ready; exec sleep 60", tmp_path) as board:
         monkeypatch.setattr(emulated_mega, "ANSWERS_WITHIN", 0.2)
-        with pytest.raises(RuntimeError, match=r"nothing within 0\.2 s"):
+        with pytest.raises(RuntimeError, match=r"no answer within 0\.2 s"):
             board.touch(1)
 
 

@@ -42,7 +42,7 @@ def test_a_recording_plays_as_it_was(tmp_path: Path, codec: str) -> None:
         stream = source.open()
         frames = list(source.frames())
     assert stream == Stream(SIZE, pytest.approx(100.0), codec != "exact", False)
-    assert source.ended == "the file is at its end"
+    assert source.ended == "the file has ended"
     times = np.array([frame.time for frame in frames])
     np.testing.assert_allclose(times - times[0], np.arange(30) / 100.0, atol=1e-9)
     kept = open_recording(folder)
@@ -86,11 +86,14 @@ def test_what_is_missing_from_a_file_is_told_at_its_end(tmp_path: Path) -> None:
     whole = (tmp_path / "v.mkv").read_bytes()
     (tmp_path / "v.mkv").write_bytes(whole[: len(whole) // 2])
     (film(tmp_path / "film") / "end.json").unlink()
-    for played, said in (("v.mkv", "truncated: it ends after"), ("film", "no mark of a good end")):
+    for played, said in (
+        ("v.mkv", "truncated: the file ends after"),
+        ("film", "no mark of a good end"),
+    ):
         source = FileSource(tmp_path / played, as_fast_as_possible=True)
         source.open()
         list(source.frames())
-        assert source.ended.startswith("the file is at its end; ")
+        assert source.ended.startswith("the file has ended; ")
         assert said in source.ended
 
 
@@ -240,7 +243,7 @@ def test_what_is_no_camera_is_refused(answer: bytes, sentence: str) -> None:
 def test_a_camera_that_says_nothing_is_refused() -> None:
     with (
         answering(HEAD % b"x", hold=True) as url,
-        pytest.raises(InvalidInput, match=r"nothing within 0\.2 s"),
+        pytest.raises(InvalidInput, match=r"no data within 0\.2 s"),
     ):
         UrlSource(url, patience=0.2).open()
 
@@ -382,7 +385,7 @@ def test_torn_pictures_of_a_webcam_are_left_out_and_counted(
     assert (kept.n_frames, kept.complete) == (done.frames, True)
     if 0 not in torn:  # a camera that wakes up may begin with half a picture
         times = f" ({len(torn)} times)" if len(torn) > 1 else ""
-        assert f"a picture that came torn, left out{times}" in done.problems
+        assert f"a truncated picture, skipped{times}" in done.problems
 
 
 def test_a_webcam_that_fails_now_and_then_goes_on() -> None:

@@ -77,7 +77,7 @@ def test_a_slow_drive_gets_a_longer_queue():
     ):
         assert drive._queue_for(13.5) > 0.9
         drive.dead_man = 0.5
-        with pytest.raises(InvalidInput, match=r"raise that"):
+        with pytest.raises(InvalidInput, match=r"increase the acceleration"):
             drive.move(by=0.01, speed=0.0135)
         drive.dead_man = None
         with pytest.raises(InvalidInput, match=r"\$120"):
@@ -178,10 +178,10 @@ def test_homing_without_switches_is_refused(drive):
     [
         (lambda controller: controller.hit_switch(), "a limit switch was hit"),
         (lambda controller: controller.power_cycle(), "reset"),
-        (lambda controller: controller.unplug(), "went away"),
-        (lambda controller: setattr(controller, "mute", True), "says nothing"),
-        (fall_silent_owing_an_answer, "says nothing"),
-        (lose_an_answer, "answer to a line was lost"),
+        (lambda controller: controller.unplug(), "was lost"),
+        (lambda controller: setattr(controller, "mute", True), "has not responded"),
+        (fall_silent_owing_an_answer, "has not responded"),
+        (lose_an_answer, "reply of the controller was lost"),
         (lambda controller: controller.press_hold(), "in the state Hold"),
         (lambda controller: setattr(controller, "refuse", 1), "a command it does not know"),
     ],
@@ -224,7 +224,7 @@ def test_a_reset_that_nobody_heard_of_is_told(controller, drive):
     moves(controller, beyond=65.0)
     lose_the_banner(controller)
 
-    with pytest.raises(DeviceFailed, match=r"short of its target|answer to a line was lost"):
+    with pytest.raises(DeviceFailed, match=r"short of its target|reply of the controller was lost"):
         drive.wait()
 
 

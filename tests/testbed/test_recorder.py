@@ -71,13 +71,13 @@ def test_a_mode_that_stays_ends_it(tmp_path: Path) -> None:
     fixels = Fixels(lambda k: 0b010 if 10 < k < 20 or k >= 30 else 0)
     done = record(Pictures(300), tmp_path / "r", tactile=fixels, seating=Seating(0b010))
     assert done.frames == 81
-    assert done.reason == "seated: the fixels say 010 for 0.5 s"
+    assert done.reason == "seated: contact mode 010 for 0.5 s"
 
 
 def test_rest_after_motion_ends_it(tmp_path: Path) -> None:
     source = Pictures(600, lambda k: jpeg_of(picture(min(max(k - 150, 0), 60))))
     done = record(source, tmp_path / "r", seating=Seating())
-    assert done.reason == "seated: nothing has moved for 1 s"
+    assert done.reason == "seated: no motion for 1 s"
     assert 3.0 < done.seconds < 3.5
 
 
@@ -129,7 +129,7 @@ def test_pulling_the_tactile_plug_ends_it(tmp_path: Path) -> None:
 
     fixels._answer = answer
     done = record(Pictures(50), tmp_path / "r", tactile=fixels)
-    assert done.reason == "the fixels no longer answer: /dev/ttyACM0 went away"
+    assert done.reason == "the tactile board no longer answers: /dev/ttyACM0 went away"
     assert open_recording(tmp_path / "r").readings.tolist() == [1] * 5 + [-1]
 
 
@@ -170,7 +170,7 @@ def test_a_picture_that_cannot_be_decoded_is_left_out_and_said(tmp_path: Path) -
     source = Pictures(6, lambda k: good if k != 3 else good[:4] + good[-2:])
     done = record(source, tmp_path / "r", "near", tactile=Fixels(lambda k: 1))
     assert done.frames == 5
-    assert "a picture that cannot be decoded, left out" in done.problems
+    assert "a picture that cannot be decoded, skipped" in done.problems
 
 
 def test_a_source_that_ends_at_once_leaves_no_folder(tmp_path: Path) -> None:
@@ -236,7 +236,7 @@ def largest_file(size: int) -> Iterator[None]:
 def test_a_disk_that_takes_no_more_leaves_what_it_took(tmp_path: Path, codec: str) -> None:
     with largest_file(100_000):
         done = record(Pictures(100), tmp_path / "r", codec)
-    assert done.reason == "the disk took no more: file too large"
+    assert done.reason == "the disk could not be written to: file too large"
     assert 0 < done.frames < 100
     kept = open_recording(tmp_path / "r")
     assert kept.complete

@@ -82,8 +82,8 @@ def test_thresholds_that_get_lost_after_a_restart_are_a_problem(mega, reader, mo
         lambda self, kind, until: None if kind == frames.SET_THRESHOLDS else ask(kind, until),
     )
 
-    assert "does not take its thresholds" in reader.read().problem
-    assert "does not take its thresholds" in reader.read().problem
+    assert "does not accept its thresholds" in reader.read().problem
+    assert "does not accept its thresholds" in reader.read().problem
     monkeypatch.undo()
     assert "restarted" in reader.read().problem
     assert (reader.read().bits, reader.read().problem) == (4, "")
@@ -107,10 +107,10 @@ def test_a_board_that_goes_away_while_it_is_greeted_is_refused(monkeypatch):
     monkeypatch.setattr("fixel.testbed.tactile.shake_hands", gone)
     with old_board() as port:
         reader = TactileReader(port)
-        with pytest.raises(InvalidInput, match="went away"):
+        with pytest.raises(InvalidInput, match="was disconnected"):
             reader.connect()
         assert not reader.reconnect()
-        assert "plug it in" in reader.trouble
+        assert "connect it" in reader.trouble
 
 
 @pytest.mark.parametrize("thresholds", [(1, 2), (1, 2, 1024), (1.5, 2, 3)])
@@ -184,7 +184,7 @@ def test_a_pulled_plug_is_a_problem_with_a_reason_and_can_be_plugged_in_again(me
     mega.touch(3)
 
     assert all(reading.bits is None for reading in gone)
-    assert all("went away" in reading.problem for reading in gone)
+    assert all("was disconnected" in reading.problem for reading in gone)
     assert not in_vain
     assert reader.reconnect()
     assert reader.read().bits == 3

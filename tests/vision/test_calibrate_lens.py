@@ -124,7 +124,7 @@ def test_parallel_boards_say_nothing_of_the_focal_length() -> None:
     with pytest.raises(InvalidInput, match="of parallel"):
         calibrate_lens(seen_corners(straight, CHECKERS, 5, noise=0.05, tilt=0.02))
     # Distortion bends boards as a tilt would; then the fit itself knows too little.
-    with pytest.raises(InvalidInput, match="tilted more"):
+    with pytest.raises(InvalidInput, match="more tilted"):
         calibrate_lens(seen_corners(LENS, CHECKERS, 5, noise=0.05, tilt=0.02))
 
 

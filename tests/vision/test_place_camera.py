@@ -109,7 +109,7 @@ def test_tags_on_the_plate(plate: Picture) -> None:
 
 def test_tags_that_are_not_where_they_are_said_to_be(plate: Picture) -> None:
     elsewhere = (*TAGS[:3], replace(TAGS[3], pose=(0.02, 0.14, 0.3)))  # type: ignore[arg-type]
-    with pytest.raises(InvalidInput, match="mm from where"):
+    with pytest.raises(InvalidInput, match="mm from its nominal"):
         place_by_tags(KNOWN, plate, elsewhere)
 
 
@@ -128,7 +128,7 @@ def test_a_tag_twice(plate: Picture) -> None:
     u, v = above().project_at(TAGS[0].pose[:2], 0.0).astype(int)
     p, q = above().project_at([0.1, 0.07], 0.0).astype(int)
     twice[q - 30 : q + 30, p - 30 : p + 30] = plate[v - 30 : v + 30, u - 30 : u + 30]
-    with pytest.raises(InvalidInput, match="two places"):
+    with pytest.raises(InvalidInput, match="two positions"):
         place_by_tags(KNOWN, twice, TAGS)
 
 

@@ -197,7 +197,7 @@ def test_numbers_of_looks_are_changed_by_name():
 
     assert (looks.occlusion, looks.light_change, looks.blur) == (1.5, 0.2, 1.1)
     for text in ("occlusion", "colour=3", "tab=1"):
-        with pytest.raises(InvalidInput, match="expected NAME=VALUE, the name one of"):
+        with pytest.raises(InvalidInput, match="expected NAME=VALUE, where NAME is one of"):
             changed(looks, [text])
     with pytest.raises(InvalidInput, match=r"looks.blur: found 'much', expected a number"):
         changed(looks, ["blur=much"])

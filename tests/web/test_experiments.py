@@ -267,9 +267,7 @@ def test_a_video_by_ranges(bench, tmp_path, ending, codec):
         assert beyond.status_code == 416
         assert bench.get(f"{ADDRESS}/{number}/outlines") == {"outlines": None}
         assert "<svg" in bench.client.get(f"{ADDRESS}/{number}/thumbnail.svg").text
-        assert (
-            "What lay on the plate is not known" in bench.client.get(f"/experiments/{number}").text
-        )
+        assert "This experiment has no scene" in bench.client.get(f"/experiments/{number}").text
     finally:
         bench.store.delete([number])
 

@@ -125,7 +125,7 @@ def test_calibrating_the_selected_ones(table):
     table.click("#act-calibrate")
     table.wait_for_url(f"**/calibrations/new?experiments={','.join(ids)}")
     table.wait_for_selector("#form[data-ready=yes]")
-    assert table.inner_text("#matching").startswith("2 experiments to calibrate with")
+    assert table.inner_text("#matching").startswith("2 experiments selected")
     table.go_back()
     table.wait_for_selector(ROW)
     table.keyboard.press("j")

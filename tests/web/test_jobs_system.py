@@ -134,7 +134,7 @@ def test_the_pages_open(bench):
     page = bench.client.get("/jobs")
     assert page.status_code == 200
     page = bench.client.get("/system").text
-    assert "migrations pending" in page
+    assert "pending migrations" in page
     assert "numba" in page
 
 
@@ -220,7 +220,7 @@ def test_the_self_test_itself():
         (999, "999 byte"),
         (1000, "1 kB"),
         (2_345_678, "2.35 MB"),
-        (None, "on a server"),
+        (None, "stored on a server"),
     ],
 )
 def test_sizes_for_people(size, text):

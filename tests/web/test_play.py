@@ -210,7 +210,7 @@ def test_a_simulation_that_takes_too_long_is_ended(bench, monkeypatch):
     os.kill(beside._process.pid, signal.SIGSTOP)  # as long a computation as there is
     answer = bench.post("/simulate", {"scene": scene_editor.example("grasp")})
     assert answer.status_code == 409
-    assert "was ended" in answer.json()["sentence"]
+    assert "was stopped" in answer.json()["sentence"]
 
 
 def test_the_pages_name_what_they_show(bench):

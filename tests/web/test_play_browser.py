@@ -158,7 +158,7 @@ def sets_are_pinned_removed_brought_back_and_kept(compare, server):
     assert row.count() == 3
     number = len(server.context.store.simulations(1))
     compare.click("#keep")
-    compare.wait_for_selector("text=Kept as simulation")
+    compare.wait_for_selector("text=Stored as simulation")
     kept = server.context.store.simulations(1)
     assert len(kept) == number + 1
     compare.wait_for_selector(f"#add-set option[value=simulation-{kept[-1]}]", state="attached")
@@ -278,7 +278,7 @@ def test_what_was_made_survives_going_away(simulate, server):
     simulate.goto(server.home + "simulate")
     simulate.wait_for_selector("#simulate[data-ready]")
     assert editor(simulate, "scene.bodies[0].pose") == pose
-    assert simulate.inner_text("#origin") == "what you made here before"
+    assert simulate.inner_text("#origin") == "your last unsaved scene"
 
 
 def test_a_measured_path_goes_along_with_its_pusher(simulate, tmp_path):

@@ -91,7 +91,7 @@ def test_what_is_not_there_is_a_document_below_api_and_a_page_elsewhere(bench):
     assert (document.status_code, document.json()["status"]) == (404, 404)
     page = client.get("/nothing")
     assert page.status_code == 404
-    assert "To the first page" in page.text
+    assert "Back to the first page" in page.text
 
 
 def test_a_mistake_of_ours_is_told_to_who_started_it(bench, monkeypatch, caplog):

@@ -49,7 +49,7 @@ def test_it_listens_here_only(server):
 
 
 def test_a_port_in_use_is_refused(server):
-    with pytest.raises(InvalidInput, match=f"{server.port} of 127.0.0.1.*leave --port out"):
+    with pytest.raises(InvalidInput, match=f"{server.port} of 127.0.0.1.*without --port"):
         WebServer([], port=server.port)
 
 

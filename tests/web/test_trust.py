@@ -95,7 +95,7 @@ def test_one_has_parameters_starts_profiles_and_residuals(bench):
     assert after == sorted(after, reverse=True)
     assert one["worst"] == one["residuals"][:3]
     objective = unpacked(one["objective"])
-    # The mean error of an experiment, as in the list and in the waterfall.
+    # The smallest mean error per experiment so far, as in the list and in the waterfall.
     assert objective.min() == pytest.approx(float(np.mean(after)))
     assert objective.min() == pytest.approx(ends[0])
     assert one["complete"]
@@ -409,7 +409,7 @@ def test_a_fit_is_joined_seen_and_stopped(bench, name, monkeypatch):
     assert at_hand.fit(name, ("layout",)) < 5.0
     key = at_hand._key(at_hand._named(name), ("layout",), None)
     first = at_hand._fits.joined(key)
-    with pytest.raises(JobRefused, match="is being fitted to these axes, for 0 s so far"):
+    with pytest.raises(JobRefused, match="is being fitted to these axes since 0 s"):
         at_hand.view(name, ("layout",))
     assert at_hand._fits.joined(key) is first
     # Meanwhile what is at hand is shown, and no lock is held.

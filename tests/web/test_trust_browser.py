@@ -69,7 +69,7 @@ def test_a_calibration_is_begun_watched_stopped_and_resumed(browser_page, server
     assert "evaluations/s" in page.inner_text("#figures")
     page.click("#stop")
     page.wait_for_selector("#calibrating[data-state=cancelled]", timeout=30_000)
-    assert "resume goes on from there" in page.inner_text("#reason")
+    assert "Resume continues from there" in page.inner_text("#reason")
     before = evaluations(page)
     page.click("nav >> text=Calibrations")
     page.wait_for_selector("#running >> text=seen")
@@ -225,7 +225,7 @@ def test_a_fit_that_takes_long_is_seen_and_stopped(domain, monkeypatch):
     monkeypatch.setattr(Fits, "_run", slow)
     domain.select_option("#across", "layout")
     domain.wait_for_selector("#preparing:not([hidden])")
-    domain.wait_for_selector("#preparing-words:has-text('for 1 s so far')")
+    domain.wait_for_selector("#preparing-words:has-text('since 1 s')")
     # The map that is there can be used meanwhile.
     before = domain.get_attribute("#domain", "data-threshold")
     domain.fill("#threshold", "3.3")
@@ -266,8 +266,8 @@ def test_an_experiment_opens_with_nominal_against_calibrated(browser_page, serve
     heads = page.locator("#figures thead th").all_inner_texts()
     assert [head.strip() for head in heads] == ["nominal", "calibrated"]
     before, after = page.locator("#figures tbody tr:first-child td").all_inner_texts()
-    assert float(after) < float(before)  # it was fitted to it
-    assert "fitted to it" in page.inner_text("#which")
+    assert float(after) < float(before)  # it was calibrated on this experiment
+    assert "calibrated on this experiment" in page.inner_text("#which")
 
 
 def test_comparing_opens_with_nominal_against_calibrated(browser_page, server):

@@ -11,8 +11,8 @@ NUMBERS = {"n": 3, "simulated": 1, "few": 10, "left_out": 2}
 def test_every_item_of_a_block_is_a_sentence_on_one_line():
     some = sentences("data", "warnings", **NUMBERS)
     assert len(some) == 3
-    assert some[0].startswith("1 of the experiments are simulated. They say that the method works")
-    assert some[1].startswith("Only 3 experiments: expect")
+    assert some[0].startswith("1 of the experiments are simulated. They test the method")
+    assert some[1].startswith("Only 3 experiments: other")
     assert all("\n" not in one and "  " not in one and one.endswith(".") for one in some)
 
 

@@ -10,7 +10,7 @@ from typing import Final, Literal, final, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.model.fields import finite, fraction, positive, settle
 from fixel.typing import FloatArray
 
@@ -62,8 +62,7 @@ class Noise:
             correlation=_at_least_one(self.correlation, "noise.correlation"),
         )
         if self.source not in SOURCES:
-            expected = "one of " + ", ".join(SOURCES)
-            raise InvalidInput("noise.source", found=repr(self.source), expected=expected)
+            raise unknown_name("noise.source", self.source, SOURCES)
         if not self.freedom > 0.0:
             raise InvalidInput("noise.freedom", found=self.freedom, expected="positive, or inf")
 

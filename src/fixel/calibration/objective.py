@@ -12,7 +12,7 @@ from typing import ClassVar, Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.target import Target
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.model.fields import positive
 from fixel.model.space import ParameterSpace
 from fixel.model.trajectory import wrapped
@@ -318,9 +318,7 @@ class Objective:
         self, comparer: Comparer, members: Sequence[int] | None = None, combine: str = "mean"
     ) -> None:
         if combine not in COMBINATIONS:
-            raise InvalidInput(
-                "combine", found=repr(combine), expected="one of " + ", ".join(COMBINATIONS)
-            )
+            raise unknown_name("combine", combine, COMBINATIONS)
         self.comparer = comparer
         self.members = np.asarray(
             range(len(comparer.targets)) if members is None else members, np.int64

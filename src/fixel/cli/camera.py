@@ -34,8 +34,8 @@ app = typer.Typer(
 BoardOption = Annotated[
     str | None,
     typer.Option(
-        help="charuco:7x5:30mm:22mm (squares, size, size of tags) or checkerboard:9x6:25mm "
-        "(inner corners, size of squares).",
+        help="Calibration board: charuco:7x5:30mm:22mm (squares, their size, size of the tags) or "
+        "checkerboard:9x6:25mm (inner corners, size of the squares).",
         metavar="BOARD",
     ),
 ]
@@ -49,9 +49,12 @@ Heights = Annotated[
 ]
 Plot = Annotated[
     Path | None,
-    typer.Option(help="Map of errors at the first height: .png, .svg or .pdf.", metavar="FILE"),
+    typer.Option(
+        help="Draw a map of the position error at the first height: .png, .svg or .pdf.",
+        metavar="FILE",
+    ),
 ]
-Paper = Annotated[str, typer.Option(help="a4, a3, a2 or letter.")]
+Paper = Annotated[str, typer.Option(help="Paper size: a4, a3, a2 or letter.")]
 CameraFile = Annotated[
     Path, typer.Argument(help="Camera file.", metavar="CAMERA", exists=True, dir_okay=False)
 ]
@@ -62,16 +65,18 @@ CameraFile = Annotated[
 def calibrate(
     *,
     pictures: list[Path] = required(
-        "Pictures of a board, folders of them, or a video.", metavar="PICTURES...", exists=True
+        "Pictures of a board, folders of pictures, or a video.", metavar="PICTURES...", exists=True
     ),
     board: BoardOption = None,
     out: Path = option(Path("camera.yaml"), "Camera file to write."),
     coefficients: int | None = option(
         None,
         "Number of distortion coefficients: 0, 1, 2, 4, 5 or 8.",
-        show_default="5, 8 where pictures left out need them, 4 for fewer than 8 pictures",
+        show_default="5; 8 if cross-validation needs them; 4 for fewer than 8 pictures",
     ),
-    fisheye: bool = option(False, "For lenses wider than about 120 degrees.", "--fisheye"),
+    fisheye: bool = option(
+        False, "Use the fisheye model, for lenses wider than about 120 degrees.", "--fisheye"
+    ),
     as_json: AsJson = False,
 ) -> None:
     """Calibrate a lens from 10 to 20 pictures of a board."""
@@ -91,8 +96,8 @@ def calibrate(
         answer.summary(),
         [lens_lines(answer), view_lines(answer), coefficient_lines(answer) + corner_lines(answer)],
         [out],
-        f"fixel camera place {_quoted(out)} PICTURE --rig RIG, a picture of the plate with its "
-        f"tags; or --board {board}, with the board flat on it",
+        f"fixel camera place {_quoted(out)} PICTURE --rig RIG with a picture of the plate and its "
+        f"tags; or --board {board} with the board flat on the plate",
     )
 
 
@@ -101,20 +106,24 @@ def calibrate(
 def import_(
     *,
     file: Path = required(
-        "Calib_Results.m or .mat, OpenCV's storage, Kalibr's camchain, ROS's camera_info.",
+        "Calib_Results.m or .mat, OpenCV storage, Kalibr camchain or ROS camera_info.",
         exists=True,
         dir_okay=False,
     ),
     out: Path = option(Path("camera.yaml"), "Camera file to write."),
-    format: str = option("auto", "auto, matlab, opencv, kalibr or ros."),
+    format: str = option("auto", "Format: auto, matlab, opencv, kalibr or ros."),
     size: str | None = option(
-        None, "Size of your pictures, 1280x720; a file for another size is refused.", metavar="WxH"
+        None,
+        "Size of your pictures, such as 1280x720; a file for another size is rejected.",
+        metavar="WxH",
     ),
-    which: str = option("", "Camera to read from a Kalibr file of several.", metavar="cam0"),
+    which: str = option(
+        "", "Camera to read from a Kalibr file with several cameras.", metavar="cam0"
+    ),
     unit: str = option("mm", "Unit of lengths in a MATLAB file: mm, cm or m."),
     as_json: AsJson = False,
 ) -> None:
-    """Take over a camera that another program calibrated."""
+    """Import a camera that another program calibrated."""
     from fixel.workflows.acquisition.camera.calibrate import bring_in
 
     units = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -137,10 +146,10 @@ def import_(
 def export(
     camera: CameraFile,
     out: Annotated[Path, typer.Option(help="File to write.", metavar="FILE")],
-    format: Annotated[str, typer.Option(help="opencv or ros.")] = "opencv",
+    format: Annotated[str, typer.Option(help="Format: opencv or ros.")] = "opencv",
     as_json: AsJson = False,
 ) -> None:
-    """Write a lens as OpenCV or ROS has it."""
+    """Write a lens as an OpenCV or ROS file."""
     from fixel.workflows.acquisition.camera.calibrate import export as run
 
     answer = run(camera, out, format)
@@ -153,26 +162,26 @@ def place(
     *,
     camera: CameraFile,
     picture: Path = required(
-        "Picture of the plate, or a video whose first frame is taken.",
+        "Picture of the plate, or a video, of which the first frame is used.",
         metavar="PICTURE",
         exists=True,
     ),
     board: BoardOption = None,
     at: str = option(
         "0,0,0",
-        "Where the board's lower left corner lies in the world: x, y [mm], angle [deg].",
+        "Pose of the board's lower left corner in the world: x, y [mm], angle [deg].",
         metavar="X,Y,ANGLE",
     ),
     thickness_mm: float = option(0.0, "Thickness of the board [mm].", min=0.0),
     rig: str | None = option(
-        None, "Rig whose tags are on the plate; used before a board.", metavar="RIG"
+        None, "Rig whose tags are on the plate; takes precedence over --board.", metavar="RIG"
     ),
     out: Path | None = option(None, "Camera file to write.", show_default="CAMERA-placed"),
     height_mm: Heights = None,
     plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
-    """Find where a camera is above the plate, and how right places on it are."""
+    """Compute the pose of a camera above the plate, and the accuracy of positions on it."""
     from fixel.workflows.acquisition.camera.calibrate import place as run
 
     target = out or camera.with_name(f"{camera.stem}-placed.yaml")
@@ -205,7 +214,7 @@ def check(
     video: Annotated[
         Path | None,
         typer.Option(
-            help="Video or picture of the bench: is its size right, is the camera where it was?",
+            help="Video or picture of the bench, to check its size and the pose of the camera.",
             metavar="FILE",
             exists=True,
         ),
@@ -214,12 +223,12 @@ def check(
     plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
-    """Report how right places on the plate are, and whether the camera is still where it was."""
+    """Report the accuracy of positions on the plate, and whether the camera has moved."""
     from fixel.workflows.acquisition.camera.check import check as run
 
     found = run(camera, video=video, heights=_heights(height_mm), plot=plot)
     tags = [
-        f"tag {number} of the plate is {1e3 * off:.2f} mm from its place"
+        f"tag {number} on the plate is {1e3 * off:.2f} mm from its nominal position"
         for number, off in found.tags.items()
     ]
     _show(
@@ -228,14 +237,16 @@ def check(
         [
             lens_lines(found.answer),
             place_lines(found.answer),
-            [f"pixels and directions agree both ways to {found.round_trip:.1g} px"],
+            [f"round trip from pixels to directions and back: {found.round_trip:.1g} px"],
             verdict_lines(found.answer),
             remark_lines(found.answer),
             tags,
             [f"PROBLEM: {problem}" for problem in found.problems],
         ],
         [plot],
-        "" if not found.problems else f"fixel camera place {_quoted(camera)} PICTURE",
+        f"fixel camera place {_quoted(camera)} PICTURE"
+        if found.problems
+        else f"fixel record --camera 0 --out FOLDER --rig {_quoted(camera)}",
     )
     if found.problems:
         raise typer.Exit(1)
@@ -244,22 +255,22 @@ def check(
 @app.command("board")
 def board_(
     board: Annotated[
-        str, typer.Argument(help="As for calibrate.", metavar="BOARD")
+        str, typer.Argument(help="Board, as for fixel camera calibrate.", metavar="BOARD")
     ] = "charuco:7x5:30mm:22mm",
-    out: Annotated[Path, typer.Option(help="Print to write: .pdf or .png.", metavar="FILE")] = Path(
+    out: Annotated[Path, typer.Option(help="File to print: .pdf or .png.", metavar="FILE")] = Path(
         "board.pdf"
     ),
     paper: Paper = "a4",
     as_json: AsJson = False,
 ) -> None:
-    """A board to print, true to scale."""
+    """Write a calibration board to print, true to scale."""
     from fixel.workflows.acquisition.camera.prints import print_board
 
     answer = print_board(board, out, paper)
     _show(
         as_json,
         answer.summary(),
-        [["Print at 100 %, measure the ruler, glue it to something flat."]],
+        [["Print at 100 %, check the length of the ruler, glue the sheet to a flat plate."]],
         [out],
         f"fixel camera calibrate PICTURES... --board {answer.what}",
     )
@@ -270,21 +281,27 @@ def board_(
 def tags(
     *,
     rig: str | None = argument(
-        None, "Rig whose tags to print.", metavar="RIG", show_default="none"
+        None, "Rig whose tags are printed.", metavar="RIG", show_default="none"
     ),
-    ids: str | None = option(None, "Numbers, instead of a rig: 0-9.", metavar="FIRST-LAST"),
+    ids: str | None = option(
+        None, "Range of tag numbers, instead of a rig: 0-9.", metavar="FIRST-LAST"
+    ),
     size_mm: float = option(30.0, "Side of the black square [mm]."),
-    family: str = option("apriltag-36h11", "apriltag-36h11, aruco-4x4-50 or aruco-5x5-100."),
-    out: Path = option(Path("tags.pdf"), "Print to write: .pdf or .png."),
+    family: str = option(
+        "apriltag-36h11", "Tag family: apriltag-36h11, aruco-4x4-50 or aruco-5x5-100."
+    ),
+    out: Path = option(Path("tags.pdf"), "File to print: .pdf or .png."),
     paper: Paper = "a4",
     as_json: AsJson = False,
 ) -> None:
-    """Tags to print, true to scale: those of a rig, or some numbers."""
+    """Write tags to print, true to scale: all tags of a rig, or a range of numbers."""
     from fixel.workflows.acquisition.camera.prints import print_rig_tags, print_tags
 
     if (rig is None) == (ids is None):
         raise InvalidInput(
-            "tags", found="both" if rig else "neither", expected="either a RIG or --ids 0-9"
+            "tags",
+            found="a rig and --ids" if rig else "neither a rig nor --ids",
+            expected="one of them",
         )
     if rig is not None:
         answer = print_rig_tags(rig, out, paper)
@@ -297,11 +314,13 @@ def tags(
         [
             [
                 f"{answer.tags} tags on {answer.sheets} sheet{'s' if answer.sheets > 1 else ''}. "
-                "Print at 100 %, measure the ruler, leave the white around each tag."
+                "Print at 100 %, check the ruler, leave the white border around each tag."
             ]
         ],
         [out],
-        f"fixel camera place CAMERA PICTURE --rig {_quoted(rig)}" if rig else "",
+        f"fixel camera place CAMERA PICTURE --rig {_quoted(rig)}"
+        if rig
+        else "fixel camera place CAMERA PICTURE --rig RIG, with the tags in the rig file",
     )
 
 

@@ -60,21 +60,22 @@ def view_lines(answer: "CameraAnswer") -> list[str]:
 
 
 def coefficient_lines(answer: "CameraAnswer") -> list[str]:
-    """Advice on whether more or fewer distortion coefficients would do."""
+    """Line with the error on held-out pictures by number of distortion coefficients."""
     found = answer.calibration
     assert found is not None
     if not found.unseen:
         return []
     known = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     used = sum(name in known for name in answer.camera.names)
-    said = ", ".join(f"{count}: {rms:.4f} px" for count, rms in found.unseen.items())
+    errors = ", ".join(f"{count}: {rms:.4f} px" for count, rms in found.unseen.items())
     more = (
         "more than 5 are needed"
         if used > 5
-        else "more are not needed, and with fewer the corners look surer than they are"
+        else "more are not needed; with fewer, errors in the corners are underestimated"
     )
     return [
-        f"Pictures left out of the fit, by distortion coefficients: {said}. {used} used; {more}."
+        f"RMS error of held-out pictures by number of distortion coefficients: {errors}. "
+        f"{used} used; {more}."
     ]
 
 
@@ -84,10 +85,10 @@ def corner_lines(answer: "CameraAnswer") -> list[str]:
 
     empty = empty_corners(answer.camera.seen)
     if not empty:
-        return ["Every corner of the picture had a board near."]
+        return ["The boards cover all corners of the picture."]
     return [
         f"No board was near {len(empty)} of 4 corners of the picture ({', '.join(empty)}): "
-        "take more pictures there, the lens is guessed at there."
+        "take more pictures with the board there, since the lens is extrapolated there."
     ]
 
 
@@ -114,9 +115,9 @@ def misfit_lines(answer: "CameraAnswer") -> list[str]:
     assert found is not None
     summary = answer.summary()
     return [
-        f"{summary['points']} points lie {1e3 * summary['misfit_rms_m']:.2g} mm (rms), at worst "
-        f"{1e3 * summary['misfit_worst_m']:.2g} mm from where they are said to be "
-        f"({found.rms:.2g} px rms)"
+        f"{summary['points']} points are off their nominal positions by "
+        f"{1e3 * summary['misfit_rms_m']:.2g} mm (rms, {found.rms:.2g} px), at most "
+        f"{1e3 * summary['misfit_worst_m']:.2g} mm"
     ]
 
 

@@ -26,7 +26,7 @@ app = typer.Typer(
 def upgrade(
     place: ProjectPlace = None, folder: ProjectFolder = Path(), as_json: AsJson = False
 ) -> None:
-    """Bring the tables up to date, or leave them be."""
+    """Upgrade the tables to the schema of this version; do nothing if they have it."""
     from fixel.database.project import Project
 
     project = project_at(place, folder)
@@ -36,12 +36,12 @@ def upgrade(
 
 @app.command("backup")
 def backup(
-    file: Annotated[Path, typer.Argument(help="File of the copy.", metavar="FILE")],
+    file: Annotated[Path, typer.Argument(help="Backup file to write.", metavar="FILE")],
     place: ProjectPlace = None,
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
-    """Copy the database, while others may go on using it."""
+    """Copy the database to a file, while other programs may use it."""
     from fixel.database.project import Project
 
     done = Project(project_at(place, folder)).backup(file)
@@ -50,7 +50,7 @@ def backup(
         lambda: done._asdict() | {"file": str(done.file), "media": str(done.media)},
         lambda: [
             f"wrote {done.file}: {done.size} bytes, sha256 {done.sha256}",
-            "The media are not in it; they never change, so copy what is new:",
+            "The media files are not in it. They never change, so copy only the new ones:",
             "",
             f"Next: {shlex.join(['cp', '-rn', str(done.media), f'{done.file}.media'])}",
         ],
@@ -61,9 +61,9 @@ def backup(
 def check(
     place: ProjectPlace = None, folder: ProjectFolder = Path(), as_json: AsJson = False
 ) -> None:
-    """Read all that is stored and report faults.
+    """Read everything that is stored and report errors.
 
-    Exit code 1 if there are any.
+    The exit code is 1 if there are any.
     """
     from fixel.database.project import Project
 
@@ -80,34 +80,40 @@ def check(
 
 @app.command("diagram")
 def diagram(
-    file: Annotated[Path, typer.Argument(help="Picture: .png, .svg or .pdf.", metavar="FILE")],
+    file: Annotated[
+        Path, typer.Argument(help="Chart to write: .png, .svg or .pdf.", metavar="FILE")
+    ],
     as_json: AsJson = False,
 ) -> None:
-    """Draw the tables and what refers to what, as an entity relationship diagram."""
+    """Draw the tables and their references as an entity relationship diagram."""
     from fixel.workflows.project import maintenance
 
     names = maintenance.diagram(file)
     print_answer(
         as_json,
         lambda: {"file": str(file), "tables": names},
-        lambda: [f"wrote {file}: {len(names)} tables"],
+        lambda: [f"wrote {file}: {len(names)} tables", "Next: fixel db check"],
     )
 
 
 def _upgraded(versions: "SchemaVersions", project: Path) -> list[str]:
     if versions.before == versions.after:
-        done = f"The database has schema {versions.after} already."
+        done = f"The database already has schema {versions.after}."
     elif versions.before is None:
-        done = f"The database was empty; it has schema {versions.after} now."
+        done = f"Created the tables, with schema {versions.after}."
     else:
-        done = f"The database had schema {versions.before}; it has {versions.after} now."
+        done = f"Upgraded the database from schema {versions.before} to {versions.after}."
     return [done, "", f"Next: {_command('check', project)}"]
 
 
 def _contents(found: "CheckResult") -> list[str]:
     version = "unknown" if found.version is None else found.version
     rows = [(name, n) for name, n in found.counts.items() if n]
-    unused = f", {found.unused_files} of them not of this project" if found.unused_files else ""
+    unused = (
+        f", of which {found.unused_files} do not belong to this project"
+        if found.unused_files
+        else ""
+    )
     return [
         f"{found.engine}, schema {version}",
         *(Table(("table", "rows"), rows).lines() if rows else []),
@@ -118,9 +124,9 @@ def _contents(found: "CheckResult") -> list[str]:
 def _troubles(found: "CheckResult") -> list[str]:
     n = len(found.troubles)
     if not n:
-        return ["Everything can be read."]
+        return ["No errors: everything could be read."]
     shown = [f"  {t.where}: {t.sentence}" for t in found.troubles[:MAX_TROUBLES]]
-    return [f"{n} thing{'s' * (n != 1)} wrong", *shortened(shown, n, "  ")]
+    return [f"{n} error{'s' * (n != 1)}", *shortened(shown, n, "  ")]
 
 
 def _next(found: "CheckResult", project: Path) -> str:

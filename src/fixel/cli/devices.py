@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fixel.workflows.acquisition.tactile import TactileCheck
 
 tactile = typer.Typer(
-    help="The Arduino that feels what the fixels touch.",
+    help="Check and watch the tactile board, which reads the contact sensors of the fixels.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -40,9 +40,11 @@ def ports(as_json: AsJson = False) -> None:
 def _print_ports(found: "list[PortSeen]", as_json: bool, follow: str) -> None:
     """Print ports as a table or as JSON, and the next command."""
     rows = [(port.port, port.description, port.in_use_by or "no program") for port in found]
-    lines = ["No serial ports. Plug the device in; on Linux, dmesg says what it became."]
+    lines = [
+        "No serial ports. Plug the device in, then list again; on Linux, dmesg shows its port."
+    ]
     if found:
-        lines = [*table(("port", "what", "in use by"), rows, left=3), ""]
+        lines = [*table(("port", "device", "in use by"), rows, left=3), ""]
         lines.append(f"Next: {follow} {found[0].port}")
     print_answer(as_json, lambda: {"ports": [port._asdict() for port in found]}, lambda: lines)
 
@@ -56,14 +58,14 @@ def check(
     ] = 15.0,
     as_json: AsJson = False,
 ) -> None:
-    """Ask the board many times; exit code 1 if an answer was missing, late or damaged."""
+    """Request many readings of the board; exit code 1 if one is missing, late or damaged."""
     from fixel.workflows.acquisition.tactile import check_tactile
 
     found = check_tactile(
         port,
         readings=readings,
         deadline=1e-3 * deadline,
-        progress=None if as_json else progress_bar("asking"),
+        progress=None if as_json else progress_bar("Reading"),
     )
     print_answer(as_json, found.summary, lambda: _check_lines(found))
     if not found.passed:
@@ -72,13 +74,13 @@ def check(
 
 def _check_lines(found: "TactileCheck") -> list[str]:
     counts = found.statistics
-    with_time = "with time stamps" if found.protocol > 1 else "bits alone"
+    with_time = "with time stamps" if found.protocol > 1 else "without time stamps"
     lines = [f"{found.port}: tactile board, protocol {found.protocol}, {with_time}"]
     if found.thresholds:
         blue, red, green = found.thresholds
         lines += [f"thresholds   blue {blue}, red {red}, green {green} of 1023"]
     lines += [
-        f"asked        {counts['asked']} in {seconds(found.seconds)}",
+        f"requested    {counts['asked']} in {seconds(found.seconds)}",
         f"answered     {counts['answered']}",
         f"missing      {counts['missing']} within {1e3 * found.deadline:.3g} ms",
         f"late         {counts['late']}",
@@ -91,7 +93,7 @@ def _check_lines(found: "TactileCheck") -> list[str]:
     if found.drift:
         lines += [f"clock        {-1e6 * found.drift:+.0f} ppm against this computer's"]
     if found.trouble:
-        lines += [f"broken off   {found.trouble}"]
+        lines += [f"stopped      {found.trouble}"]
     return [*lines, "", f"Next: fixel tactile watch --port {found.port}"]
 
 
@@ -101,13 +103,13 @@ def watch(
     *,
     port: Port = None,
     duration: float | None = option(None, "Duration [s].", min=0.0, show_default="until Ctrl-C"),
-    rate: float = option(30.0, "Readings a second [Hz].", min=0.1),
+    rate: float = option(30.0, "Readings per second [Hz].", min=0.1),
     threshold: int | None = option(
-        None, "Threshold of all three sensors, of 1023.", min=0, max=1023
+        None, "Threshold of all three sensors, from 0 to 1023.", min=0, max=1023
     ),
     as_json: AsJson = False,
 ) -> None:
-    """Show what the board feels, live; with --json a line a reading."""
+    """Show the readings of the board live; with --json, one line per reading."""
     from fixel.workflows.acquisition.tactile import watch_tactile
 
     thresholds = None if threshold is None else (threshold,) * 3
@@ -144,7 +146,7 @@ def _line(reader: "TactileReader", reading: "TactileReading") -> str:
         volts = "  " + " ".join(f"{by_colour[name] * 5 / 1023:.2f}" for name in FIXELS) + " V"
     lost = counts.asked - counts.answered
     trip = f"{1e3 * counts.round_trips[-1]:.1f} ms" if counts.round_trips else "-"
-    return f"{fixels}  ({trip}, {counts.asked} asked, {lost} lost){volts}" + (
+    return f"{fixels}  ({trip}, {counts.asked} requested, {lost} lost){volts}" + (
         f"  {reading.problem}" if reading.problem else ""
     )
 
@@ -162,7 +164,7 @@ def _as_json(reading: "TactileReading") -> str:
 
 
 actuator = typer.Typer(
-    help="The drive that pushes: a GRBL controller, a person, or none.",
+    help="Home, move and stop the drive of the pusher: a GRBL controller or an operator.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -190,7 +192,7 @@ def actuator_ports(as_json: AsJson = False) -> None:
 
 @actuator.command("home")
 def home(port: DrivePort = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
-    """Let the drive go to its end switch, and know where it is."""
+    """Home the drive: move it to its end switch and set its position."""
     from fixel.workflows.acquisition.actuator import chosen_actuator, home_actuator
 
     _print_position(home_actuator(chosen_actuator(driver, port, notify=notify)), as_json, port)
@@ -201,17 +203,19 @@ def home(port: DrivePort = None, driver: Driver = "grbl", as_json: AsJson = Fals
 def move(
     *,
     port: DrivePort = None,
-    to: float | None = option(None, "Position to go to [mm].", metavar="MM", show_default=False),
-    by: float | None = option(None, "Or how much further [mm].", metavar="MM", show_default=False),
+    to: float | None = option(None, "Target position [mm].", metavar="MM", show_default=False),
+    by: float | None = option(
+        None, "Distance to move, instead of --to [mm].", metavar="MM", show_default=False
+    ),
     speed: float = option(13.5, "Speed [mm/s].", metavar="MM/S"),
     driver: Driver = "grbl",
     dead_man: float | None = option(
         None,
-        "Time after which the drive stops without this program [s].",
+        "Time after which the drive stops if this program no longer answers [s].",
         metavar="S",
-        show_default="0.5, or as the controller's acceleration needs",
+        show_default="0.5, or longer if the acceleration of the controller requires it",
     ),
-    unlock: bool = option(False, "End an alarm first, without homing.", "--unlock"),
+    unlock: bool = option(False, "Clear an alarm first, without homing.", "--unlock"),
     as_json: AsJson = False,
 ) -> None:
     """Move the drive. Any key, Ctrl-C, or `fixel actuator stop` elsewhere stops it at once."""
@@ -231,9 +235,9 @@ def move(
 
 @actuator.command("stop")
 def stop(port: DrivePort = None, as_json: AsJson = False) -> None:
-    """Stop every drive that a program of yours moves, or the one at a port, at once.
+    """Stop at once every drive that your programs move, or only the one at a port.
 
-    The drive loses its place: home it before you move it again.
+    The position is lost: home the drive before you move it again.
     """
     from fixel.testbed.emergency import stop_actuators
 
@@ -250,7 +254,7 @@ def stop(port: DrivePort = None, as_json: AsJson = False) -> None:
 
 @actuator.command("where")
 def where(port: DrivePort = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
-    """Show the position of the drive; it does not move."""
+    """Show the position of the drive without moving it."""
     from fixel.workflows.acquisition.actuator import chosen_actuator, where_is_actuator
 
     _print_position(where_is_actuator(chosen_actuator(driver, port, notify=notify)), as_json, port)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def doctor(as_json: AsJson = False) -> None:
-    """Check this installation and report what to do about anything that is wrong."""
+    """Check this installation and report how to repair it."""
     from fixel.workflows.diagnostics import examine
 
     found = examine(notice(as_json))
@@ -25,9 +25,9 @@ def _lines(found: "Diagnosis") -> list[str]:
     from fixel.workflows.diagnostics import worst_residual
 
     versions = [f"{name} {number}" for name, number in found.versions.items()]
-    state = "warm" if found.cache["warm"] else "was cold, filled just now"
+    state = "warm" if found.cache["warm"] else "compiled just now"
     failed = sum(not check.passed for check in found.checks)
-    verdict = f"{failed} of {len(found.checks)} checks failed" if failed else "All in order"
+    verdict = f"{failed} of {len(found.checks)} checks failed" if failed else "All checks passed"
     return [
         ", ".join(versions[:4]),
         ", ".join(versions[4:]),

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fixel.workflows.jobs import JobStatus
 
 app = typer.Typer(
-    help="Run a job here or on a cluster; stop and continue it at any time.",
+    help="Run, stop and resume jobs on this machine or on a cluster.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -36,14 +36,16 @@ class PlaceOptions:
 
     site: SiteFile = None
     workers: Workers = None
-    detach: bool = option(False, "Run in the background, and return at once.", "--detach")
-    coordinator: str = option("here", "Where the job is run from: here, or slurm.", metavar="PLACE")
+    detach: bool = option(False, "Run in the background and return at once.", "--detach")
+    coordinator: str = option(
+        "here", "Place where the coordinator of the job runs: here or slurm.", metavar="PLACE"
+    )
 
 
 @app.command("submit")
 @with_options
 def submit(*, folder: JobFolder, options: PlaceOptions, as_json: AsJson = False) -> None:
-    """Run a prepared job; an interrupted one goes on."""
+    """Run a prepared job; resume it if it was interrupted."""
     _run(folder, options, as_json)
 
 
@@ -54,11 +56,13 @@ def resume(
     folder: JobFolder,
     options: PlaceOptions,
     accept_version: bool = option(
-        False, "Continue with another version of fixel; last digits may differ.", "--accept-version"
+        False,
+        "Resume a job that another version of fixel began; last digits may differ.",
+        "--accept-version",
     ),
     as_json: AsJson = False,
 ) -> None:
-    """Resume a job that was stopped, cancelled or lost, with its last settings by default."""
+    """Resume a job that was stopped, cancelled or lost, by default with its last settings."""
     _run(folder, options, as_json, accept_version)
 
 
@@ -67,7 +71,7 @@ def status(
     folders: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Folders of jobs, or of projects.",
+            help="Folders of jobs or of projects.",
             metavar="[FOLDER]...",
             show_default="the current folder",
         ),
@@ -75,7 +79,7 @@ def status(
     project: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
-    """Show how far jobs are, and which are running."""
+    """Show the progress of jobs, and which of them are running."""
     from fixel.workflows import jobs
 
     found = []
@@ -91,7 +95,7 @@ def status(
 
 @app.command("cancel")
 def cancel(folder: JobFolder, as_json: AsJson = False) -> None:
-    """End a job and its workers; what was finished stays."""
+    """Stop a job and its workers; finished chunks stay stored."""
     from fixel.workflows import jobs
 
     _print_status(jobs.cancel(folder), as_json)
@@ -101,10 +105,10 @@ def cancel(folder: JobFolder, as_json: AsJson = False) -> None:
 def logs(
     folder: JobFolder,
     follow: Annotated[
-        bool, typer.Option("--follow", "-f", help="Follow the log until the job ends.")
+        bool, typer.Option("--follow", "-f", help="Print new lines of the log until the job ends.")
     ] = False,
 ) -> None:
-    """Print what happened."""
+    """Print the log of a job."""
     from fixel.workflows import jobs
 
     for line in jobs.log_lines(folder, follow):
@@ -113,7 +117,7 @@ def logs(
 
 @app.command("site")
 def site() -> None:
-    """Print a template for a cluster, with comments."""
+    """Print a commented template of a site file, which describes a cluster."""
     from fixel.jobs.site import TEMPLATE
 
     typer.echo(TEMPLATE, nl=False)
@@ -122,10 +126,10 @@ def site() -> None:
 @app.command("pack")
 def pack(
     folder: JobFolder,
-    file: Annotated[Path, typer.Argument(help="A zip to write.", metavar="FILE")],
+    file: Annotated[Path, typer.Argument(help="Zip file to write.", metavar="FILE")],
     as_json: AsJson = False,
 ) -> None:
-    """Write a job with all its answers into one file, to be copied by hand."""
+    """Pack a job with its results into one file, to copy it to another machine."""
     from fixel.workflows import jobs
 
     size = jobs.pack(folder, file)
@@ -141,11 +145,11 @@ def pack(
 
 @app.command("unpack")
 def unpack(
-    file: Annotated[Path, typer.Argument(help="A packed job.", metavar="FILE")],
-    folder: Annotated[Path, typer.Argument(help="A new folder.", metavar="FOLDER")],
+    file: Annotated[Path, typer.Argument(help="Zip file of a packed job.", metavar="FILE")],
+    folder: Annotated[Path, typer.Argument(help="New folder for the job.", metavar="FOLDER")],
     as_json: AsJson = False,
 ) -> None:
-    """Make a folder of a packed job."""
+    """Unpack a job into a new folder."""
     from fixel.workflows import jobs
 
     _print_status(jobs.unpack(file, folder), as_json)
@@ -178,14 +182,14 @@ def _run(folder: Path, options: PlaceOptions, as_json: bool, accept_version: boo
                 done = jobs.run_here(folder, job_bar(), None if as_json else notify)
             except KeyboardInterrupt:
                 resume = command_of("jobs", "resume", folder)
-                notify(f"stopped; what was finished is kept. Go on with: {resume}")
+                notify(f"stopped; finished chunks are stored. Resume with: {resume}")
                 raise
     _print_status(done, as_json)
 
 
 def _listed(found: "list[JobStatus]") -> list[str]:
     if not found:
-        return ["no jobs here", "", "Next: fixel calibrate --help"]
+        return ["no jobs in this folder", "", "Next: fixel calibrate --help"]
     head = ("job", "state", "done", "of", "failed", "workers", "rate [1/s]", "left", "")
     return [*table(head, map(_row, found), left=2), "", *_advice(found[0])]
 
@@ -208,8 +212,8 @@ def _advice(job: "JobStatus") -> list[str]:
     folder = Path(job.folder)
     if job.state == "lost":
         return [
-            f"The process that ran {folder} has died; {job.kept} answers are kept, and resume goes"
-            " on from them.",
+            f"The process that ran {folder} has died. {job.kept} chunks are stored; resume "
+            "continues from them.",
             f"Next: {command_of('jobs', 'resume', folder)}",
         ]
     after = {

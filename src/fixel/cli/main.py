@@ -63,7 +63,7 @@ INTERRUPTED = 130
 
 # Commands in the order of a typical workflow, as `fixel --help` lists them.
 SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] = {
-    "Begin": {
+    "Get started": {
         "demo": demo.demo,
         "doctor": doctor.doctor,
         "new": project.new,
@@ -79,7 +79,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
         "filter": filtering.filter_,
         "export": project.export,
     },
-    "Calibrate and judge": {
+    "Calibrate and assess": {
         "calibrate": calibration.calibrate,
         "domain": domain.app,
         "sensitivity": sensitivity.sensitivity,
@@ -98,7 +98,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
         "data": project.data,
         "replay": replay.replay,
     },
-    "Upkeep": {"jobs": jobs.app, "db": db.app},
+    "Jobs and database": {"jobs": jobs.app, "db": db.app},
 }
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_type_hints
 
 import typer
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 
 if TYPE_CHECKING:
     from fixel.model.selection import ExperimentQuery
@@ -28,7 +28,9 @@ ProjectPlace = Annotated[
     typer.Argument(help="Same as --project.", metavar="[PROJECT]", show_default=False),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
-DatasetName = Annotated[str | None, typer.Option(help="Only this dataset.", metavar="NAME")]
+DatasetName = Annotated[
+    str | None, typer.Option(help="Select only experiments of this dataset.", metavar="NAME")
+]
 Where = Annotated[
     list[str] | None,
     typer.Option(
@@ -36,7 +38,7 @@ Where = Annotated[
         metavar="FILTER",
     ),
 ]
-Flagged = Annotated[bool, typer.Option("--all", help="Also experiments with faults in their data.")]
+Flagged = Annotated[bool, typer.Option("--all", help="Include experiments whose data have faults.")]
 NoiseMm = Annotated[
     float | None,
     typer.Option(help="Standard deviation of measured positions [mm].", show_default="estimated"),
@@ -49,15 +51,23 @@ Seed = Annotated[int, typer.Option(help="Seed of the random number generator.", 
 AnySeed = Annotated[int, typer.Option(help="Seed of the random number generator.")]
 PictureFolder = Annotated[
     Path | None,
-    typer.Option(help="Folder for pictures, as PNG and PDF, and their data.", metavar="FOLDER"),
+    typer.Option(help="Folder for charts as PNG and PDF, and for their data.", metavar="FOLDER"),
 ]
 Workers = Annotated[
     int | None,
-    typer.Option(help="Processes; 0 for this one alone.", min=0, metavar="N", show_default="0"),
+    typer.Option(
+        help="Number of worker processes; 0 computes in this process.",
+        min=0,
+        metavar="N",
+        show_default="0",
+    ),
 ]
 SiteFile = Annotated[
     Path | None,
-    typer.Option(help="Cluster the workers run on: see fixel jobs site.", metavar="FILE"),
+    typer.Option(
+        help="Site file of the cluster on which the workers run; see fixel jobs site.",
+        metavar="FILE",
+    ),
 ]
 
 
@@ -181,7 +191,7 @@ def require_picture(file: Path | None) -> None:
 def require_one_of(option: str, value: str, known: tuple[str, ...]) -> Any:
     """Return a value if it is one of those that an option knows."""
     if value not in known:
-        raise InvalidInput(option, found=repr(value), expected="one of " + ", ".join(known))
+        raise unknown_name(option, value, known)
     return value
 
 

@@ -37,27 +37,33 @@ class OverlayOptions:
     """Options of `fixel overlay`."""
 
     camera: str = option(
-        "0", "A camera (0, /dev/video0, http://...), a video file or a recording.", metavar="SOURCE"
+        "0",
+        "Camera (0, /dev/video0, http://...), video file or folder of a recording.",
+        metavar="SOURCE",
     )
     experiment: str | None = option(
-        None, "Instead of a scene file: a stored experiment.", metavar="KEY"
+        None, "Stored experiment, instead of a scene file.", metavar="KEY"
     )
     project: ProjectFolder = Path()
     tolerance_mm: float | None = option(
-        None, "How far off a part may be [mm].", show_default="the rig's"
+        None, "Largest allowed position error of a part [mm].", show_default="the rig's"
     )
     tolerance_deg: float | None = option(
-        None, "How far turned a part may be [deg].", show_default="the rig's"
+        None, "Largest allowed angle error of a part [deg].", show_default="the rig's"
     )
     port: int | None = option(
         None,
-        "Port of the page, on this machine only.",
+        "Port of the page; it is served to this machine only.",
         min=1,
         max=65535,
         show_default="any free one",
     )
-    once: bool = option(False, "Look once, write a picture, exit 0 if all is in place.", "--once")
-    output: Path = option(Path("overlay.png"), "With --once: the picture to write, .png.")
+    once: bool = option(
+        False,
+        "Check once and write a picture; exit code 0 if all parts are in place, 4 if not.",
+        "--once",
+    )
+    output: Path = option(Path("overlay.png"), "Picture to write with --once: .png.")
 
     def tolerance(self, rig: "Rig") -> "Tolerance":
         """Return the tolerance; where none is given, that of the rig."""
@@ -75,7 +81,9 @@ def overlay(
     *,
     rig: Annotated[
         str,
-        typer.Option(help="Rig file: camera and marks; or the name of an example.", metavar="RIG"),
+        typer.Option(
+            help="Rig file with camera and markers, or name of an example rig.", metavar="RIG"
+        ),
     ],
     scene: Path | None = argument(
         None,
@@ -88,7 +96,7 @@ def overlay(
     options: OverlayOptions,
     as_json: AsJson = False,
 ) -> None:
-    """Show where parts belong on the live picture, and how far off they are."""
+    """Show the planned poses of the parts on the live picture, and their errors."""
     from fixel.drawing.chart import refuse_ending
     from fixel.formats.rig_file import rig_of
     from fixel.io.atomic import refuse_unwritable
@@ -142,8 +150,8 @@ def _errors(look: "Look") -> list[str]:
             rows.append((part.name, *look.words(part), "in place" if part.within else "off"))
     allowed = look.tolerance
     return [
-        *table(("measured less wanted", "x [mm]", "y [mm]", "angle [deg]", "verdict"), rows),
-        f"allowed: {1e3 * allowed.distance:.3g} mm, {degrees(allowed.angle):.3g} deg",
+        *table(("measured - planned", "x [mm]", "y [mm]", "angle [deg]", "verdict"), rows),
+        f"tolerance: {1e3 * allowed.distance:.3g} mm, {degrees(allowed.angle):.3g} deg",
     ]
 
 
@@ -174,16 +182,16 @@ def _live(
     stream = source.open()
 
     def end(reason: str) -> None:
-        notify(f"The pictures ended: {reason}.")
+        notify(f"The camera stopped: {reason}.")
         if look is not None:
-            view.show(None, look.summary() | {"problems": [f"The pictures ended: {reason}"]})
+            view.show(None, look.summary() | {"problems": [f"The camera stopped: {reason}"]})
 
     with WebServer([overlay_page(view, heading)], port=port) as server:
-        notify(f"Open {server.link}\nCtrl-C ends.")
+        notify(f"Open {server.link}\nStop with Ctrl-C.")
         with suppress(KeyboardInterrupt):
             for look in watch(looks, frames_of(source, stream.live, end), view.show):
                 if show and sys.stderr.isatty():
                     print(f"\r{look.sentence:<60.60}", end="", file=sys.stderr, flush=True)
     if look is None:
-        raise InvalidInput("--camera", found="no picture", expected="a camera that sends some")
+        raise InvalidInput("--camera", found="no picture", expected="a camera that sends pictures")
     return look

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 app = typer.Typer(
-    help="Record an experiment: frames, and for each what the fixels feel.",
+    help="Record an experiment: frames, each with a reading of the contact sensors.",
     invoke_without_command=True,
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -43,10 +43,10 @@ class RecordOptions:
 
     camera: str | None = option(
         None,
-        "0 or /dev/video0, http://... of a network camera, a video or a recording.",
+        "Camera (0, /dev/video0, http://...), video file or folder of a recording.",
         metavar="SOURCE",
     )
-    out: Path | None = option(None, "Folder to make for the recording.", metavar="FOLDER")
+    out: Path | None = option(None, "New folder for the recording.", metavar="FOLDER")
     tactile: str | None = option(
         None,
         "Serial port of the tactile board; 'film' for the readings of a played recording.",
@@ -54,36 +54,43 @@ class RecordOptions:
         show_default="none",
     )
     rig: str | None = option(
-        None, "Rig, by name or file; its camera's size is required.", metavar="RIG"
+        None, "Rig, by name or file; the pictures must have the size of its camera.", metavar="RIG"
     )
     scene: Path | None = option(
         None,
-        "Scene file of what lies on the plate, kept with the recording.",
+        "Scene file of the experiment, stored with the recording.",
         metavar="FILE",
         exists=True,
         dir_okay=False,
     )
     size: str | None = option(
-        None, "Size to request from the camera, without --rig.", metavar="WIDTHxHEIGHT"
+        None, "Picture size to request from the camera; without --rig only.", metavar="WIDTHxHEIGHT"
     )
     rate: float = option(30.0, "Frame rate to request from the camera [frames/s].", min=1.0)
     codec: str = option(
         "auto",
-        "as-it-comes: JPEG of the camera, bit for bit; near: JPEG of high quality; exact:"
-        " no loss, 7 times the space; auto: as it comes, or near.",
+        "Codec. as-it-comes: JPEG of the camera, bit for bit; near: JPEG of high quality; exact: "
+        "lossless, 7 times the size; auto: as-it-comes if the camera sends JPEG, else near.",
         metavar="NAME",
     )
     until: str = option(
         "key",
-        "key: until Enter or Ctrl-C; limit; seated: as --mode says, or at rest.",
+        "End of the recording. key: Enter or Ctrl-C; limit: after --limit; seated: contact mode "
+        "of --mode, or at rest.",
         metavar="WHEN",
     )
     mode: str | None = option(
-        None, "Fixels 1, 2, 3 that mean seated, such as 010.", metavar="DIGITS"
+        None,
+        "Contact mode that counts as seated, one digit per fixel 1, 2, 3, such as 010.",
+        metavar="DIGITS",
     )
-    limit: str | None = option(None, "The longest it may take: 15s, 10min.", metavar="DURATION")
-    preview: bool = option(False, "Show it in the browser.", "--preview")
-    fast: bool = option(False, "Play a file as fast as it is read, at its own times.", "--fast")
+    limit: str | None = option(None, "Longest duration, such as 15s or 10min.", metavar="DURATION")
+    preview: bool = option(False, "Show the recording live in the browser.", "--preview")
+    fast: bool = option(
+        False,
+        "Play a file as fast as it can be read; time stamps stay those of the file.",
+        "--fast",
+    )
 
     @property
     def plan(self) -> "RecordPlan":
@@ -114,7 +121,7 @@ class RecordOptions:
 @app.callback()
 @with_options
 def record(*, context: typer.Context, options: RecordOptions, as_json: AsJson = False) -> None:
-    """Record an experiment: frames, and for each what the fixels feel."""
+    """Record an experiment: frames, each with a reading of the contact sensors."""
     if context.invoked_subcommand is not None:
         return
     from fixel.workflows.acquisition.record import record as record_experiment
@@ -130,13 +137,13 @@ def record(*, context: typer.Context, options: RecordOptions, as_json: AsJson = 
 
 @app.command()
 def check(folder: Folder, as_json: AsJson = False) -> None:
-    """Check every frame of a recording against its row, and report what is missing."""
+    """Check every frame of a recording against its row, and report missing frames."""
     _check(folder, as_json, repair=False)
 
 
 @app.command()
 def repair(folder: Folder, as_json: AsJson = False) -> None:
-    """Cut off what is torn at the end of a recording that broke off, and mark it as ended."""
+    """Remove incomplete frames at the end of an interrupted recording, and mark it as ended."""
     _check(folder, as_json, repair=True)
 
 
@@ -233,7 +240,7 @@ def _lines(done: "RecordingSummary") -> list[str]:
         f"ended{' early' if done.early else ''}: {done.reason}",
     ]
     if done.without_reading:
-        lines.append(f"without a reading of the fixels: {done.without_reading}")
+        lines.append(f"frames without a sensor reading: {done.without_reading}")
     lines += [f"problem: {problem}" for problem in done.problems]
     return [*lines, f"Next: {command_of('track', done.folder)}"]
 
@@ -252,7 +259,7 @@ def _check_lines(recording: "Recording") -> list[str]:
         f"{recording.folder}: {recording.n_frames} frames in "
         f"{recording.time[-1] - recording.time[0]:.3f} s, {readings} readings, "
         f"{width} x {height} pixels, {recording.header.codec}",
-        "every frame belongs to its row",
+        "every frame matches its row",
     ]
     if recording.end is not None:
         lines.append(f"ended: {recording.end.reason}")
@@ -278,7 +285,7 @@ def stop_on_request() -> Iterator[StopWish]:
     wish = StopWish()
 
     def request(number: int, frame: FrameType | None) -> None:
-        wish.reason = "stopped with Ctrl-C" if number == signal.SIGINT else "asked to stop"
+        wish.reason = "stopped with Ctrl-C" if number == signal.SIGINT else "stopped by a signal"
         signal.signal(number, signal.default_int_handler)
 
     kept: dict[int, Any] = {}

@@ -19,9 +19,9 @@ def serve(
     *,
     place: ProjectPlace = None,
     folder: ProjectFolder = Path(),
-    port: int | None = option(None, "Port to listen on; any free one where left out.", min=1),
+    port: int | None = option(None, "Port to listen on; by default any free one.", min=1),
     host: str = option(
-        "127.0.0.1", "Address to listen on; another than this needs --allow-others."
+        "127.0.0.1", "Address to listen on; others than this machine's own need --allow-others."
     ),
     allow_others: bool = option(
         False, "Accept connections from other machines that have the link.", "--allow-others"
@@ -29,14 +29,14 @@ def serve(
     open_: bool = option(True, "Open the link in a browser.", "--open/--no-open"),
     as_json: AsJson = False,
 ) -> None:
-    """Look at a project in a browser: experiments, simulations, calibrations, domains."""
+    """Show a project in a browser: experiments, simulations, calibrations, domains."""
     if host not in LOOPBACK and not allow_others:
         raise InvalidInput(
             "--host",
             found=host,
-            expected="an address of this machine alone: 127.0.0.1",
-            hint="whoever can read the network could then read the token in the link; "
-            "if that is meant, add --allow-others",
+            expected="an address of this machine only: 127.0.0.1",
+            hint="the connection is not encrypted, so others on the network could read the token "
+            "in the link; to accept that, add --allow-others",
         )
     from fixel.database.project import Project
     from fixel.web import require_server
@@ -76,10 +76,14 @@ def _announce(name: str, link: str, host: str, as_json: bool) -> None:
     if as_json:
         print(json.dumps({"project": name, "link": link}), flush=True)
         return
-    print(f"The pages of {name}, for whoever has this link:\n\n  {link}\n", flush=True)
+    print(
+        f"Open {name} with this link; anyone who has it can read and change the project:\n\n  "
+        f"{link}\n",
+        flush=True,
+    )
     if host not in LOOPBACK:
-        notify("Other machines can reach it, and the way there is not encrypted.")
-    notify("Ctrl-C ends it.")
+        notify("Other machines can connect. The connection is not encrypted.")
+    notify("Stop with Ctrl-C.")
 
 
 def _door(link: str, folder: Path) -> Path | None:

@@ -41,7 +41,7 @@ def show(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show an experiment: its facts, what was measured, and how far to believe it."""
+    """Show an experiment: scene, measurements, faults of the data and provenance."""
     from fixel.database.project import Project
     from fixel.io.atomic import written_whole
     from fixel.workflows.project.compare import summary
@@ -69,22 +69,24 @@ def compare(
     project: ProjectFolder = Path(),
     set_: list[str] | None = option(
         None,
-        "A parameter of the simulation, e.g. mu_support=0.3; may be repeated.",
+        "Parameter of the simulation, such as mu_support=0.3; may be repeated.",
         "--set",
         metavar="NAME=VALUE",
     ),
     calibration: int | None = option(
         None,
-        "Id of a stored calibration: its parameters and its motion model; --set and"
-        " --motion change them.",
+        "Id of a stored calibration, whose parameters and motion model are used; --set and "
+        "--motion override them.",
         metavar="ID",
     ),
-    motion: MotionChoice | None = option(None, "Motion model; dynamic where left out."),
-    plot: Path | None = option(None, "Draw both motions: .png, .svg or .pdf."),
+    motion: MotionChoice | None = option(None, "Motion model; dynamic by default."),
+    plot: Path | None = option(
+        None, "Draw the measured and the simulated motion: .png, .svg or .pdf."
+    ),
     as_json: AsJson = False,
     save: bool = option(False, "Store the simulation.", "--save"),
 ) -> None:
-    """Simulate an experiment, and report how far the simulation is from what was measured."""
+    """Simulate an experiment and report the error against the measurement."""
     from fixel.database.project import Project
     from fixel.simulation.motion import MOTION_MODELS
     from fixel.workflows.calibration.stored import parameters_of
@@ -142,7 +144,7 @@ def _show_lines(
         [origin_of(experiment), f"experiment {number} of dataset {experiment.dataset}"],
         _frames(experiment),
         _poses(experiment),
-        [f"contact mode at the end: {experiment.contact_mode or 'not known'}"],
+        [f"contact mode at the end: {experiment.contact_mode or 'unknown'}"],
         _listed("conditions", [(k, _value(v)) for k, v in experiment.conditions.items()]),
         _listed("flags", [(f.name, f.detail) for f in experiment.flags if f.fault]),
         _listed("remarks", [(f.name, f.detail) for f in experiment.flags if not f.fault]),
@@ -164,7 +166,7 @@ def _frames(experiment: "Experiment") -> list[str]:
     ]  # fmt: skip
     if experiment.effective is not None:
         first, last = experiment.effective
-        lines.append(f"useful from {first:.4g} to {last:.4g} s")
+        lines.append(f"usable from {first:.4g} to {last:.4g} s")
     return lines
 
 
@@ -179,7 +181,7 @@ def _poses(experiment: "Experiment") -> list[str]:
     x_and_y = (Column("x", unit, ".2f"), Column("y", unit, ".2f"))
     columns = (experiment.object_name, *x_and_y, Column("angle", "deg", ".2f"))
     way = travelled(experiment.trajectory, 1e-3 if unit == "mm" else 1e-6)
-    return [*Table(columns, rows).lines(), f"travelled {way / metre:.2f} {unit}"]
+    return [*Table(columns, rows).lines(), f"path length {way / metre:.2f} {unit}"]
 
 
 def _listed(title: str, rows: list[tuple[str, str]]) -> list[str]:
@@ -242,7 +244,7 @@ def _parameters(settings: list[str]) -> "Parameters":
             raise InvalidInput(
                 "--set",
                 found=repr(setting),
-                expected="NAME=NUMBER with a name out of " + ", ".join(KNOWN_PARAMETERS),
+                expected="NAME=NUMBER, where NAME is one of " + ", ".join(KNOWN_PARAMETERS),
             ) from None
     return Parameters(values)
 
@@ -267,7 +269,7 @@ def _compare_lines(
     answer: "RunComparison", project: Path, plot: Path | None, saved: int | None, command: str
 ) -> list[str]:
     """About a screen of text."""
-    kept = [] if saved is None else [f"kept as simulation {saved}"]
+    kept = [] if saved is None else [f"stored as simulation {saved}"]
     return paragraphs(
         [origin_of(answer.experiment)],
         _listed("parameters", [(k, _value(v)) for k, v in answer.parameters.items()]),
@@ -284,7 +286,10 @@ def _status(answer: "RunComparison") -> list[str]:
     if answer.complete:
         return [f"{answer.status}; {len(answer.time)} frames from {first:.4g} to {last:.4g} s"]
     stopped = answer.simulation.stopped_at
-    return [f"{answer.status}, stopped at {stopped:.6g} s: no errors", answer.simulation.advice]
+    return [
+        f"{answer.status}, stopped at {stopped:.6g} s: no error can be computed",
+        answer.simulation.advice,
+    ]
 
 
 def _errors(answer: "RunComparison") -> list[str]:
@@ -307,7 +312,7 @@ def _modes(answer: "RunComparison") -> list[str]:
     if answer.contacts is None:
         return []
     measured = answer.experiment.contact_mode or "not known"
-    verdict = {True: ", the same", False: ", another", None: ""}[answer.same_contact_mode]
+    verdict = {True: ", the same", False: ", different", None: ""}[answer.same_contact_mode]
     what = "measured" if answer.experiment.real else "recorded"
     return [f"contact mode, {what} {measured}, simulated {answer.contact_mode}{verdict}"]
 

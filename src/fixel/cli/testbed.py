@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 
 MAX_ROWS = 20
 
-app = typer.Typer(help="Perform experiments.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(
+    help="Perform and film experiments on the simulated testbed.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
 
 
 @app.command("run")
@@ -32,7 +36,7 @@ app = typer.Typer(help="Perform experiments.", no_args_is_help=True, rich_markup
 def run_plan(
     *,
     plan: Path | None = argument(
-        None, "Plan file; without one, the thesis's 420.", metavar="[PLAN]"
+        None, "Plan file; by default the 420 experiments of the thesis.", metavar="[PLAN]"
     ),
     folder: ProjectFolder = Path(),
     seed: AnySeed = 1,
@@ -40,7 +44,7 @@ def run_plan(
     threads: int | None = option(None, "Number of threads; all cores by default.", min=1),
     as_json: AsJson = False,
 ) -> None:
-    """Perform a plan on the simulated testbed: with noise, ripple and a rough plate."""
+    """Perform a plan on the simulated testbed, with noise, ripple and an uneven plate."""
     from fixel.database.project import Project
     from fixel.workflows.project.importing import run_testbed
 
@@ -64,36 +68,38 @@ def film(
         "Scene files, plan files, or experiments of the project by id or name.",
         metavar="[EXPERIMENT|SCENE.yaml|PLAN.yaml]...",
     ),
-    out: Path = option(Path("film"), "Folder to make.", "--out", "-o", metavar="FOLDER"),
+    out: Path = option(Path("film"), "New folder for the films.", "--out", "-o", metavar="FOLDER"),
     rig: str = option(
-        "thesis-tags", "Rig file, or thesis-tags, thesis-stickers, microscope.", metavar="RIG"
+        "thesis-tags",
+        "Rig file or name of an example rig: thesis-tags, thesis-stickers, microscope.",
+        metavar="RIG",
     ),
     looks: str | None = option(
         None,
-        "clean, thesis, hard; microscope-clean, microscope.",
+        "Camera effects: clean, thesis, hard, microscope-clean or microscope.",
         metavar="NAME",
         show_default="thesis, or microscope",
     ),
     set_: list[str] | None = option(
         None,
-        "A number of the looks, e.g. occlusion=1.5; may be repeated.",
+        "One value of the camera effects, such as occlusion=1.5; may be repeated.",
         "--set",
         metavar="NAME=VALUE",
     ),
     seed: Seed = 1,
-    exact: bool = option(False, "Store pictures without loss; larger files.", "--exact"),
-    video: Path | None = option(None, "Write it as one video file too: .mp4, .mkv."),
-    rate: float = option(30.0, "Frames a second [Hz].", min=0.1, max=1000.0),
+    exact: bool = option(False, "Store pictures without loss, in larger files.", "--exact"),
+    video: Path | None = option(None, "Also write the film as one video file: .mp4 or .mkv."),
+    rate: float = option(30.0, "Frame rate [Hz].", min=0.1, max=1000.0),
     lead: float = option(0.5, "Time at rest before the motion [s].", min=0.0),
     rest: float = option(0.5, "Time at rest after the motion [s].", min=0.0),
     frames: int | None = option(None, "Maximum number of frames.", min=1, metavar="COUNT"),
     limit: int | None = option(
-        None, "Maximum number of experiments of a plan.", min=1, metavar="COUNT"
+        None, "Maximum number of experiments to film from a plan.", min=1, metavar="COUNT"
     ),
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
-    """Film simulated experiments: recordings with known truth, to test tracking against."""
+    """Render simulated experiments as recordings with known true poses, to test tracking."""
     from fixel.workflows.acquisition import film as films
 
     settings = films.FilmSettings(
@@ -129,7 +135,9 @@ def _lines(films: "list[FilmResult]") -> list[str]:
     lines += wrote(one.video for one in films)
     unmarked = sorted({name for one in films for name in one.unmarked})
     if unmarked:
-        lines.append(f"without a mark, since the rig knows none: {', '.join(unmarked)}")
+        lines.append(
+            f"rendered without markers, since the rig has none for them: {', '.join(unmarked)}"
+        )
     if films:
         lines += ["", f"Next: {command_of('track', films[0].folder)}"]
     return lines
@@ -151,12 +159,12 @@ def _content(one: "FilmResult") -> dict[str, object]:
 @with_options
 def serve(
     *,
-    film: Path = required("A video, or the folder of a recording.", metavar="FILM", exists=True),
-    port: int = option(0, "0 for any that is free.", min=0, max=65535),
-    loop: bool = option(False, "Start again at its end.", "--loop"),
+    film: Path = required("Video file or folder of a recording.", metavar="FILM", exists=True),
+    port: int = option(0, "Port to listen on; 0 for any free one.", min=0, max=65535),
+    loop: bool = option(False, "Repeat the film endlessly.", "--loop"),
     as_json: AsJson = False,
 ) -> None:
-    """Serve a film on this machine as a network camera would, until Ctrl-C."""
+    """Serve a film on this machine like a network camera, until Ctrl-C."""
     from fixel.testbed.loopback import LoopbackCamera
 
     with LoopbackCamera(film, port=port, loop=loop) as camera:

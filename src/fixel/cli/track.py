@@ -20,27 +20,31 @@ class TrackOptions:
 
     rig: str = option(
         "",
-        "Rig file, or thesis-tags, thesis-stickers, microscope.",
+        "Rig file or name of an example rig: thesis-tags, thesis-stickers, microscope.",
         metavar="RIG",
-        show_default="rig.yaml beside the film",
+        show_default="rig.yaml next to the film",
     )
     scene: Path | None = option(
         None,
-        "Scene file, as it was planned.",
+        "Scene file of the planned experiment.",
         metavar="FILE",
-        show_default="scene.yaml beside the film",
+        show_default="scene.yaml next to the film",
     )
-    method: str = option("auto", "auto, tags, stickers or silhouette.", metavar="METHOD")
+    method: str = option(
+        "auto", "Tracking method: auto, tags, stickers or silhouette.", metavar="METHOD"
+    )
     folder: ProjectFolder = Path()
     dataset: str = option("bench", "Dataset of the experiment.", metavar="NAME")
     name: str = option("", "Name of the experiment.", metavar="NAME", show_default="the film's")
     register: bool = option(
-        False, "Find the camera's place again, from tags on the plate.", "--register"
+        False, "Estimate the camera pose again from the tags on the plate.", "--register"
     )
-    dry_run: bool = option(False, "Track, and store nothing.", "--dry-run")
-    overlay: Path | None = option(None, "Film with the measured outlines: .mp4, .mkv.")
-    sheet: Path | None = option(None, "Picture of a few frames of the overlay: .png.")
-    plot: Path | None = option(None, "Poses, residuals and gaps: .png, .svg, .pdf.")
+    dry_run: bool = option(False, "Track only; store nothing.", "--dry-run")
+    overlay: Path | None = option(None, "Write the film with the measured outlines: .mp4 or .mkv.")
+    sheet: Path | None = option(
+        None, "Write a picture of a few frames with the measured outlines: .png."
+    )
+    plot: Path | None = option(None, "Draw poses, residuals and gaps: .png, .svg or .pdf.")
 
     def command(self, source: Path) -> str:
         """Return the command that tracks the film and stores the experiment."""
@@ -59,11 +63,11 @@ class TrackOptions:
 @with_options
 def track(
     *,
-    source: Path = required("Video file, or folder of a recording.", metavar="FILM"),
+    source: Path = required("Video file or folder of a recording.", metavar="FILM"),
     options: TrackOptions,
     as_json: AsJson = False,
 ) -> None:
-    """Track a film, and store it as an experiment."""
+    """Track a film or recording and store it as an experiment."""
     from fixel.workflows.acquisition.track import track_film
 
     answer = track_film(
@@ -94,8 +98,8 @@ def _lines(answer: "TrackAnswer", source: Path, options: TrackOptions) -> list[s
         assert experiment.effective is not None
         first, last = experiment.effective
         lines.append(
-            f"actuator: {motion.cruise * 1e3:.4g} mm/s over {motion.travel * 1e3:.4g} mm; "
-            f"useful from {first:.2f} to {last:.2f} s"
+            f"actuator: {motion.cruise * 1e3:.4g} mm/s over {motion.travel * 1e3:.4g} mm; usable "
+            f"from {first:.2f} to {last:.2f} s"
         )
     if tracked.fixels:
         lines.append(f"fixels measured: {', '.join(f.name for f in tracked.fixels)}")
@@ -103,12 +107,12 @@ def _lines(answer: "TrackAnswer", source: Path, options: TrackOptions) -> list[s
         lines.append(f"contact mode at the end: {experiment.contact_mode}")
     lines += [f"  {flag.name}: {flag.detail}" for flag in experiment.flags[:MAX_FLAGS]]
     if experiment.simulated_by:
-        lines.append("SIMULATED: no camera has seen this")
+        lines.append("SIMULATED: these are not pictures of a real camera")
     lines += wrote(answer.files.values())
     if answer.number is None:
-        lines.append("stored nothing; leave out --dry-run to store it")
+        lines.append("Nothing was stored; without --dry-run, the experiment is stored.")
         return [*lines, f"Next: {options.command(source)}"]
-    verb = "stored as" if answer.new else "there already as"
+    verb = "stored as" if answer.new else "already stored as"
     lines.append(f"{verb} experiment {answer.number}, {experiment.key}")
     return [*lines, f"Next: {command_of('show', experiment.key, project=options.folder)}"]
 

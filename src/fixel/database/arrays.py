@@ -89,7 +89,8 @@ def keep(data: bytes, media: Path) -> str:
             temporary.unlink(missing_ok=True)
         reason = os_reason(problem)
         raise StoreRefused(
-            f"{media} cannot be written to: {reason}", hint="make the folder writable, or make room"
+            f"{media} cannot be written to: {reason}",
+            hint="make the folder writable, or free disk space",
         ) from None
     return digest
 

@@ -91,10 +91,10 @@ def damage_refused(path: Path) -> Iterator[None]:
     try:
         yield
     except StoreRefused as problem:
-        raise _refused(path, problem.reason, "the whole records of a project") from None
+        raise _refused(path, problem.reason, "complete records of a project") from None
     except _UNREADABLE as problem:
         found = " ".join(str(problem).split())[:200] or type(problem).__name__
-        raise _refused(path, found, "the whole records of a project") from None
+        raise _refused(path, found, "complete records of a project") from None
 
 
 def _refused(path: Path, found: str, expected: str, hint: str | None = None) -> InvalidInput:
@@ -109,7 +109,7 @@ def _unpack(path: Path, folder: Path, limits: BundleLimits) -> None:
     try:
         archive = zipfile.ZipFile(path)
     except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as problem:
-        raise _refused(path, str(problem) or "no zip file", "a whole bundle") from None
+        raise _refused(path, str(problem) or "not a zip file", "a complete bundle") from None
     with archive:
         infos = archive.infolist()
         _check_members(path, infos, limits)
@@ -130,20 +130,20 @@ def _check_members(path: Path, infos: list[zipfile.ZipInfo], limits: BundleLimit
     if _OLD_MANIFEST in names:
         raise _refused(
             path,
-            "a bundle from before the first release",
-            f"one with {DATABASE}",
-            "write it again with this version of fixel export",
+            "a bundle of a version before the first release",
+            f"a bundle with {DATABASE}",
+            "export it again with this version: fixel export",
         )
     if len(infos) > limits.members:
         raise _refused(path, f"{len(infos)} members", f"at most {limits.members}")
     for info in infos:
         _check_member(path, info, limits)
     if sum(info.file_size for info in infos) > limits.total:
-        raise _refused(path, "too much to unpack", f"at most {limits.total} bytes")
+        raise _refused(path, "a larger content", f"at most {limits.total} bytes")
     if len(names) < len(infos):
-        raise _refused(path, "a member twice", "each member once")
+        raise _refused(path, "a repeated member", "each member once")
     if DATABASE not in names:
-        raise _refused(path, f"no {DATABASE}", "a bundle", "make one with: fixel export")
+        raise _refused(path, f"no {DATABASE}", "a bundle", "create one: fixel export")
 
 
 def _check_member(path: Path, info: zipfile.ZipInfo, limits: BundleLimits) -> None:
@@ -154,12 +154,16 @@ def _check_member(path: Path, info: zipfile.ZipInfo, limits: BundleLimits) -> No
     if stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG):
         raise _refused(path, f"{name} as a link or a device", "plain files")
     if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise _refused(path, f"{name} encrypted or packed otherwise", "stored or deflated")
+        raise _refused(
+            path,
+            f"{name} with encryption or another compression",
+            "members that are stored or deflated",
+        )
     if info.file_size > max(limits.small, limits.ratio * info.compress_size):
         raise _refused(
             path,
-            f"{name} packed to less than 1/{limits.ratio}",
-            "a bundle as fixel export writes it",
+            f"{name} compressed to less than 1/{limits.ratio}",
+            "a bundle written by fixel export",
         )
 
 
@@ -171,10 +175,12 @@ def _chunks(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iter
             while data := stream.read(CHUNK):
                 left -= len(data)
                 if left < 0:
-                    raise _refused(path, f"more in {info.filename} than announced", "its size")
+                    raise _refused(
+                        path, f"more data in {info.filename} than its header states", "its size"
+                    )
                 yield data
     except (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError) as problem:
-        raise _refused(path, f"{info.filename} damaged: {problem}", "a whole bundle") from None
+        raise _refused(path, f"{info.filename} damaged: {problem}", "a complete bundle") from None
 
 
 # --- the database -------------------------------------------------------------------------------
@@ -219,7 +225,7 @@ def _check_pages(store: Store) -> None:
 
 def _check_version(path: Path, store: Store) -> None:
     try:
-        store.check_version("fixel export, with this version, to write the bundle again")
+        store.check_version("export the bundle again with this version: fixel export")
     except StoreRefused as problem:
         raise _refused(path, problem.reason, "a bundle of this version", problem.hint) from None
 

@@ -92,7 +92,7 @@ def _on_read_only_media(url: sa.URL) -> sa.URL:
         if shared.is_file():
             return url
         raise StoreRefused(
-            f"{file} lies on a read-only disk, and its newest changes are in {log.name} alone",
+            f"{file} is on a read-only disk, and its newest changes are only in {log.name}",
             hint="copy the project to a disk that can be written to",
         )
     return sa.URL.create(
@@ -157,14 +157,20 @@ def _reason(place: str, said: str) -> tuple[str, str | None]:
     said = " ".join(said.split())
     low = said.lower()
     locked = f"{place} is locked by another process for more than {WAIT_S:g} s"
-    full = (f"the disk of {place} is full", "make room, then repeat the command")
+    full = (f"the disk of {place} is full", "free disk space, then repeat the command")
     no_tables = (f"{place} has no tables yet", "run: fixel db upgrade")
-    denied = (f"{place} lets nobody in: {said}", "check user and password in the database's URL")
+    denied = (
+        f"{place} rejects the login: {said}",
+        "check user and password in the URL of the database",
+    )
     # The first match decides, so specific words stand before common ones.
     known = {
-        "cannot change": ("finished records cannot change", "add a new one: it takes the place"),
-        "lock timeout": (locked, "wait for it to finish"),
-        "locked": (locked, "wait for it to finish, or find it with: fuser FILE"),
+        "cannot change": (
+            "finished records cannot change",
+            "add a new record, which replaces the old one",
+        ),
+        "lock timeout": (locked, "wait until it has finished"),
+        "locked": (locked, "wait until it has finished, or find it with: fuser FILE"),
         "readonly": (f"{place} is read-only", "make the file and its folder writable"),
         "read-only": (f"{place} is read-only", "write to the primary server"),
         "is full": full,
@@ -175,18 +181,21 @@ def _reason(place: str, said: str) -> tuple[str, str | None]:
         ),
         "disk i/o": (
             f"the disk of {place} fails or is full: {said}",
-            "make room, or look at the disk; then: fixel db check",
+            "free disk space or check the disk, then: fixel db check",
         ),
         "not a database": (
-            f"{place} is no SQLite database",
-            "put a copy in its place that was made with: fixel db backup",
+            f"{place} is not a SQLite database",
+            "replace it with a backup, which fixel db backup wrote",
         ),
-        "malformed": (f"{place} is damaged", "see how far with: fixel db check"),
+        "malformed": (f"{place} is damaged", "list the errors: fixel db check"),
         "no such table": no_tables,
         "authentication": denied,
         "no password": denied,
         "connection": (f"no connection to {place}: {said}", "check that the server runs"),
-        "terminating": (f"the server of {place} went away", "repeat the command once it is back"),
+        "terminating": (
+            f"the connection to the server of {place} was lost",
+            "repeat the command when the server is available",
+        ),
     }
     # psycopg reports "connection failed" for a missing database, too.
     if "does not exist" in low:
@@ -219,9 +228,9 @@ def check_local(path: Path, mounts: str | None = None) -> None:
     kind = _file_system(os.path.realpath(path), mounts)
     if kind in NETWORK:
         raise StoreRefused(
-            f"{path} lies on a network file system ({kind}), where SQLite loses data: the locks of"
-            " one machine are not seen by another",
-            hint="keep the project on a local disk, or set a PostgreSQL server in its settings",
+            f"{path} is on a network file system ({kind}), where SQLite loses data, since locks "
+            "do not work between machines",
+            hint="move the project to a local disk, or set a PostgreSQL server in its settings",
         )
 
 

@@ -142,5 +142,5 @@ def _known(
     found = set(connection.scalars(sa.select(table.c.id).where(table.c.id.in_(wanted))))
     for number in wanted:
         if number not in found:
-            raise NotStored(f"{what} {number}", hint="see what there is with: fixel list")
+            raise NotStored(f"{what} {number}", hint="fixel list shows all experiments")
     return wanted

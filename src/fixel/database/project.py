@@ -116,7 +116,7 @@ class Project:
         if not path.is_file():
             name = str(folder)
             raise StoreRefused(
-                f"{folder} is no project (it has no {SETTINGS})",
+                f"{folder} is not a fixel project (no fixel.yaml) (it has no {SETTINGS})",
                 hint=f"make one with: {shlex.join(['fixel', 'new', name])}, or in Python"
                 f" fixel.Project.create({name!r})",
             )
@@ -128,7 +128,7 @@ class Project:
             raise InvalidInput(
                 f"{path}: {'.'.join(map(str, first['loc'])) or 'settings'}",
                 found=first["msg"].lower(),
-                expected="name and, for a server, database",
+                expected="the key name and, for a server, database",
             ) from None
 
     @classmethod
@@ -159,9 +159,7 @@ class Project:
             raise InvalidInput(str(folder), found="a project", expected="a new folder")
         was_there = folder.exists()
         if was_there and not (folder.is_dir() and _is_empty(folder)):
-            raise InvalidInput(
-                str(folder), found="something else", expected="a new or an empty folder"
-            )
+            raise InvalidInput(str(folder), found="other files", expected="a new or empty folder")
         name = folder.resolve().name[:MAX_NAME] or "project"
         project = object.__new__(cls)
         _settle(project, folder, ProjectSettings(name=name, database=database))

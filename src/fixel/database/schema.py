@@ -42,8 +42,8 @@ def version_of(connection: sa.Connection) -> str | None:
     heads = MigrationContext.configure(connection).get_current_heads()
     if len(heads) > 1:
         raise StoreRefused(
-            f"the database says that it has schema {' and '.join(sorted(heads))} at once",
-            hint="put a backup in its place: one made with: fixel db backup",
+            f"the database has two schemas: {' and '.join(sorted(heads))}",
+            hint="replace it with a backup, which fixel db backup wrote",
         )
     return heads[0] if heads else None
 
@@ -59,7 +59,7 @@ def upgrade(connection: sa.Connection, version: str = "head") -> None:
     check_known(connection)
     if version_of(connection) is None and sa.inspect(connection).get_table_names():
         raise StoreRefused(
-            "the database holds tables that are not fixel's", hint="name an empty database"
+            "the database has tables that do not belong to fixel", hint="use an empty database"
         )
     command.upgrade(_config(connection), version)
 
@@ -69,14 +69,15 @@ def check_known(connection: sa.Connection) -> None:
     found = version_of(connection)
     if found is not None and found < versions()[0]:
         raise StoreRefused(
-            f"the database has schema {found}, from before the first release, which this fixel"
-            " cannot upgrade",
-            hint="make a new project with: fixel new; then import the experiments again",
+            f"the database has schema {found} of a version before the first release, which cannot "
+            "be upgraded",
+            hint="create a project with fixel new, then import the experiments again",
         )
     if found is not None and found not in versions():
         raise StoreRefused(
-            f"the database has schema {found}, and this fixel knows {newest()} at most",
-            hint="install the fixel that wrote it, or a newer one",
+            f"the database has schema {found}, newer than schema {newest()} of this version of "
+            "fixel",
+            hint="install the version of fixel that wrote it, or a newer one",
         )
 
 
@@ -87,7 +88,7 @@ def check_newest(connection: sa.Connection, command: str = "fixel db upgrade") -
     if found != newest():
         what = "is empty" if found is None else f"has schema {found}"
         raise StoreRefused(
-            f"the database {what}, and this fixel needs {newest()}", hint=f"run: {command}"
+            f"the database {what}; this version of fixel needs {newest()}", hint=f"run: {command}"
         )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +17,7 @@ from fixel.database.browsing import ConditionValues, ExperimentPage
 from fixel.database.engine import open_engine, reading, set_journal, writing
 from fixel.database.marks import Note
 from fixel.database.query import LIVE
-from fixel.errors import InvalidInput, NotStored, StoreRefused, os_reason
+from fixel.errors import InvalidInput, NotStored, StoreRefused, closest, os_reason
 from fixel.model import Experiment, Flag
 from fixel.model.records import (
     CalibrationRecord,
@@ -47,7 +46,7 @@ def _damage_named(
                 said = " ".join(str(problem).split())[:200] or type(problem).__name__
                 raise StoreRefused(
                     f"{what} {number} is damaged: {said}",
-                    hint="see what else is wrong with: fixel db check",
+                    hint="list all errors: fixel db check",
                 ) from problem
 
         return read_or_refuse
@@ -215,7 +214,8 @@ class Store:
             if not found:
                 return int(key)
             raise NotStored(
-                f"single experiment {key!r}: it is the id of one and the name of another",
+                f"single experiment {key!r}: it is the id of one experiment and the name of "
+                "another",
                 hint=f"write id:{key} or {next(iter(found.values()))}",
             )
         if len(found) > 1:
@@ -236,10 +236,8 @@ class Store:
             keys = connection.execute(wanted.order_by(table.c.id.desc()).limit(MAX_NAMES)).all()
         known = {name: f"{dataset}/{name}" for dataset, name in keys}
         known |= {whole: whole for whole in known.values()}
-        close = difflib.get_close_matches(key, known, n=1)
-        if not close:
-            return None
-        return f"did you mean {known[close[0]]!r}? fixel list shows what there is"
+        meant = closest(key, known)
+        return meant and f"did you mean {known[meant]!r}? fixel list shows all experiments"
 
     def _has(self, experiment_id: int) -> bool:
         with reading(self._engine) as connection:
@@ -642,4 +640,4 @@ def _flag_row(experiment_id: int, flag: Flag) -> dict[str, Any]:
 
 
 def _absent(what: str, hint: str | None = None) -> NotStored:
-    return NotStored(what, hint=hint or "see what there is with: fixel list")
+    return NotStored(what, hint=hint or "fixel list shows all experiments")

@@ -12,10 +12,10 @@ import sqlalchemy as sa
 from fixel.database import arrays, rows, tables
 from fixel.errors import FixelError, StoreRefused
 
-RESTORE: Final = "put a backup in place of experiments.db: one made with: fixel db backup"
+RESTORE: Final = "replace experiments.db with a backup, which fixel db backup wrote"
 ADVICE: Final = "copy the experiments into a new project with: fixel export"
 UNREADABLE: Final = (ValueError, TypeError, KeyError, AttributeError, StopIteration)
-CHANGED: Final = "has changed: its checksum is another"
+CHANGED: Final = "has changed: its checksum differs"
 
 
 class Trouble(NamedTuple):
@@ -78,7 +78,7 @@ def _index(columns: list[str]) -> str:
 
 
 def _unique(columns: list[str]) -> str:
-    return f"{', '.join(sorted(columns))} may be there twice"
+    return f"{', '.join(sorted(columns))} may be duplicated"
 
 
 def _triggers(connection: sa.Connection) -> Mapping[str, str]:
@@ -91,14 +91,14 @@ def _triggers(connection: sa.Connection) -> Mapping[str, str]:
 
 
 def _trigger_faults(table: sa.Table, triggers: Mapping[str, str]) -> Iterator[str]:
-    deeds = {"frozen": ("BEFORE UPDATE", "change"), "kept": ("BEFORE DELETE", "delete")}
+    deeds = {"frozen": ("BEFORE UPDATE", "changes"), "kept": ("BEFORE DELETE", "deletion")}
     for name, (words, verb) in deeds.items():
         text = triggers.get(f"{table.name}_{name}", "")
         frozen = [c.name for c in table.columns if c.name != "deleted_at_utc"]
         whole = name == "kept" or all(column in text for column in frozen)
         refuses = "RAISE(ABORT" in text or "fixel_refuse" in text
         if words not in text or " WHEN " in text or not refuses or not whole:
-            yield f"nothing refuses to {verb} its rows"
+            yield f"its rows are not protected: the trigger against {verb} is missing"
 
 
 # --- records --------------------------------------------------------------------------------------
@@ -146,7 +146,7 @@ def _experiment(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str
     content = row._asdict()
     derived = rows.path_columns(rows.trajectory_of(paths[0]))
     if any(content[name] != value for name, value in derived.items()):
-        return "its duration, start or end is not that of its path"
+        return "its duration, start or end differs from its trajectory"
     flags = [list(one) for one in imported]
     if rows.content_digest(content | derived, flags, measured) != row.content_sha256:
         return CHANGED
@@ -160,7 +160,7 @@ def _geometries(connection: sa.Connection, row: sa.Row[Any]) -> str | None:
         (row.object_geometry_id, row.pusher_geometry_id), wanted, strict=True
     ):
         if (number is None) != (geometry is None):
-            return "a geometry of its scene is not stored, or is not of its scene"
+            return "a geometry of its scene is missing or belongs to another scene"
         if geometry is None:
             continue
         table = tables.geometry
@@ -169,7 +169,7 @@ def _geometries(connection: sa.Connection, row: sa.Row[Any]) -> str | None:
             return None  # a broken reference, which another check reports
         found = stored._asdict()
         if any(found[name] != value for name, value in geometry.items()):
-            return f"object_pusher_geometry {number} is not that of its scene"
+            return f"object_pusher_geometry {number} does not belong to its scene"
     return None
 
 
@@ -184,7 +184,7 @@ def _moved(connection: sa.Connection, row: sa.Row[Any], media: Path) -> str | No
         if columns == rows.PATH:
             rows.trajectory_of(values)  # raises if it is no path
         elif name in ("object", "pusher"):
-            return f"its path has the columns {', '.join(columns)}"
+            return f"its trajectory has the columns {', '.join(columns)}"
     return None
 
 
@@ -199,9 +199,9 @@ def _calibration(connection: sa.Connection, row: sa.Row[Any], media: Path) -> st
     wanted = (total / len(errors), total, max(errors))
     found = (row.mean_error_mm2, row.sum_error_mm2, row.max_error_mm2)
     if not all(math.isclose(a, b) for a, b in zip(found, wanted, strict=True)):
-        return "its errors are not those of its members"
+        return "its errors differ from those of its members"
     tried = arrays.read_all(connection, "calibration", row.id, media)
     if sum(len(values) for name, _, values in tried if name == "evaluations") != row.n_evaluation:
-        return "its evaluations are not whole"
+        return "its evaluations are incomplete"
     rows.estimates_of(row.estimates)
     return None

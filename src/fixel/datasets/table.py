@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections import Counter
@@ -17,7 +16,7 @@ from fixel.datasets.base import Importer, ImportPlan, Origin, remark
 from fixel.datasets.files import CsvRows, increasing, rate_of, read_table
 from fixel.datasets.own_scene import SceneChoice, with_scene
 from fixel.datasets.plausible import refuse_implausible
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
 from fixel.typing import FloatArray
 
@@ -222,13 +221,7 @@ def _common(sentences: Sequence[tuple[str, ...]], split_by: str) -> tuple[str, .
 def refuse_unknown_name(where: str, name: str, known: Iterable[str]) -> None:
     """Raise for a name that is not known, with the one that resembles it most."""
     if name not in (names := [*known]):
-        close = difflib.get_close_matches(name, names, n=1)
-        raise InvalidInput(
-            where,
-            found=repr(name),
-            expected="one of " + ", ".join(names[:MAX_NAMED]),
-            hint=f"did you mean {close[0]!r}?" if close else None,
-        )
+        raise unknown_name(where, name, names)
 
 
 def _text_option(name: str, value: object) -> str:
@@ -412,8 +405,8 @@ def _settle_unit(reading: _TableReading, role: str) -> None:
         lack = f"the unit {_name(column.unit)}"
     if given is not None:
         if given not in UNITS or UNITS[given].kind != kind:
-            known = ", ".join(name for name, unit in UNITS.items() if unit.kind == kind)
-            raise InvalidInput(f"option {kind}_unit", found=repr(given), expected=f"one of {known}")
+            known = (name for name, unit in UNITS.items() if unit.kind == kind)
+            raise unknown_name(f"option {kind}_unit", given, known)
         column.unit = UNITS[given]
         reading.remarks.append(f"{column.title} has {lack}: taken as {given}, as asked.")
         return

@@ -35,43 +35,52 @@ Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
 
 
 class LensRecord(FileRecord):
-    image_size_px: Size = Field(description="width, height [px]")
+    image_size_px: Size = Field(description="width and height of the pictures [px]")
     focal_px: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
         description="focal lengths along u, v [px]"
     )
-    centre_px: Point = Field(description="where the axis meets the sensor: u, v [px]")
-    skew: Number = Field(0.0, description="alpha_c of the MATLAB toolbox [-]")
+    centre_px: Point = Field(description="principal point: u, v [px]")
+    skew: Number = Field(0.0, description="skew: alpha_c of the MATLAB toolbox [-]")
     distortion: Annotated[list[Number], Field(max_length=8)] = Field(
-        [], description="k1 k2 p1 p2 k3 k4 k5 k6, or k1 to k4 with fisheye [-]"
+        [],
+        description="distortion coefficients k1 k2 p1 p2 k3 k4 k5 k6, or k1 to k4 with fisheye [-]",
     )
-    fisheye: bool = Field(False, description="equidistant model of Kannala and Brandt")
+    fisheye: bool = Field(
+        False, description="whether the lens has the equidistant model of Kannala and Brandt"
+    )
 
 
 class LookingRecord(FileRecord):
-    height_mm: Positive = Field(description="of the camera above the plate [mm]")
-    above_mm: Point = Field([0.0, 0.0], description="place of the world under it [mm]")
-    turned_deg: Number = Field(0.0, description="from world x to the picture's right [deg]")
-    tilted_deg: Point = Field([0.0, 0.0], description="axis down, right in the picture [deg]")
+    height_mm: Positive = Field(description="height of the camera above the plate [mm]")
+    above_mm: Point = Field([0.0, 0.0], description="world position below the camera [mm]")
+    turned_deg: Number = Field(0.0, description="angle from world x to the picture's right [deg]")
+    tilted_deg: Point = Field(
+        [0.0, 0.0], description="tilt of the optical axis, down and right in the picture [deg]"
+    )
 
 
 class MatrixRecord(FileRecord):
-    rotation: Matrix = Field(description="camera_from_world, x right, y down, z away")
-    translation_mm: Triple = Field(description="of the world's origin, in the camera's axes [mm]")
+    rotation: Matrix = Field(description="rotation camera_from_world: x right, y down, z away")
+    translation_mm: Triple = Field(description="world origin in camera axes [mm]")
 
 
 class PlaceRecord(FileRecord):
     """Pose of a camera, in exactly one form."""
 
-    looking: LookingRecord | None = Field(None, description="a camera that looks down")
-    matrix: MatrixRecord | None = Field(None, description="a rotation and a translation")
+    looking: LookingRecord | None = Field(None, description="pose of a camera that looks down")
+    matrix: MatrixRecord | None = Field(None, description="pose as rotation and translation")
 
 
 class MeasuredRecord(FileRecord):
-    names: list[str] = Field([], description="what was measured: fx, k1, tz, ...")
-    covariance: list[list[Number]] = Field([], description="of these [px, -, rad, m]")
-    noise_px: Positive | None = Field(None, description="of a corner along each axis [px]")
+    names: list[str] = Field([], description="names of the estimated parameters: fx, k1, tz, ...")
+    covariance: list[list[Number]] = Field(
+        [], description="covariance of these parameters [px, -, rad, m]"
+    )
+    noise_px: Positive | None = Field(
+        None, description="standard deviation of a corner along each axis [px]"
+    )
     seen: list[list[NonNegative]] = Field(
-        [], description="corners of boards by cell of the picture"
+        [], description="number of board corners by cell of the picture"
     )
 
 
@@ -79,10 +88,12 @@ class CameraRecord(FileRecord):
     """Content of a camera file."""
 
     fixel_camera: Literal[1] = Field(1, description="version of the format")
-    source: str = Field("", description="where it comes from, for people")
+    source: str = Field("", description="origin of the calibration, as text")
     lens: LensRecord
-    place: PlaceRecord | None = Field(None, description="above the plate; left out: not placed yet")
-    measured: MeasuredRecord | None = Field(None, description="what is known of its errors")
+    place: PlaceRecord | None = Field(
+        None, description="pose above the plate; missing until the camera is placed"
+    )
+    measured: MeasuredRecord | None = Field(None, description="uncertainty of the calibration")
 
 
 def load_camera(path: str | Path) -> MeasuredCamera:
@@ -99,7 +110,7 @@ def load_camera(path: str | Path) -> MeasuredCamera:
             str(path),
             found="no lens in it",
             expected="a camera file of fixel",
-            hint="run: fixel camera import FILE, for those of MATLAB, OpenCV, Kalibr and ROS",
+            hint="to import a file of MATLAB, OpenCV, Kalibr or ROS: fixel camera import FILE",
         )
     with within(str(path)):
         return camera_from_dict(raw)

@@ -105,7 +105,7 @@ def _kind_of(path: Path) -> str:
         raise InvalidInput(
             str(path),
             found="a camera file of fixel already",
-            expected="one of another program",
+            expected="a camera file of another program",
             hint=f"run: fixel camera check {path.name}",
         )
     if b"opencv-matrix" in head or b"<opencv_storage" in head:
@@ -116,9 +116,9 @@ def _kind_of(path: Path) -> str:
         return "ros"
     raise InvalidInput(
         str(path),
-        found="a file of no known format",
+        found="a file of unknown format",
         expected="Calib_Results.m or .mat, an OpenCV storage, a Kalibr camchain or a ROS camera",
-        hint="name it: --format " + " | ".join(FORMATS),
+        hint="choose the format with --format " + " | ".join(FORMATS),
     )
 
 
@@ -128,7 +128,7 @@ def _head(path: Path) -> bytes:
             raise InvalidInput(str(path), found="no such file", expected="a camera file")
         if path.stat().st_size > MAX_BYTES:
             raise InvalidInput(
-                str(path), found="a file of more than 10 MB", expected="a camera file: some kB"
+                str(path), found="a file larger than 10 MB", expected="a camera file of some kB"
             )
         return path.read_bytes()
     except OSError as problem:
@@ -148,7 +148,7 @@ def _kalibr(path: Path, which: str) -> Lens:
             "camera",
             found=repr(which) if which else f"{len(cameras)} cameras",
             expected="one of " + ", ".join(cameras) if cameras else "cam0 with its intrinsics",
-            hint="name one: --which cam0" if len(cameras) > 1 else None,
+            hint="choose one: --which cam0" if len(cameras) > 1 else None,
         )
     name = which or next(iter(cameras))
     with within(name):
@@ -160,7 +160,7 @@ def _kalibr_lens(one: dict[str, Any]) -> Lens:
         raise InvalidInput(
             "camera_model",
             found=repr(one.get("camera_model")),
-            expected="pinhole: fixel has no others",
+            expected="pinhole, the only model that fixel reads",
             hint="calibrate again with --models pinhole-radtan or pinhole-equi",
         )
     model = one.get("distortion_model")
@@ -228,9 +228,9 @@ def _refuse_cropped(raw: dict[str, Any]) -> None:
     if cropped or binned:
         raise InvalidInput(
             "roi" if cropped else "binning_x",
-            found="a cropped picture" if cropped else "pixels taken together",
+            found="a cropped picture" if cropped else "binned pixels",
             expected="the calibration of whole pictures",
-            hint="calibrate at the size at which experiments are filmed",
+            hint="calibrate at the picture size of the experiments",
         )
 
 

@@ -34,8 +34,8 @@ def matlab_camera(path: Path, data: bytes, unit: float) -> tuple[MeasuredCamera,
     remarks = []
     if names:
         remarks.append(
-            "errors of the lens are those of the file, which does not say how they depend on each "
-            "other: taken as independent"
+            "standard deviations of the lens are those of the file; it has no correlations, so "
+            "they are assumed independent"
         )
     camera, remark = _camera(found, lens, unit)
     measured = MeasuredCamera(
@@ -95,7 +95,7 @@ def _noise(found: Variables) -> float | None:
 
 def _camera(found: Variables, lens: Lens, unit: float) -> tuple[Camera | None, tuple[str, ...]]:
     if "Tc_ext" not in found or not {"omc_ext", "Rc_ext"} & set(found):
-        return None, ("no plane in the file (Tc_ext): place the camera next",)
+        return None, ("the file has no plane (Tc_ext): place the camera with fixel camera place",)
     rotation = (
         turned(np.eye(3), _row(found, "omc_ext", 3))
         if "omc_ext" in found
@@ -107,13 +107,13 @@ def _camera(found: Variables, lens: Lens, unit: float) -> tuple[Camera | None, t
         raise InvalidInput(
             "Tc_ext",
             found=f"a plane {away:g} m from the camera",
-            expected="one from 1 cm to 100 m away",
-            hint="which unit has the file? --unit mm, cm or m",
+            expected="a plane at 1 cm to 100 m",
+            hint="choose the unit of the file: --unit mm, cm or m",
         )
     camera, round_ = placed_above(lens, rotation, translation)
     remark = (
-        "the file's z axis pointed away from the camera: the world's y is that of the file turned "
-        "round"
+        "the z axis of the file points away from the camera, so the y axis of the world is that "
+        "of the file reversed"
     )
     return camera, (remark,) if round_ else ()
 
@@ -148,13 +148,13 @@ def _of_mat(data: bytes) -> Variables:
         raise InvalidInput(
             "file",
             found="MATLAB's format of version 7.3",
-            expected="an older one",
+            expected="an older version",
             hint="in MATLAB: save('Calib_Results_v7.mat', '-v7')",
         ) from None
     except Exception as problem:
         # scipy lets any error of its parser pass: TypeError, zlib.error, MemoryError, ...
         raise InvalidInput(
-            "file", found=f"what scipy cannot read ({problem})", expected="a MATLAB file"
+            "file", found=f"a file that scipy cannot read ({problem})", expected="a MATLAB file"
         ) from None
     return {
         name: np.asarray(value, dtype=np.float64)

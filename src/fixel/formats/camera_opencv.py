@@ -57,8 +57,8 @@ def lens_of(
         raise InvalidInput(
             "camera_matrix",
             found=f"a skew of {k[0, 1]:g} px",
-            expected="0: OpenCV does not heed it when it projects",
-            hint="write 0 there if the coefficients come from OpenCV or ROS",
+            expected="0: OpenCV ignores skew in projections",
+            hint="set it to 0 if the coefficients come from OpenCV or ROS",
         )
     lens = Lens(
         image_size=size,
@@ -80,8 +80,8 @@ def check_plausible(lens: Lens) -> None:
         raise InvalidInput(
             "centre",
             found=f"({u:.0f}, {v:.0f}) px in pictures of {width} x {height} px",
-            expected="a place in the picture",
-            hint="are these the numbers of another resolution?",
+            expected="a point in the picture",
+            hint="check whether the values belong to another resolution",
         )
     if not 0.1 < lens.focal[0] / lens.focal[1] < 10.0:
         raise InvalidInput(
@@ -115,11 +115,13 @@ def opencv_camera(path: Path, size: tuple[int, int] | None) -> MeasuredCamera:
             storage.release()
     except cv2.error as problem:
         raise InvalidInput(
-            "file", found=f"what OpenCV cannot read ({problem.err})", expected="its storage"
+            "file",
+            found=f"a file that OpenCV cannot read ({problem.err})",
+            expected="an OpenCV storage",
         ) from None
     except SystemError:  # raised by its bindings when the parser fails
         raise InvalidInput(
-            "file", found="what OpenCV cannot read", expected="its storage"
+            "file", found="a file that OpenCV cannot read", expected="an OpenCV storage"
         ) from None
 
 
@@ -179,7 +181,7 @@ def _read(storage: Any, size: tuple[int, int] | None) -> MeasuredCamera:
             "image_width",
             found=None,
             expected="the size of the pictures it was calibrated with",
-            hint="say it: --size 1280x720",
+            hint="give it with --size, such as --size 1280x720",
         )
     fisheye = bool(_number(storage, ("fisheye_model", "fisheye")))
     return MeasuredCamera(lens=lens_of(said, matrix, distortion, fisheye=fisheye))
@@ -221,8 +223,8 @@ def _refuse_skew(lens: Lens) -> None:
         raise InvalidInput(
             "lens.skew",
             found=f"a skew of {lens.skew:g}",
-            expected="none: OpenCV and ROS do not heed it when they project",
-            hint=f"pixels at the edge would be {abs(width):.2f} px wrong",
+            expected="no skew: OpenCV and ROS ignore it in projections",
+            hint=f"positions at the edge would be {abs(width):.2f} px wrong",
         )
 
 

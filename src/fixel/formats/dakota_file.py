@@ -9,14 +9,13 @@ defaults; appendix C.7 of the thesis (RPI).
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from fixel.calibration.pattern_search import PatternSearch
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, did_you_mean, unknown_name
 from fixel.model.parameters import KNOWN_PARAMETERS, is_parameter
 from fixel.model.space import ParameterSpace, Unknown
 
@@ -275,22 +274,21 @@ class _Tokens:
             if self.peek().text == "*":
                 self.take()
                 if not (value.is_integer() and 0 < value <= 1000 and self.peek().kind == "number"):
-                    raise self.refused(token, "a count before *, a number behind it")
+                    raise self.refused(token, "a count before * and a number after it")
                 value, count = float(self.take().text), int(value)
             found.extend([value] * count)
         if self.peek().kind == "endless":
-            raise self.refused(self.peek(), "a finite number: fixel searches within bounds")
+            raise self.refused(self.peek(), "a finite number, since fixel searches within bounds")
         return found
 
     def refused(
         self, token: _Token, expected: str, names: tuple[str, ...] | list[str] = ()
     ) -> InvalidInput:
-        close = difflib.get_close_matches(token.text.lower(), names, n=1)
         return InvalidInput(
             f"{self._where}, line {token.line}",
             found=token.text if token.kind else "the end of the file",
             expected=expected,
-            hint=f"did you mean {close[0]}?" if close else None,
+            hint=did_you_mean(token.text, names),
         )
 
 
@@ -322,7 +320,7 @@ def _optimiser(block: _Block, notes: list[str]) -> PatternSearch:
         )
     left_out = [f"{k} {v:g}" for k, v in _DEFAULTS.items() if k not in given]
     if left_out:
-        notes.append("left out, so as Dakota has it: " + ", ".join(left_out))
+        notes.append("missing, so defaults of Dakota are used: " + ", ".join(left_out))
     values = {**_DEFAULTS, **given}
     try:
         return PatternSearch(
@@ -347,7 +345,7 @@ def _space(block: _Block) -> ParameterSpace:
             raise InvalidInput(
                 block.at(keyword),
                 found=f"{len(column)} after {keyword}",
-                expected=f"{count}, as many as continuous_design says",
+                expected=f"{count}, the number given by continuous_design",
             )
         columns.append(column)
     unknowns = []
@@ -368,11 +366,4 @@ def _name(descriptor: str, where: str) -> tuple[str, float]:
         return DESCRIPTORS[descriptor]
     if is_parameter(descriptor):
         return descriptor, 1.0
-    names = [*DESCRIPTORS, *KNOWN_PARAMETERS]
-    close = difflib.get_close_matches(descriptor, names, n=1)
-    raise InvalidInput(
-        where,
-        found=repr(descriptor),
-        expected="one of " + ", ".join(names),
-        hint=f"did you mean {close[0]!r}?" if close else None,
-    )
+    raise unknown_name(where, descriptor, [*DESCRIPTORS, *KNOWN_PARAMETERS])

@@ -141,7 +141,7 @@ def refuse_folder(folder: Path) -> None:
     if folder.exists():
         if not folder.is_dir() or any(folder.iterdir()):
             raise InvalidInput(
-                str(folder), found="something there already", expected="a new or an empty folder"
+                str(folder), found="an existing file or folder", expected="a new or empty folder"
             )
     else:
         refuse_unwritable(folder)

@@ -111,9 +111,9 @@ def _fast(data: bytes, slow: Callable[..., Picture], mode: str, where: str) -> P
     except cv2.error as problem:
         raise _spoilt(where, problem) from None
     if whole is None:
-        raise _spoilt(where, "no picture in it")
+        raise _spoilt(where, "no picture")
     return np.asarray(whole, dtype=np.uint8)
 
 
 def _spoilt(where: str, problem: object) -> InvalidInput:
-    return InvalidInput(where, found=f"spoilt JPEG data ({problem})", expected="JPEG")
+    return InvalidInput(where, found=f"damaged JPEG data ({problem})", expected="JPEG")

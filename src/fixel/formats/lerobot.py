@@ -260,7 +260,7 @@ def _card(found: _Dataset, name: str, rights: Mapping[str, Any]) -> str:
     sources = []
     for source, count in sorted(found.sources.items()):
         licence, citation = rights.get(source, ("", ""))
-        says = f"licence: {licence or 'not stated: ask those who recorded it'}"
+        says = f"licence: {licence or 'not stated; contact the authors of the data'}"
         sources.append(
             f"- `{source}`, {count} episodes; {says}" + f"; cite: {citation}" * (citation != "")
         )
@@ -282,7 +282,8 @@ def _card(found: _Dataset, name: str, rights: Mapping[str, Any]) -> str:
             f"{n} episodes of planar pushing, {found.frames} frames at {found.fps} Hz,",
             f"**{found.real} measured and {n - found.real} simulated**: each frame has `is_real`.",
             "",
-            "Exported by fixel in the LeRobot layout, version 3.0. Paths are sampled anew at an",
+            "Exported by fixel in the LeRobot layout, version 3.0. Trajectories are resampled at "
+            "an",
             "even rate, linearly. State: poses of object and pusher in metres and radians, NaN",
             "where the pusher was not measured; action: the pusher's pose a frame later. Tactile",
             "and force signals, scenes and conditions are in `fixel export PROJECT FILE.zip`.",

@@ -50,16 +50,18 @@ Bounds = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
 class RegularRecord(FileRecord):
-    sides: int = Field(description="how many")
+    sides: int = Field(description="number of sides")
     side: Positive = Field(description="length of a side [m]")
 
 
 class OutlineRecord(FileRecord):
     """Outline of a head or an object, in exactly one form."""
 
-    polygon: list[Point] | None = Field(None, description="corners x, y [m]")
-    disk: Positive | None = Field(None, description="radius [m]")
-    regular: RegularRecord | None = Field(None, description="regular polygon, a side facing -x")
+    polygon: list[Point] | None = Field(None, description="corners x, y of a polygon [m]")
+    disk: Positive | None = Field(None, description="radius of a disk [m]")
+    regular: RegularRecord | None = Field(
+        None, description="regular polygon with one side facing -x"
+    )
 
 
 class RestRecord(FileRecord):
@@ -67,72 +69,76 @@ class RestRecord(FileRecord):
 
     tripod: TripodRecord | None = Field(None, description="three points about the centre of mass")
     points: PointsRecord | None = Field(None, description="support at given points")
-    uniform: UniformRecord | None = Field(None, description="even pressure over the footprint")
+    uniform: UniformRecord | None = Field(None, description="uniform pressure over the footprint")
     none: NoneRecord | None = Field(None, description="no friction with the plane")
 
 
 class HeadRecord(FileRecord):
     shape: OutlineRecord
-    speed: Positive = Field(description="[m/s]")
-    travel: Positive = Field(description="[m]")
-    force_limit: Positive | None = Field(None, description="at which the drive stalls [N]")
-    friction: NonNegative = Field(description="coefficient against the object")
+    speed: Positive = Field(description="speed of the head [m/s]")
+    travel: Positive = Field(description="distance after which the head stops [m]")
+    force_limit: Positive | None = Field(None, description="force at which the drive stalls [N]")
+    friction: NonNegative = Field(description="friction coefficient against the object")
 
 
 class FixelsRecord(FileRecord):
-    radius: Positive = Field(description="of each [m]")
-    friction: NonNegative = Field(description="coefficient against the object")
-    zone_side: Positive = Field(description="of the square zone they stand in [m]")
+    radius: Positive = Field(description="radius of each fixel [m]")
+    friction: NonNegative = Field(description="friction coefficient against the object")
+    zone_side: Positive = Field(description="side of the square zone of the fixels [m]")
 
 
 class NominalPoseRecord(FileRecord):
-    gap: Number = Field(description="from head to object along the motion [m]")
-    angle: Number = Field(0.0, description="of the object [rad]")
+    gap: Number = Field(description="gap between head and object along the motion [m]")
+    angle: Number = Field(0.0, description="angle of the object [rad]")
 
 
 class PlanShapeRecord(FileRecord):
     name: str
     shape: OutlineRecord
-    mass: Positive = Field(description="[kg]")
-    support: RestRecord | None = Field(None, description="how the object rests on the plane")
-    zone_start: Number = Field(description="from the head's start to the fixel zone [m]")
+    mass: Positive = Field(description="mass of the object [kg]")
+    support: RestRecord | None = Field(None, description="support of the object on the plane")
+    zone_start: Number = Field(
+        description="distance from the start of the head to the fixel zone [m]"
+    )
 
 
 class LayoutRecord(FileRecord):
     name: str
-    pegs: list[Point] = Field(description="u, v in the unit square of the zone, from 0 to 1")
-    number: int | None = Field(None, description="by which a publication calls it")
+    pegs: list[Point] = Field(
+        description="positions u, v of the fixels in the unit square of the zone"
+    )
+    number: int | None = Field(None, description="number of the layout in a publication")
 
 
 class AxisRecord(FileRecord):
     name: Literal["x", "y", "theta"]
-    step: Positive = Field(description="[m], or [rad] for theta")
-    first: int = Field(description="count of the first step, may be negative")
-    last: int = Field(description="count of the last step")
+    step: Positive = Field(description="length of a step [m], or [rad] for theta")
+    first: int = Field(description="number of the first step, may be negative")
+    last: int = Field(description="number of the last step")
 
 
 class GridRecord(FileRecord):
-    x: Values = Field([0.0], description="[m]")
-    y: Values = Field([0.0], description="[m]")
-    theta: Values = Field([0.0], description="[rad]")
+    x: Values = Field([0.0], description="offsets along x [m]")
+    y: Values = Field([0.0], description="offsets along y [m]")
+    theta: Values = Field([0.0], description="offsets of the angle [rad]")
 
 
 class SampleRecord(FileRecord):
     method: Literal["sobol", "halton", "uniform"] = "sobol"
-    count: int = Field(description="of points")
-    seed: int = Field(0, description="of the scrambling or the random numbers")
-    x: Bounds = Field([0.0, 0.0], description="least, largest [m]")
-    y: Bounds = Field([0.0, 0.0], description="least, largest [m]")
-    theta: Bounds = Field([0.0, 0.0], description="least, largest [rad]")
+    count: int = Field(description="number of points")
+    seed: int = Field(0, description="seed of the random number generator")
+    x: Bounds = Field([0.0, 0.0], description="smallest and largest offset along x [m]")
+    y: Bounds = Field([0.0, 0.0], description="smallest and largest offset along y [m]")
+    theta: Bounds = Field([0.0, 0.0], description="smallest and largest offset of the angle [rad]")
 
 
 class OffsetsRecord(FileRecord):
     """Scheme of offsets from the nominal pose, in exactly one form."""
 
-    nominal: NoneRecord | None = Field(None, description="the nominal pose: {}")
+    nominal: NoneRecord | None = Field(None, description="nominal pose: {}")
     axis: AxisRecord | None = Field(None, description="steps along one axis, without step 0")
-    grid: GridRecord | None = Field(None, description="every combination of values")
-    list: Rows | None = Field(None, description="x [m], y [m], theta [rad]")
+    grid: GridRecord | None = Field(None, description="all combinations of values")
+    list: Rows | None = Field(None, description="offsets x [m], y [m], theta [rad]")
     sample: SampleRecord | None = Field(None, description="points that fill a box")
 
 
@@ -141,13 +147,17 @@ class PlanRecord(FileRecord):
 
     fixel_plan: Literal[1] = Field(description="version of the format")
     name: str
-    head: HeadRecord = Field(description="starts at the origin, moves along +x")
+    head: HeadRecord = Field(
+        description="head of the pusher, which starts at the origin and moves along +x"
+    )
     fixels: FixelsRecord
-    nominal: NominalPoseRecord = Field(description="pose from which offsets count")
+    nominal: NominalPoseRecord = Field(description="pose to which offsets are added")
     shapes: list[PlanShapeRecord] = Field(description="objects")
-    layouts: list[LayoutRecord] = Field(description="of the fixels")
-    offsets: list[OffsetsRecord] = Field(description="of the object, one scheme after the other")
-    repetitions: int = Field(1, description="runs of every configuration")
+    layouts: list[LayoutRecord] = Field(description="layouts of the fixels")
+    offsets: list[OffsetsRecord] = Field(
+        description="schemes of offsets of the object, performed in this order"
+    )
+    repetitions: int = Field(1, description="number of runs of each configuration")
 
 
 def load_plan(path: str | Path) -> Plan:
@@ -290,8 +300,8 @@ def _support_content(shape: PlannedShape) -> Any:
         raise InvalidInput(
             f"shape {shape.name!r}.support",
             found="a Ellipsoid",
-            expected="a Tripod, SupportPoints, UniformPressure or NoSupport: plan files have no "
-            "others",
+            expected="a Tripod, SupportPoints, UniformPressure or NoSupport, the supports of "
+            "plan files",
         )
     content = plain_content(support)
     if isinstance(support, Tripod) and not support.angle:

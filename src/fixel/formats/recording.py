@@ -161,7 +161,7 @@ def open_recording(folder: str | Path) -> Recording:
         raise InvalidInput(
             str(folder / ROWS),
             found=f"{len(check.rows.rows)} rows",
-            expected=f"{end.frames}, as {END} says",
+            expected=f"{end.frames} rows, as in {END}",
         )
     reading_us = np.array([row.reading_time_us for row in rows], dtype=np.float64)
     return Recording(
@@ -201,7 +201,7 @@ def repair_recording(folder: str | Path) -> Recording:
         ) from None
     if not recording.complete:
         before = recording.end
-        reason = before.reason if before else f"cut off at t = {last.time_us / MICRO:.3f} s"
+        reason = before.reason if before else f"interrupted at t = {last.time_us / MICRO:.3f} s"
         write_end(
             folder,
             RecordingEnd(
@@ -227,7 +227,7 @@ def _checked(folder: Path) -> _Agreement:
     if strangers > 1 or (strangers == 1 and seen > len(rows.rows)):
         raise InvalidInput(
             f"{folder / VIDEO}, frame {matched}",
-            found="a picture that is not the one its row describes",
+            found="a picture that does not match its row",
             expected=f"the pictures that {ROWS} was written with",
             hint="frames and readings can no longer be paired without guessing",
         )
@@ -258,9 +258,9 @@ def _broken_off(check: _Agreement, end: RecordingEnd | None) -> Iterator[str]:
     n, n_rows = check.matched, len(check.rows.rows)
     seconds = check.rows.rows[n - 1].time_us / MICRO
     if end is None:
-        yield f"cut off at t = {seconds:.3f} s: no mark of a good end"
+        yield f"interrupted at t = {seconds:.3f} s: no mark of a good end"
     elif end.frames > n:
-        yield (f"cut off at t = {seconds:.3f} s: {n} of {end.frames} frames are left")
+        yield (f"interrupted at t = {seconds:.3f} s: {n} of {end.frames} frames are left")
     if check.rows.torn:
         yield f"the last row of {ROWS} is torn; left out"
     if n_rows > n:

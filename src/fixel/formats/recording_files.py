@@ -255,7 +255,9 @@ def read_rows(path: Path) -> RecordingRows:
         raise InvalidInput(str(path), found=reason, expected="the rows of a recording") from None
     if not lines or lines[0] != HEAD.encode("ascii"):
         found = (
-            "another first line" if lines and lines[0].endswith(b"\n") else "no whole first line"
+            "an unexpected first line"
+            if lines and lines[0].endswith(b"\n")
+            else "an incomplete first line"
         )
         raise InvalidInput(str(path), found=found, expected=HEAD.strip())
     rows: list[RecordingRow] = []
@@ -271,8 +273,8 @@ def read_rows(path: Path) -> RecordingRows:
         if broken:
             raise InvalidInput(
                 f"{path}, line {broken}",
-                found="a damaged row before rows that are whole",
-                expected="rows as they were written",
+                found="a damaged row before valid rows",
+                expected="rows of a recording",
                 hint="frames and readings can no longer be paired without guessing",
             )
         _refuse_disorder(path, number, row, rows)

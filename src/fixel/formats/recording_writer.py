@@ -100,8 +100,8 @@ class RecordingWriter:
         if self.header.codec == "as-it-comes":
             raise InvalidInput(
                 "recording.codec",
-                found="a picture that was decoded",
-                expected="JPEG as it comes; near or exact take pictures",
+                found="a decoded picture",
+                expected="JPEG data; the codecs near and exact take pictures",
             )
         if frame.picture.shape != (height, width, 3) or frame.picture.dtype.name != "uint8":
             raise InvalidInput(
@@ -123,7 +123,9 @@ class RecordingWriter:
     ) -> None:
         """Append an unchanged JPEG picture and its tactile reading; see `write`."""
         if self.header.codec == "exact":
-            raise InvalidInput("recording.codec", found="exact", expected="as-it-comes for JPEG")
+            raise InvalidInput(
+                "recording.codec", found="exact", expected="the codec as-it-comes for JPEG"
+            )
         if not jpeg:  # the video would omit it, and its row would have no picture
             raise InvalidInput(f"frame {self.frames}", found="no bytes", expected="a JPEG picture")
         time_us = self._micro(time)
@@ -187,13 +189,13 @@ class RecordingWriter:
             raise InvalidInput(
                 f"frame {self.frames}",
                 found=f"time {time} s after {self.seconds:.6f} s",
-                expected="times that increase, from 0 on",
+                expected="increasing times from 0",
             )
         return micro
 
     def _check_reading(self, reading: int | None) -> None:
         if reading is not None and not 0 <= reading <= MAX_READING:
-            raise InvalidInput(f"frame {self.frames}", found=reading, expected="a byte, or None")
+            raise InvalidInput(f"frame {self.frames}", found=reading, expected="a byte or None")
 
     def _let_go(self) -> None:
         self._closed = True
@@ -209,14 +211,12 @@ class RecordingWriter:
 def _make(folder: Path) -> None:
     """Create a folder; raise if it exists already."""
     if (folder / HEADER).exists():
-        raise InvalidInput(
-            str(folder), found="a recording", expected="a folder that is not there yet"
-        )
+        raise InvalidInput(str(folder), found="a recording", expected="a new folder")
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
         raise InvalidInput(
-            str(folder), found="something there already", expected="a folder that is not there yet"
+            str(folder), found="an existing file or folder", expected="a new folder"
         ) from None
     except OSError as problem:
         raise _refusal(folder, problem) from None
@@ -225,5 +225,5 @@ def _make(folder: Path) -> None:
 def _refusal(folder: Path, problem: OSError) -> InvalidInput:
     reason = os_reason(problem)
     return InvalidInput(
-        str(folder), found=reason, expected="a folder that can be made and written to"
+        str(folder), found=reason, expected="a folder that can be created and written to"
     )

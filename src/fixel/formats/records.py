@@ -5,7 +5,6 @@ A record contains only what a text editor could check; everything else is checke
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -15,7 +14,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, did_you_mean
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -192,12 +191,11 @@ def unknown_key(root: type[FileRecord], path: KeyPath) -> InvalidInput:
     """Error for a path whose last key the record there does not have."""
     record = record_at(root, path[:-1])
     known = list(record.model_fields) if record else []
-    close = difflib.get_close_matches(str(path[-1]), known, n=1)
     return InvalidInput(
         written(path),
         found="an unknown key",
         expected="one of " + ", ".join(known) if known else "no keys here",
-        hint=f"did you mean {close[0]!r}?" if close else None,
+        hint=did_you_mean(path[-1], known),
     )
 
 

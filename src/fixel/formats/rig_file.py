@@ -36,45 +36,47 @@ EXAMPLES = ("thesis-tags", "thesis-stickers", "microscope")
 
 
 class TagRecord(FileRecord):
-    id: int = Field(ge=0, description="which of its family")
+    id: int = Field(ge=0, description="number of the tag in its family")
     size_mm: Positive = Field(description="side of the black square [mm]")
-    pose_mm_deg: Triple = Field([0.0] * 3, description="of its middle: x, y [mm], angle [deg]")
-    height_mm: NonNegative = Field(description="of its upper face above the plate [mm]")
-    family: str = Field(FAMILIES[0], description=", ".join(FAMILIES))
+    pose_mm_deg: Triple = Field([0.0] * 3, description="pose of the centre: x, y [mm], angle [deg]")
+    height_mm: NonNegative = Field(description="height of the upper face above the plate [mm]")
+    family: str = Field(FAMILIES[0], description=f"family of the tag: {', '.join(FAMILIES)}")
 
 
 class StickerRecord(FileRecord):
-    colour: str = Field(description=", ".join(COLOURS))
-    diameter_mm: Positive = Field(description="[mm]")
-    place_mm: Point = Field(description="of its middle: x, y [mm]")
-    height_mm: NonNegative = Field(description="of its upper face above the plate [mm]")
+    colour: str = Field(description=f"colour of the sticker: {', '.join(COLOURS)}")
+    diameter_mm: Positive = Field(description="diameter [mm]")
+    place_mm: Point = Field(description="position of the centre: x, y [mm]")
+    height_mm: NonNegative = Field(description="height of the upper face above the plate [mm]")
 
 
 class PartRecord(FileRecord):
-    height_mm: Positive = Field(description="of its upper face above the plate [mm]")
-    tags: list[TagRecord] = Field([], description="in the frame of the part")
-    stickers: list[StickerRecord] = Field([], description="in the frame of the part")
+    height_mm: Positive = Field(description="height of the upper face above the plate [mm]")
+    tags: list[TagRecord] = Field([], description="tags, in the frame of the part")
+    stickers: list[StickerRecord] = Field([], description="stickers, in the frame of the part")
 
 
 class PlacementRecord(FileRecord):
-    position_mm: Positive = Field(1.0, description="[mm]")
-    angle_deg: Positive = Field(1.0, description="[deg]")
+    position_mm: Positive = Field(1.0, description="allowed position error [mm]")
+    angle_deg: Positive = Field(1.0, description="allowed angle error [deg]")
 
 
 class RigRecord(FileRecord):
     """Content of a rig file."""
 
     fixel_rig: Literal[1] = Field(description="version of the format")
-    name: str = Field(description="of the bench")
-    camera: Any = Field(description="a camera, or the name of a camera file beside this one")
-    parts: dict[str, PartRecord] = Field({}, description="by the names of body and pusher")
-    plate: list[TagRecord] = Field([], description="tags on the plate, at poses of the world")
-    fixel_height_mm: Positive = Field(51.08, description="of the fixels above the plate [mm]")
+    name: str = Field(description="name of the bench")
+    camera: Any = Field(description="camera, or name of a camera file next to this file")
+    parts: dict[str, PartRecord] = Field({}, description="parts by the names of body and pusher")
+    plate: list[TagRecord] = Field([], description="tags on the plate, at poses in the world")
+    fixel_height_mm: Positive = Field(
+        51.08, description="height of the fixels above the plate [mm]"
+    )
     tactile_bits: list[str] = Field(
-        list(THESIS_BITS), description="fixel of each bit, lowest first"
+        list(THESIS_BITS), description="name of the fixel of each bit, lowest first"
     )
     placement: PlacementRecord = Field(
-        PlacementRecord(position_mm=1.0, angle_deg=1.0), description="how well to place parts"
+        PlacementRecord(position_mm=1.0, angle_deg=1.0), description="tolerance for placing parts"
     )
 
 
@@ -164,7 +166,7 @@ def save_rig(rig: Rig, path: str | Path) -> None:
 def _camera(raw: Any, folder: Path | None) -> MeasuredCamera:
     if not isinstance(raw, str | dict):
         raise InvalidInput(
-            "camera", found=raw, expected="a lens and a place, or the name of a camera file"
+            "camera", found=raw, expected="a lens and a pose, or the name of a camera file"
         )
     with within("camera", "camera."):
         if isinstance(raw, dict):

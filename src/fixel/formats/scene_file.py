@@ -146,9 +146,7 @@ def apply_override(raw: Any, override: str) -> None:
     """
     text, equals, value = override.partition("=")
     if not equals or not text.strip():
-        raise InvalidInput(
-            f"--set {override}", found="no path and value", expected="path.to.key=value"
-        )
+        raise InvalidInput(f"--set {override}", found="no PATH=VALUE", expected="path.to.key=value")
     segments = re.sub(r"\[(\d+)\]", r".\1", text.strip()).split(".")
     container = raw
     path: KeyPath = ()
@@ -172,7 +170,7 @@ def _key(container: Any, segment: str, path: KeyPath) -> str | int:
         there = ", ".join(str(name) for name in names if name is not None)
         raise InvalidInput(
             f"{written(path)}.{segment}",
-            found="no such entry",
+            found="no such index",
             expected=f"a number below {len(container)}" + (f", or one of {there}" if there else ""),
         )
     if isinstance(container, dict):
@@ -183,7 +181,7 @@ def _key(container: Any, segment: str, path: KeyPath) -> str | int:
     raise InvalidInput(
         ".".join((written(path), segment)).removeprefix("."),
         found=f"{container!r} at {written(path) or 'the top'}",
-        expected="a list or keys there",
+        expected="a list or a mapping",
     )
 
 

@@ -178,7 +178,9 @@ def _drive(record: schema.DriveRecord, path: str) -> Drive:
     for key in ("speed", "travel"):
         if form == "waypoints" and key in given:
             raise InvalidInput(
-                f"{path}.drive.{key}", found=f"a {key} besides waypoints", expected="only waypoints"
+                f"{path}.drive.{key}",
+                found=f"a {key} in addition to waypoints",
+                expected="only waypoints",
             )
     with within(path):
         if form == "waypoints":

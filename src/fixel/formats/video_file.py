@@ -112,13 +112,14 @@ def open_video(path: str | Path, *, threads: int = 0) -> VideoFile:
     path = Path(path)
     with _opened(path) as container:
         if not container.streams.video:
-            raise InvalidInput(str(path), found="no pictures in it", expected="a video file")
+            raise InvalidInput(str(path), found="no pictures", expected="a video file")
         stream = container.streams.video[0]
         context = stream.codec_context
         if not context.width or not context.height:
             raise InvalidInput(
                 str(path),
-                found="a video stream without a size: the file ends before its first picture",
+                found="a video stream without a picture size, since the file ends before its "
+                "first picture",
                 expected="at least one whole picture",
             )
         return VideoFile(
@@ -197,7 +198,7 @@ class VideoWriter:
             raise InvalidInput(
                 str(self.path),
                 found=f"a frame at {frame.time:.6f} s after one at {self._last / TICKS:.6f} s",
-                expected="frames in order of time, from 0 s on",
+                expected="frames in order of time, from 0 s",
             )
         self._last = tick
         decoded = av.VideoFrame.from_ndarray(picture, format="bgr24")
@@ -246,16 +247,19 @@ class _StampReader:
                 where,
                 found="no time stamp",
                 expected="one for every frame",
-                hint="a raw stream has none: record into a container such as .mkv or .mp4",
+                hint="raw streams have no time stamps: record into a container such as .mkv or "
+                ".mp4",
             )
         instant = decoded.pts * Fraction(decoded.time_base)
         if self._last is not None and instant <= self._last:
-            how = "the time of the frame before" if instant == self._last else "time going back"
+            how = (
+                "the time of the previous frame" if instant == self._last else ("a decreasing time")
+            )
             raise InvalidInput(
                 where,
                 found=f"{how}: {float(instant):.6f} s after {float(self._last):.6f} s",
-                expected="time stamps that grow",
-                hint="the film was cut or joined wrongly; track its parts one by one",
+                expected="increasing time stamps",
+                hint="the film was cut or joined; track its parts one by one",
             )
         self._last = instant
         self.times.append(float(instant))
@@ -267,7 +271,7 @@ class _StampReader:
             return []
         usual = float(np.percentile(steps, 50.0, method="lower"))
         if usual < 1.0 / MAX_FRAMES_A_SECOND:
-            return [f"{1.0 / usual:.0f} frames a second: are these times in seconds?"]
+            return [f"{1.0 / usual:.0f} frames per second: are these times in seconds?"]
         odd = np.abs(steps - usual) > max(SAME_RATE * usual, ROUNDING)
         if not odd.any():
             return []
@@ -301,7 +305,7 @@ class _Spoilt:
         if self._last is None:
             raise InvalidInput(
                 str(video.path),
-                found="no picture that can be decoded",
+                found="no decodable picture",
                 expected="at least one whole frame",
             )
         found = []
@@ -311,7 +315,7 @@ class _Spoilt:
         if missing > 0 or self._since or short > 2.0 * usual > 0.0:
             of = f" of {video.n_frames}" if missing > 0 else ""
             found.append(
-                f"truncated: it ends after frame {len(times) - 1}{of}, at {times[-1]:.3f} s"
+                f"truncated: the file ends after frame {len(times) - 1}{of}, at {times[-1]:.3f} s"
             )
         middle = self.packets - self._since + len(self.frames)
         if middle:
@@ -365,11 +369,11 @@ def _opened(path: Path) -> Any:
         mp4 = path.suffix.lower() in (".mp4", ".mov")
         raise InvalidInput(
             str(path),
-            found="no index: the recording was cut off before it was finished"
+            found="no index, since the recording was interrupted"
             if mp4
             else f"not a video ({problem.strerror or problem})",
-            expected="a video file that was written to its end",
-            hint="record into .mkv, which survives this" if mp4 else None,
+            expected="a complete video file",
+            hint="record into .mkv, which survives interruptions" if mp4 else None,
         ) from None
 
 

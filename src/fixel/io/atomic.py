@@ -19,14 +19,14 @@ def refuse_unwritable(path: str | Path) -> None:
             raise InvalidInput(str(path), found="a folder", expected="the name of a file")
         if not folder.is_dir():
             raise InvalidInput(
-                str(path), found=f"no folder {folder}", expected="a folder that exists"
+                str(path), found=f"no folder {folder}", expected="an existing folder"
             )
         writable = os.access(folder, os.W_OK | os.X_OK)
     except OSError as problem:
         raise _unwritable(path, problem) from None
     if not writable:
         raise InvalidInput(
-            str(path), found="no permission to write there", expected="a folder one may write to"
+            str(path), found="no write permission", expected="a folder with write permission"
         )
 
 

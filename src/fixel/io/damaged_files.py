@@ -46,7 +46,7 @@ def readable(path: Path, hint: str = "") -> Iterator[None]:
         raise
     except _DAMAGE as problem:
         raise StoreRefused(
-            f"{path} cannot be read: it is damaged, cut short or of another program",
+            f"{path} cannot be read: it is damaged, truncated or not a file of fixel",
             hint=hint or f"restore it from a copy, or delete the folder {path.parent}",
         ) from problem
 

@@ -124,13 +124,13 @@ def _text(path: Path) -> str:
         raise InvalidInput(
             where,
             found=f"more than {MAX_BYTES // 1_000_000} MB",
-            expected="a file of at most that size",
-            hint="thin out measured paths",
+            expected="a smaller file",
+            hint="resample measured paths",
         )
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
-        found = f"a byte that is no UTF-8 at position {problem.start}"
+        found = f"a byte that is not UTF-8 at position {problem.start}"
         raise InvalidInput(where, found=found, expected="text in UTF-8") from None
 
 
@@ -160,7 +160,7 @@ def _composed(events: Iterator[Any], where: str) -> Any:
     stack = [root]
     for event in events:
         if isinstance(event, yaml.AliasEvent):
-            hint = "write the value out"
+            hint = "write the value instead"
             raise _refused(event, where, f"the alias *{event.anchor}", "no aliases", hint)
         if getattr(event, "tag", None) not in (None, "!") and not isinstance(
             event, yaml.DocumentStartEvent
@@ -191,7 +191,9 @@ def _refused(
 
 def _too_deep(where: str) -> InvalidInput:
     found = f"more than {MAX_DEPTH} levels of nesting"
-    return InvalidInput(where, found=found, expected="a scene, which has about seven")
+    return InvalidInput(
+        where, found=found, expected="at most about seven levels, as in scene files"
+    )
 
 
 def _refuse_depth(value: Any, where: str) -> None:

@@ -295,4 +295,6 @@ def _other(path: Path) -> InvalidInput:
 
 def _unwritable(path: Path, problem: OSError) -> JobRefused:
     reason = os_reason(problem)
-    return JobRefused(f"{path} cannot be written: {reason}", hint="make room, then resume the job")
+    return JobRefused(
+        f"{path} cannot be written: {reason}", hint="free disk space, then resume the job"
+    )

@@ -61,7 +61,8 @@ class FileLock:
         while not self._take():
             if time.monotonic() > deadline:
                 raise JobRefused(
-                    f"{what} is in use by {_owner(path)}", hint="wait for it, or end it"
+                    f"{what} is in use by {_owner(path)}",
+                    hint="wait until it has finished, or stop it",
                 )
             time.sleep(0.02)
 

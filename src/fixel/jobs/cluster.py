@@ -141,7 +141,7 @@ class Cluster:
             )
             future.add_done_callback(lambda done: self._events.put(ChunkReturn(task.name, done)))
         except Exception as problem:
-            raise ClusterLost(f"the scheduler takes no work: {problem!r}") from None
+            raise ClusterLost(f"the scheduler accepts no work: {problem!r}") from None
         return future
 
     def events(self, timeout_s: float) -> list[Event]:
@@ -240,7 +240,7 @@ class Cluster:
         ready, _, _ = select.select([stream], [], [], START_S)
         address = stream.readline().decode().strip() if ready else ""
         if not address:
-            raise ClusterLost("the scheduler did not start; its words are in workers/scheduler.log")
+            raise ClusterLost("the scheduler did not start; its output is in workers/scheduler.log")
         return address
 
     def _check_alive(self) -> None:
@@ -248,7 +248,7 @@ class Cluster:
         if code is not None:
             raise ClusterLost(f"the scheduler has ended with code {code}")
         if self._strange > MAX_STRANGE:
-            raise ClusterLost("answers get lost on their way from the workers")
+            raise ClusterLost("answers of workers are lost on the network")
 
 
 def _quieten() -> None:

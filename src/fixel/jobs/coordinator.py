@@ -159,19 +159,19 @@ def _check_unchanged(folder: Path, job: Job, run: RunSettings) -> None:
     if allowed != stamp():
         raise JobRefused(
             f"the job was begun by fixel {allowed}, and this is fixel {stamp()}",
-            hint="go on with that one, or accept other last digits: "
-            "fixel jobs resume FOLDER --accept-version",
+            hint="resume with that version, or accept different last digits: fixel jobs resume "
+            "FOLDER --accept-version",
         )
     if files.inputs_digest(folder / "inputs") != job.inputs_sha256:
         raise JobRefused(
-            f"the files in {folder / 'inputs'} are not those the job was made of",
-            hint="put them back, or prepare another job",
+            f"the files in {folder / 'inputs'} are not those with which the job was prepared",
+            hint="restore them, or prepare another job",
         )
 
 
 def _report_damage(journal: Journal, notify: Notify) -> None:
     if n := journal.damaged:
-        notify(f"the journal is damaged in {n} places; what was there is computed again")
+        notify(f"the journal is damaged in {n} places; the chunks there are computed again")
 
 
 def _write_result(folder: Path, result: bytes) -> None:

@@ -149,9 +149,9 @@ class DaskEngine(AbstractEngine):
         state.deaths[name] += 1
         self.deaths += 1
         deaths = state.deaths[name]
-        self._say(f"{killed.worker} died with {name} (death {deaths} of it)")
+        self._say(f"{killed.worker} died while computing {name} (time {deaths} for this chunk)")
         if deaths >= self._max_deaths:
-            return Failure(f"it was running when its worker died, {deaths} times")
+            return Failure(f"its worker died {deaths} times while computing it")
         self._again(state, name)
         return None
 
@@ -180,7 +180,7 @@ class DaskEngine(AbstractEngine):
         for late in link.late_answers(self._folder):
             name = state.name_of.get(late.block)
             if name is not None and state.close(name):
-                self._say(f"took the late answer of {name}")
+                self._say(f"used the late answer of {name}")
                 batch.append((name, unframed(late.framed)))
             late.path.unlink(missing_ok=True)
         return batch

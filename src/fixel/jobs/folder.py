@@ -127,7 +127,7 @@ def prepare(
     named_function(maker)
     _clear_half_made(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InvalidInput(str(folder), found="something there", expected="a new folder")
+        raise InvalidInput(str(folder), found="an existing folder or file", expected="a new folder")
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = folder / f"{UNFINISHED}{secrets.token_hex(4)}"
     unfinished.mkdir()
@@ -259,5 +259,5 @@ def _read(path: Path, kind: type[Any]) -> Any:
         raise InvalidInput(
             f"{path}: {where or 'content'}",
             found=first["msg"].lower(),
-            expected="a file that this version of fixel has written",
+            expected="a file written by this version of fixel",
         ) from None

@@ -55,14 +55,14 @@ def named_function(name: str) -> Any:
             "function of a job",
             found=name,
             expected=f"KIND:FUNCTION, where KIND is one of {', '.join(_MODULES)}",
-            hint="a job of an older fixel cannot be continued; start it again",
+            hint="a job of an older version of fixel cannot be resumed; start it again",
         )
     module = import_module(_MODULES[kind])
     if (module.__name__, attribute) not in _ALLOWED:
         raise InvalidInput(
             "function of a job",
             found=name,
-            expected="a function that is marked with fixel.jobs.functions.callable_by_jobs",
+            expected="a function marked with fixel.jobs.functions.callable_by_jobs",
         )
     return getattr(module, attribute)
 

@@ -22,7 +22,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from fixel.errors import InvalidInput, JobRefused
+from fixel.errors import JobRefused, unknown_name
 from fixel.io.atomic import written_whole
 
 LOOPBACK: Final = "lo"
@@ -51,7 +51,9 @@ class Late(NamedTuple):
 def require_dask() -> None:
     """Raise `JobRefused` if the packages for several workers are not installed."""
     if sys.platform == "win32":
-        raise JobRefused("several workers need Linux or macOS", hint="leave --workers out")
+        raise JobRefused(
+            "several workers need Linux or macOS", hint="use one process, without --workers"
+        )
     for package in ("distributed", "dask_jobqueue", "cryptography"):
         if find_spec(package) is None:
             raise JobRefused(
@@ -66,7 +68,7 @@ def listening(interface: str) -> dict[str, Any]:
         return {"host": "127.0.0.1"}
     known = sorted(name for _, name in socket.if_nameindex())
     if interface not in known:
-        raise InvalidInput("interface", found=interface, expected="one of " + ", ".join(known))
+        raise unknown_name("interface", interface, known)
     return {"interface": interface}
 
 

@@ -138,5 +138,5 @@ def stillborn(*logs: Path) -> JobRefused:
         if log.exists()
         for line in log.read_text(errors="replace").splitlines()[-TAIL:]
     )
-    end = f"; the last one said:\n{said}" if said else ", without a word"
-    return JobRefused(f"{MAX_STILLBORN} workers in a row ended before they could work{end}")
+    end = f"; output of the last one:\n{said}" if said else ", without output"
+    return JobRefused(f"{MAX_STILLBORN} workers in a row ended before they could compute{end}")

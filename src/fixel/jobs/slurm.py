@@ -80,7 +80,7 @@ def require_slurm() -> None:
                 "scheduler slurm",
                 found=f"no command {command}",
                 expected="a machine from which jobs can be submitted",
-                hint="run this on the login node of the cluster, or leave --site out",
+                hint="run this command on the login node of the cluster, or without --site",
             )
 
 
@@ -114,7 +114,7 @@ def _call(*command: str) -> str:
             command, capture_output=True, text=True, timeout=COMMAND_S, stdin=subprocess.DEVNULL
         )
     except FileNotFoundError:
-        raise SlurmError(f"{command[0]} is not there", hopeless=True) from None
+        raise SlurmError(f"{command[0]} is not installed", hopeless=True) from None
     except (OSError, subprocess.TimeoutExpired) as problem:
         raise SlurmError(f"{command[0]}: {problem}") from None
     if done.returncode != 0:
@@ -221,7 +221,7 @@ class SlurmPool(AbstractPool):
             return self._trouble
         pending = [job for job in self._jobs.values() if job.state == "PENDING"]
         reasons = ", ".join(sorted({job.reason for job in pending}))
-        return f"{len(pending)} jobs wait in the queue ({reasons})" if pending else ""
+        return f"{len(pending)} jobs are waiting in the queue ({reasons})" if pending else ""
 
     def keep(self) -> None:
         now = time.monotonic()
@@ -235,7 +235,7 @@ class SlurmPool(AbstractPool):
         try:
             cancel(self._name)
         except SlurmError as trouble:
-            self._say(f"the workers could not be cancelled, and end by themselves: {trouble}")
+            self._say(f"the workers could not be cancelled and will end by themselves: {trouble}")
 
     def _look(self, now: float) -> bool:
         """Update the jobs from SLURM; return False if it does not answer."""
@@ -279,7 +279,7 @@ class SlurmPool(AbstractPool):
     def _submit_failed(self, trouble: SlurmError, now: float) -> None:
         if trouble.hopeless:
             raise JobRefused(
-                f"sbatch refuses the worker: {trouble}", hint="correct the site template"
+                f"sbatch rejects the worker: {trouble}", hint="correct the site template"
             )
         self._next_submit = now + self._back_off
         self._note_trouble(f"sbatch: {trouble}; again in {self._back_off:.0f} s")
@@ -305,7 +305,7 @@ class SlurmPool(AbstractPool):
         if self._in_a_row["cancelled"] >= MAX_CANCELLED:
             raise JobRefused(
                 f"{MAX_CANCELLED} workers were cancelled before they started",
-                hint="if that was not meant, resume the job",
+                hint="if this was not intended, resume the job",
             )
 
     def _script(self) -> Path:

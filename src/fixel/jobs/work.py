@@ -107,20 +107,20 @@ class JobProgress(BaseModel):
         extra="forbid", frozen=True, json_schema_serialization_defaults_required=True
     )
 
-    reason: str = Field(default="", description="of a failure; what is being waited for")
-    done: int = Field(default=0, description="chunks with an answer")
-    total: int = Field(default=0, description="chunks, as far as is known")
-    failed: int = Field(default=0, description="chunks whose answer is a failure")
+    reason: str = Field(default="", description="reason of a failure; what is being waited for")
+    done: int = Field(default=0, description="number of chunks with an answer")
+    total: int = Field(default=0, description="number of chunks known so far")
+    failed: int = Field(default=0, description="number of chunks whose answer is a failure")
     rate: float = Field(default=0.0, serialization_alias="rate_per_s")
     left_s: float | None = None
     share: float | None = Field(
-        default=None, description="share of the work that is done; null if unknown"
+        default=None, description="finished share of the work; null if unknown"
     )
-    note: str = Field(default="", description="what the work says of itself")
-    workers: int = Field(default=0, description="that compute now")
-    deaths: int = Field(default=0, description="workers that died while they computed")
-    again: int = Field(default=0, description="chunks that were given out once more")
-    host: str = Field(default="", description="where it is or was run from")
+    note: str = Field(default="", description="note on the progress")
+    workers: int = Field(default=0, description="number of workers that are computing")
+    deaths: int = Field(default=0, description="number of workers that died while computing")
+    again: int = Field(default=0, description="number of chunks that were computed again")
+    host: str = Field(default="", description="host of the coordinator")
     pid: int = 0
     started_utc: str = ""
     updated_utc: str = ""

@@ -58,13 +58,17 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="of the job")
+    parser.add_argument("folder", type=Path, help="folder of the job")
     parser.add_argument("--name", required=True)
-    parser.add_argument("--stamp", required=True, help="which fixel is asked for")
+    parser.add_argument("--stamp", required=True, help="required version of fixel")
     parser.add_argument("--interface", default=link.LOOPBACK)
-    parser.add_argument("--threads", type=int, default=0, help="cores of this worker")
-    parser.add_argument("--lifetime-s", type=float, default=1e9, help="end before")
-    parser.add_argument("--patience-s", type=float, default=60.0, help="wait for a scheduler")
+    parser.add_argument("--threads", type=int, default=0, help="number of cores of this worker")
+    parser.add_argument(
+        "--lifetime-s", type=float, default=1e9, help="time at which the worker ends"
+    )
+    parser.add_argument(
+        "--patience-s", type=float, default=60.0, help="time to wait for a scheduler [s]"
+    )
     parser.add_argument("--watch-parent", action="store_true", help="end with the standard input")
     return parser
 

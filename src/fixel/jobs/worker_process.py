@@ -79,7 +79,7 @@ class WorkerProcess:
             pipe = self._running(nobody_waits)
             self._hand_over(pipe, argument)
             late = JobRefused(
-                f"the computation took more than {self.limit:g} s and was ended", hint=self._hint
+                f"the computation took more than {self.limit:g} s and was stopped", hint=self._hint
             )
             worked, answer = self._received(pipe, self.limit, nobody_waits, late)
         if not worked:
@@ -110,7 +110,8 @@ class WorkerProcess:
                 raise CallCancellation
             if time.monotonic() > until:
                 raise JobRefused(
-                    f"others have been computing for {self.limit:g} s", hint="try again"
+                    f"the server is busy: another computation has run for {self.limit:g} s",
+                    hint="try again",
                 )
         try:
             yield
@@ -132,7 +133,7 @@ class WorkerProcess:
         self._pipe = ours
         late = JobRefused(
             f"a process to compute in was not ready within {STARTS_WITHIN:g} s",
-            hint="try again when the machine is less busy",
+            hint="try again later",
         )
         self._received(ours, STARTS_WITHIN, nobody_waits, late)
         return ours

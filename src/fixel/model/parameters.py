@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple, final
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, did_you_mean
 from fixel.model.fields import finite
 
 
@@ -142,13 +141,15 @@ def info_of(name: str) -> ParameterInfo:
         return ParameterInfo(
             "-", f"load on support point {name[5:]}, relative to the others", stands_for=_LOADS
         )
-    close = difflib.get_close_matches(str(name), KNOWN_PARAMETERS, n=1)
     raise InvalidInput(
         "parameters",
         found=repr(name),
         expected="a known parameter",
-        hint=(f"did you mean {close[0]!r}? " if close else "")
-        + "fixel.known_parameters() lists all",
+        hint=" ".join(
+            filter(
+                None, (did_you_mean(name, KNOWN_PARAMETERS), "fixel.known_parameters() lists all")
+            )
+        ),
     )
 
 

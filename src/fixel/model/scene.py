@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from fnmatch import fnmatchcase
@@ -12,7 +11,7 @@ from typing import Any, TypeVar, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.model.bodies import Body, Fixel, Pusher
 from fixel.model.fields import (
     Comparable,
@@ -238,7 +237,7 @@ class Scene(Comparable):
     def _obstacle(self, a: str, b: str) -> Pusher | Fixel:
         for name in (a, b):
             if name not in self.names:
-                raise _stranger(name, self.names, "the pair")
+                raise unknown_name("the pair", name, self.names)
         pushers = [pusher for pusher in self.pushers if pusher.name in (a, b)]
         fixels = [fixel for fixel in self.fixels if fixel.name in (a, b)]
         obstacles: list[Pusher | Fixel] = [*pushers, *fixels]
@@ -289,17 +288,7 @@ def _check_unique_names(names: Sequence[str]) -> None:
 def _check_known_names(entry: PairFriction, names: Sequence[str], where: str) -> None:
     for name in entry.pair:
         if not _is_pattern(name) and name not in names:
-            raise _stranger(name, names, where)
-
-
-def _stranger(name: str, names: Sequence[str], where: str) -> InvalidInput:
-    close = difflib.get_close_matches(name, names, n=1)
-    return InvalidInput(
-        where,
-        found=repr(name),
-        expected="one of " + ", ".join(names),
-        hint=f"did you mean {close[0]!r}?" if close else None,
-    )
+            raise unknown_name(where, name, names)
 
 
 def _check_friction(scene: Scene) -> None:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 import operator
@@ -15,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal, NamedTuple, cast, final
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, closest, did_you_mean
 from fixel.model.experiment import Experiment, Flag
 from fixel.model.trajectory import turned
 
@@ -425,8 +424,7 @@ class UnknownName(NamedTuple):
     @property
     def meant(self) -> str | None:
         """Known name that resembles it most; None if none does."""
-        close = difflib.get_close_matches(self.typed.lower(), [k.lower() for k in self.known], n=1)
-        return next((k for k in self.known if k.lower() == close[0]), None) if close else None
+        return closest(self.typed, self.known)
 
     def error(self) -> InvalidInput:
         """Return the error to raise."""
@@ -437,7 +435,7 @@ class UnknownName(NamedTuple):
             expected="one of " + ", ".join(self.known[:MAX_NAMED]) + more
             if self.known
             else "nothing: no experiment has one",
-            hint=f"did you mean {self.meant!r}?" if self.meant else None,
+            hint=did_you_mean(self.typed, self.known),
         )
 
 

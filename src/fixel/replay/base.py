@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Body, Disk, LineDrive, Pusher, Scene, UniformPressure, pose_error
 from fixel.simulation.motion import MOTION_MODELS, AbstractMotionModel
 from fixel.typing import FloatArray
@@ -181,7 +180,7 @@ def matching(
     fits = np.ones(n, dtype=bool)
     for name, values in wanted.items():
         if name not in columns:
-            raise _unknown("--select", name, columns)
+            raise unknown_name("--select", name, columns)
         cells = [str(cell) for cell in columns[name]]
         for value in values:
             if not any(_same(cell, value) for cell in set(cells)):
@@ -214,7 +213,7 @@ def settings_from(
     """Replace nominal values by given ones; raise for unknown names."""
     for name in given:
         if name not in nominal:
-            raise _unknown(where, name, nominal)
+            raise unknown_name(where, name, nominal)
     return {**nominal, **given}
 
 
@@ -223,8 +222,7 @@ def motion_named(name: str) -> AbstractMotionModel:
     for kind in MOTION_MODELS:
         if kind.name == name:
             return kind()
-    names = ", ".join(kind.name for kind in MOTION_MODELS)
-    raise InvalidInput("motion", found=repr(name), expected=f"one of {names}")
+    raise unknown_name("motion", name, (kind.name for kind in MOTION_MODELS))
 
 
 def _cut(pair: str, option: str, expected: str) -> tuple[str, str]:
@@ -239,17 +237,6 @@ def _same(cell: str, value: str) -> bool:
         return cell == value or float(cell) == float(value)
     except ValueError:
         return False
-
-
-def _unknown(option: str, name: str, known: Iterable[str]) -> InvalidInput:
-    names = list(known)
-    close = difflib.get_close_matches(name, names, n=1)
-    return InvalidInput(
-        option,
-        found=repr(name),
-        expected="one of " + ", ".join(names),
-        hint=f"did you mean {close[0]!r}?" if close else None,
-    )
 
 
 def _shortened(values: Sequence[str], most: int = 12) -> str:

@@ -10,7 +10,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.model.fields import finite, positive, settle, vector
 from fixel.typing import FloatArray
 
@@ -86,9 +86,7 @@ class OffsetAxis:
 
     def __post_init__(self) -> None:
         if self.name not in get_args(AxisName):
-            raise InvalidInput(
-                "axis.name", found=repr(self.name), expected="one of " + ", ".join(AXES)
-            )
+            raise unknown_name("axis.name", self.name, AXES)
         settle(self, step=positive(self.step, "axis.step", "rad" if self.name == "theta" else "m"))
         if not self.first <= self.last or max(-self.first, self.last) > MAX_OFFSETS:
             raise InvalidInput(
@@ -194,11 +192,7 @@ class OffsetSample:
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
-            raise InvalidInput(
-                "sample.method",
-                found=repr(self.method),
-                expected="one of " + ", ".join(get_args(Method)),
-            )
+            raise unknown_name("sample.method", self.method, get_args(Method))
         if self.count < 1 or self.seed < 0:
             found = f"a count of {self.count} and the seed {self.seed}"
             raise InvalidInput("sample", found=found, expected="at least one point, a seed from 0")

@@ -70,7 +70,7 @@ class DeviceSource(FrameSource):
             raise InvalidInput(
                 self.name,
                 found="a camera that does not open",
-                expected="one that no other program uses",
+                expected="a camera that no other program uses",
                 hint=_hint(),
             )
         camera.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
@@ -162,7 +162,7 @@ def _check_present(device: int | str) -> None:
         raise InvalidInput(
             path,
             found="no permission",
-            expected="a camera you may use",
+            expected="a camera with read permission",
             hint="sudo usermod --append --groups video $USER, then log in again",
         )
 
@@ -170,5 +170,5 @@ def _check_present(device: int | str) -> None:
 def _hint() -> str:
     there = sorted(glob.glob("/dev/video*"))
     if not sys.platform.startswith("linux"):
-        return "try another number, from 0 on"
-    return f"cameras here: {', '.join(there)}" if there else "no camera is plugged in"
+        return "try another number, starting at 0"
+    return f"available cameras: {', '.join(there)}" if there else "no camera is connected"

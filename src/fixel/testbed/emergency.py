@@ -77,7 +77,7 @@ class StopGuard:
         if not self._starts():
             self._process.kill()
             self._let_go()
-            raise DeviceFailed("the guard that stops the drive in an emergency did not start")
+            raise DeviceFailed("the process that stops the drive in an emergency did not start")
         os.set_blocking(self._pipe, False)
         try:
             self._announce(port)
@@ -142,9 +142,9 @@ class StopGuard:
                 self._entry.write_text(entry, encoding="utf-8")
                 return
         raise DeviceFailed(
-            "there is no place to write down that this program drives an actuator, so that `fixel"
-            " actuator stop` would not find it",
-            hint=f"make room in {tempfile.gettempdir()}",
+            "cannot register this program for `fixel actuator stop`: {tempfile.gettempdir()} is "
+            "not writable",
+            hint=f"free disk space in {tempfile.gettempdir()}, or allow writing there",
         )
 
 
@@ -192,14 +192,15 @@ def stop_drive(port: str) -> float:
     """
     if sys.platform == "win32":
         raise DeviceFailed(
-            "another program's port cannot be written to here", hint="switch the drive's power off"
+            "this system cannot write to the port of another program",
+            hint="switch off the power of the drive",
         )
     try:
         # Opening for writing ignores the lock of the program that uses the port.
         descriptor = os.open(port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             if not os.isatty(descriptor):
-                raise OSError(errno.ENOTTY, "it is no serial port")
+                raise OSError(errno.ENOTTY, "it is not a serial port")
             _drop_unsent(descriptor)
             os.write(descriptor, STOP)
             return time.monotonic()
@@ -208,7 +209,7 @@ def stop_drive(port: str) -> float:
     except OSError as problem:
         raise DeviceFailed(
             f"{port} cannot be written to: {problem.strerror}",
-            hint="switch the drive's power off",
+            hint="switch off the power of the drive",
         ) from None
 
 
@@ -226,9 +227,9 @@ def stop_actuators(port: str | None) -> list[str]:
     if not ports:
         raise InvalidInput(
             "--port",
-            found="no program of yours that drives an actuator",
-            expected="one, or the port of the drive",
-            hint="if something moves, switch its power off",
+            found="no program of yours that moves a drive",
+            expected="such a program, or the port of the drive",
+            hint="if a drive moves, switch off its power",
         )
     stopped, failed = [], []
     # A drive that cannot be stopped must not prevent stopping the others.

@@ -84,7 +84,7 @@ class FileSource(FrameSource):
         if self._recording is not None and not self._recording.complete:
             wrong = self._recording.problems
         self.complete = not wrong
-        return "; ".join(("the file is at its end", *wrong))
+        return "; ".join(("the file has ended", *wrong))
 
     def _wait(self, due: float) -> bool:
         """Wait for an instant of `time.monotonic` [s]; return whether to continue."""

@@ -16,9 +16,9 @@ AXES: Final = "XYZ"
 INCH: Final = 25.4  # [mm]
 
 ALARMS: Final[Mapping[int, str]] = {
-    1: "a limit switch was hit; its position is lost",
+    1: "a limit switch was hit; the position is lost",
     2: "the move would have left its travel",
-    3: "it was reset while moving; its position is lost",
+    3: "it was reset while moving; the position is lost",
     4: "the probe was not ready",
     5: "the probe touched nothing",
     6: "it was reset while homing",
@@ -33,10 +33,10 @@ ERRORS: Final[Mapping[int, str]] = {
     5: "homing is not enabled ($22=1)",
     8: "a $ command while moving",
     9: "locked until homed or unlocked",
-    15: "a place beyond its travel",
+    15: "a position beyond its travel",
     20: "a command it does not know",
     22: "no feed rate",
-    33: "a place it cannot go to",
+    33: "a position it cannot reach",
 }
 
 _STATUS = re.compile(r"<([A-Za-z]+)(?::(\d+))?[|,](.*)>")

@@ -152,7 +152,7 @@ class GrblLink:
         try:
             self._converse()
         except Exception as problem:  # otherwise the caller would wait for a move without end
-            self._lose(f"the conversation with the controller broke off: {problem}")
+            self._lose(f"the connection to the controller was lost: {problem}")
 
     def _converse(self) -> None:
         self._port.timeout = TURN
@@ -166,7 +166,7 @@ class GrblLink:
                         self._hear(line)
                     self._feed()
             except (OSError, TypeError) as problem:  # TypeError: closed while pyserial reads
-                self._lose(f"the controller went away: {problem}")
+                self._lose(f"the connection to the controller was lost: {problem}")
 
     def _ask(self) -> None:
         now = time.monotonic()
@@ -178,7 +178,9 @@ class GrblLink:
         heard = max(self.reported, self._accepted)
         if now - heard > SILENCE and self._answers is None:
             with self.changed:
-                self.trouble = self.trouble or f"the controller says nothing for {SILENCE:.3g} s"
+                self.trouble = self.trouble or (
+                    f"the controller has not responded for {SILENCE:.3g} s"
+                )
                 self.changed.notify_all()
 
     def _lines(self, arrived: bytes) -> list[str]:
@@ -198,7 +200,7 @@ class GrblLink:
         elif line == "ok":
             self._accept("ok")
         elif (number := grbl.number_after(line, "error:")) is not None:
-            why = f"the controller refused a line: {grbl.ERRORS.get(number, f'error {number}')}"
+            why = f"the controller rejected a line: {grbl.ERRORS.get(number, f'error {number}')}"
             if self._answers is None:
                 self.trouble = self.trouble or why
             self._accept(why)
@@ -223,7 +225,7 @@ class GrblLink:
         at_rest = self.status is not None and self.status.state == "Idle"
         if owes and at_rest and self.reported - self._sent > SILENCE:
             self._unanswered.clear()
-            self.trouble = self.trouble or "the controller's answer to a line was lost"
+            self.trouble = self.trouble or "a reply of the controller was lost"
 
     def _accept(self, verdict: str) -> None:
         if self._unanswered:
@@ -250,7 +252,7 @@ class GrblLink:
         try:
             self._port.write(data)
         except OSError as problem:
-            self._lose(f"the controller went away: {problem}")
+            self._lose(f"the connection to the controller was lost: {problem}")
 
     def _lose(self, why: str) -> None:
         with self.changed:
@@ -305,15 +307,15 @@ def _refusal(port: str, heard: bytes) -> InvalidInput:
             where,
             found="no answer",
             expected=expected,
-            hint="is it the right port (fixel actuator ports), the controller's power on, its speed"
-            " 115200 baud?",
+            hint="check the port (fixel actuator ports), the power of the controller, and its "
+            "speed of 115200 baud",
         )
     if len(heard) == 1 and heard[0] <= 7:
         return InvalidInput(
             where,
-            found=f"one byte, {heard[0]}: the tactile board, it seems",
+            found=f"one byte, {heard[0]}, as from the tactile board",
             expected=expected,
-            hint="it is for fixel tactile; the controller is on another port",
+            hint="use that port with fixel tactile; the controller is on another port",
         )
     if heard.strip() == grbl.STATUS:
         return InvalidInput(
@@ -324,7 +326,7 @@ def _refusal(port: str, heard: bytes) -> InvalidInput:
         )
     return InvalidInput(
         where,
-        found=f"something that says {quoted(heard)}",
+        found=f"a device that sent {quoted(heard)}",
         expected=expected,
         hint="choose another port: fixel actuator ports",
     )

@@ -161,10 +161,10 @@ def _centred(share: FloatArray, points: FloatArray, centre: FloatArray) -> Float
     if tilted.min() < 0.0:
         raise InvalidInput(
             "centre_of_pressure",
-            found=f"{np.hypot(*(centre - found)) * 1e3:.3g} mm from the middle of the pressure,"
-            " so far that the far side would pull",
-            expected="a centre of pressure nearer to the middle",
-            hint="make centre_of_pressure or unevenness smaller",
+            found=f"{np.hypot(*(centre - found)) * 1e3:.3g} mm from the centre of the pressure, "
+            "so that the load on the far side would be negative",
+            expected="a centre of pressure closer to that centre",
+            hint="reduce centre_of_pressure or unevenness",
         )
     return tilted
 

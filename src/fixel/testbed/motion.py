@@ -108,7 +108,9 @@ class AbstractActuator(abc.ABC):
         if not self.connected:
             raise DeviceFailed("the actuator is not connected", hint="call connect first")
         if self.moving:
-            raise DeviceFailed("the actuator is moving already", hint="wait, or stop it")
+            raise DeviceFailed(
+                "the actuator is already moving", hint="wait until it stands, or stop it"
+            )
         target = self._place_meant(to, by)
         try:
             self._begin(target, speed)
@@ -121,7 +123,7 @@ class AbstractActuator(abc.ABC):
     def _place_meant(self, to: float | None, by: float | None) -> float:
         if (to is None) == (by is None):
             found = "both" if to is not None else None
-            raise InvalidInput("move", found=found, expected="a place to go to, or by how much")
+            raise InvalidInput("move", found=found, expected="a target position or a distance")
         target = finite(to, "to", "m") if by is None else self.position() + finite(by, "by", "m")
         low, high = self.reach
         if not low - NEAR <= target <= high + NEAR:

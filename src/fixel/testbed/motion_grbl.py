@@ -21,7 +21,7 @@ DEAD_MAN: Final = 0.5  # [s]
 MAX_DEAD_MAN: Final = 3.0  # [s]
 CHUNKS: Final = 6  # pieces in a full queue
 HOMING_TIME: Final = 90.0  # [s]
-UNLOCK: Final = "see where the drive stands, then: fixel actuator move --unlock"
+UNLOCK: Final = "check the position of the drive, then: fixel actuator move --unlock"
 SHORT: Final = 0.5  # [s] at rest before the target after which the move has failed
 
 
@@ -164,11 +164,11 @@ class GrblActuator(AbstractActuator):
 
     def home(self) -> None:
         if self.moving:
-            raise DeviceFailed("the actuator is moving", hint="wait, or stop it")
+            raise DeviceFailed("the actuator is moving", hint="wait until it stands, or stop it")
         try:
             self._open.command("$H", HOMING_TIME)
         except DeviceFailed as failed:
-            again = "look at the drive, then home it again"
+            again = "check the drive, then home it again"
             hint = again if self.settings.homing else UNLOCK
             raise DeviceFailed(f"homing failed: {failed.reason}", hint) from None
         except BaseException:
@@ -233,8 +233,8 @@ class GrblActuator(AbstractActuator):
                 "dead_man" if queue < needed else "speed",
                 found=f"{queue:.3g} s" if queue < needed else f"{speed:.4g} mm/s",
                 expected=f"a queue of at least {needed:.2g} s and at most {MAX_DEAD_MAN:.3g} s",
-                hint=f"with an acceleration of {settings.acceleration:.4g} mm/s^2 (${number}) the"
-                " drive would slow down between pieces; raise that",
+                hint=f"with an acceleration of {settings.acceleration:.4g} mm/s^2 (${number}) the "
+                "drive would slow down between pieces; increase the acceleration",
             )
         return queue
 
@@ -264,7 +264,7 @@ class GrblActuator(AbstractActuator):
                 link.changed.wait(0.1)
             failure, self._failure = self._failure, ""
         if failure:
-            hint = "if it still moves, switch its power off; else: fixel actuator where"
+            hint = "if the drive still moves, switch off its power; else: fixel actuator where"
             raise DeviceFailed(f"the drive was stopped: {failure}", hint=hint)
 
     def _look(self) -> None:
@@ -282,7 +282,7 @@ class GrblActuator(AbstractActuator):
             if self._sent_to == self._target and off <= 2e3 * NEAR:
                 self._target = None
             elif now - self._at_rest_since > SHORT:
-                self._give_up(f"it came to rest {off:.3f} mm short of its target")
+                self._give_up(f"it stopped {off:.3f} mm short of its target")
         else:
             self._at_rest_since = None
 
@@ -296,7 +296,7 @@ class GrblActuator(AbstractActuator):
         with link.changed:
             was_moving = self._target is not None
             if was_moving:
-                self._give_up(link.trouble or "stop was asked for")
+                self._give_up(link.trouble or "stop was requested")
         if link.lost:
             return
         status = link.status

@@ -43,7 +43,9 @@ class ManualActuator(AbstractActuator):
         self._stopped = ""
 
     def connect(self) -> Self:
-        self._answered("Switch the drive on and wait until it is ready (Servo ON). Then Enter: ")
+        self._answered(
+            "Switch on the drive and wait until it is ready (Servo ON). Then press Enter: "
+        )
         self._connected = True
         return self
 
@@ -56,7 +58,7 @@ class ManualActuator(AbstractActuator):
         return self._connected
 
     def home(self) -> None:
-        self._answered("Send the drive to its origin. When it stands there, Enter: ")
+        self._answered("Move the drive to its origin. When it stands there, press Enter: ")
         self._at = self.reach[0]
 
     def position(self) -> float:
@@ -70,7 +72,7 @@ class ManualActuator(AbstractActuator):
 
     def wait(self) -> None:
         if self._heading is not None:
-            self._answered("When the drive has come to rest, Enter: ")
+            self._answered("When the drive stands still, press Enter: ")
             self._at, self._heading = self._heading, None
         why, self._stopped = self._stopped, ""
         if why:
@@ -81,7 +83,7 @@ class ManualActuator(AbstractActuator):
             return
         self._say("STOP THE DRIVE NOW, with the stop button of its program or its power switch.")
         self._at, self._heading = None, None
-        self._stopped = "the operator was asked to stop the drive"
+        self._stopped = "the operator was instructed to stop the drive"
 
     def _begin(self, target: float, speed: float) -> None:
         here = self.position()
@@ -95,17 +97,17 @@ class ManualActuator(AbstractActuator):
 
     def _asked_for_position(self) -> float:
         for _ in range(3):
-            typed = self._answered("Where does the drive stand, in mm? ")
+            typed = self._answered("Position of the drive in mm: ")
             try:
                 return finite(float(typed.replace(",", ".")) * 1e-3, "position", "m")
             except (ValueError, InvalidInput):
-                self._say(f"{typed!r} is no number.")
-        raise DeviceFailed("nobody knows where the drive stands")
+                self._say(f"{typed!r} is not a number.")
+        raise DeviceFailed("the position of the drive is unknown; home it first")
 
     def _answered(self, sentence: str) -> str:
         try:
             return self._ask(sentence)
         except EOFError:
             raise DeviceFailed(
-                "nobody is there to operate the drive", hint="run it in a terminal"
+                "there is no operator: this is not a terminal", hint="run it in a terminal"
             ) from None

@@ -44,5 +44,5 @@ def check_size(stream: Stream, size: tuple[int, int], name: str) -> None:
             name,
             found="pictures of {} x {} pixels".format(*stream.size),
             expected="{} x {}, as the rig was calibrated".format(*size),
-            hint="set the camera to that size, or calibrate it anew at this one",
+            hint="set the camera to that size, or calibrate it at this one",
         )

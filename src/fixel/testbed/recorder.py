@@ -277,7 +277,7 @@ class Recorder:
             try:
                 self._write(writer, arrived, at, zero)
             except OSError as problem:
-                return f"the disk took no more: {os_reason(problem)}"
+                return f"the disk could not be written to: {os_reason(problem)}"
             self._pace.tick(at)
             if now - looked >= LOOKS_AT_DISK:
                 looked, self._free = now, free_space(self.folder)
@@ -334,7 +334,7 @@ class Recorder:
         try:
             picture = arrived.picture()
         except InvalidInput:
-            self._problems["a picture that cannot be decoded, left out"] += 1
+            self._problems["a picture that cannot be decoded, skipped"] += 1
             self._without -= self._bits is None and self.tactile is not None
             return
         writer.write(Frame(at, picture), self._bits, when)
@@ -342,7 +342,7 @@ class Recorder:
     def _over(self, arrived: CameraPicture, at: float) -> str:
         """Return why to end the recording after a frame; empty to continue."""
         if self.tactile is not None and self.tactile.trouble:
-            return f"the fixels no longer answer: {self.tactile.trouble}"
+            return f"the tactile board no longer answers: {self.tactile.trouble}"
         if self.seating is None:
             return ""
         why = self.seating.touched(at, self._bits)
@@ -365,7 +365,7 @@ class Recorder:
             self._problems[f"the preview failed: {problem}"] += 1
 
     def _told(self) -> tuple[str, ...]:
-        torn = Counter({"a picture that came torn, left out": self.source.torn})
+        torn = Counter({"a truncated picture, skipped": self.source.torn})
         return tuple(
             sentence if n == 1 else f"{sentence} ({n} times)"
             for sentence, n in (self._problems + torn).most_common(8)
@@ -378,7 +378,7 @@ class Recorder:
         try:
             writer.close(reason, lost, problems)
         except (FixelError, OSError) as problem:
-            problems = (*problems, f"the end could not be marked: {problem}")
+            problems = (*problems, f"the end mark could not be written: {problem}")
         return RecordingSummary(
             folder=self.folder,
             frames=writer.frames,
@@ -422,7 +422,7 @@ def check_disk_space(folder: Path, stream: Stream, codec: str, limit: float | No
             str(folder),
             found=f"{free / 1e6:.0f} MB free on its disk",
             expected=f"{needed / 1e6:.0f} MB, for {duration:.0f} s of {codec}",
-            hint="make space, record elsewhere, or choose --codec near"
+            hint="free disk space, record to another disk, or use --codec near"
             if codec == "exact"
-            else "make space, or record elsewhere",
+            else "free disk space, or record to another disk",
         )

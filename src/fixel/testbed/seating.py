@@ -41,7 +41,7 @@ class Seating:
             self._bits, self._same_since = bits, time
         if self.mode is None or bits != self.mode or time - self._same_since < STEADY:
             return ""
-        return f"seated: the fixels say {bits:03b} for {STEADY:g} s"
+        return f"seated: contact mode {bits:03b} for {STEADY:g} s"
 
     def wants_look(self, time: float) -> bool:
         """Whether it is time to compare the next picture."""
@@ -56,7 +56,7 @@ class Seating:
             self._moved_at = time
         if self._moved_at is None or time - self._moved_at < REST_SECONDS:
             return ""
-        return f"seated: nothing has moved for {REST_SECONDS:g} s"
+        return f"seated: no motion for {REST_SECONDS:g} s"
 
 
 def _moved(before: Gray, now: Gray) -> bool:

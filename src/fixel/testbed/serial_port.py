@@ -21,7 +21,7 @@ ARDUINO: Final = {  # USB vendor and product, as the makers registered them
     (0x2341, 0x0010): "Arduino Mega 2560",
     (0x2341, 0x0042): "Arduino Mega 2560",
     (0x2341, 0x0043): "Arduino Uno",
-    (0x1A86, 0x7523): "CH340 adapter, as on many copies of the Arduino",
+    (0x1A86, 0x7523): "CH340 adapter, as on many Arduino clones",
 }
 FIRST_WORDS: Final = 60  # [bytes] of a port's answer that a message quotes
 
@@ -106,12 +106,15 @@ def open_port(port: str, baud: int, what: str) -> Serial:
         if reason in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
             user = _program_at(port) or "another program"
             raise InvalidInput(
-                where, found=f"in use by {user}", expected=f"{what} for fixel alone", hint="end it"
+                where,
+                found=f"in use by {user}",
+                expected=f"{what}, not in use by another program",
+                hint="close it",
             ) from None
         if reason in (errno.EACCES, errno.EPERM) and sys.platform != "win32":
             raise InvalidInput(
                 where,
-                found="no permission to open it",
+                found="no permission to open the port",
                 expected=what,
                 hint="become a member of its group and log in again:"
                 f" sudo usermod -aG {_group(port)} $USER",
@@ -136,7 +139,10 @@ def closed_on_failure(close: Callable[[], None], port: str, what: str) -> Iterat
     except OSError as problem:
         close()
         raise InvalidInput(
-            f"port {port}", found=f"it went away: {problem}", expected=what, hint="plug it in again"
+            f"port {port}",
+            found=f"the device was disconnected: {problem}",
+            expected=what,
+            hint="connect it again",
         ) from None
     except BaseException:
         close()
@@ -175,7 +181,7 @@ def quoted(said: bytes) -> str:
 def _seen() -> str:
     ports = found_ports()
     if not ports:
-        return "no serial port is to be seen: plug the device in, and see what dmesg says of it"
+        return "there is no serial port: connect the device; on Linux, dmesg shows its port"
     listed = ", ".join(f"{port.port} ({port.description})" for port in ports[:6])
     return f"there are {listed}"
 
@@ -186,8 +192,8 @@ def _need_pyserial() -> None:
     except ImportError:
         raise InvalidInput(
             "serial ports",
-            found="no package pyserial",
-            expected="it to be installed",
+            found="the package pyserial is missing",
+            expected="an installed pyserial",
             hint="pip install 'fixel[serial]'",
         ) from None
 

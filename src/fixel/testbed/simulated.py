@@ -430,7 +430,7 @@ def _check_plan(planned: Sequence[PlannedExperiment]) -> None:
             raise InvalidInput(
                 f"planned[{index}]",
                 found=f"the name {item.name!r} again",
-                expected="a name of its own: what a run draws at random depends on it",
+                expected="unique names, since the random numbers of a run depend on its name",
             )
         seen_names.add(item.name)
 
@@ -447,7 +447,7 @@ def _check_scene(planned: PlannedExperiment) -> None:
         raise InvalidInput(
             f"{where}.contact_friction",
             found="friction of named pairs",
-            expected="friction of pusher and fixels alone, for which the bench has true values",
+            expected="friction of pusher and fixels only, for which the testbed has true values",
         )
     taken = [name for name in planned.conditions if name.startswith(TRUTH)]
     if taken:

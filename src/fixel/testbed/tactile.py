@@ -154,7 +154,7 @@ class TactileReader:
         try:
             reading = self._ask_framed() if self.protocol >= 2 else self._ask_old()
         except OSError as problem:
-            self._lose(f"{self.port} went away: {problem}; plug it in, then reconnect")
+            self._lose(f"{self.port} was disconnected: {problem}; connect it, then reconnect")
             self.statistics.missing += 1
             return TactileReading(bits=None, time=time.monotonic(), problem=self.trouble)
         self.statistics.answered += reading.bits is not None
@@ -175,7 +175,7 @@ class TactileReader:
         found = frames.reading_of(frame)
         if found is None:
             counted.garbled += 1
-            return TactileReading(bits=None, time=received, problem="an answer of unknown content")
+            return TactileReading(bits=None, time=received, problem="an unknown answer")
         counted.round_trips.append(received - sent)
         # An emulated board that catches up with its clock answers faster than a real line.
         earliest = sent + frames.READ_REQUEST_BYTES * frames.BYTE_TIME
@@ -209,7 +209,7 @@ class TactileReader:
     def _without_answer(self, now: float, unreadable: int) -> TactileReading:
         if unreadable:
             self.statistics.garbled += 1
-            problem = f"{unreadable} bytes that are no answer"
+            problem = f"{unreadable} bytes that are not an answer"
         else:
             self.statistics.missing += 1
             problem = f"no answer within {1e3 * self.deadline:.3g} ms"
@@ -229,12 +229,12 @@ class TactileReader:
         self.clock.restarts = 0
         if self._thresholds is None:
             self._restarted = False
-            return "the board restarted, or its clock jumped"
+            return "the board restarted or its clock jumped"
         # If this fails it is tried again at the next reading, since this one must not wait long.
         self._restarted = not self._confirmed(self._thresholds)
         if self._restarted:
-            return "the board restarted, and does not take its thresholds"
-        return "the board restarted: this was read with its own thresholds"
+            return "the board restarted and does not accept its thresholds"
+        return "the board restarted: this reading is with its default thresholds"
 
     def _ask_old(self) -> TactileReading:
         link, counted = self._link, self.statistics
@@ -253,7 +253,7 @@ class TactileReader:
             counted.garbled += 1
             counted.stray_bytes += 1
             return TactileReading(
-                bits=None, time=received, problem=f"byte {answer[0]} is no answer"
+                bits=None, time=received, problem=f"byte {answer[0]} is not an answer"
             )
         counted.round_trips.append(received - sent)
         return TactileReading(bits=answer[0], time=0.5 * (sent + received), problem=doubt)
@@ -273,7 +273,7 @@ class TactileReader:
         # The extra byte may have been the answer, and the last reading that of the frame before.
         unasked = not self._doubt
         self._doubt = True
-        return "an extra byte came before it; the last reading may be a frame old" * unasked
+        return "an extra byte preceded it; the last reading may be one frame old" * unasked
 
     # --- thresholds ---------------------------------------------------------------------------
 
@@ -295,7 +295,7 @@ class TactileReader:
             raise InvalidInput(
                 "thresholds",
                 found=f"a board of protocol {self.protocol}" if self.protocol else self.trouble,
-                expected="one whose thresholds can be set",
+                expected="a board whose thresholds can be set",
                 hint="upload firmware/tactile to it",
             )
         if not any(self._confirmed(thresholds) for _ in range(3)):

@@ -279,15 +279,15 @@ def _refusal(port: str, heard: bytes, question: bytes) -> InvalidInput:
             where,
             found="no answer",
             expected=expected,
-            hint="is it the right port (fixel tactile ports), the firmware on it"
-            " (firmware/README.md), the speed 115200 baud?",
+            hint="check the port (fixel tactile ports), the firmware (firmware/README.md) and "
+            "the speed of 115200 baud",
         )
     if GRBL.search(heard):
         return InvalidInput(
             where,
-            found=f"a motion controller that says {quoted(heard)}",
+            found=f"a motion controller that sent {quoted(heard)}",
             expected=expected,
-            hint="it is for fixel actuator; the board is on another port",
+            hint="use that port with fixel actuator; the board is on another port",
         )
     if question and question in heard:
         return InvalidInput(
@@ -298,7 +298,7 @@ def _refusal(port: str, heard: bytes, question: bytes) -> InvalidInput:
         )
     return InvalidInput(
         where,
-        found=f"something that says {quoted(heard)}",
+        found=f"a device that sent {quoted(heard)}",
         expected=expected,
-        hint="if it is the board, upload firmware/tactile to it; else choose another port",
+        hint="if this is the board, upload firmware/tactile to it; else choose another port",
     )

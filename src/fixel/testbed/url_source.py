@@ -42,7 +42,7 @@ class UrlSource(FrameSource):
         if parts.scheme not in ("http", "https") or not parts.hostname:
             raise _refusal(
                 f"{parts.scheme}://{parts.hostname or ''}",
-                "most cameras with RTSP send MJPEG too: look for an HTTP address",
+                "use the HTTP address of the camera: most cameras with RTSP also send MJPEG",
             )
         self.name = _shown(parts)
         self._parts = parts
@@ -66,10 +66,10 @@ class UrlSource(FrameSource):
             self._connect()
             self._first = self._next()
         except TimeoutError:
-            self._fail(f"nothing within {self._patience:g} s", "a camera that sends pictures")
+            self._fail(f"no data within {self._patience:g} s", "a camera that sends pictures")
         except (OSError, http.client.HTTPException) as problem:
             found = self.ended or _words(problem)
-            self._fail(found, "a camera that answers", "is the address right?")
+            self._fail(found, "a camera that answers", "check the address")
         finally:
             late.cancel()
         size = None if self._first is None else self._first.size
@@ -91,7 +91,7 @@ class UrlSource(FrameSource):
                 break
             except (OSError, ValueError, AttributeError, http.client.HTTPException) as problem:
                 # Closing from another thread closes the file during a read.
-                self.ended = f"the camera went away: {_words(problem)}"
+                self.ended = f"the connection to the camera was lost: {_words(problem)}"
                 break
         if self._stop.is_set():
             self.ended = "stopped"
@@ -133,7 +133,9 @@ class UrlSource(FrameSource):
         kind_of_answer = answer.headers.get_content_type()
         if kind_of_answer != MULTIPART:
             self._fail(
-                kind_of_answer, MULTIPART, "is this the page around the pictures, not the stream?"
+                kind_of_answer,
+                MULTIPART,
+                "this may be the page that shows the stream, not the stream",
             )
         boundary = answer.headers.get_param("boundary")
         self._boundary = b"--" + str(boundary or "").strip('"').removeprefix("--").encode()
@@ -151,7 +153,7 @@ class UrlSource(FrameSource):
                 arrived.captured = self._clock.place(self._stamp, now)
                 return arrived
             self.torn += 1
-        self.ended = f"{GARBAGE} parts in a row that are no JPEG picture"
+        self.ended = f"{GARBAGE} parts in a row that are not JPEG pictures"
         return None
 
     def _part(self) -> bytes | None:
@@ -213,7 +215,7 @@ def _split(url: str) -> SplitResult:
 
 
 def _refusal(found: str, hint: str | None = None) -> InvalidInput:
-    expected = "http://... of a camera that sends MJPEG"
+    expected = "http://... address of a camera that sends MJPEG"
     return InvalidInput("camera", found=found, expected=expected, hint=hint)
 
 

@@ -10,7 +10,7 @@ from typing import Final, Literal, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.model.fields import non_negative, settle
 from fixel.typing import FloatArray
 
@@ -43,9 +43,7 @@ class StartError:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise InvalidInput(
-                "start_error.kind", found=repr(self.kind), expected="one of " + ", ".join(KINDS)
-            )
+            raise unknown_name("start_error.kind", self.kind, KINDS)
         settle(
             self,
             x=non_negative(self.x, "start_error.x", "m"),
@@ -112,7 +110,7 @@ PRESETS: Final[Mapping[str, StartError]] = MappingProxyType(
 def preset(name: str) -> StartError:
     """Return a start error by name, or raise `InvalidInput`."""
     if name not in PRESETS:
-        raise InvalidInput("preset", found=repr(name), expected="one of " + ", ".join(PRESETS))
+        raise unknown_name("preset", name, PRESETS)
     return PRESETS[name]
 
 

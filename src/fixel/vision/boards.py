@@ -90,8 +90,8 @@ class Board:
             raise InvalidInput(
                 "board",
                 found=f"{self.columns * self.rows // 2} tags",
-                expected=f"at most {DICTIONARIES[self.dictionary]}, all there are",
-                hint="fewer squares",
+                expected=f"at most {DICTIONARIES[self.dictionary]} tags of this family",
+                hint="use fewer squares",
             )
 
     @property
@@ -130,7 +130,7 @@ class Board:
             raise InvalidInput(
                 "picture",
                 found=f"a board with tags of {others}",
-                expected=f"tags of {self.dictionary}, as the board was typed",
+                expected=f"tags of {self.dictionary}, as in the name of the board",
                 hint=f"add :{others} to the board, as in charuco:7x5:30mm:22mm:{others}",
             )
         raise InvalidInput(
@@ -138,7 +138,7 @@ class Board:
             found=f"{count} of {inner} corners" if count else "no such board",
             expected=f"a sharp view of at least {MIN_CORNERS} of its {inner} corners"
             if self.marker
-            else f"a sharp view of all {inner} inner corners, white all round",
+            else f"a sharp view of all {inner} inner corners with a white border",
         )
 
     def _find_tagged(self, gray: Gray) -> Corners | None:

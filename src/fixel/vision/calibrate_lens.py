@@ -193,7 +193,7 @@ def calibrate_lens(
                 break
     for view, count in zip(left, wrong, strict=True):
         if count:
-            out.append(SkippedPicture(view.name, f"{count} of its corners are off by far"))
+            out.append(SkippedPicture(view.name, f"{count} of its corners are outliers"))
     _refuse_loose(found, names)
     camera = MeasuredCamera(
         lens=found.lens,
@@ -279,11 +279,11 @@ def _one_size(views: Sequence[BoardView]) -> tuple[int, int]:
         raise InvalidInput(
             "pictures",
             found=f"{len(others)} of {'x'.join(map(str, others[0].size))} px, such as "
-            f"{others[0].name}, beside {'x'.join(map(str, usual))} px",
+            f"{others[0].name}, and others of {'x'.join(map(str, usual))} px",
             expected="pictures of one size",
-            hint="some are turned by 90 degrees"
+            hint="some pictures are turned by 90 degrees"
             if turned
-            else "take all of them as the experiments are taken",
+            else "take all pictures like those of the experiments",
         )
     return usual
 
@@ -296,9 +296,10 @@ def _refuse_few(views: Sequence[BoardView], dropped: Sequence[SkippedPicture]) -
         "pictures",
         found=f"{len(views)} with a usable board" + (f" ({reasons})" if reasons else ""),
         expected=f"at least {MIN_PICTURES}; 10 to 20 are good",
-        hint="is the board the one that was named? see: fixel camera board --help"
+        hint="check that --board names this board: fixel camera board --help"
         if dropped
-        else "take more, tilted by 20 to 40 degrees, some in every corner of the picture",
+        else "take more pictures, with the board tilted by 20 to 40 degrees, some in each corner "
+        "of the picture",
     )
 
 
@@ -345,8 +346,8 @@ def _fitted(
     except cv2.error as problem:
         raise InvalidInput(
             "pictures",
-            found=f"boards no lens fits ({problem.err})",
-            expected="pictures of the board that was named",
+            found=f"boards that no lens fits ({problem.err})",
+            expected="pictures of the board given with --board",
         ) from None
     k1, k2 = distortion.ravel()[:2]
     lens = Lens(
@@ -379,7 +380,10 @@ def _worst_view(
 def _too_far(found: BundleFit, sight: PointObservations, worst: int) -> str:
     own, rest = (_rms(found.residuals[which]) for which in (sight.view == worst,
                                                              sight.view != worst))  # fmt: skip
-    return f"corners off by {own:.2f} px, those of the others by {rest:.2f} px: moved or bent?"
+    return (
+        f"corners off by {own:.2f} px, those of other pictures by {rest:.2f} px; the board may "
+        "have moved or bent"
+    )
 
 
 def _without_wrong_corners(
@@ -408,8 +412,8 @@ def _refuse_loose(found: BundleFit, names: tuple[str, ...]) -> None:
         raise InvalidInput(
             "pictures",
             found=f"a focal length of {found.lens.focal[0]:.0f} px known to {deviation[0]:.0f} px",
-            expected=f"pictures that tell it to {100 * LOOSE_FOCAL:g} %",
-            hint="more pictures, tilted more, filling more of the picture",
+            expected=f"pictures that determine it to {100 * LOOSE_FOCAL:g} %",
+            hint="take more pictures, with the board more tilted and closer",
         )
 
 

@@ -62,7 +62,7 @@ class Camera(Comparable):
                 "camera.rotation",
                 found="a mirrored frame",
                 expected="a rotation matrix of determinant 1",
-                hint="is the picture mirrored, or is the board's y axis turned round?",
+                hint="the picture may be mirrored, or the y axis of the board reversed",
             )
         translation = vector(self.translation, "camera.translation", "x [m], y [m], z [m]")
         settle(self, rotation=rotation, translation=translation)
@@ -238,7 +238,7 @@ class MeasuredCamera(Comparable):
             raise InvalidInput(
                 "camera.place",
                 found=None,
-                expected="where the camera is above the plate",
+                expected="the pose of the camera above the plate",
                 hint="run: fixel camera place CAMERA PICTURE",
             )
         return self.camera
@@ -267,7 +267,7 @@ def _covariance(values: object, count: int) -> FloatArray:
         raise InvalidInput(
             "measured.covariance",
             found=f"an array of {found.shape}",
-            expected=f"{count} rows of {count} finite numbers, one a name",
+            expected=f"{count} rows of {count} finite numbers, one for each name",
         )
     scale = np.sqrt(np.abs(np.diag(found)))
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -275,7 +275,7 @@ def _covariance(values: object, count: int) -> FloatArray:
     if np.abs(unit - unit.T).max() > 1e-9 or np.linalg.eigvalsh(unit).min() < -1e-9:
         raise InvalidInput(
             "measured.covariance",
-            found="a matrix that is no covariance",
+            found="a matrix that is not a covariance",
             expected="a symmetric matrix without negative eigenvalues",
         )
     return frozen(0.5 * (found + found.T))

@@ -114,7 +114,7 @@ class Lens(Comparable):
             raise InvalidInput(
                 "pixel",
                 found=f"({u:.0f}, {v:.0f}) px, {int(lost.sum())} in all",
-                expected="a place which the lens model can have light from",
+                expected="a point in the range of the lens model",
                 hint="calibrate the lens with boards near the corners of the picture too",
             )
         return xy
@@ -154,7 +154,7 @@ class Lens(Comparable):
         if theirs == ours:
             return self
         if theirs == ours[::-1]:
-            hint = "is the picture turned by 90 degrees?"
+            hint = "the picture may be turned by 90 degrees"
         elif ours[0] * theirs[1] != ours[1] * theirs[0]:
             hint = "pictures of another shape are cropped: calibrate the lens at this size"
         else:

@@ -74,9 +74,9 @@ class Locator:
         if not own:
             raise InvalidInput(
                 f"rig {rig.name!r}",
-                found="it knows " + (", ".join(rig.parts) or "no part"),
+                found="it has " + (", ".join(rig.parts) or "no part"),
                 expected="a part of the scene: " + ", ".join(things),
-                hint="parts of a rig have the names they have in the scene",
+                hint="use the names of the scene for the parts of the rig",
             )
         self.rig = rig
         self._scene = scene
@@ -97,7 +97,7 @@ class Locator:
             }
         except InvalidInput as problem:
             return FramePoses(
-                parts={name: PartObservation(reason="not looked for") for name in self.names},
+                parts={name: PartObservation(reason="not searched for") for name in self.names},
                 problems=(_told(problem),),
             )
         seen = any(sight.pose is not None for sight in parts.values())

@@ -194,6 +194,6 @@ def _refuse_twins(rig: Rig) -> None:
             raise InvalidInput(
                 "rig.parts",
                 found=f"the {what} on {seen[what]} and on {name}",
-                expected="marks that are there once, or the camera cannot tell them apart",
+                expected="each marker once, so that they can be distinguished",
             )
         seen[what] = name

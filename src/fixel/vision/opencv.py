@@ -14,8 +14,8 @@ def opencv() -> Any:
     except ImportError:
         raise InvalidInput(
             "opencv",
-            found="it is not installed",
-            expected="the package that reads cameras and boards",
+            found="the package is not installed",
+            expected="OpenCV, which reads cameras and boards",
             hint="pip install 'fixel[vision]'",
         ) from None
     return cv2

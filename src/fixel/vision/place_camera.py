@@ -92,10 +92,10 @@ def place_by_tags(measured: MeasuredCamera, picture: Picture, tags: Sequence[Tag
         others = other_families(gray_of(picture), {tag.family for tag in tags})
         raise InvalidInput(
             "picture",
-            found=f"{seen} of the {len(tags)} tags of the plate"
+            found=f"{seen} of the {len(tags)} tags on the plate"
             + (f", but {others}" if others else ""),
             expected=f"at least {MIN_TAGS} of " + ", ".join(str(tag.id) for tag in tags),
-            hint="is the plate lit and in full view?",
+            hint="check that the plate is lit and in full view",
         )
     corners = [(tags[k], tag_corners(tags[k]), pixels) for k, pixels in found.items()]
     points = np.concatenate(
@@ -169,7 +169,9 @@ def _start(lens: Lens, points: FloatArray, pixels: FloatArray) -> tuple[FloatArr
         points[:, None], seen[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
     )
     if not done:
-        raise InvalidInput("picture", found="points no camera sees so", expected="the plate")
+        raise InvalidInput(
+            "picture", found="points that no camera pose explains", expected="the plate"
+        )
     return np.asarray(cv2.Rodrigues(turn)[0]), np.asarray(shift).ravel()
 
 
@@ -213,7 +215,7 @@ def _refuse_misfit(misfit: FloatArray, rms: float, names: Sequence[str]) -> None
     if off[worst] > WRONG or rms > WORST_PIXELS:
         raise InvalidInput(
             "picture",
-            found=f"{names[worst]} {1e3 * off[worst]:.1f} mm from where it is said to be",
-            expected=f"points within {1e3 * WRONG:g} mm of their places",
-            hint="is this the board or plate that was named, is it flat, is it this lens?",
+            found=f"{names[worst]} {1e3 * off[worst]:.1f} mm from its nominal position",
+            expected=f"points within {1e3 * WRONG:g} mm of their nominal positions",
+            hint="check the board or rig that you named, the lens file, and that the board is flat",
         )

@@ -196,7 +196,7 @@ def _shown(page: Page, render: Any) -> Any:
 
 def _answer_errors(app: FastAPI, render: Any) -> None:
     """Answer errors with a page that explains them."""
-    page = Page(path="", title="Not here", template="problem.html", listed=False)
+    page = Page(path="", title="Page not found", template="problem.html", listed=False)
 
     @app.exception_handler(FixelError)
     def refused(request: Request, error: FixelError) -> Response:
@@ -209,7 +209,7 @@ def _answer_errors(app: FastAPI, render: Any) -> None:
         if request.url.path.startswith("/api/"):  # with characters that the API's paths never have
             problem = Refusal(status=error.status_code, sentence=f"{error.detail}.")
             return answer(problem, dict(error.headers or {}))
-        more = {"sentence": f"{error.detail}.", "hint": "The navigation leads to what there is."}
+        more = {"sentence": f"{error.detail}.", "hint": "Use the navigation at the top."}
         return HTMLResponse(
             render(page, more, request.url.path),
             status_code=error.status_code,

@@ -44,7 +44,7 @@ class Drawing:
         picture = self._picture() if callable(self._picture) else self._picture
         done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self._quality])
         if not done:
-            raise InvalidInput("picture", found="one that no JPEG can be made of")
+            raise InvalidInput("picture", found="one that cannot be encoded as JPEG")
         return bytes(data)
 
 

@@ -21,7 +21,7 @@ from fixel.errors import (
     machine_failure,
 )
 
-OUR_MISTAKE = "Something went wrong in fixel itself: the terminal in which it runs says what."
+OUR_MISTAKE = "Internal error of fixel. The terminal in which the server runs shows the details."
 UNPROCESSABLE = 422
 ABSENT = 404
 CONFLICT = 409
@@ -30,12 +30,12 @@ CONFLICT = 409
 class Refusal(BaseModel):
     """Why a request was refused."""
 
-    status: int = Field(description="of HTTP, from 400 to 499; 500 for a mistake in fixel")
-    sentence: str = Field(description="all of it, for a person")
-    where: str | None = Field(default=None, description="the field or the record in question")
-    found: str | None = Field(default=None, description="what stands there")
-    expected: str | None = Field(default=None, description="what could stand there")
-    hint: str | None = Field(default=None, description="what to do next")
+    status: int = Field(description="HTTP status from 400 to 499; 500 for an internal error")
+    sentence: str = Field(description="complete message as one sentence")
+    where: str | None = Field(default=None, description="field or record that is invalid")
+    found: str | None = Field(default=None, description="value that was found")
+    expected: str | None = Field(default=None, description="description of allowed values")
+    hint: str | None = Field(default=None, description="advice")
 
 
 def problem_of(error: FixelError) -> Refusal:

@@ -206,15 +206,19 @@ class BodyLimit:
 
 
 NO_COOKIE: Final = (
-    "This page opens with the link that fixel printed when it started.",
-    "If fixel was started anew, use the new link. Programs send: Authorization: Bearer TOKEN",
+    "Open this page with the link that fixel printed when it started.",
+    "If fixel was restarted, use the new link. Programs send the header: Authorization: Bearer "
+    "TOKEN",
 )
-NOT_OURS: Final = ("Only fixel's own pages may do this.", "Reload the page and try again.")
+NOT_OURS: Final = (
+    "Only pages served by fixel may send this request.",
+    "Reload the page and try again.",
+)
 WRONG_TOKEN: Final = (
-    "This is not the token of this server.",
-    "It is in the link that fixel printed when it started, behind token=",
+    "The token does not belong to this server.",
+    "Use the token in the link that fixel printed when it started, after token=",
 )
-TOO_LONG: Final = ("This request is too long.", f"At most {MAX_BODY // 1024**2} MB are taken.")
+TOO_LONG: Final = ("The request is too large.", f"The limit is {MAX_BODY // 1024**2} MB.")
 
 
 def _refusal(scope: Scope, status: int, words: tuple[str, str]) -> Response:

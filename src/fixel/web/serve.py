@@ -187,6 +187,6 @@ def _listening(host: str, port: int | None) -> socket.socket:
             "--port",
             found=f"{port} of {host}: {os_reason(problem)}",
             expected="a free port from 1024 to 65535",
-            hint="leave --port out and any free one is taken",
+            hint="without --port, any free port is used",
         ) from None
     return listening

@@ -65,7 +65,7 @@ class RequestBody(BaseModel):
     def _few_keys(cls, body: Any) -> Any:
         """Reject a body with many unknown keys before each of them becomes an error."""
         if isinstance(body, dict) and len(body) > MAX_KEYS:
-            raise ValueError(f"{len(body)} keys; at most {MAX_KEYS} are read")
+            raise ValueError(f"{len(body)} keys; at most {MAX_KEYS} are allowed")
         return body
 
 

@@ -321,7 +321,7 @@ def pack(folder: Path, file: Path) -> int:
 def unpack(file: Path, folder: Path) -> JobStatus:
     """Unpack the job of a file into a new folder."""
     if folder.exists() and any(folder.iterdir()):
-        raise InvalidInput(str(folder), found="something there", expected="a new folder")
+        raise InvalidInput(str(folder), found="an existing folder or file", expected="a new folder")
     try:
         with zipfile.ZipFile(file) as archive:
             members = [m for m in archive.infolist() if not m.is_dir()]

@@ -73,5 +73,5 @@ def test_a_rig_of_the_project_beside_a_broken_one(project):
 
 def test_from_where_the_rig_has_no_camera_nothing_is_drawn(project):
     known = experiment()
-    moved = replace(known, conditions={**known.conditions, "camera": "registered anew"})
+    moved = replace(known, conditions={**known.conditions, "camera": "registered again"})
     assert outlines_in_video(project, moved) is None

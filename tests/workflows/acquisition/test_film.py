@@ -141,7 +141,7 @@ def test_what_cannot_be_filmed_is_refused_before_any_work(tmp_path, rig, scene):
     (tmp_path / "there").mkdir()
     with pytest.raises(InvalidInput, match="nothing to film"):
         film([], tmp_path / "x", FilmSettings(rig=rig))
-    with pytest.raises(InvalidInput, match="a folder that is there"):
+    with pytest.raises(InvalidInput, match="an existing folder"):
         film([scene], tmp_path / "there", FilmSettings(rig=rig))
     with pytest.raises(InvalidInput, match="microscope or microscope-clean for a microscope"):
         film([scene], tmp_path / "x", FilmSettings(rig=rig, looks="microscope"))

@@ -132,11 +132,11 @@ def test_a_camera_that_has_moved_is_told_from_a_part_that_has():
 def test_plate_tags_out_of_sight_are_a_remark():
     look = look_at(AT_HOME, seen_by=small_rig(plate=()))
     assert look.placed
-    assert "No plate tag" in look.remarks[0]
+    assert "No tag on the plate" in look.remarks[0]
 
 
 @pytest.mark.parametrize(
-    ("shape", "words"), [((480, 640), "640 x 480"), ((640, 360), "by a quarter")]
+    ("shape", "words"), [((480, 640), "640 x 480"), ((640, 360), "by 90 degrees")]
 )
 def test_another_resolution_is_refused_with_both(shape, words):
     look = Overlay(RIG, SCENE, TOLERANCE).look(frame(np.zeros((*shape, 3), np.uint8)))

@@ -113,7 +113,7 @@ def test_outlines_of_a_registered_camera_lie_on_the_parts(tmp_path):
     with pytest.raises(InvalidInput, match="was moved"):
         track_film(tmp_path / "push.mp4")
     answer = track_film(tmp_path / "push.mp4", register=True)
-    assert answer.experiment.conditions["camera"] == "registered anew"
+    assert answer.experiment.conditions["camera"] == "registered again"
     (frame,) = answer.film.frames()
     before, after = frame.picture.astype(int), drawn(frame, 0, scene(), answer.tracked).astype(int)
     changed = np.abs(after - before).max(axis=-1)[32:] > 60  # but for the words
@@ -207,7 +207,7 @@ def test_a_start_that_was_seen_makes_a_scene(first):
 
 def test_a_start_that_was_not_seen_makes_no_scene():
     (flag,) = [flag for flag in pushed(PUSH, 45).flags if flag.name == "no-scene"]
-    assert "first seen at 1.50 s, when it moved already" in flag.detail
+    assert "first visible at 1.50 s, when it already moved" in flag.detail
 
 
 def test_two_pushes_in_one_film_make_no_scene():

@@ -86,7 +86,7 @@ class Bench:
 
     def track_film(self, *_: object, **__: object) -> object:
         scene = MagicMock() if self._tracked.pop(0) else None
-        flags = (Flag("no-scene", "object first seen at 0.81 s, when it moved already"),)
+        flags = (Flag("no-scene", "object first visible at 0.81 s, when it already moved"),)
         return MagicMock(experiment=MagicMock(scene=scene, flags=flags))
 
 
@@ -96,7 +96,7 @@ def test_a_run_that_cannot_be_tracked_ends_in_a_sentence_and_goes_on_later(
     """A busy computer: two recordings without a start, later a good one."""
     bench = Bench(monkeypatch, [False, False, True])
     folder = tmp_path / "tour"
-    with pytest.raises(InvalidInput, match=r"first seen at 0\.81 s") as refusal:
+    with pytest.raises(InvalidInput, match=r"first visible at 0\.81 s") as refusal:
         run_camera_tour(folder, pushes=(0,))
     assert "goes on" in str(refusal.value.hint)
     assert bench.recorded == 2

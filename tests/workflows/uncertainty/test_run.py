@@ -50,7 +50,7 @@ def test_the_answer_for_people(answered):
     out, pictures = answered
     for words in (
         "ends with 90 % probability in an ellipse of",
-        "The model's own error at the end of the way is",
+        "The model error at the end of the motion is",
         "tripod_radius",
         "held out",
         "effective samples from",

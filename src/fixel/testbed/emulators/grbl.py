@@ -486,16 +486,18 @@ class EmulatedGrbl:
 def main() -> None:
     """Run an emulated controller until Ctrl-C."""
     parser = argparse.ArgumentParser(description="An emulated GRBL controller.")
-    parser.add_argument("--link", type=Path, required=True, help="name the port gets")
-    parser.add_argument("--homing", action="store_true", help="wants to be homed first")
-    parser.add_argument("--rate", type=float, default=1.0, help="its seconds over ours")
+    parser.add_argument("--link", type=Path, required=True, help="name of a link to the port")
+    parser.add_argument("--homing", action="store_true", help="require homing first")
+    parser.add_argument(
+        "--rate", type=float, default=1.0, help="ratio of its clock to the computer's"
+    )
     chosen = parser.parse_args()
     if chosen.link.exists() and not chosen.link.is_symlink():
-        parser.error(f"--link: {chosen.link} is there already, and no link")
+        parser.error(f"--link: {chosen.link} already exists and is not a link")
     with EmulatedGrbl(homing=chosen.homing, rate=chosen.rate) as controller:
         chosen.link.unlink(missing_ok=True)
         chosen.link.symlink_to(controller.port)
-        print(f"{chosen.link}: a GRBL controller; Ctrl-C ends it", flush=True)
+        print(f"{chosen.link}: a GRBL controller; stop it with Ctrl-C", flush=True)
         try:
             threading.Event().wait()
         except KeyboardInterrupt:

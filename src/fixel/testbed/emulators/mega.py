@@ -88,8 +88,8 @@ class EmulatedMega:
         self._process.stdin.write(command + "\n")
         answer = self._answer()
         if not answer.startswith("ok"):
-            said = repr(answer) if answer else f"nothing within {ANSWERS_WITHIN:g} s"
-            raise RuntimeError(f"the emulator was told {command!r}, and answered {said}")
+            said = repr(answer) if answer else f"no answer within {ANSWERS_WITHIN:g} s"
+            raise RuntimeError(f"the emulator received {command!r}, and answered {said}")
         return answer[3:]
 
     def touch(self, bits: int, after: float = 0.0) -> None:

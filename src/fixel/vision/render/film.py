@@ -170,7 +170,9 @@ def tracks_of(scene: Scene, motion: Motion) -> dict[str, Trajectory]:
     missing = [name for name in names if name not in motion]
     if missing:
         raise InvalidInput(
-            "motion", found=f"no trajectory of {missing[0]!r}", expected="one of all that moves"
+            "motion",
+            found=f"no trajectory of {missing[0]!r}",
+            expected="trajectories of all moving bodies",
         )
     return {name: motion[name] for name in names}
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.model.chance import stream
 from fixel.model.fields import fraction, non_negative, settle
 from fixel.typing import FloatArray
@@ -153,13 +152,7 @@ def looks_named(name: str) -> CameraEffects:
     """
     if name in PRESETS:
         return PRESETS[name]
-    close = difflib.get_close_matches(name, PRESETS, n=1)
-    raise InvalidInput(
-        "looks",
-        found=repr(name),
-        expected=", ".join(PRESETS),
-        hint=f"did you mean {close[0]!r}?" if close else None,
-    )
+    raise unknown_name("looks", name, PRESETS)
 
 
 def changed(looks: CameraEffects, changes: Iterable[str]) -> CameraEffects:
@@ -176,7 +169,7 @@ def changed(looks: CameraEffects, changes: Iterable[str]) -> CameraEffects:
             raise InvalidInput(
                 "looks",
                 found=repr(text),
-                expected="NAME=VALUE, the name one of " + ", ".join(_NUMBERS),
+                expected="NAME=VALUE, where NAME is one of " + ", ".join(_NUMBERS),
             )
         try:
             number = float(value)

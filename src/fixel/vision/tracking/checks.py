@@ -27,7 +27,7 @@ ABOVE: Final = 0.03  # [m], approximate height of the markers
 MIN_TAGS: Final = 3  # each gives three numbers for the six parameters of the camera's place
 DARK, WHITE = 45.0, 234.0  # of brightness; video has 16 for black and 235 for white
 PLATE_EVERY: Final = 15  # frames between two checks of the plate
-UNWATCHED: Final = "No plate tag is seen, so nothing tells whether the camera has moved"
+UNWATCHED: Final = "No tag on the plate is visible, so motion of the camera cannot be detected"
 VAGUE: Final = 0.5e-3  # [m] largest error of a registered camera at that height
 
 
@@ -40,12 +40,12 @@ def check_size(rig: Rig, frame: Frame) -> None:
     raise InvalidInput(
         "video",
         found=f"{found[0]} x {found[1]} pixels"
-        + (", the picture turned by a quarter" if turned else ""),
+        + (", with the picture turned by 90 degrees" if turned else ""),
         expected=f"{wanted[0]} x {wanted[1]}, for which rig {rig.name!r} was calibrated",
-        hint="turn the film back"
+        hint="rotate the film back"
         if turned
-        else "film at that resolution, or calibrate the camera at this one: a scaled calibration "
-        "is a guess, since cameras crop",
+        else "film at that resolution, or calibrate the camera at this one; a calibration cannot "
+        "be scaled, since cameras crop",
     )
 
 
@@ -53,10 +53,10 @@ def bad_light(frame: Frame) -> str:
     """Return a remedy for a picture that is nearly all dark or white; empty for others."""
     level = np.percentile(frame.luma[::8, ::8], (50.0, 95.0))
     if level[1] < DARK:
-        return f"95 of 100 pixels are darker than {level[1]:.0f} of 255: more light, or exposure"
+        return f"95 of 100 pixels are darker than {level[1]:.0f} of 255: increase light or exposure"
     if level[0] > WHITE:
         return (
-            f"half of all pixels are brighter than {level[0]:.0f} of 255: less light, or exposure"
+            f"half of all pixels are brighter than {level[0]:.0f} of 255: reduce light or exposure"
         )
     return ""
 
@@ -74,7 +74,7 @@ def check_orientation(rig: Rig, picture: Gray) -> None:
     if wanted & set(read_tags(picture[:, ::-1], families)):
         raise InvalidInput(
             "video",
-            found="a mirrored picture: its tags can be read only in a mirror",
+            found="a mirrored picture, whose tags can be read only after mirroring",
             expected="the picture as the camera sees it",
             hint="turn off mirroring in the camera's or recorder's settings",
         )
@@ -182,19 +182,19 @@ def check_camera_place(rig: Rig, frame: Frame) -> bool:
     if max(turned for _, turned in offsets.values()) < FOUND < max(off.values()):
         raise InvalidInput(
             "video",
-            found="a picture turned by half a turn",
-            expected=f"the picture as rig {rig.name!r} has it",
-            hint="turn off rotation in the camera's settings, or calibrate the plate anew",
+            found="a picture turned by 180 degrees",
+            expected=f"the picture in the orientation of rig {rig.name!r}",
+            hint="turn off rotation in the settings of the camera, or calibrate the plate again",
         )
     worst = max(off, key=lambda id_: off[id_] / limits[id_])
     if off[worst] > limits[worst]:
         raise InvalidInput(
             "camera",
-            found=f"tag {worst} of the plate {off[worst] * pixel * 1e3:.1f} mm off its place: the "
-            "camera or the plate was moved",
+            found=f"tag {worst} on the plate {off[worst] * pixel * 1e3:.1f} mm from its nominal "
+            "position: the camera or the plate was moved",
             expected=f"at most {limits[worst] * pixel * 1e3:.1f} mm",
-            hint="calibrate the plate anew, or track with --register to find the camera's new "
-            "place from these tags",
+            hint="calibrate the plate again, or use --register to estimate the camera pose from "
+            "these tags",
         )
     return True
 
@@ -227,8 +227,8 @@ def registered(rig: Rig, frame: Frame) -> Rig:
     if len(rough) < MIN_TAGS:
         raise InvalidInput(
             "camera",
-            found=f"{len(rough)} tags of the plate in the picture",
-            expected=f"at least {MIN_TAGS} to find the camera's place from, near the corners",
+            found=f"{len(rough)} tags on the plate in the picture",
+            expected=f"at least {MIN_TAGS} tags near the corners, to estimate the camera pose",
         )
     camera, _ = _placed(rig.camera, rough)
     exact = {tag: _by_edges(frame, camera, tag, rough[tag]) for tag in rough}
@@ -238,9 +238,9 @@ def registered(rig: Rig, frame: Frame) -> Rig:
     if rest > 1.0:
         raise InvalidInput(
             "camera",
-            found=f"tags of the plate that are {rest:.1f} px off wherever the camera is put",
-            expected="tags at the places the rig says",
-            hint="was one of them moved? calibrate the plate anew",
+            found=f"tags on the plate that are {rest:.1f} px off for every camera pose",
+            expected="tags at the positions in the rig file",
+            hint="one of them may have moved; calibrate the plate again",
         )
     if rig.measured is None:
         return replace(rig, camera=camera)
@@ -288,7 +288,7 @@ def _refuse_vague(camera: Camera, found: BundleFit, scatter: float) -> None:
     if off > VAGUE:
         raise InvalidInput(
             "camera",
-            found=f"tags of the plate that tell places to {off * 1e3:.1f} mm only",
-            expected=f"tags so far apart that they tell them to {VAGUE * 1e3:.1f} mm",
-            hint="put tags near all four corners of the picture, or calibrate the plate anew",
+            found=f"tags on the plate that determine positions to {off * 1e3:.1f} mm only",
+            expected=f"tags far enough apart to determine them to {VAGUE * 1e3:.1f} mm",
+            hint="put tags near all four corners of the picture, or calibrate the plate again",
         )

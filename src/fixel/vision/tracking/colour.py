@@ -124,12 +124,12 @@ def fit_sticker(
         u, v = seen_at(camera, pose[:2], sticker.height)
         covered = np.empty(window.shape[:2], np.uint8)
         if not cover(window, u - corner[0], v - corner[1], in_pixels, covered):
-            return f"the {sticker.colour} sticker does not show"
+            return f"the {sticker.colour} sticker is not visible"
         fit = fit_pose(
             covered, camera, edges, pose, reach=look, turns=False, rounds=2, corner=corner
         )
         if fit is None:
-            return f"too little of the {sticker.colour} sticker's edge shows"
+            return f"too little of the edge of the {sticker.colour} sticker is visible"
         moved = np.hypot(*(fit.pose - pose)[:2]) / radius
         pose = fit.pose
         if moved < 0.1:

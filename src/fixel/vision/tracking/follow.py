@@ -142,8 +142,8 @@ def _uneven(time: FloatArray) -> list[str]:
     if scatter < UNEVEN:
         return []
     return [
-        f"frames came unevenly: their time stamps scatter by {1e3 * scatter:.0f} ms about an even "
-        "rate; a part that moves is as uncertain along its way as its speed times that"
+        f"uneven frames: their time stamps scatter by {1e3 * scatter:.0f} ms about an even rate; "
+        "positions of a moving part are uncertain by its speed times this scatter"
     ]
 
 
@@ -172,7 +172,10 @@ def _checked(rig: Rig, frame: Frame, *, register: bool) -> tuple[Rig, list[str]]
         return rig, [] if watched else [UNWATCHED]
     found = registered(rig, frame)
     shift = float(np.hypot(*(found.camera.position - rig.camera.position)[:2]))
-    remark = f"the camera was registered anew from the plate's tags, {shift * 1e3:.1f} mm away"
+    remark = (
+        "the camera pose was estimated again from the tags on the plate; it changed by "
+        f"{shift * 1e3:.1f} mm"
+    )
     return found, [remark]
 
 
@@ -194,9 +197,9 @@ def followers_of(
         needs = "; ".join(f"for {member.name}, {member.needs}" for member in members)
         raise InvalidInput(
             f"rig {rig.name!r}",
-            found="no part that could be followed",
-            expected=f"a part with what is looked for: {needs}",
-            hint="describe its marks in the rig file, or choose another --method",
+            found="no part that could be tracked",
+            expected=f"a part with what the method needs: {needs}",
+            hint="describe its markers in the rig file, or choose another --method",
         )
     return tuple(names), followers
 
@@ -216,10 +219,10 @@ def _refuse_unseen(rig: Rig, sightings: Mapping[str, list[PartObservation]], fir
         reasons = [sight.reason for sight in own]
         families = {mark.family for mark in rig.parts[name].marks if isinstance(mark, Tag)}
         others = other_families(first.luma, families) if families else ""
-        there = f"; in the first frame are {others}" if others else ""
+        there = f"; the first frame shows {others}" if others else ""
         raise InvalidInput(
             f"part {name!r}",
             found=f"it in none of {len(own)} frames: {max(set(reasons), key=reasons.count)}{there}",
-            expected="a part that shows",
-            hint=bad_light(first) or "is this the rig the film was taken with?",
+            expected="a visible part",
+            hint=bad_light(first) or "check that the film was recorded with this rig",
         )

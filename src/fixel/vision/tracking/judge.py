@@ -64,8 +64,8 @@ def judged(
     pixel = float(np.median(scale[seen])) if seen.any() else USUAL_PIXEL
     clocks = _clocks(time)
     for find, why in (
-        (_alone, "an outlier: it fits neither what came before nor what came after"),
-        (_between_jumps, "an outlier: nothing moves to there and back at once"),
+        (_alone, "an outlier: it fits neither the previous nor the following frames"),
+        (_between_jumps, "an outlier: no part moves so far and back within one frame"),
     ):
         rows = np.flatnonzero(good)
         pose[:, 2] = _continuous(pose[:, 2], good)

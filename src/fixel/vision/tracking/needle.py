@@ -88,7 +88,7 @@ class NeedleFollower:
         if sight is not None and sight.pose is not None:
             return sight
         if dark is None:
-            return PartObservation(reason=f"the tip of {self.name} does not show")
+            return PartObservation(reason=f"the tip of {self.name} is not visible")
         start = self._found(dark)
         if start is None:
             return PartObservation(reason=f"no {self.name} reaches into the picture")
@@ -102,7 +102,7 @@ class NeedleFollower:
         for _ in range(2):
             sides = _sides(frame.luma, needle, tip)
             if sides is None:
-                return PartObservation(reason=f"too little of the needle of {self.name} shows")
+                return PartObservation(reason=f"too little of the needle of {self.name} is visible")
             shift, tilt, residual, spread, contrast = sides
             across = np.array([-needle.axis[1], needle.axis[0]])
             axis = needle.axis + tilt * across
@@ -110,7 +110,9 @@ class NeedleFollower:
             tip = tip + shift * across
             along = _end(frame.luma, needle, tip, part, self._front(needle), contrast)
             if along is None:
-                return PartObservation(reason=f"where the needle of {self.name} ends does not show")
+                return PartObservation(
+                    reason=f"the end of the needle of {self.name} is not visible"
+                )
             tip = tip + along * needle.axis
             scatter = np.array([max(residual, 0.05) * spread, max(residual, 0.05)])
         if residual > MAX_RESIDUAL:

@@ -61,7 +61,7 @@ class Silhouette(AbstractTracking):
     """
 
     name: ClassVar[str] = "silhouette"
-    needs: ClassVar[str] = "no marks, and an outline in the scene under its name"
+    needs: ClassVar[str] = "no markers, and an outline in the scene under its name"
 
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
         """Parts without markers whose outline is known, largest first."""
@@ -74,8 +74,8 @@ class Silhouette(AbstractTracking):
         if len(names) > 2:
             raise InvalidInput(
                 f"rig {rig.name!r}",
-                found=f"{len(names)} parts without marks",
-                expected="a part and a probe: more outlines cannot be told apart",
+                found=f"{len(names)} parts without markers",
+                expected="a part and a probe, since more outlines cannot be distinguished",
             )
         return _SilhouetteFollower(rig, {name: things[name] for name in names})
 
@@ -149,13 +149,13 @@ class _OutlineTrack:
             rounds=6,
         )
         if fit is None or fit.share < MIN_SHARE:
-            return PartObservation(reason=f"too little of the outline of {self.name} shows")
+            return PartObservation(reason=f"too little of the outline of {self.name} is visible")
         if fit.residual > MAX_RESIDUAL:
             return PartObservation(
                 reason=f"the outline of {self.name} is off by {fit.residual:.2f} px"
             )
         if vague(fit.deviations, self._scale):
-            return PartObservation(reason=f"too little of the outline of {self.name} shows")
+            return PartObservation(reason=f"too little of the outline of {self.name} is visible")
         self._spread = fit.spread
         return PartObservation(
             pose=fit.pose,
@@ -181,7 +181,7 @@ class _OutlineTrack:
         if best is not followed or best.pose is None:
             self._prediction = PartPrediction()
         if best.pose is None:
-            return PartObservation(reason="nothing in the picture has its outline")
+            return PartObservation(reason="no region of the picture has its outline")
         if best is not followed:
             self._prediction.seen(frame.time, best.pose)
         return best
@@ -212,9 +212,9 @@ class _OutlineTrack:
         full = self._shape.area / self._scale**2
         own = [k for k in range(1, n) if AREA[0] * full < boxes[k][4] < AREA[1] * full]
         if not own:
-            return None, f"nothing dark of the size of {self.name} in the picture"
+            return None, f"no dark region of the size of {self.name} in the picture"
         if len(own) > 1:
-            return None, f"{len(own)} dark things of the size of {self.name} in the picture"
+            return None, f"{len(own)} dark regions of the size of {self.name} in the picture"
         return labels == own[0], ""
 
     def _starts(self, blob: NDArray[np.bool_]) -> list[FloatArray]:

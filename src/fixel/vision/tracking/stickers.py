@@ -47,7 +47,7 @@ class Stickers(AbstractTracking):
     """
 
     name: ClassVar[str] = "stickers"
-    needs: ClassVar[str] = "two stickers, since one tells no angle"
+    needs: ClassVar[str] = "two stickers, since one does not determine an angle"
 
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:
         """Parts with at least two stickers."""
@@ -112,7 +112,9 @@ class _StickeredPart(PartFollower):
         pose = rigid(own, seen)
         sd = spread_of(seen, [fit.covariance[:2, :2] for _, fit in good])
         if vague(sd, self._scale):
-            return PartObservation(reason="too little of its stickers shows to tell a pose")
+            return PartObservation(
+                reason="too little of its stickers is visible to estimate a pose"
+            )
         off = np.hypot(*(placed(own, pose) - seen).T) / self._scale
         return PartObservation(
             pose=pose,
@@ -151,8 +153,8 @@ class _StickeredPart(PartFollower):
             if len(candidates) > 1:
                 at = " and ".join(f"({u:.0f}, {v:.0f}) px" for u, v in candidates)
                 return None, (
-                    f"{len(candidates)} things of one colour look like the {sticker.colour} "
-                    f"sticker, at {at}: take the others away, or mask them"
+                    f"{len(candidates)} regions of the colour of the {sticker.colour} sticker, at "
+                    f"{at}: remove or mask the others"
                 )
             places.append(self._camera.on_plane(candidates[0], sticker.height))
         return np.array(places), ""

@@ -128,9 +128,9 @@ def find_tags(picture: Picture, tags: Sequence[Tag]) -> dict[int, FloatArray]:
         if len(places) > 1:
             raise InvalidInput(
                 "picture",
-                found=f"{tag.family} tag {tag.id} at two places",
-                expected="every tag once",
-                hint="take the second print out of the picture",
+                found=f"{tag.family} tag {tag.id} at two positions",
+                expected="each tag once",
+                hint="remove the second print",
             )
         corners = _sharpened(gray, places[0]) if places else None
         if corners is not None:

@@ -123,18 +123,18 @@ class _TaggedPart(PartFollower):
             corner=corner,
         )
         if fit is None:
-            return PartObservation(reason="too few edges of its tags are to be seen")
+            return PartObservation(reason="too few edges of its tags are visible")
         sd = fit.deviations
         agreeing = self._agreeing(picture, corner, fit)
         if not agreeing and self._prediction.fresh(frame.time) and self._near(fit, pose):
             agreeing = self._agreeing_partly(picture, corner, fit)
             sd *= PARTLY
         if not agreeing:
-            return PartObservation(reason="what is there does not read as its tags")
+            return PartObservation(reason="the picture there does not decode as its tags")
         if fit.residual > MAX_RESIDUAL:
             return PartObservation(reason=f"edges scatter by {fit.residual:.2f} px")
         if vague(sd, self._scale):
-            return PartObservation(reason="too little of its tags shows to tell a pose")
+            return PartObservation(reason="too little of its tags is visible to estimate a pose")
         self._spread = fit.spread
         return PartObservation(
             pose=fit.pose,
@@ -266,9 +266,10 @@ def _refuse_size(part: str, tag: Tag, corners: FloatArray) -> None:
     if abs(mean / tag.size - 1.0) > WRONG_SIZE and np.ptp(sides) < WRONG_SIZE * mean:
         raise InvalidInput(
             f"tag {tag.id} of {part}",
-            found=f"{mean * 1e3:.1f} mm wide in the picture",
-            expected=f"{tag.size * 1e3:.1f} mm, as the rig says",
-            hint="is its size in the rig that of the black square, and its height right?",
+            found=f"a width of {mean * 1e3:.1f} mm in the picture",
+            expected=f"{tag.size * 1e3:.1f} mm, as in the rig file",
+            hint="check its size in the rig file, which is that of the black square, and its "
+            "height",
         )
 
 

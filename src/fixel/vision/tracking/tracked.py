@@ -78,7 +78,9 @@ class PartTrack(Comparable):
         """
         if not self.good.any():
             raise InvalidInput(
-                self.name, found="no pose in any frame", expected="a part that shows in the film"
+                self.name,
+                found="no pose in any frame",
+                expected="a part that is visible in the film",
             )
         return Trajectory(time=self.time[self.good], pose=self.pose[self.good])
 

@@ -46,10 +46,10 @@ class AnalysisList(Answer):
     """All of them, the newest first."""
 
     analyses: list[AnalysisSummary]
-    unreadable: list[str] = Field(description="why others cannot be shown")
+    unreadable: list[str] = Field(description="reasons why other analyses cannot be shown")
 
 
-@router.get("", summary="Kept analyses")
+@router.get("", summary="List stored analyses")
 def analyses(context: Context, kind: Kind | None = None) -> AnalysisList:
     every, unreadable = load_with_errors(context.project, kind)
     return AnalysisList(
@@ -66,7 +66,7 @@ def analyses(context: Context, kind: Kind | None = None) -> AnalysisList:
 
 @router.get(
     "/{name}/{picture}.{ending}",
-    summary="A picture of an analysis, or the numbers behind it",
+    summary="Get a chart of an analysis, or its data",
     response_class=FileResponse,
 )
 def picture(context: Context, name: str, picture: str, ending: str) -> FileResponse:
@@ -77,8 +77,8 @@ def picture(context: Context, name: str, picture: str, ending: str) -> FileRespo
         (p.name for p in one.analysis.pictures if p.name == picture), None
     )  # fmt: skip
     if one is None or own is None or ending not in TYPES:
-        raise NotStored(f"picture {picture}.{ending} of {name}", hint="see /analyses")
+        raise NotStored(f"chart {picture}.{ending} of {name}", hint="/analyses lists all")
     path = one.picture(own, ending)
     if not path.is_file():
-        raise NotStored(f"picture {picture}.{ending} of {name}", hint="make the analysis again")
+        raise NotStored(f"chart {picture}.{ending} of {name}", hint="run the analysis again")
     return FileResponse(path, media_type=TYPES[ending])

@@ -30,7 +30,7 @@ class CalibrationList(Answer):
     calibrations: list[CalibrationSummary]
     total: int
     running: list[CalibrationProgress]
-    unreadable: list[str] = Field(description="why jobs of others cannot be shown")
+    unreadable: list[str] = Field(description="reasons why other jobs cannot be shown")
 
 
 class CalibrationJob(Answer):
@@ -38,11 +38,13 @@ class CalibrationJob(Answer):
 
     name: str
     state: str
-    left_out: dict[str, str] = Field(default_factory=dict, description="experiments and reasons")
+    left_out: dict[str, str] = Field(
+        default_factory=dict, description="reason by skipped experiment"
+    )
     stored: list[int] = Field(default_factory=list)
 
 
-@router.get("", summary="All calibrations, those of one run together")
+@router.get("", summary="List calibrations, grouped by run")
 def calibrations(
     context: Context,
     limit: Annotated[int, Query(ge=1, le=MAX_LISTED)] = 100,
@@ -59,7 +61,7 @@ def calibrations(
     )
 
 
-@router.get("/offer", summary="What can be calibrated")
+@router.get("/offer", summary="List parameters, methods and experiments for a calibration")
 def offer(
     context: Context,
     filter: Annotated[FilterText, Query()] = "",
@@ -68,7 +70,7 @@ def offer(
     return calibration_form.offer(context.store, filter, experiments or ())
 
 
-@router.post("", summary="Begin one, in a process of its own")
+@router.post("", summary="Start a calibration in a separate process")
 def start(context: Context, form: CalibrationForm) -> CalibrationJob:
     chosen = form.selection(context.store)
     plan = form.plan(chosen)
@@ -83,27 +85,27 @@ def start(context: Context, form: CalibrationForm) -> CalibrationJob:
     )
 
 
-@router.get("/jobs/{name}", summary="How far one is, and its objective")
+@router.get("/jobs/{name}", summary="Get the progress and the objective of a calibration")
 def live(
     context: Context, name: str, since: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0
 ) -> LiveProgress:
     return context.calibrations.look(context.calibrations.folder(name), since)
 
 
-@router.post("/jobs/{name}/stop", summary="Stop one; what is finished is kept")
+@router.post("/jobs/{name}/stop", summary="Stop a calibration; finished evaluations stay stored")
 def stop(context: Context, name: str) -> CalibrationJob:
     folder = context.calibrations.folder(name)
     return CalibrationJob(name=name, state=jobs.cancel(folder).state)
 
 
-@router.post("/jobs/{name}/resume", summary="Go on with one that was stopped or lost")
+@router.post("/jobs/{name}/resume", summary="Resume a calibration that was stopped or lost")
 def resume(context: Context, name: str) -> CalibrationJob:
     folder = context.calibrations.folder(name)
     with job_list.job_slot(context.project.folder):
         return CalibrationJob(name=name, state=calibration_form.go_on(folder).state)
 
 
-@router.get("/{number}", summary="One of them")
+@router.get("/{number}", summary="Get a calibration")
 def calibration(context: Context, number: Number) -> StoredCalibration:
     one = context.calibration(number)
     if not one.complete:

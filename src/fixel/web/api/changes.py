@@ -39,9 +39,9 @@ class MarkRequest(RequestBody):
 class FlagRequest(MarkRequest):
     """A flag for experiments."""
 
-    name: Text = Field(max_length=100, description="a-z, 0-9 and dashes")
+    name: Text = Field(max_length=100, description="name of the flag: a-z, 0-9 and dashes")
     detail: Text = Field(default="", max_length=2000)
-    fault: bool = Field(default=True, description="whether analyses leave them out")
+    fault: bool = Field(default=True, description="whether analyses skip flagged experiments")
 
 
 class UnflagRequest(MarkRequest):
@@ -66,14 +66,15 @@ class TableRequest(RequestBody):
     """The text of a CSV table, and of the scene file it belongs to."""
 
     name: str = Field(
-        pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .()+-]{0,99}\.csv$", description="of the table's file"
+        pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .()+-]{0,99}\.csv$",
+        description="name of the file of the table",
     )
     table: FileText = Field(max_length=MAX_TEXT)
     scene: FileText | None = Field(None, max_length=MAX_TEXT, description="scene file, as YAML")
     angle_unit: str | None = Field(
-        None, pattern="^(rad|deg)$", description="of the angles, whatever the header has"
+        None, pattern="^(rad|deg)$", description="unit of the angles; overrides the header"
     )
-    dry_run: bool = Field(False, description="read only, store nothing")
+    dry_run: bool = Field(False, description="whether to read only and store nothing")
 
 
 class TableResult(Answer):
@@ -81,9 +82,11 @@ class TableResult(Answer):
 
     understood: list[str]
     has_scene: bool
-    template: str | None = Field(description="scene file to be filled in, where there is no scene")
+    template: str | None = Field(description="template of a scene file, if none was given")
     stored: bool
-    known: bool = Field(description="stored before, and left as it is")
+    known: bool = Field(
+        description="whether the experiment was already stored; then it is unchanged"
+    )
 
 
 @router.post("/experiments/flag", summary="Add a flag to experiments", tags=["marks"])
@@ -92,22 +95,22 @@ def flag(context: Context, wanted: FlagRequest) -> ChangedRecords:
     return ChangedRecords(changed=context.store.flag(wanted.ids, made))
 
 
-@router.post("/experiments/unflag", summary="Take a flag off experiments", tags=["marks"])
+@router.post("/experiments/unflag", summary="Remove a flag from experiments", tags=["marks"])
 def unflag(context: Context, wanted: UnflagRequest) -> ChangedRecords:
     return ChangedRecords(changed=context.store.unflag(wanted.ids, wanted.name))
 
 
-@router.post("/experiments/delete", summary="Leave experiments out of everything", tags=["marks"])
+@router.post("/experiments/delete", summary="Delete experiments", tags=["marks"])
 def delete(context: Context, wanted: MarkRequest) -> ChangedRecords:
     return ChangedRecords(changed=context.store.delete(wanted.ids))
 
 
-@router.post("/experiments/undelete", summary="Take deletions of experiments back", tags=["marks"])
+@router.post("/experiments/undelete", summary="Restore deleted experiments", tags=["marks"])
 def undelete(context: Context, wanted: MarkRequest) -> ChangedRecords:
     return ChangedRecords(changed=context.store.delete(wanted.ids, back=True))
 
 
-@router.post("/experiments/note", summary="Write a note beside experiments", tags=["marks"])
+@router.post("/experiments/note", summary="Add a note to experiments", tags=["marks"])
 def note(context: Context, wanted: NoteRequest) -> ChangedRecords:
     """`changed` are the ids of the notes."""
     return ChangedRecords(changed=context.store.annotate(wanted.ids, wanted.text))
@@ -118,9 +121,7 @@ def delete_notes(context: Context, wanted: MarkRequest) -> ChangedRecords:
     return ChangedRecords(changed=context.store.delete_notes(wanted.ids))
 
 
-@router.post(
-    "/notes/undelete", summary="Take deletions of notes back, by their ids", tags=["marks"]
-)
+@router.post("/notes/undelete", summary="Restore deleted notes, by their ids", tags=["marks"])
 def undelete_notes(context: Context, wanted: MarkRequest) -> ChangedRecords:
     return ChangedRecords(changed=context.store.delete_notes(wanted.ids, back=True))
 

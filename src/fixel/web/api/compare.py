@@ -53,7 +53,7 @@ class NewSimulation(Answer):
 
 @router.get(
     "/experiments/{number}/motion",
-    summary="What moved, and what simulations made of it",
+    summary="Get the measured motion and stored simulations of an experiment",
     tags=["motion"],
 )
 def motion(
@@ -63,7 +63,7 @@ def motion(
         list[Id],
         Query(
             max_length=MAX_SIMULATIONS,
-            description="ids of stored simulations of it; may be repeated",
+            description="ids of stored simulations of the experiment; may be repeated",
         ),
     ] = [],  # noqa: B006
 ) -> Animation:
@@ -73,7 +73,7 @@ def motion(
 
 @router.get(
     "/experiments/{number}/comparison",
-    summary="What there is to compare it with",
+    summary="List parameter sets to compare an experiment with",
     tags=["compare"],
 )
 def comparison_offer(context: Context, number: Number) -> ComparisonOffer:
@@ -87,7 +87,7 @@ def comparison_offer(context: Context, number: Number) -> ComparisonOffer:
 
 @router.post(
     "/experiments/{number}/comparison",
-    summary="Simulate it with other parameters",
+    summary="Simulate an experiment with other parameters",
     tags=["compare"],
 )
 def compare(context: Context, number: Number, wanted: ComparisonRequest) -> ComparedSimulation:
@@ -96,16 +96,14 @@ def compare(context: Context, number: Number, wanted: ComparisonRequest) -> Comp
 
 @router.get(
     "/experiments/{number}/simulations/{simulation}",
-    summary="A stored simulation",
+    summary="Get a stored simulation",
     tags=["compare"],
 )
 def stored_simulation(context: Context, number: Number, simulation: Number) -> ComparedSimulation:
     return context.comparison.stored(number, simulation, context.folder)
 
 
-@router.post(
-    "/experiments/{number}/simulations", summary="Keep such a simulation", tags=["compare"]
-)
+@router.post("/experiments/{number}/simulations", summary="Store a simulation", tags=["compare"])
 def keep_simulation(context: Context, number: Number, wanted: ComparisonRequest) -> NewSimulation:
     folder = context.folder
     return NewSimulation(
@@ -115,7 +113,7 @@ def keep_simulation(context: Context, number: Number, wanted: ComparisonRequest)
 
 @router.post(
     "/experiments/simulate",
-    summary="Keep simulations with nominal values, where there is none",
+    summary="Simulate experiments with nominal values and store the results, if not stored yet",
     tags=["compare"],
 )
 def simulate_nominal(context: Context, wanted: NominalRequest) -> NewSimulations:

@@ -43,7 +43,7 @@ class DomainJob(Answer):
     ended: bool
     reason: str
     fits: int
-    total: int = Field(description="0 while unknown")
+    total: int = Field(description="number of fits; 0 while unknown")
 
 
 class MapList(Answer):
@@ -51,8 +51,8 @@ class MapList(Answer):
 
     maps: list[MapSummary]
     jobs: list[DomainJob]
-    unreadable: list[str] = Field(description="why other maps and jobs cannot be shown")
-    command: str = Field(description="what to type for the first")
+    unreadable: list[str] = Field(description="reasons why other maps and jobs cannot be shown")
+    command: str = Field(description="command that makes a map")
 
 
 class NextExperiments(Answer):
@@ -66,21 +66,25 @@ class FitProgress(Answer):
     """Progress of the fit of a map."""
 
     ready: bool
-    seconds: float = Field(description="for how long it has been fitted to these axes")
+    seconds: float = Field(description="time since the fit to these axes began [s]")
 
 
 class MapForm(RequestBody):
     """A map to make."""
 
     by: list[Annotated[Text, Field(min_length=1, max_length=80)]] = Field(
-        default_factory=list, max_length=3, description="conditions with a map of their own each"
+        default_factory=list,
+        max_length=3,
+        description="conditions; each of their values has its own map",
     )
 
 
 class MapQuery(BaseModel):
     """Request for one map of an analysis."""
 
-    axis: list[Text] | None = Field(None, max_length=3, description="those it was made for, else")
+    axis: list[Text] | None = Field(
+        None, max_length=3, description="axes of the map; by default those it was made for"
+    )
     measure: Measure | None = None
 
     @property
@@ -93,13 +97,16 @@ class ClaimQuery(MapQuery):
     """Request for one map of an analysis, and the claim that is checked."""
 
     threshold: float | None = Field(
-        None, gt=0.0, le=1e6, description="[mm], or a share above the own best"
+        None,
+        gt=0.0,
+        le=1e6,
+        description="threshold [mm], or as a share above the smallest error of the experiment",
     )
     level: float = Field(0.9, gt=0.0, lt=1.0)
     confidence: float = Field(0.95, gt=0.5, lt=1.0)
 
 
-@router.get("", summary="Kept maps")
+@router.get("", summary="List stored maps")
 def maps(context: Context) -> MapList:
     stored, bad_maps = context.domains.maps()
     own_jobs, bad_jobs = job.jobs_of(context.project)
@@ -111,7 +118,7 @@ def maps(context: Context) -> MapList:
     )
 
 
-@router.post("", summary="Make a map, in a process of its own")
+@router.post("", summary="Compute a map in a separate process")
 def begin(context: Context, wanted: MapForm) -> DomainJob:
     request = DomainRequest(by=tuple(wanted.by))
     with job_list.job_slot(context.project.folder):
@@ -119,37 +126,38 @@ def begin(context: Context, wanted: MapForm) -> DomainJob:
     return _job(jobs.status_of(folder))
 
 
-@router.post("/jobs/{name}/stop", summary="Stop making a map; its fits are kept")
+@router.post("/jobs/{name}/stop", summary="Stop computing a map; finished fits stay stored")
 def stop(context: Context, name: str) -> DomainJob:
     own_jobs, _ = job.jobs_of(context.project)
     own = next((one for one in own_jobs if Path(one.folder).name == name), None)
     if own is None:
-        raise NotStored(f"job {name!r}", hint="see the page Domain")
+        raise NotStored(f"job {name!r}", hint="the page Domain lists all")
     return _job(jobs.cancel(Path(own.folder)))
 
 
-@router.get("/{name}", summary="A map for every threshold")
+@router.get("/{name}", summary="Get a map for all thresholds")
 def view(context: Context, name: str, query: Annotated[MapQuery, Query()]) -> MapDocument:
     return domain_views.document(context.domains.view(name, query.axes, query.measure))
 
 
 @router.get(
     "/{name}/fit",
-    summary="Fit a map to other axes, or see whether that is done",
-    description="Runs in a separate process, shared by all requests. It stops after two minutes "
-    "without a request. Until it is done, other parts of the map are refused after two seconds.",
+    summary="Fit a map to other axes, or get the progress of the fit",
+    description="The fit runs in a separate process, shared by all requests. It stops after two "
+    "minutes without a request. Until it has finished, requests for other parts of "
+    "the map are rejected after two seconds.",
 )
 def fit(context: Context, name: str, query: Annotated[MapQuery, Query()]) -> FitProgress:
     seconds = context.domains.fit(name, query.axes, query.measure)
     return FitProgress(ready=seconds is None, seconds=seconds or 0.0)
 
 
-@router.post("/{name}/fit/stop", summary="Stop fitting it", status_code=204)
+@router.post("/{name}/fit/stop", summary="Stop the fit of a map", status_code=204)
 def stop_fit(context: Context, name: str, query: Annotated[MapQuery, Query()]) -> None:
     context.domains.stop(name, query.axes, query.measure)
 
 
-@router.get("/{name}/map", summary="The map at a threshold")
+@router.get("/{name}/map", summary="Get the map at a threshold")
 def at_threshold(
     context: Context, name: str, query: Annotated[ClaimQuery, Query()]
 ) -> ThresholdMap:
@@ -158,7 +166,7 @@ def at_threshold(
     return domain_views.at_threshold(one, claim, context.folder)
 
 
-@router.get("/{name}/next", summary="What to try next")
+@router.get("/{name}/next", summary="Get suggested experiments")
 def next_experiments(
     context: Context, name: str, query: Annotated[ClaimQuery, Query()]
 ) -> NextExperiments:

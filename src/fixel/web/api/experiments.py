@@ -35,10 +35,10 @@ Filter = Annotated[
     str,
     Query(
         max_length=1000,
-        description="words, `shape=square`, `error>5` [mm], `flag:NAME`, `is:faulty`, ...",
+        description="filter: words, `shape=square`, `error>5` [mm], `flag:NAME`, `is:faulty`, ...",
     ),
 ]
-Sort = Annotated[str, Query(max_length=100, description="a column or a condition")]
+Sort = Annotated[str, Query(max_length=100, description="column or condition to sort by")]
 
 
 class TableRow(Answer):
@@ -52,18 +52,20 @@ class TableRow(Answer):
     layout: str | None
     frames: int
     duration_s: float
-    start: list[float] = Field(description="x [m], y [m], angle [rad]")
-    end: list[float] = Field(description="x [m], y [m], angle [rad]")
+    start: list[float] = Field(description="pose: x [m], y [m], angle [rad]")
+    end: list[float] = Field(description="pose: x [m], y [m], angle [rad]")
     moved_m: float
     turned_rad: float
-    contacts: str = Field(description="measured at the end, a digit a fixel")
+    contacts: str = Field(description="measured contact mode at the end, one digit per fixel")
     conditions: dict[str, str | float]
     created_utc: str
-    content: str = Field(description="beginning of the checksum of its content")
+    content: str = Field(description="first digits of the checksum of the content")
     before_mm: float | None = Field(
-        description="root of the thesis's E, of the newest stored simulation with nominal values"
+        description="square root of the E of the newest stored simulation with nominal values"
     )
-    after_mm: float | None = Field(description="the same, of the newest calibration it is part of")
+    after_mm: float | None = Field(
+        description="square root of the E in the newest calibration of this experiment"
+    )
     flags: list[Flag]
     notes: int
     deleted: bool
@@ -73,9 +75,9 @@ class TablePage(Answer):
     """One page of the table."""
 
     experiments: list[TableRow]
-    total: int = Field(description="that match, on this page or not")
-    faulty: int = Field(description="of these, with a fault in their data")
-    meant: str | None = Field(description="a filter that was perhaps meant, where nothing matches")
+    total: int = Field(description="number of matching experiments on all pages")
+    faulty: int = Field(description="number of these whose data have faults")
+    meant: str | None = Field(description="filter that was probably meant, if nothing matches")
 
 
 class ExperimentIds(Answer):
@@ -87,8 +89,8 @@ class ExperimentIds(Answer):
 class PoseTrack(Answer):
     """Poses against time."""
 
-    time: Array = Field(description="(n,) [s]")
-    pose: Array = Field(description="(n, 3) x [m], y [m], angle [rad]")
+    time: Array = Field(description="(n,) times [s]")
+    pose: Array = Field(description="(n, 3) poses: x [m], y [m], angle [rad]")
 
 
 class MeasuredTrack(PoseTrack):
@@ -96,7 +98,7 @@ class MeasuredTrack(PoseTrack):
 
     object: str
     pusher: PoseTrack | None
-    effective_s: list[float] | None = Field(description="first and last instant of useful data")
+    effective_s: list[float] | None = Field(description="first and last time of usable data")
 
 
 class StoredSimulation(Answer):
@@ -106,7 +108,7 @@ class StoredSimulation(Answer):
     parameters: dict[str, float]
     status: str
     contacts: str
-    error_mm: float | None = Field(description="root of the thesis's E")
+    error_mm: float | None = Field(description="square root of the E of the thesis")
     created_utc: str
     command: str
     method: dict[str, Any]
@@ -126,8 +128,8 @@ class Signal(Answer):
 
     name: str
     columns: list[str]
-    time: Array = Field(description="(n,) [s]")
-    values: Array = Field(description="(n, n_column); NaN where there was no reading")
+    time: Array = Field(description="(n,) times [s]")
+    values: Array = Field(description="(n, n_column) readings; NaN if missing")
 
 
 class TactileSignals(Answer):
@@ -140,7 +142,7 @@ class TactileSignals(Answer):
 class ExperimentOutlines(Answer):
     """Outlines over a video."""
 
-    outlines: VideoOutlines | None = Field(description="none where the rig is not known")
+    outlines: VideoOutlines | None = Field(description="outlines; null if the rig is unknown")
 
 
 class NoteText(Answer):
@@ -164,7 +166,7 @@ class ExperimentDetail(Answer):
     has_video: bool
 
 
-@router.get("/experiments", summary="One page of the table, sorted and filtered")
+@router.get("/experiments", summary="Get a page of the table, sorted and filtered")
 def table(
     context: Context,
     filter: Filter = "",
@@ -183,7 +185,7 @@ def table(
     )
 
 
-@router.get("/experiments/ids", summary="Ids of all that match, in order")
+@router.get("/experiments/ids", summary="List ids of all matching experiments, in order")
 def ids(
     context: Context, filter: Filter = "", sort: Sort = "id", descending: bool = False
 ) -> ExperimentIds:
@@ -193,18 +195,18 @@ def ids(
 
 @router.get(
     "/experiments/unsimulated",
-    summary="Ids of those that match and could have a simulation with nominal values",
+    summary="List ids of matching experiments without a simulation with nominal values",
 )
 def unsimulated(context: Context, filter: Filter = "") -> ExperimentIds:
     return ExperimentIds(ids=context.store.unsimulated_ids(view_of(filter)))
 
 
-@router.get("/vocabulary", summary="What experiments can be told apart by")
+@router.get("/vocabulary", summary="List conditions and their values")
 def words(context: Context) -> Vocabulary:
     return vocabulary(context.store)
 
 
-@router.get("/coverage", summary="Which configurations have been run")
+@router.get("/coverage", summary="Count experiments by configuration")
 def covered(
     context: Context,
     filter: Filter = "",
@@ -214,7 +216,7 @@ def covered(
     return coverage(context.store, view_of(filter), x, y)
 
 
-@router.get("/experiments/{number}", summary="All that is known of an experiment")
+@router.get("/experiments/{number}", summary="Get an experiment")
 def experiment(context: Context, number: Number) -> ExperimentDetail:
     store, one = context.store, context.store.experiment(number)
     return ExperimentDetail.model_validate(
@@ -230,7 +232,7 @@ def experiment(context: Context, number: Number) -> ExperimentDetail:
     )
 
 
-@router.get("/experiments/{number}/trajectory", summary="Poses that were measured")
+@router.get("/experiments/{number}/trajectory", summary="Get the measured poses")
 def trajectory(context: Context, number: Number) -> MeasuredTrack:
     one = context.store.experiment(number)
     return MeasuredTrack(
@@ -242,7 +244,10 @@ def trajectory(context: Context, number: Number) -> MeasuredTrack:
     )
 
 
-@router.get("/experiments/{number}/simulations", summary="Its newest stored simulations")
+@router.get(
+    "/experiments/{number}/simulations",
+    summary="List the newest stored simulations of an experiment",
+)
 def simulations(
     context: Context, number: Number, limit: Annotated[int, Query(ge=1, le=100)] = 10
 ) -> StoredSimulations:
@@ -253,7 +258,7 @@ def simulations(
     )
 
 
-@router.get("/experiments/{number}/tactile", summary="Which fixel was touched when")
+@router.get("/experiments/{number}/tactile", summary="Get the readings of the contact sensors")
 def tactile(context: Context, number: Number) -> TactileSignals:
     one = context.store.experiment(number)
     channel = one.channel("tactile")
@@ -265,7 +270,7 @@ def tactile(context: Context, number: Number) -> TactileSignals:
 
 @router.get(
     "/experiments/{number}/thumbnail.svg",
-    summary="A small picture of the run",
+    summary="Get a thumbnail of the motion",
     response_class=Response,
     responses={200: {"content": {"image/svg+xml": {}}}},
 )
@@ -273,7 +278,10 @@ def small_picture(
     context: Context,
     number: Number,
     content: Annotated[
-        str, Query(max_length=64, description="its checksum: then the answer may be kept")
+        str,
+        Query(
+            max_length=64, description="checksum of the content; with it, the answer may be cached"
+        ),
     ] = "",
 ) -> Response:
     picture = context.thumbnail(number, (content or context.store.content(number))[:16])
@@ -283,21 +291,26 @@ def small_picture(
 
 @router.get(
     "/experiments/{number}/video",
-    summary="Its video as a browser plays it, whole or by ranges",
+    summary="Get the video in a format for browsers, whole or in ranges",
     response_class=FileResponse,
-    responses={200: {"content": {"video/mp4": {}}}, 206: {"description": "a range of it"}},
+    responses={
+        200: {"content": {"video/mp4": {}}},
+        206: {"description": "a range within the file"},
+    },
 )
 def video(context: Context, number: Number) -> Response:
     path = context.store.video(number)
     if path is None or not path.is_file():
-        raise NotStored(f"video of experiment {number}", hint="it was recorded without one")
+        raise NotStored(
+            f"video of experiment {number}", hint="this experiment was recorded without video"
+        )
     found = browser_video(context.project, path)
     # The address stays when a correction brings another video, so it is validated each time.
     headers = {"cache-control": "private, no-cache"}
     return FileResponse(found.path, media_type=found.media_type, headers=headers)
 
 
-@router.get("/experiments/{number}/outlines", summary="Where the object appears in its video")
+@router.get("/experiments/{number}/outlines", summary="Get the outline of the object in the video")
 def outlines(context: Context, number: Number) -> ExperimentOutlines:
     one = context.store.experiment(number)
     return ExperimentOutlines(outlines=outlines_in_video(context.project, one))

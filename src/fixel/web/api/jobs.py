@@ -15,7 +15,9 @@ from fixel.workflows import jobs
 from fixel.workflows.jobs import JobStatus
 
 MAX_LINES: Final = 2000
-JobName = Annotated[str, Path(min_length=1, max_length=255, description="of its folder")]
+JobName = Annotated[
+    str, Path(min_length=1, max_length=255, description="name of the folder of the job")
+]
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
 
@@ -33,31 +35,31 @@ class JobDetail(Answer):
     workers: list[Worker]
 
 
-@router.get("", summary="All jobs of the project, the newest first")
+@router.get("", summary="List jobs of the project, the newest first")
 def all_jobs(context: Context) -> JobList:
     return JobList(jobs=job_list.list_jobs(context.project.folder))
 
 
-@router.get("/{name}", summary="One of them and its workers")
+@router.get("/{name}", summary="Get a job and its workers")
 def one(context: Context, name: JobName) -> JobDetail:
     job = job_list.job_named(context.project.folder, name)
     return JobDetail(job=job, workers=[] if job.state == jobs.UNREADABLE else job_list.workers(job))
 
 
-@router.get("/{name}/log", summary="The end of its log")
+@router.get("/{name}/log", summary="Get the end of the log of a job")
 def log(
     context: Context, name: JobName, lines: Annotated[int, Query(ge=1, le=MAX_LINES)] = 200
 ) -> JobLog:
     return job_list.log_tail(job_list.job_named(context.project.folder, name), lines)
 
 
-@router.post("/{name}/cancel", summary="End it and its workers; what is finished stays")
+@router.post("/{name}/cancel", summary="Cancel a job and its workers; finished chunks stay stored")
 def cancel(context: Context, name: JobName) -> JobDetail:
     jobs.cancel(FilePath(job_list.job_named(context.project.folder, name).folder))
     return one(context, name)
 
 
-@router.post("/{name}/resume", summary="Go on with it, in a process of its own")
+@router.post("/{name}/resume", summary="Resume a job in a separate process")
 def resume(context: Context, name: JobName) -> JobDetail:
     with job_list.job_slot(context.project.folder):
         job_list.resume(job_list.job_named(context.project.folder, name))

@@ -28,7 +28,7 @@ def _writable(scene: dict[str, Any]) -> dict[str, Any]:
     try:
         json.dumps(scene, ensure_ascii=False).encode()
     except (UnicodeEncodeError, RecursionError):
-        raise ValueError("text and levels that a scene file can hold") from None
+        raise ValueError("a text with as few levels as scene files have") from None
     return scene
 
 
@@ -36,7 +36,7 @@ class SceneRequest(RequestBody):
     """A scene, as the keys of a scene file."""
 
     scene: Annotated[dict[str, Any], AfterValidator(_writable)] = Field(
-        description="as in a scene file: fixel scene files are the same"
+        description="scene with the keys of a scene file"
     )
 
 
@@ -44,7 +44,7 @@ class SceneFileRequest(RequestBody):
     """The text of a scene file."""
 
     text: Text = Field(max_length=scene_editor.MAX_TEXT)
-    is_json: bool = Field(False, description="JSON; else YAML")
+    is_json: bool = Field(False, description="whether the text is JSON instead of YAML")
 
 
 class SceneAnswer(Answer):
@@ -59,32 +59,32 @@ class SceneText(Answer):
     text: str = Field(description="YAML")
 
 
-@router.get("/scenes/examples", summary="Scenes that come with fixel")
+@router.get("/scenes/examples", summary="List example scenes")
 def examples() -> list[SceneExample]:
     return scene_editor.examples()
 
 
-@router.get("/scenes/examples/{name}", summary="One of them")
+@router.get("/scenes/examples/{name}", summary="Get an example scene")
 def example(name: ExampleName) -> SceneAnswer:
     return SceneAnswer(scene=scene_editor.example(name))
 
 
-@router.get("/experiments/{number}/scene", summary="The scene of an experiment")
+@router.get("/experiments/{number}/scene", summary="Get the scene of an experiment")
 def scene_of_experiment(context: Context, number: Number) -> SceneAnswer:
     return SceneAnswer(scene=scene_editor.scene_of_experiment(context.store.experiment(number)))
 
 
-@router.post("/scenes/read", summary="Read the text of a scene file")
+@router.post("/scenes/read", summary="Parse the text of a scene file")
 def read(file: SceneFileRequest) -> SceneAnswer:
     return SceneAnswer(scene=scene_editor.read_scene(file.text, json=file.is_json))
 
 
-@router.post("/scenes/check", summary="Say what is wrong with a scene", status_code=204)
+@router.post("/scenes/check", summary="Check a scene", status_code=204)
 def check(wanted: SceneRequest) -> None:
     scene_editor.check_scene(wanted.scene)
 
 
-@router.post("/scenes/write", summary="A scene as the text of a scene file")
+@router.post("/scenes/write", summary="Write a scene as the text of a scene file")
 def write(wanted: SceneRequest) -> SceneText:
     return SceneText(text=scene_editor.write_scene(wanted.scene))
 
@@ -92,9 +92,9 @@ def write(wanted: SceneRequest) -> SceneText:
 @router.post(
     "/simulate",
     summary="Simulate a scene",
-    description=f"Within {scene_editor.LIMIT:g} s of computing, {scene_editor.MAX_STEPS} "
-    f"steps and {scene_editor.MAX_DURATION:g} s of simulated time. "
-    "Ends when the connection does.",
+    description=f"Limits are {scene_editor.LIMIT:g} s of computing, {scene_editor.MAX_STEPS} "
+    f"steps and {scene_editor.MAX_DURATION:g} s of simulated time. The simulation "
+    "stops if the connection is closed.",
 )
 async def simulate(wanted: SceneRequest, request: Request) -> SceneMotion:
     gone = threading.Event()
@@ -112,7 +112,7 @@ def _simulated(scene: dict[str, Any], gone: threading.Event) -> SceneMotion:
     try:
         answer: SceneMotion = scene_editor.beside().call(scene, gone.is_set)
     except CallCancellation:
-        raise HTTPException(NOBODY_WAITS, "Nobody waits for this any more.") from None
+        raise HTTPException(NOBODY_WAITS, "The connection was closed.") from None
     return answer
 
 

@@ -29,9 +29,9 @@ class ProjectSummary(Answer):
     """Project that is served."""
 
     name: str
-    version: str = Field(description="of fixel")
-    datasets: dict[str, int] = Field(description="how many experiments each has")
-    flags: dict[str, int] = Field(description="how many experiments carry each")
+    version: str = Field(description="version of fixel")
+    datasets: dict[str, int] = Field(description="number of experiments by dataset")
+    flags: dict[str, int] = Field(description="number of experiments by flag")
 
 
 class SelfTestCheck(Answer):
@@ -67,9 +67,9 @@ class DatabaseCheck(Answer):
     ok: bool
     engine: str
     version: str | None
-    counts: dict[str, int] = Field(description="rows of every table, deleted ones too")
+    counts: dict[str, int] = Field(description="number of rows by table, including deleted ones")
     media_files: int
-    unused_files: int = Field(description="that no row names")
+    unused_files: int = Field(description="number of media files that no row refers to")
     troubles: list[TroubleText]
     n_trouble: int
 
@@ -79,10 +79,12 @@ class NewBackup(Answer):
 
     backup: BackupFile
     sha256: str
-    media: str = Field(description="this folder must be copied, too; its files never change")
+    media: str = Field(
+        description="folder of the media files, which must be copied too; they never change"
+    )
 
 
-@router.get("/project", summary="What is served here", tags=["project"])
+@router.get("/project", summary="Get the name and content of the project", tags=["project"])
 def project(context: Context) -> ProjectSummary:
     return ProjectSummary(
         name=context.name,
@@ -92,13 +94,13 @@ def project(context: Context) -> ProjectSummary:
     )
 
 
-@router.get("/system", summary="Versions, database, disk, backups", tags=["system"])
+@router.get("/system", summary="Get versions, database, disk usage and backups", tags=["system"])
 def system(context: Context) -> SystemStatus:
     return system_status.system_status(context.project)
 
 
 @router.post(
-    "/system/self-test", summary="Problems with known answers: takes a minute", tags=["system"]
+    "/system/self-test", summary="Run the self-test, which takes up to a minute", tags=["system"]
 )
 def self_test(context: Context) -> SelfTest:
     with _only_one(context, "the self-test"):
@@ -106,9 +108,7 @@ def self_test(context: Context) -> SelfTest:
     return SelfTest(allowed_residual=RESIDUAL, **answer)
 
 
-@router.post(
-    "/system/check", summary="Read all that is stored, and say what is wrong", tags=["system"]
-)
+@router.post("/system/check", summary="Check everything that is stored", tags=["system"])
 def check(context: Context) -> DatabaseCheck:
     with _only_one(context, "the check"):
         found = maintenance.check(context.project)
@@ -124,9 +124,7 @@ def check(context: Context) -> DatabaseCheck:
     )
 
 
-@router.post(
-    "/system/backups", summary="Copy the database, while others go on using it", tags=["system"]
-)
+@router.post("/system/backups", summary="Back up the database", tags=["system"])
 def back_up(context: Context) -> NewBackup:
     with _only_one(context, "the backup"):
         done = system_status.back_up(context.project)
@@ -139,7 +137,7 @@ def back_up(context: Context) -> NewBackup:
 
 @router.get(
     "/system/backups/{name}",
-    summary="A backup, to be saved",
+    summary="Download a backup",
     response_class=FileResponse,
     responses={200: {"content": {"application/vnd.sqlite3": {}}}},
     tags=["system"],
@@ -160,7 +158,7 @@ def _only_one(context: Context, what: str) -> Iterator[None]:
     task = (str(context.folder), what)
     with _lock:
         if task in _running:
-            raise JobRefused(f"{what} is running already", hint="wait for it to end")
+            raise JobRefused(f"{what} is already running", hint="wait until it has finished")
         _running.add(task)
     try:
         yield

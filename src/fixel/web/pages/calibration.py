@@ -23,7 +23,7 @@ HIDDEN = (  # shown elsewhere
 
 def stored_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill the page of a stored calibration."""
-    number = number_in(request, "calibration", "the list shows what there is")
+    number = number_in(request, "calibration", "the page Calibrations lists all")
     record = context.store.calibration(number)
     return {
         "title": record.name,
@@ -47,7 +47,7 @@ def form_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     wanted = request.query_params
     ids = wanted.get("experiments", "")
     if ids and not IDS.fullmatch(ids):
-        raise InvalidInput("experiments", found=repr(ids), expected="ids with commas between")
+        raise InvalidInput("experiments", found=repr(ids), expected="ids separated by commas")
     return {"filter": wanted.get("filter", ""), "experiments": ids}
 
 
@@ -60,7 +60,7 @@ def method(record: CalibrationRecord) -> list[Fact]:
     ]
     scale = record.method.get("error.angle_scale")
     if isinstance(scale, float | int):
-        found.append(Fact("a radian counts as", f"{1e3 * scale:g}", "mm"))
+        found.append(Fact("weight of angles", f"{1e3 * scale:g}", "mm"))
     return found
 
 
@@ -70,7 +70,7 @@ def provenance(record: CalibrationRecord) -> list[Fact]:
     took = f"{seconds:.3g}" if isinstance(seconds, float | int) else ""
     given = (
         ("stored", f"{origin.created[:10]} {origin.created[11:16]} UTC", ""),
-        ("by fixel", origin.version, ""),
+        ("fixel version", origin.version, ""),
         ("took", took, "s"),
         ("job", str(record.method.get("job", "")), ""),
         ("seed", "" if origin.seed is None else str(origin.seed), ""),

@@ -37,7 +37,7 @@ def number_in(request: Request, what: str, hint: str) -> int:
 
 def experiment_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill `/experiments/{number}`."""
-    number = number_in(request, "experiment", "the table shows what there is")
+    number = number_in(request, "experiment", "the page Experiments lists all")
     experiment = context.store.experiment(number)
     return {
         "title": experiment.key,
@@ -72,7 +72,7 @@ def facts(experiment: Experiment) -> list[Fact]:
     if useful is not None:
         found.append(Fact("useful", f"{_fixed(useful[0], 2)} to {_fixed(useful[1], 2)}", "s"))
     if known["contact_mode"]:
-        found.append(Fact("touches at the end", _touched(known["contact_mode"])))
+        found.append(Fact("contacts at the end", _touched(known["contact_mode"])))
     channels = ", ".join(channel.name for channel in experiment.channels)
     return [*found, Fact("signals", channels)] if channels else found
 
@@ -132,13 +132,13 @@ def provenance(experiment: Experiment) -> list[Fact]:
     origin = experiment.provenance
     given = (
         ("stored", _instant(origin.created)),
-        ("by fixel", origin.version),
+        ("fixel version", origin.version),
         ("command", origin.command),
         ("simulated by", experiment.simulated_by),
-        ("read from", origin.source),
-        ("its SHA-256", origin.sha256),
+        ("source file", origin.source),
+        ("SHA-256 of the source file", origin.sha256),
         ("seed", "" if origin.seed is None else str(origin.seed)),
-        ("video SHA-256", experiment.video),
+        ("SHA-256 of the video", experiment.video),
     )
     return [Fact(name, _short(name, value)) for name, value in given if value]
 

@@ -67,7 +67,7 @@ def compare_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     listed = context.store.experiments(ExperimentQuery(limit=OFFERED)).rows
     key = request.query_params.get("experiment", "")
     if not key and not listed:
-        raise NotStored("experiment to compare with", hint="import some with: fixel import")
+        raise NotStored("experiment to compare", hint="import some with: fixel import")
     number = context.store.find(key) if key else listed[0].id
     one = context.store.experiment(number)
     return {
@@ -130,7 +130,7 @@ def system_page(context: ProjectContext, _: Request) -> dict[str, Any]:
 def bytes_text(size: int | None) -> str:
     """Format a size in decimal units, as `bytes` of units.js does."""
     if size is None:
-        return "on a server"
+        return "stored on a server"
     value = float(size)
     for unit in ("byte", "kB", "MB", "GB"):
         if value < 1000.0:

@@ -58,11 +58,11 @@ async function ask(path, options) {
     answer = await fetch(BASE + path, options);
   } catch (problem) {
     if (problem instanceof DOMException && problem.name === "AbortError") throw problem;
-    throw new Refusal({ status: 0, sentence: "No connection to fixel: has it ended?" });
+    throw new Refusal({ status: 0, sentence: "Cannot reach the fixel server. Is it still running?" });
   }
   if (answer.ok) return answer.status === 204 ? null : answer.json();
   const said = await answer.json().catch(() => ({}));
-  throw new Refusal({ status: answer.status, ...said, sentence: said.sentence ?? `fixel answered ${answer.status}` });
+  throw new Refusal({ status: answer.status, ...said, sentence: said.sentence ?? `the server answered with status ${answer.status}` });
 }
 
 const KINDS = { "<f8": Float64Array, "<f4": Float32Array, "<i4": Int32Array };
@@ -139,6 +139,6 @@ export async function copy(text, what) {
     await navigator.clipboard.writeText(text);
     toast(`Copied ${what}.`);
   } catch {
-    toast("The browser does not let pages copy here; mark the text and copy it.", { bad: true });
+    toast("The browser does not allow this page to copy; select the text and copy it.", { bad: true });
   }
 }

@@ -24,8 +24,8 @@ async function offer() {
   try {
     const answer = /** @type {Offer} */ (await get(`/calibrations/offer?${search}`));
     if (own !== newest) return;
-    const left = answer.faulty ? `; ${answer.faulty} more with a fault in their data are left out` : "";
-    at("matching").textContent = `${several(answer.experiments, "experiment")} to calibrate with${left}.`;
+    const left = answer.faulty ? `; ${answer.faulty} more are skipped because their data have faults` : "";
+    at("matching").textContent = `${several(answer.experiments, "experiment")} selected${left}.`;
     at("matching").className = answer.experiments ? "remark" : "remark bad";
     if (known.size === 0 && answer.unknowns.length) fill(answer);
     /** @type {HTMLButtonElement} */ (at("begin")).disabled = answer.experiments === 0;
@@ -135,5 +135,5 @@ function limited() {
 form.addEventListener("submit", begin);
 input("filter").addEventListener("input", settled(offer, 250));
 form.addEventListener("change", limited);
-if (ids.length) toast(`${several(ids.length, "experiment")} chosen: ${ids.slice(0, 8).join(", ")}${ids.length > 8 ? "\u2026" : ""}`);
+if (ids.length) toast(`${several(ids.length, "experiment")} selected: ${ids.slice(0, 8).join(", ")}${ids.length > 8 ? "\u2026" : ""}`);
 void offer().then(limited);

@@ -54,7 +54,7 @@ function take(live) {
 function arrive(live) {
   if (leaving) return;
   leaving = true;
-  toast("Done and stored.");
+  toast("The calibration has finished and is stored.");
   location.replace(`${ROOT}/calibrations/${live.stored.at(-1)}`);
 }
 
@@ -83,8 +83,8 @@ function show(live) {
 
 /** @param {Live} live */
 function reasonOf(live) {
-  if (live.state === "lost") return "The process that ran it has ended unexpectedly. What was finished is kept; resume goes on from there.";
-  if (live.state === "cancelled" || live.state === "stopped") return "Stopped. What was finished is kept; resume goes on from there.";
+  if (live.state === "lost") return "The process of this calibration ended unexpectedly. Finished evaluations are saved; Resume continues from there.";
+  if (live.state === "cancelled" || live.state === "stopped") return "Stopped. Finished evaluations are saved; Resume continues from there.";
   return live.reason;
 }
 
@@ -104,8 +104,8 @@ function figures(live) {
 
 /** @type {Record<string, string>} */
 const STAGES = {
-  nominal: "values as they were", "all together": "one set for all", squares: "least squares",
-  alone: "each experiment by itself", verdicts: "intervals and verdicts", best: "at the best", neighbours: "neighbours' values",
+  nominal: "nominal values", "all together": "joint calibration", squares: "least squares",
+  alone: "each experiment", verdicts: "intervals and verdicts", best: "best values", neighbours: "values of neighbours",
 };
 
 /** @param {Live} live */
@@ -131,7 +131,7 @@ function draw(live) {
       x: { label: "experiment", whole: true, range: [0, live.experiments + 1] },
       y: { label: "rms error", unit: "mm", log: true },
       series: [
-        { kind: "points", xs, ys: live.singles.map((one) => rms(one.after, live.unit) ?? NaN), name: "found", label: "with values of its own" },
+        { kind: "points", xs, ys: live.singles.map((one) => rms(one.after, live.unit) ?? NaN), name: "found", label: "calibrated alone" },
         { kind: "crosses", xs, ys: live.singles.map((one) => rms(one.before, live.unit) ?? NaN), name: "tried", label: "before" },
       ],
       height: 300,

@@ -41,7 +41,7 @@ function parameters() {
     const { sign, kind } = verdictOf(row.verdict);
     const judged = row.low !== null || row.high !== null;
     const interval = judged
-      ? `${row.low === null ? "no end" : shown(row.low, row.unit)} to ${row.high === null ? "no end" : shown(row.high, row.unit)}`
+      ? `${row.low === null ? "unbounded" : shown(row.low, row.unit)} to ${row.high === null ? "unbounded" : shown(row.high, row.unit)}`
       : "\u2013";
     const reason = make("p", { id: `reason-${k}`, class: "reason", hidden: true }, row.reason);
     const button = make("button", {
@@ -102,9 +102,9 @@ function search() {
   for (const error of errors) best.push(Math.min(error, best.at(-1) ?? Infinity));
   const xs = errors.map((_, k) => k + 1);
   const failed = errors.filter((error) => !Number.isFinite(error)).length;
-  at("search-words").textContent = `${several(errors.length, "evaluation")}${failed ? `, ${failed} without a simulation` : ""}; ${one.ended || "ended"}.`;
+  at("search-words").textContent = `${several(errors.length, "evaluation")}${failed ? `, ${failed} failed` : ""}; ${one.ended || "ended"}.`;
   new Plot(at("search-plot")).show({
-    title: `Error against evaluation; the best is ${digits(best.at(-1))} mm`,
+    title: `Error against evaluation; the smallest is ${digits(best.at(-1))} mm`,
     x: { label: "evaluation", whole: true, range: [0, errors.length + 1] },
     y: { label: "rms error", unit: "mm", log: true },
     series: [
@@ -120,17 +120,17 @@ function waterfall() {
   if (!starts.length) return;
   const good = starts.filter((start) => start.good).length;
   at("starts-words").textContent = good > 1
-    ? `${good} of ${starts.length} searches ended as good as the best, or nearly.`
-    : `Only one of ${starts.length} searches found the best: more starts may find a better one.`;
+    ? `${good} of ${starts.length} searches reached the smallest error or nearly so.`
+    : `Only one of ${starts.length} searches reached the smallest error; more starts may find a smaller one.`;
   const xs = starts.map((_, k) => k + 1);
   const ys = starts.map((start) => rms(start.error, one.unit) ?? NaN);
   new Plot(at("starts-plot")).show({
     title: `Waterfall of ${starts.length} starts, from ${digits(ys[0])} mm to ${digits(ys.at(-1))} mm`,
-    x: { label: "start, the best first", whole: true, range: [0.5, starts.length + 0.5] },
+    x: { label: "start, sorted by error", whole: true, range: [0.5, starts.length + 0.5] },
     y: { label: "rms error", unit: "mm", log: true },
     series: [
       { kind: "line", xs, ys, name: "thread" },
-      { kind: "points", xs, ys: ys.map((y, k) => (starts[k].good ? y : NaN)), name: "found", label: "as good as the best" },
+      { kind: "points", xs, ys: ys.map((y, k) => (starts[k].good ? y : NaN)), name: "found", label: "smallest error or nearly so" },
       { kind: "crosses", xs, ys: ys.map((y, k) => (starts[k].good ? NaN : y)), name: "worse", label: "worse" },
     ],
     tell: (k) => `${digits(ys[k])} mm after ${starts[k].evaluations} evaluations: ${one.parameters.map((row, j) => `${row.label} ${shown(starts[k].point[j], row.unit)}`).join(", ")}`,
@@ -146,12 +146,12 @@ function profiles() {
     const host = make("div", {});
     const [low, high] = [Math.min(...curve.values), Math.max(...curve.values)];
     requestAnimationFrame(() => new Plot(host).show({
-      title: `Profile of ${curve.label}: rise of the misfit when it is held elsewhere`,
+      title: `Profile of ${curve.label}: increase of the objective when it is fixed at other values`,
       x: { label: curve.label, unit, range: around(curve, factor) },
       y: { label: "rise", range: [-0.1 * curve.threshold, 3 * curve.threshold] },
       series: [
         { kind: "line", xs: curve.values.map((v) => factor * v), ys: curve.rises.map((r) => r ?? NaN), name: "best", label: "others fitted" },
-        { kind: "line", xs: curve.slice_values.map((v) => factor * v), ys: curve.slice_rises.map((r) => r ?? NaN), name: "slice", label: "others held" },
+        { kind: "line", xs: curve.slice_values.map((v) => factor * v), ys: curve.slice_rises.map((r) => r ?? NaN), name: "slice", label: "others fixed" },
       ],
       marks: [{ y: curve.threshold, name: "before", label: "threshold" }],
       bands: curve.low === null && curve.high === null ? [] : [{ from: factor * (curve.low ?? low), to: factor * (curve.high ?? high), name: "inside" }],
@@ -185,12 +185,12 @@ function residuals() {
   )));
   at("bars").replaceChildren(...values.slice(0, MOST_BARS).map((each) => bar(each, largest)));
   const more = values.length - MOST_BARS;
-  at("bars-more").textContent = more > 0 ? `and ${more} more, better ones` : "";
+  at("bars-more").textContent = more > 0 ? `and ${more} more with smaller errors` : "";
   const failed = values.filter((each) => each.after === null).length;
   const known = values.flatMap((each) => (each.after === null ? [] : [each.after])).sort((a, b) => a - b);
   const middle = known[Math.floor(known.length / 2)];
   at("residual-words").textContent = `Median ${digits(middle)} mm, largest ${digits(known.at(-1))} mm`
-    + `${failed ? `; ${several(failed, "experiment")} without a simulation` : ""}.`;
+    + `${failed ? `; ${several(failed, "experiment")} could not be simulated` : ""}.`;
 }
 
 /** @param {{id: number, key: string, before: number | null, after: number | null}} each @param {number} largest */
@@ -215,7 +215,7 @@ function siblings() {
   const place = one.siblings.findIndex(({ id }) => id === number);
   at("siblings").hidden = one.siblings.length < 2;
   if (one.siblings.length < 2) return;
-  const select = make("select", { "aria-label": "Set of this run", onchange: () => location.assign(`${ROOT}/calibrations/${select.value}`) },
+  const select = make("select", { "aria-label": "Parameter set of this calibration", onchange: () => location.assign(`${ROOT}/calibrations/${select.value}`) },
     ...one.siblings.map(({ id, name }) => make("option", { value: id, selected: id === number }, name)));
   /** @param {number} to @param {string} sign @param {string} words */
   const step = (to, sign, words) => (one.siblings[to]
@@ -230,5 +230,5 @@ document.addEventListener("keydown", (event) => {
   if (id && !event.ctrlKey && !event.metaKey) document.getElementById(id)?.click();
 });
 at("copy-command").addEventListener("click", () => copy(one.command, "the command"));
-at("copy-python").addEventListener("click", () => copy(one.python, "the Python"));
+at("copy-python").addEventListener("click", () => copy(one.python, "the Python code"));
 open().catch(complain);

@@ -147,7 +147,7 @@ function table(styles) {
       "tr", { "data-set": set.id, class: set === live() ? "now" : null },
       make("th", { scope: "row" },
         swatch(styles.get(set.id)), " ", set.label,
-        make("small", {}, [set.motion === "dynamic" ? "" : set.motion, ...values].filter(Boolean).join(", ") || "the scene's own values")),
+        make("small", {}, [set.motion === "dynamic" ? "" : set.motion, ...values].filter(Boolean).join(", ") || "values of the scene")),
       failed
         ? make("td", { colspan: 4, class: "bad", title: answer.motion.advice }, `stopped early: ${answer.motion.status}`)
         : make("td", {}, mm(answer?.position_rms_m, 2)),
@@ -250,11 +250,11 @@ function adopt(set) {
 /** @param {Omit<ShownSet, "answer" | "shown">} wanted */
 async function add(wanted) {
   if (sets.some((set) => set.id === wanted.id)) {
-    toast(`${wanted.label} is there already.`);
+    toast(`${wanted.label} is already shown.`);
     return;
   }
   if (sets.length >= MOST) {
-    toast(`${MOST} sets can be told apart: remove one first.`, { bad: true });
+    toast(`At most ${MOST} sets can be shown; remove one first.`, { bad: true });
     return;
   }
   const set = { ...wanted, answer: null, shown: null };
@@ -313,7 +313,7 @@ at("keep").addEventListener("click", async () => {
   const { parameters, motion } = live();
   try {
     const kept = await send(`/experiments/${number}/simulations`, { parameters, motion });
-    toast(`Kept as simulation ${kept.id}.`);
+    toast(`Stored as simulation ${kept.id}.`);
     ({ sets: offered } = await get(address));
     offer();
   } catch (problem) {
@@ -321,7 +321,7 @@ at("keep").addEventListener("click", async () => {
   }
 });
 at("copy-command").addEventListener("click", () => copy(live().answer?.command ?? "", "the command"));
-at("copy-python").addEventListener("click", () => copy(live().answer?.python ?? "", "the Python"));
+at("copy-python").addEventListener("click", () => copy(live().answer?.python ?? "", "the Python code"));
 
 async function open() {
   const [story, desk] = await Promise.all([get(`/experiments/${number}/motion`), get(address)]);

@@ -63,9 +63,9 @@ export class Coverage {
       make("div", { class: "axes" },
         this.#axis("across", "x", covered), this.#axis("up", "y", covered)),
       this.#plane(covered),
-      make("p", { class: "remark" }, `${several(total, "experiment")} at ${several(covered.number.flat().filter(Boolean).length, "place")}`
-        + (covered.without ? `; ${several(covered.without, "experiment")} without such values` : "")
-        + ". Press a place to see its experiments."),
+      make("p", { class: "remark" }, `${several(total, "experiment")} at ${several(covered.number.flat().filter(Boolean).length, "cell")}`
+        + (covered.without ? `; ${several(covered.without, "experiment")} without these values` : "")
+        + ". Click a cell to list its experiments."),
       covered.shapes.length ? this.#table(covered) : "",
     );
   }

@@ -15,11 +15,11 @@ import { several } from "./units.js";
 
 /** Signs tell what colours tell. @type {Record<string, [string, string]>} */
 const SIGNS = {
-  trusted: ["\u2713", "trusted: it stays within"],
-  doubtful: ["?", "not decided: too little evidence"],
-  "not trusted": ["\u2715", "not trusted: it does not"],
+  trusted: ["\u2713", "trusted: errors stay within the threshold"],
+  doubtful: ["?", "undecided: too few experiments"],
+  "not trusted": ["\u2715", "not trusted: errors exceed the threshold"],
   "no data": ["", "no experiment"],
-  predicted: ["\u25cc", "no experiment; promised by others"],
+  predicted: ["\u25cc", "no experiment; predicted from other cells"],
 };
 const BROWN = [140, 45, 4];
 const PALE = [245, 240, 230];
@@ -68,7 +68,7 @@ async function fitted(own) {
       const { ready, seconds } = await get(`${address}/fit${asking(own)}`);
       if (ready) return number === newest;
       if (number === newest) {
-        at("preparing-words").textContent = `Fitting the map to these axes, for ${seconds.toFixed(0)} s so far; with many cells it takes minutes.`;
+        at("preparing-words").textContent = `Fitting the map to these axes since ${seconds.toFixed(0)} s; maps with many cells take minutes.`;
         at("preparing").hidden = false;
         at("stop-fit").onclick = () => {
           newest += 1;
@@ -98,9 +98,9 @@ async function load(own) {
   at("board").hidden = false;
   at("simulated").hidden = !view.simulated;
   at("aside").textContent = [
-    view.aside ? `${several(view.aside, "experiment")} offset along something that is no axis of this map ${view.aside === 1 ? "is" : "are"} left out.` : "",
+    view.aside ? `${several(view.aside, "experiment")} ${view.aside === 1 ? "is" : "are"} skipped: offset along a coordinate that is not an axis of this map.` : "",
     view.omitted ? `${several(view.omitted, "more map")} cannot be shown here.` : "",
-    view.floor_mm === null ? "" : `The measurement alone makes ${digits(+view.floor_mm.toPrecision(2))} mm (${view.floor_from}).`,
+    view.floor_mm === null ? "" : `Measurement noise: ${digits(+view.floor_mm.toPrecision(2))} mm (${view.floor_from}).`,
   ].filter(Boolean).join(" ");
   controls();
   build();
@@ -158,8 +158,8 @@ async function suggest() {
     "li", {},
     make("button", { type: "button", class: "quiet where", onclick: () => pick(view.groups.indexOf(one.group), one.cell, true) },
       one.group ? `${one.group}: ` : "", one.where),
-    make("small", {}, `${one.reason}; expected to settle ${digits(+one.bits.toFixed(2))} bit`),
-  )), make("li", { class: "after" }, make("small", {}, next.proposals.length ? "After it has been recorded, map again: " : "Nothing would settle more. Map again with: "), make("code", {}, next.command)));
+    make("small", {}, `${one.reason}; expected information ${digits(+one.bits.toFixed(2))} bit`),
+  )), make("li", { class: "after" }, make("small", {}, next.proposals.length ? "After recording it, compute the map again: " : "No experiment is expected to add information. Compute the map again: "), make("code", {}, next.command)));
 }
 
 // --- controls --------------------------------------------------------------------------------
@@ -174,18 +174,18 @@ function controls() {
   const relative = view.measure === "relative";
   at("absolute").setAttribute("aria-pressed", String(!relative));
   at("relative").setAttribute("aria-pressed", String(relative));
-  at("unit").textContent = relative ? "times the own best E, above it" : "mm";
+  at("unit").textContent = relative ? "times the smallest E of the experiment, above it" : "mm";
   input("threshold").value = String(+view.threshold.toPrecision(3));
   input("slider").value = String(onSlider(view.threshold));
   at("low").textContent = `${digits(+view.low.toPrecision(3))}${view.unit ? ` ${view.unit}` : ""}`;
   at("high").textContent = `${digits(+view.high.toPrecision(3))}${view.unit ? ` ${view.unit}` : ""}`;
-  const made = view.chosen.length > 2 ? "offsets, one at a time" : "";
+  const made = view.chosen.length > 2 ? "one offset at a time" : "";
   /** @param {string} id @param {string} value @param {string} none */
   const options = (id, value, none) => at(id).replaceChildren(
     ...(none ? [make("option", { value: "", selected: !value }, none)] : []),
     ...view.axes.map(({ name: axis }) => make("option", { value: axis, selected: axis === value }, axis)),
   );
-  options("across", made ? "" : view.chosen[0], made || (question.axes.length ? "as it was made" : ""));
+  options("across", made ? "" : view.chosen[0], made || (question.axes.length ? "stored axes" : ""));
   options("up", made ? "" : view.chosen[1] ?? "", "\u2013");
 }
 
@@ -234,7 +234,7 @@ function build() {
     ...Object.entries(SIGNS).map(([verdict, [sign, words]]) => make("li", {}, make("span", { class: `sample ${verdict.replaceAll(" ", "-")}`, "aria-hidden": "true" }, sign), words)),
     make("li", {}, make("span", { class: "ramp", "aria-hidden": "true" }), "probability 0 to 100 %"),
     make("li", {}, make("span", { class: "sample inside-sample", "aria-hidden": "true" }), "D(\u03c4), the domain around the nominal \u25ce"),
-    make("li", {}, make("span", { class: "dots", "aria-hidden": "true" }, "\u2022 \u00d7"), "experiment within, above"),
+    make("li", {}, make("span", { class: "dots", "aria-hidden": "true" }, "\u2022 \u00d7"), "experiment within, above the threshold"),
   );
   for (const table of at("panels").querySelectorAll("table")) table.addEventListener("keydown", step);
 }
@@ -378,7 +378,7 @@ function counts(answer) {
   const size = low === high ? `${low}` : `${low} to ${high}`;
   /** @type {[string, string][]} */
   const figures = [
-    ["\u2713 trusted", String(answer.count.trusted)], ["? not decided", String(answer.count.doubtful)],
+    ["\u2713 trusted", String(answer.count.trusted)], ["? undecided", String(answer.count.doubtful)],
     ["\u2715 not trusted", String(answer.count["not trusted"])],
     ["no experiment", String(answer.count["no data"] + answer.count.predicted)],
     ["cells in D(\u03c4)", `${size} of ${view.texts.length}`],
@@ -421,7 +421,7 @@ function cellOf(g, c) {
           " ", make("span", { class: `tag ${point.error !== null && point.error <= threshold ? "good" : "fault"}` },
             point.error !== null && point.error <= threshold ? "\u2713 within" : "\u2715 above")),
       )))
-      : make("p", { class: "remark" }, "No experiment here, so nothing is claimed."),
+      : make("p", { class: "remark" }, "This cell has no experiments and no verdict."),
   );
 }
 
@@ -434,9 +434,9 @@ async function follow() {
   const making = at("making");
   making.hidden = !job || job.state === "done";
   if (!job || job.state === "done") return job?.state;
-  const fits = job.total ? ` ${job.fits} of ${job.total} fits.` : "";
+  const fits = job.total ? ` ${job.fits} of ${job.total} fits done.` : "";
   making.replaceChildren(
-    job.ended ? `The last map was not finished: ${job.state}${job.reason ? `, ${job.reason}` : ""}.` : `A map is being made:${fits || ` ${job.state}.`}`,
+    job.ended ? `The last map did not finish: ${job.state}${job.reason ? `, ${job.reason}` : ""}.` : `Computing a map:${fits || ` ${job.state}.`}`,
     job.ended ? "" : make("button", { type: "button", onclick: () => send(`/domain/jobs/${encodeURIComponent(job.name)}/stop`).then(follow, complain) }, "Stop"),
   );
   at("make").hidden = !job.ended;
@@ -454,7 +454,7 @@ at("make").addEventListener("click", async () => {
   button.disabled = true;
   try {
     await send("/domain", {});
-    toast("It is being made, in a process of its own.");
+    toast("The map is being computed in a separate process.");
     await watch();
   } catch (problem) {
     complain(problem);

@@ -54,7 +54,7 @@ async function both(player, sets) {
     at("which").textContent = `nominal against ${sets[1].label}`;
     /** @type {[string, (answer: any) => string][]} */
     const lines = [
-      ["error (root of E) [mm]", (answer) => fixed(answer.error_mm2 === null ? null : Math.sqrt(answer.error_mm2), 2)],
+      ["error, root of E [mm]", (answer) => fixed(answer.error_mm2 === null ? null : Math.sqrt(answer.error_mm2), 2)],
       ["distance, rms [mm]", (answer) => mm(answer.position_rms_m, 2)],
       ["distance, end [mm]", (answer) => mm(answer.final_position_m, 2)],
       ["angle, end [deg]", (answer) => deg(answer.final_angle_rad, 2)],
@@ -83,7 +83,7 @@ async function newest(player) {
     const complete = answer.error_mm2 !== null;
     const same = answer.contact_mode === answer.measured_contact_mode;
     at("figures").replaceChildren(...(complete ? [
-      figure("error (root of E)", fixed(Math.sqrt(answer.error_mm2), 2), "mm"),
+      figure("error, root of E", fixed(Math.sqrt(answer.error_mm2), 2), "mm"),
       figure("distance, rms", mm(answer.position_rms_m, 2), "mm"),
       figure("distance, end", mm(answer.final_position_m, 2), "mm"),
       figure("angle, end", deg(answer.final_angle_rad, 2), "deg"),
@@ -92,7 +92,7 @@ async function newest(player) {
         : figure("contacts", answer.contact_mode || "\u2013", ""),
     ] : [
       figure("stopped early", answer.motion.status, "", "bad"),
-      figure("what to do", answer.motion.advice, "", "words"),
+      figure("advice", answer.motion.advice, "", "words"),
     ]));
     player.setMotions([...player.motions, new Motion({ ...answer.motion, id: "simulated", label })], { keepTime: true });
   } catch (problem) {
@@ -119,7 +119,7 @@ async function film(player) {
     shown.shown = box.checked;
     shown.draw();
   });
-  if (video.readyState < HTMLMediaElement.HAVE_CURRENT_DATA) at("video-remark").textContent = "Getting the video ready: one that no browser plays is written anew, once.";
+  if (video.readyState < HTMLMediaElement.HAVE_CURRENT_DATA) at("video-remark").textContent = "Converting the video for the browser (only once) ...";
   video.addEventListener("loadeddata", () => {
     if (at("video-remark").textContent?.startsWith("Getting")) at("video-remark").textContent = "";
   });
@@ -131,7 +131,7 @@ async function film(player) {
   else {
     box.disabled = true;
     box.checked = false;
-    at("video-remark").textContent = "Where the outline appears is not known: no rig file of this bench is in the project's folder rigs.";
+    at("video-remark").textContent = "The outline cannot be drawn: the project's folder rigs has no rig file of this bench.";
   }
 }
 
@@ -142,14 +142,14 @@ async function refresh() {
   /** @type {{name: string, detail: string, fault: boolean}[]} */
   const flags = [...known.flags.map((/** @type {any} */ one) => ({ ...one, fault: true })), ...known.remarks.map((/** @type {any} */ one) => ({ ...one, fault: false }))];
   at("flags").replaceChildren(...tags(flags).map((tag, k) => {
-    tag.append(make("button", { type: "button", "aria-label": `Take the flag ${flags[k].name} off`, onclick: () => marks.unflag([number], flags[k], changed) }, "\u2715"));
+    tag.append(make("button", { type: "button", "aria-label": `Remove the flag ${flags[k].name}`, onclick: () => marks.unflag([number], flags[k], changed) }, "\u2715"));
     return tag;
   }));
   at("notes").replaceChildren(...known.notes.map((/** @type {{id: number, text: string, created_utc: string}} */ note) => make("li", {},
     make("p", {}, note.text),
     make("button", { type: "button", class: "quiet", "aria-label": "Delete this note", onclick: () => marks.deleteNote(note.id, changed) }, "\u2715"),
     make("small", {}, new Date(note.created_utc).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" })))));
-  if (!known.notes.length) at("notes").append(make("li", {}, make("p", {}, "None yet. Press n to write one.")));
+  if (!known.notes.length) at("notes").append(make("li", {}, make("p", {}, "No notes. Press n to write one.")));
   at("deleted").hidden = !known.deleted;
   at("delete").textContent = known.deleted ? "Restore" : "Delete";
 }
@@ -166,7 +166,7 @@ const acts = {
 at("flag").addEventListener("click", acts.flag);
 at("note").addEventListener("click", acts.note);
 at("delete").addEventListener("click", acts.delete);
-for (const [id, what] of [["copy-command", "the command"], ["copy-python", "the Python"]]) {
+for (const [id, what] of [["copy-command", "the command"], ["copy-python", "the Python code"]]) {
   at(id).addEventListener("click", () => copy(at(id).dataset.text ?? "", what));
 }
 

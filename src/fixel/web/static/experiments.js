@@ -82,7 +82,7 @@ function describe() {
   at("table").setAttribute("aria-rowcount", String(rows.total + 1));
   at("nothing").hidden = rows.total > 0;
   at("table").hidden = rows.total === 0;
-  at("nothing-words").textContent = question.filter ? "No experiment is like that." : "No experiments yet. Bring some in:";
+  at("nothing-words").textContent = question.filter ? "No experiment matches." : "This project has no experiments yet. Import some:";
   at("nothing-commands").hidden = Boolean(question.filter);
   const meant = rows.total ? null : rows.meant;
   if (meant) at("nothing-words").append(" Did you mean ", make("button", { type: "button", class: "quiet", id: "meant", onclick: () => search(meant) }, meant), "?");
@@ -160,7 +160,7 @@ function pick(name, before, values) {
   const now = about(question.filter, name)[0]?.slice(before.length) ?? "";
   const label = name === "is" ? "state" : name;
   const select = make("select", {
-    "aria-label": `Only with this ${label}`, "data-pick": name, class: now ? "set" : null,
+    "aria-label": `Filter by this ${label}`, "data-pick": name, class: now ? "set" : null,
     onchange: () => {
       const rest = without(question.filter, [name]);
       search(select.value ? and(rest, `${before}${quoted(select.value)}`) : rest);
@@ -209,7 +209,7 @@ function calibrate(ids) {
   // An address holds so many ids and no more; all that match are named by the filter.
   if (ids.length <= MOST_CHOSEN) location.assign(`${ROOT}/calibrations/new?experiments=${ids.sort((a, b) => a - b).join(",")}`);
   else if (ids.length === rows.total) location.assign(`${ROOT}/calibrations/new?${new URLSearchParams({ filter: question.filter })}`);
-  else toast(`At most ${count(MOST_CHOSEN)} experiments can be chosen one by one: filter the table, and select all that match.`, { bad: true });
+  else toast(`At most ${count(MOST_CHOSEN)} experiments can be selected one by one; filter the table and select all that match.`, { bad: true });
 }
 
 /** The selected ones, or the one that the keys are on. */

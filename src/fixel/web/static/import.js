@@ -35,7 +35,7 @@ export function offerImport(done) {
       const answers = await each(false);
       dialog.close();
       const known = answers.filter((answer) => answer.known).length;
-      toast(`Imported ${several(answers.length - known, "experiment")}${known ? `; ${known} stored before` : ""}.`);
+      toast(`Imported ${several(answers.length - known, "experiment")}${known ? `; ${known} were already stored` : ""}.`);
       done();
     } catch (problem) {
       refused(problem);
@@ -109,7 +109,7 @@ async function each(dry) {
   for (const file of tables) {
     const text = await file.text();
     if (text.length > MOST) {
-      throw new Refusal({ status: 413, sentence: `${file.name} is too large for a page; type: fixel import ${file.name} --scene FILE` });
+      throw new Refusal({ status: 413, sentence: `${file.name} is too large for this page; run: fixel import ${file.name} --scene FILE` });
     }
     answers.push(await send("/import", { name: file.name, table: text, scene: shared, dry_run: dry }));
   }

@@ -80,7 +80,7 @@ export function thingFields(thing, choice) {
     ...poseFields(thing, where),
     ...shapeFields(thing, `${where}.shape`),
     ...(choice.kind === "bodies" ? bodyFields(thing, where) : [
-      keyed(thing, "friction", "friction", "", 1, where, { hint: "coefficient against every free body" }),
+      keyed(thing, "friction", "friction", "", 1, where, { hint: "friction coefficient against every free body" }),
     ]),
     ...(choice.kind === "pushers" ? driveFields(thing.drive, `${where}.drive`) : []),
   ];
@@ -131,7 +131,7 @@ function shapeFields(thing, where) {
       if (!(ratio > 0)) return;
       shape.polygon = shape.polygon.map((/** @type {number[]} */ corner) => corner.map((x, k) => (k === axis ? tidy(ratio * x) : x)));
     },
-    { hint: "of the outline in its own frame" },
+    { hint: "centre of the outline in the frame of the body" },
   ))];
 }
 
@@ -166,7 +166,7 @@ function sizeOf(shape) {
 function bodyFields(body, where) {
   const kind = Object.keys(body.support ?? { none: {} })[0];
   /** @type {[string, string][]} */
-  const options = [["tripod", "tripod"], ["uniform", "even pressure"], ["ellipsoid", "ellipsoid"], ["none", "no friction"]];
+  const options = [["tripod", "tripod"], ["uniform", "uniform pressure"], ["ellipsoid", "ellipsoid"], ["none", "no friction"]];
   if (kind === "points") options.unshift(["points", "given points"]);
   return [
     keyed(body, "mass", "mass", "g", 1e3, where),
@@ -231,7 +231,7 @@ function supportFields(given, where) {
  * @returns {Field[]}
  */
 function driveFields(drive, where) {
-  const limit = keyed(drive, "force_limit", "stalls at", "N", 1, where, { empty: true, hint: "empty: a rigid drive" });
+  const limit = keyed(drive, "force_limit", "force limit", "N", 1, where, { empty: true, hint: "empty: a rigid drive" });
   if (drive.waypoints) return [limit];
   return [
     number(
@@ -240,7 +240,7 @@ function driveFields(drive, where) {
       (value) => { drive.direction = [tidy(Math.cos(value)), tidy(Math.sin(value))]; },
     ),
     keyed(drive, "speed", "speed", "mm/s", MM, where),
-    keyed(drive, "travel", "travel", "mm", MM, where, { empty: true, hint: "empty: on and on" }),
+    keyed(drive, "travel", "travel", "mm", MM, where, { empty: true, hint: "empty: no limit" }),
     limit,
   ];
 }

@@ -78,7 +78,7 @@ function row(job) {
     make("td", { "data-label": "failed", class: job.failed ? "number bad" : "number" }, count(job.failed)),
     make("td", { "data-label": "workers", class: "number" }, count(job.workers)),
     make("td", { "data-label": "lost", class: job.deaths ? "number off" : "number" }, count(job.deaths)),
-    make("td", { "data-label": "again", class: job.again ? "number off" : "number" }, count(job.again)),
+    make("td", { "data-label": "repeated", class: job.again ? "number off" : "number" }, count(job.again)),
     make("td", { "data-label": "rate [1/s]", class: "number" }, running ? job.rate_per_s.toPrecision(3) : "\u2013"),
     make("td", { "data-label": "left", class: "number" }, running ? left(job.left_s) : "\u2013"),
   );
@@ -95,7 +95,7 @@ function table() {
   at("table").hidden = jobs.length === 0;
   at("nothing").hidden = jobs.length > 0;
   const running = jobs.filter((job) => job.can_cancel && !job.can_resume).length;
-  at("counted").textContent = jobs.length ? `${several(jobs.length, "job")}, ${running} at work` : "";
+  at("counted").textContent = jobs.length ? `${several(jobs.length, "job")}, ${running} running` : "";
 }
 
 /**
@@ -113,10 +113,10 @@ function detail(job, workers, log) {
   /** @type {HTMLButtonElement} */ (at("resume")).disabled = !job.can_resume;
   at("command").textContent = job.command;
   const facts = [
-    ["answers kept", count(job.kept)], ["failed chunks", count(job.failed)],
-    ["workers lost", count(job.deaths)], ["chunks again", count(job.again)],
-    ["made", instant(job.made_utc)], ["last word", instant(job.updated_utc)],
-    ["run from", job.host ? `${job.host}, process ${job.pid}` : "\u2013"], ["work", job.maker || "\u2013"],
+    ["stored chunks", count(job.kept)], ["failed chunks", count(job.failed)],
+    ["workers lost", count(job.deaths)], ["repeated chunks", count(job.again)],
+    ["created", instant(job.made_utc)], ["last update", instant(job.updated_utc)],
+    ["coordinator", job.host ? `${job.host}, process ${job.pid}` : "\u2013"], ["work", job.maker || "\u2013"],
   ];
   at("facts").replaceChildren(...facts.map(([name, value]) =>
     make("div", {}, make("dt", {}, name), make("dd", {}, value))));
@@ -129,7 +129,7 @@ function detail(job, workers, log) {
     make("td", { class: "number" }, one.pid || "\u2013"))));
   const box = at("log");
   const atEnd = box.scrollHeight - box.scrollTop - box.clientHeight < 8;
-  box.textContent = log.lines.join("\n") || "Nothing was said yet.";
+  box.textContent = log.lines.join("\n") || "The log is empty.";
   at("log-words").textContent = log.whole ? "" : `the last ${log.lines.length} lines`;
   if (atEnd) box.scrollTop = box.scrollHeight;
 }
@@ -178,9 +178,9 @@ async function act(deed, told) {
 }
 
 at("cancel").addEventListener("click", () =>
-  act("cancel", "cancelled; what was finished is kept.").catch(complain));
+  act("cancel", "cancelled; finished chunks are stored.").catch(complain));
 at("resume").addEventListener("click", () =>
-  act("resume", "goes on in a process of its own, also when this server ends.").catch(complain));
+  act("resume", "continues in a separate process, even if this server stops.").catch(complain));
 at("copy").addEventListener("click", () => copy(at("command").textContent ?? "", "the command"));
 window.addEventListener("hashchange", () => choose(fromAddress()));
 

@@ -86,7 +86,7 @@ export function follow(show) {
     ended = true;
     source.close();
     write("link-state", "ended");
-    silence("fixel has ended. Start it again and use its new link.");
+    silence("The fixel command has ended. Start it again and open its new link.");
   });
   source.onerror = () => {
     lost = true;
@@ -97,7 +97,7 @@ export function follow(show) {
     if (ended || quiet < SILENT_AFTER) return;
     const seconds = Math.round(quiet / 1000);
     silence(lost
-      ? `No connection to fixel for ${seconds} s: has it ended?`
-      : `No new picture for ${seconds} s: is the camera still connected?`);
+      ? `Cannot reach fixel since ${seconds} s. Is it still running?`
+      : `No new picture since ${seconds} s. Is the camera still connected?`);
   }, 500);
 }

@@ -38,7 +38,7 @@ export async function flag(ids, after) {
   try {
     const { changed } = await send("/experiments/flag", body);
     after();
-    if (!changed.length) toast(`All of them carry the flag ${name} already.`);
+    if (!changed.length) toast(`All of them already have the flag ${name}.`);
     else {
       toast(`Flagged ${several(changed.length, "experiment")} as ${name}.`, {
         undo: () => send("/experiments/unflag", { ids: changed, name }).then(after),
@@ -58,7 +58,7 @@ export async function unflag(ids, old, after) {
   try {
     const { changed } = await send("/experiments/unflag", { ids, name: old.name });
     after();
-    toast(`Took the flag ${old.name} off.`, {
+    toast(`Removed the flag ${old.name}.`, {
       undo: () => send("/experiments/flag", { ids: changed, ...old }).then(after),
     });
   } catch (problem) {
@@ -72,13 +72,13 @@ export async function unflag(ids, old, after) {
  */
 export async function note(ids, after) {
   if (!ids.length) return;
-  at("note-title").textContent = `Note beside ${several(ids.length, "experiment")}`;
+  at("note-title").textContent = `Note on ${several(ids.length, "experiment")}`;
   input("note-text").value = "";
   if (!(await asked("note-dialog"))) return;
   try {
     const { changed } = await send("/experiments/note", { ids, text: input("note-text").value });
     after();
-    toast(`Wrote a note beside ${several(ids.length, "experiment")}.`, {
+    toast(`Added a note to ${several(ids.length, "experiment")}.`, {
       undo: () => send("/notes/delete", { ids: changed }).then(after),
     });
   } catch (problem) {

@@ -51,7 +51,7 @@ export class Nominal {
         }
       }
       toast(`Simulated ${several(done, "experiment")} with nominal values.`
-        + (reasons.length ? ` ${several(reasons.length, "experiment")} cannot be: ${reasons[0]}` : ""));
+        + (reasons.length ? ` ${several(reasons.length, "experiment")} could not be simulated: ${reasons[0]}` : ""));
     } finally {
       this.running = false;
       at("simulating").textContent = "";

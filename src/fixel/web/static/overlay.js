@@ -55,7 +55,7 @@ function guide(part, within, decimals) {
   const turned = Math.abs(part.angle_deg) <= within.deg;
   const clockwise = part.angle_deg > 0;
   write("turn", Math.abs(part.angle_deg).toFixed(1));
-  write("turn-what", turned ? "angle is right" : clockwise ? "turn clockwise" : "turn counter-clockwise");
+  write("turn-what", turned ? "angle is right" : clockwise ? "turn clockwise" : "turn counterclockwise");
   at("turn-arrow").setAttribute("transform", clockwise ? "" : "scale(-1 1)");
   at("turn-arrow").toggleAttribute("hidden", turned);
   at("turn-done").toggleAttribute("hidden", !turned);

@@ -39,7 +39,7 @@ export function isTyping(/** @type {KeyboardEvent} */ event) {
   return target.matches?.("select, textarea, [contenteditable]") ?? false;
 }
 
-const FORCES = "On the part, in the first simulation that is shown. A dashed arrow is cut off: that force is larger.";
+const FORCES = "Forces on the part in the first simulation shown. A dashed arrow is shortened: the force is larger.";
 
 /** Plays motions; fires "time" when the shown moment changes and "state" when it starts or stops. */
 export class Player extends EventTarget {
@@ -202,8 +202,8 @@ export class Player extends EventTarget {
     host.setAttribute("role", "group");
     host.setAttribute("aria-label", "Animation");
     const back = iconButton("back", "One frame back (left arrow)");
-    const next = iconButton("next", "One frame on (right arrow)");
-    const fit = iconButton("fit", "Show everything (double click, or 0)");
+    const next = iconButton("next", "One frame forward (right arrow)");
+    const fit = iconButton("fit", "Fit the view to the scene (double click, or 0)");
     const speed = make("select", { "aria-label": "Speed" },
       ...SPEEDS.map((value) => make("option", { value, selected: value === 1 }, `${value}\u00d7`)));
     host.replaceChildren(

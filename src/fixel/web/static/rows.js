@@ -38,12 +38,12 @@ export const COLUMNS = [
   { key: "run", label: "Run" },
   { key: "name", label: "Experiment", sort: "name" },
   { key: "shape", label: "Shape", sort: "shape", beside: { label: "layout", sort: "layout" } },
-  { key: "contacts", label: "Contacts", sort: "contacts", title: "Fixels that the part touches at the end" },
+  { key: "contacts", label: "Contacts", sort: "contacts", title: "Fixels that the object touches at the end" },
   { key: "moved", label: "Moved", unit: "mm", sort: "moved" },
   { key: "turned", label: "Turned", unit: "deg", sort: "turned" },
   { key: "duration", label: "Time", unit: "s", sort: "duration" },
-  { key: "before", label: "Error", unit: "mm", sort: "before", title: "Before calibration: of the newest stored simulation with nominal values" },
-  { key: "after", label: "calibrated", unit: "mm", sort: "after", title: "Error after calibration: of the newest calibration that it is part of" },
+  { key: "before", label: "Error", unit: "mm", sort: "before", title: "Error before calibration, from the newest stored simulation with nominal values" },
+  { key: "after", label: "calibrated", unit: "mm", sort: "after", title: "Error after calibration, from the newest calibration of this experiment" },
   { key: "marks", label: "Flags", sort: "flags" },
 ];
 
@@ -217,7 +217,7 @@ export function drawnRow(row, index, { selected, active }) {
     name: make("span", { class: "named" },
       make("a", { href: address, tabindex: "-1" }, row.name),
       make("small", {},
-        row.real ? "" : make("span", { class: "unreal", title: "No camera has seen this" }, "simulated \u00b7 "),
+        row.real ? "" : make("span", { class: "unreal", title: "Simulated, not recorded" }, "simulated \u00b7 "),
         [row.dataset, told(row.conditions)].filter(Boolean).join(" \u00b7 "))),
     shape: row.shape || row.layout
       ? make("span", { class: "named" }, row.shape ?? "\u2013", make("small", {}, row.layout ?? ""))

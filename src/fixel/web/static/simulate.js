@@ -49,7 +49,7 @@ function verdict(state, tag, words) {
 async function refresh() {
   if (busy) return;
   busy = true;
-  if (!root.dataset.simulated) verdict("", "\u2026", "starting the engine: some seconds, once");
+  if (!root.dataset.simulated) verdict("", "\u2026", "compiling the simulator: some seconds, only once");
   while (wanted || watchNext) {
     wanted = false;
     const since = performance.now();
@@ -62,7 +62,7 @@ async function refresh() {
       const took = performance.now() - since;
       clear(null);
       if (answer) done(answer, took);
-      else verdict("good", "fine", "Run simulates it.");
+      else verdict("good", "valid", "Press Run to simulate.");
     } catch (problem) {
       failed(problem);
     }
@@ -80,7 +80,7 @@ function done(answer, took) {
   slow = took > SLOW ? slow + 1 : 0;
   if (slow > 1 && input("live").checked) {
     input("live").checked = false;
-    toast("This scene takes its time: it is simulated when you press Run.");
+    toast("This scene takes long to simulate; press Run to simulate it.");
   }
   const { story, summary } = answer;
   const [packed] = story.motions;
@@ -112,7 +112,7 @@ function failed(problem) {
   newest = null;
   clear(problem instanceof Refusal ? problem.problem : null);
   const sentence = problem instanceof Error ? problem.message : String(problem);
-  verdict("fault", "cannot be", sentence);
+  verdict("fault", "invalid", sentence);
   if (ran) complain(problem);
 }
 
@@ -207,7 +207,7 @@ function fields() {
   const thing = editor.chosen;
   at("fields").replaceChildren(...(thing && editor.choice
     ? rows(thingFields(thing, editor.choice), edited)
-    : [make("p", { class: "hint" }, "Choose something, here or in the picture.")]));
+    : [make("p", { class: "hint" }, "Select an object here or in the top view.")]));
   at("scene-fields").replaceChildren(...rows(sceneFields(editor.scene), edited));
   buttons();
 }
@@ -284,7 +284,7 @@ at("remove").addEventListener("click", () => {
   const origin = at("origin").textContent;
   toast(`Removed ${thing.name}.`, {
     undo: async () => { // whatever has been changed since, but not in another scene
-      if (at("origin").textContent !== origin) throw new Error("Another scene is open.");
+      if (at("origin").textContent !== origin) throw new Error("Another scene has been opened.");
       if (editor.things.some((one) => one.thing.name === thing.name)) return; // Ctrl-Z was faster
       editor.scene[choice.kind] = [...(editor.scene[choice.kind] ?? []).slice(0, choice.index), thing, ...(editor.scene[choice.kind] ?? []).slice(choice.index)];
       editor.choice = { ...choice, index: editor.scene[choice.kind].indexOf(thing) };
@@ -335,7 +335,7 @@ input("file").addEventListener("change", async () => {
   if (!file) return;
   try {
     const most = Number(root.dataset.most);
-    if (file.size > most) throw new Error(`This file is larger than ${most / 1024} kB, which no scene is.`);
+    if (file.size > most) throw new Error(`This file is larger than ${most / 1024} kB; scene files are smaller.`);
     const answer = await send("/scenes/read", { text: await file.text(), is_json: /\.json$/i.test(file.name) });
     open(answer.scene, file.name);
     input("file-name").value = file.name.replace(/\.\w+$/, "").replace(/[^\w-]+/g, "-").slice(0, 60) || "scene";
@@ -352,7 +352,7 @@ at("save").addEventListener("click", async () => {
     const address = URL.createObjectURL(new Blob([text], { type: "application/yaml" }));
     make("a", { href: address, download: fileName() }).click();
     URL.revokeObjectURL(address);
-    toast(`Saved ${fileName()} where the browser keeps what it loads.`);
+    toast(`Saved ${fileName()} in the download folder of the browser.`);
   } catch (problem) {
     complain(problem);
   }
@@ -372,7 +372,7 @@ async function begin() {
   const number = root.dataset.experiment;
   const draft = new URLSearchParams(location.search).size ? null : sessionStorage.getItem(DRAFT);
   if (number) open((await get(`/experiments/${number}/scene`)).scene, root.dataset.key ?? "");
-  else if (draft) open(JSON.parse(draft), "what you made here before");
+  else if (draft) open(JSON.parse(draft), "your last unsaved scene");
   else await openExample();
   root.dataset.ready = "yes";
 }

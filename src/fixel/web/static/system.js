@@ -45,8 +45,8 @@ onDemand("test", async () => {
     throw problem;
   }
   const failed = found.checks.filter((/** @type {Check} */ check) => !check.passed).length;
-  verdict("test-verdict", failed ? `${failed} of ${found.checks.length} failed` : "all in order", failed ? "fault" : "good");
-  at("test-words").textContent = `Took ${found.seconds.toFixed(1)} s. Residuals must not be larger than ${found.allowed_residual}.`;
+  verdict("test-verdict", failed ? `${failed} of ${found.checks.length} failed` : "all passed", failed ? "fault" : "good");
+  at("test-words").textContent = `Took ${found.seconds.toFixed(1)} s. The largest allowed residual is ${found.allowed_residual}.`;
   at("test-region").hidden = false;
   at("test-rows").replaceChildren(...found.checks.map((/** @type {Check} */ check) => make("tr", {},
     make("td", {}, make("span", { class: check.passed ? "tag good" : "tag fault" }, check.passed ? "pass" : "fail"), ` ${check.name}`),
@@ -63,7 +63,7 @@ onDemand("check", async () => {
     verdict("check-verdict", "", "");
     throw problem;
   }
-  verdict("check-verdict", found.ok ? "all can be read" : several(found.n_trouble, "thing") + " wrong", found.ok ? "good" : "fault");
+  verdict("check-verdict", found.ok ? "no errors" : several(found.n_trouble, "error"), found.ok ? "good" : "fault");
   const { counts } = found;
   at("check-words").textContent = `${several(counts.experiment ?? 0, "experiment")}, ${several(counts.simulation ?? 0, "simulation")}, `
     + `${several(counts.calibration ?? 0, "calibration")}; ${several(found.media_files, "media file")}.`;

@@ -88,7 +88,7 @@ class Fits(Generic[K, A]):
             if sum(not one.ended.is_set() for one in self._fits.values()) >= MAX_FITS:
                 raise JobRefused(
                     f"{MAX_FITS} maps are being fitted to other axes",
-                    hint="wait for one, or stop one",
+                    hint="wait until one has finished, or stop one",
                 )
             fit = self._fits[key] = BackgroundFit()
         threading.Thread(target=self._run, args=(key, fit, argument, put), daemon=True).start()

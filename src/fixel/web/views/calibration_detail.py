@@ -27,8 +27,8 @@ from fixel.workflows.calibration.stored import misfit_of
 
 WORST: Final = 3
 EARLIER: Final = (
-    "stored by an earlier version of fixel, without the ends of its searches;"
-    " calibrate again to see them"
+    "stored by an earlier version of fixel, without the results of its searches; calibrate again "
+    "to see them"
 )
 
 
@@ -45,9 +45,9 @@ class Start(Answer):
     """End of one of several searches."""
 
     error: Finite
-    point: list[float] = Field(description="in the order of `parameters`")
+    point: list[float] = Field(description="values in the order of `parameters`")
     evaluations: int
-    good: bool = Field(description="as good as the best, or nearly")
+    good: bool = Field(description="whether the error is the smallest or nearly so")
 
 
 class ProfileCurve(Answer):
@@ -57,11 +57,11 @@ class ProfileCurve(Answer):
     unit: str
     values: list[float]
     rises: list[Finite]
-    slice_values: list[float] = Field(description="the same with the others held")
+    slice_values: list[float] = Field(description="values of the parameter with the others fixed")
     slice_rises: list[Finite]
     low: float | None
     high: float | None
-    threshold: float = Field(description="rise at the ends of the interval")
+    threshold: float = Field(description="increase of the objective at the ends of the interval")
 
 
 class Sibling(Answer):
@@ -76,13 +76,15 @@ class StoredCalibration(Answer):
 
     id: int
     name: str
-    unit: str = Field(description="of errors: mm^2 or mm")
-    level: float = Field(description="of the intervals")
+    unit: str = Field(description="unit unit of the errors: mm^2 or mm")
+    level: float = Field(description="confidence level of the intervals")
     parameters: list[Estimate]
-    residuals: list[Residual] = Field(description="the worst first")
+    residuals: list[Residual] = Field(description="errors of the experiments, the largest first")
     worst: list[Residual]
-    objective: Array | None = Field(description="mean error at every evaluation; inf where failed")
-    starts: list[Start] = Field(description="the best first; empty where there was one")
+    objective: Array | None = Field(description="mean error of each evaluation; inf if it failed")
+    starts: list[Start] = Field(
+        description="results of the starts, the smallest error first; empty if there was one start"
+    )
     curves: list[ProfileCurve]
     misfit: list[str] = Field(description="warning that the model is wrong by more than the noise")
     noise: str
@@ -90,7 +92,9 @@ class StoredCalibration(Answer):
     ended: str
     method: dict[str, str | float]
     siblings: list[Sibling]
-    complete: bool = Field(description="whether its job is there, with profiles and starts")
+    complete: bool = Field(
+        description="whether the folder of its job exists, with profiles and starts"
+    )
     command: str
     python: str
 
@@ -230,18 +234,18 @@ def _siblings(calibration: Calibrations | None, store: Store) -> list[Sibling]:
 class CalibrationSummary(Answer):
     """Result of one run of a calibration."""
 
-    id: int = Field(description="of the calibration to open")
+    id: int = Field(description="id of the calibration to open")
     name: str
     how: str
     mode: str
     optimiser: str
-    unit: str = Field(description="of the errors: mm^2 or mm")
+    unit: str = Field(description="unit of the errors: mm^2 or mm")
     created_utc: str
-    sets: int = Field(description="calibrations that came of it")
+    sets: int = Field(description="number of calibrations stored from the same run")
     experiments: int
     before: Finite = Field(description="mean error at the nominal values")
     after: Finite
-    verdicts: dict[str, int] = Field(description="how many unknowns have each")
+    verdicts: dict[str, int] = Field(description="number of parameters by verdict")
 
 
 def list_calibrations(store: Store) -> list[CalibrationSummary]:

@@ -30,10 +30,10 @@ LOOKED_AT: Final = 12  # experiments from which the offer is made
 
 # What they are good for, for who has to choose.
 OPTIMISERS: Final = {
-    "pattern-search": "the thesis's search: slow and sure",
-    "nelder-mead": "few evaluations, for a handful of parameters",
-    "cma-es": "many evaluations; gets out of local minima",
-    "least-squares": "fastest for many experiments, one set for all",
+    "pattern-search": "search of the thesis: slow and robust",
+    "nelder-mead": "few evaluations, for up to about five parameters",
+    "cma-es": "many evaluations; escapes local minima",
+    "least-squares": "fastest for a joint calibration of many experiments",
 }
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -62,8 +62,13 @@ class CalibrationOffer(Answer):
     """Experiments, parameters and searches for a calibration."""
 
     experiments: int
-    faulty: int = Field(description="that match too, and are left out for faults in their data")
-    unknowns: list[ParameterOption] = Field(description="the usual ones first")
+    faulty: int = Field(
+        description="number of matching experiments that are skipped because their data have faults"
+    )
+    unknowns: list[ParameterOption] = Field(
+        description="parameters that can be calibrated, parameters that can be calibrated, the "
+        "usual ones first"
+    )
     optimisers: list[OptimiserOption]
 
 
@@ -79,9 +84,11 @@ class SearchedParameter(RequestBody):
 class CalibrationForm(RequestBody):
     """A calibration to begin."""
 
-    filter: FilterText = Field(default="", description="as on the page Experiments")
+    filter: FilterText = Field(default="", description="filter filter as on the page Experiments")
     experiments: list[Id] = Field(
-        default_factory=list, max_length=20_000, description="instead of the filter"
+        default_factory=list,
+        max_length=20_000,
+        description="ids of experiments, ids of experiments, instead of the filter",
     )
     name: Annotated[
         str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)
@@ -96,7 +103,7 @@ class CalibrationForm(RequestBody):
     most_evaluations: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
     verdicts: bool = True
     budget_s: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = Field(
-        default=None, description="computing time of search and verdicts; mode joint only"
+        default=None, description="computing time of search and verdicts [s]; only in mode joint"
     )
     sample: Annotated[int, Field(ge=1, le=2**31 - 1)] | None = Field(
         default=None, description="size of a random sample, spread over the conditions"
@@ -132,7 +139,7 @@ class CalibrationForm(RequestBody):
         found, _ = _matching(store, self.filter, self.experiments)
         every = comparable(store, found)
         every.check_some(
-            "with a scene and measured poses, and no fault",
+            "an experiment with a scene and measured poses, without faults",
             "try the filter on the page Experiments",
         )
         return every if self.sample is None else draw_sample(every, self.sample, self.seed)

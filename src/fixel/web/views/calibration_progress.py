@@ -56,27 +56,32 @@ class JournalProgress:
 class CalibrationProgress(Answer):
     """A calibration that is not stored yet, and how far it is."""
 
-    name: str = Field(description="of its job")
-    label: str = Field(description="as it was named")
+    name: str = Field(description="name of the job")
+    label: str = Field(description="name of the calibration")
     mode: str
     optimiser: str
     experiments: int
     unknowns: list[str]
     unit: str
-    state: str = Field(description="queued, preparing, running, done, stopped, lost, failed, ...")
+    state: str = Field(
+        description="status of the job: queued, preparing, running, done, "
+        "stopped, lost, failed, ..."
+    )
     ended: bool
     reason: str
-    stage: str = Field(description="what was computed last")
+    stage: str = Field(description="part of the calibration that was computed last")
     evaluations: int
-    most: int | None = Field(description="evaluations after which the search ends at the latest")
-    rate: float = Field(description="evaluations a second, lately")
-    left_s: float | None = Field(description="seconds left at that rate; null if unknown")
-    at_most: bool = Field(description="whether it may end earlier: searches end when they stand")
+    most: int | None = Field(description="maximum number of evaluations")
+    rate: float = Field(description="recent evaluations per second")
+    left_s: float | None = Field(description="estimated remaining time [s]; null if unknown")
+    at_most: bool = Field(
+        description="whether `left_s` is an upper bound, since a search may converge earlier"
+    )
     share: float | None = Field(description="share of the work that is done; null if unknown")
-    best: float | None = Field(description="mean error of an experiment")
-    start: float | None = Field(description="the same at the nominal values")
+    best: float | None = Field(description="smallest mean error per experiment so far")
+    start: float | None = Field(description="mean error per experiment at the nominal values")
     started_utc: str
-    stored: list[int] = Field(description="ids of the calibrations it became")
+    stored: list[int] = Field(description="ids of the stored calibrations")
     command: str
 
 
@@ -93,10 +98,10 @@ class LiveProgress(CalibrationProgress):
 
     since: int
     objective: list[Finite] = Field(
-        description="mean error at every evaluation from `since`; none where a simulation failed"
+        description="mean error of each evaluation from number `since`; null if a simulation failed"
     )
     singles: list[ExperimentProgress] = Field(
-        description="experiments calibrated by themselves, so far"
+        description="results of the experiments calibrated so far, in mode each"
     )
 
 
@@ -118,7 +123,7 @@ class ProgressReader:
         """Return the folder of a calibration's job; raise if there is none of the name."""
         found = next((one for one in self._folders() if one.name == name), None)
         if found is None:
-            raise NotStored(f"calibration job {name!r}", hint="see the list of calibrations")
+            raise NotStored(f"calibration job {name!r}", hint="the page Calibrations lists all")
         return found
 
     def unfinished(self) -> tuple[list[LiveProgress], list[FixelError]]:

@@ -48,7 +48,7 @@ class AxisTicks(Answer):
     """An axis of the map."""
 
     name: str
-    unit: str = Field(description="of the texts")
+    unit: str = Field(description="unit of the tick labels")
     ticks: list[str]
 
 
@@ -57,7 +57,7 @@ class DomainPanel(Answer):
 
     across: AxisTicks
     up: AxisTicks | None
-    cells: list[list[int]] = Field(description="numbers of the cells, rows from below")
+    cells: list[list[int]] = Field(description="indices of the cells, by row from the bottom")
 
 
 class MapPoint(Answer):
@@ -67,7 +67,9 @@ class MapPoint(Answer):
     key: str
     group: int
     cell: int
-    error: Finite = Field(description="in the unit of the threshold; none where it failed")
+    error: Finite = Field(
+        description="error in the unit of the threshold; null if the simulation failed"
+    )
     fold: int
 
 
@@ -77,25 +79,28 @@ class MapDocument(Answer):
     name: str
     title: str
     measure: Measure
-    unit: str = Field(description="of thresholds and errors: mm, or empty for shares")
-    low: float = Field(description="least threshold of use: below, noise")
+    unit: str = Field(description="unit of thresholds and errors: mm, or empty for relative errors")
+    low: float = Field(description="smallest useful threshold; errors below it are noise")
     high: float
-    threshold: float = Field(description="where one looks first")
+    threshold: float = Field(description="initial threshold")
     level: float
     confidence: float
-    floor_mm: float | None = Field(description="what the measurement alone makes")
+    floor_mm: float | None = Field(description="error due to measurement noise alone [mm]")
     floor_from: str
     calibration: int | None
-    groups: list[str] = Field(description="a map each")
-    omitted: int = Field(description="maps beyond these")
+    groups: list[str] = Field(description="names of the groups, one map for each")
+    omitted: int = Field(description="number of maps that are not included")
     panels: list[DomainPanel]
-    texts: list[str] = Field(description="of every cell")
-    nominal: int = Field(description="number of a cell")
-    counts: list[list[int]] = Field(description="experiments, by group and cell")
+    texts: list[str] = Field(description="description of each cell")
+    nominal: int = Field(description="index of the nominal cell")
+    counts: list[list[int]] = Field(description="number of experiments by group and cell")
     points: list[MapPoint]
     axes: list[MapAxis]
     chosen: list[str] = Field(description="axes of this map")
-    aside: int = Field(description="experiments left out: offset along something that is no axis")
+    aside: int = Field(
+        description="number of skipped experiments, whose offset is along a "
+        "coordinate that is not an axis"
+    )
     simulated: bool
 
 
@@ -107,13 +112,14 @@ class ThresholdMap(Answer):
     level: float
     confidence: float
     colours: list[str]
-    colour: list[list[int]] = Field(description="places in `colours`, by group and cell")
+    colour: list[list[int]] = Field(description="index into `colours` by group and cell")
     chance: list[list[Finite]] = Field(
-        description="probability that at least a share `level` of new experiments stays within"
+        description="probability that at least a share `level` of new experiments stays within "
+        "the threshold"
     )
-    inside: list[list[int]] = Field(description="1 in the domain D(tau)")
+    inside: list[list[int]] = Field(description="1 for cells in the domain D(tau), else 0")
     count: dict[str, int]
-    sizes: list[int] = Field(description="cells in D(tau), by group")
+    sizes: list[int] = Field(description="number of cells in D(tau) by group")
     command: str
 
 
@@ -123,8 +129,8 @@ class SuggestedExperiment(Answer):
     group: str
     cell: int
     where: str
-    place: dict[str, str | float] = Field(description="SI units")
-    bits: float = Field(description="expected to settle")
+    place: dict[str, str | float] = Field(description="values on the axes, in SI units")
+    bits: float = Field(description="expected information [bit]")
     reason: str
 
 
@@ -210,8 +216,8 @@ class DomainViews:
             found = self._looked_up(name, axes, measure)
         if isinstance(found, BackgroundFit):
             raise JobRefused(
-                f"the map is being fitted to these axes, for {found.seconds:.0f} s so far",
-                hint="ask again in a while",
+                f"the map is being fitted to these axes since {found.seconds:.0f} s",
+                hint="repeat the request later",
             )
         return found
 
@@ -280,8 +286,8 @@ class DomainViews:
         gathered = gathered_before(self._project, self._store, asked, mark)
         if gathered is None:
             raise JobRefused(
-                "the errors this map rests on are not kept any more, or the project has changed",
-                hint=f"make it again with: {one.analysis.command or 'fixel domain'}",
+                "the errors of this map are no longer stored, or the project has changed",
+                hint=f"compute the map again: {one.analysis.command or 'fixel domain'}",
             )
         return gathered
 
@@ -308,7 +314,7 @@ def document(view: MapView) -> MapDocument:
     domain, question = view.domain, view.kept.analysis.question
     cells, groups = domain.cells, domain.groups[:MAX_GROUPS]
     if len(cells) * len(groups) > MAX_CELLS:
-        raise InvalidInput("axis", found="more cells than a page can show", expected="fewer")
+        raise InvalidInput("axis", found="more cells than this page can show", expected="fewer")
     low, high = view.thresholds
     return MapDocument(
         name=view.kept.folder.name,

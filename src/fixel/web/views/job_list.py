@@ -36,7 +36,9 @@ class Worker(Answer):
     name: str
     host: str
     pid: int
-    state: WorkerState = Field(description="joined where another machine would have to be asked")
+    state: WorkerState = Field(
+        description="state of the worker; `joined` if it is on another machine"
+    )
     reason: str
 
 
@@ -44,7 +46,7 @@ class JobLog(Answer):
     """The end of a log."""
 
     lines: list[str]
-    whole: bool = Field(description="whether these are all")
+    whole: bool = Field(description="whether these are all lines")
 
 
 def list_jobs(project: Path) -> list[JobStatus]:
@@ -57,7 +59,7 @@ def job_named(project: Path, name: str) -> JobStatus:
     """Return the job of a name, which is compared with existing ones and never used as a path."""
     folders = _folders(project)
     if name not in folders:
-        raise NotStored(f"job {name!r}", hint="see what there is with: fixel jobs status")
+        raise NotStored(f"job {name!r}", hint="list the jobs: fixel jobs status")
     return _status(folders[name])
 
 
@@ -94,7 +96,9 @@ def _without_codes(line: str) -> str:
 def resume(job: JobStatus) -> None:
     """Resume a job in a process of its own, as it was run before."""
     if not job.can_resume:
-        raise JobRefused(f"{job.name} is {job.state}", hint="it runs, or needs nothing any more")
+        raise JobRefused(
+            f"{job.name} is {job.state}", hint="only stopped, failed or queued jobs can be resumed"
+        )
     jobs.arrange(Path(job.folder))
     jobs.run_detached(Path(job.folder))
 
@@ -113,7 +117,7 @@ def job_slot(project: Path) -> Iterator[None]:
         if len(running) >= MAX_AT_ONCE:
             raise JobRefused(
                 f"{len(running)} jobs of this project are running",
-                hint="wait until one ends, or end one on the page Jobs",
+                hint="wait until one has finished, or cancel one on the page Jobs",
             )
         yield
 

@@ -15,7 +15,7 @@ from pydantic import Field
 from fixel.calibration.target import scene_of
 from fixel.calibration.usual_parameters import default_unknowns, usual_unknown
 from fixel.database.store import Store
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Experiment, Parameters
 from fixel.model.parameters import KNOWN_PARAMETERS, info_of, is_parameter
 from fixel.model.records import CalibrationRecord, SimulationRecord
@@ -44,18 +44,22 @@ class ParameterSlider(Answer):
     meaning: str
     low: float
     high: float
-    nominal: float = Field(description="of the experiment's scene")
+    nominal: float = Field(description="value in the scene of the experiment")
 
 
 class StoredSet(Answer):
     """Values that can be selected for comparison."""
 
-    id: str = Field(description="nominal, calibration-3, simulation-12")
+    id: str = Field(description="identifier: nominal, calibration-3, simulation-12")
     label: str
     kind: Literal["nominal", "calibration", "simulation"]
-    parameters: dict[str, float] = Field(description="instead of the scene's own values; SI")
+    parameters: dict[str, float] = Field(
+        description="parameters that replace values of the scene, in SI units"
+    )
     motion: str = Field(description="motion model")
-    error_mm2: float | None = Field(description="the thesis's E, where it is known already")
+    error_mm2: float | None = Field(
+        description="mean squared error E of the thesis; null if not computed yet"
+    )
 
 
 class ComparedSimulation(Answer):
@@ -63,23 +67,27 @@ class ComparedSimulation(Answer):
 
     motion: MotionView
     position_rms: Finite = Field(
-        serialization_alias="position_rms_m", description="none where the simulation stopped early"
+        serialization_alias="position_rms_m", description="null if the simulation stopped early"
     )
     final_position: Finite = Field(serialization_alias="final_position_m")
     final_angle: Finite = Field(serialization_alias="final_angle_rad")
-    error_mm2: Finite = Field(description="the thesis's E, angles counted at 35 mm/rad")
-    contact_mode: str = Field(description="at the end, a digit a fixel")
+    error_mm2: Finite = Field(
+        description="mean squared error E of the thesis, with angles weighted by 35 mm/rad"
+    )
+    contact_mode: str = Field(description="contact mode at the end, one digit per fixel")
     measured_contact_mode: str
-    command: str = Field(description="what to type for the same")
+    command: str = Field(description="command for the same simulation")
     python: str
-    wall_time_s: float | None = Field(description="of the simulation alone; none of a stored one")
+    wall_time_s: float | None = Field(
+        description="wall time of the simulation; null for a stored one"
+    )
 
 
 class NewSimulations(Answer):
     """Result per experiment; those that have such a simulation, or no scene, are in neither."""
 
     stored: list[int] = Field(description="experiments")
-    refused: dict[int, str] = Field(description="experiments and reasons")
+    refused: dict[int, str] = Field(description="reason by experiment that could not be simulated")
 
 
 @final
@@ -241,7 +249,7 @@ def motion_model(name: str) -> AbstractMotionModel:
     """Return the motion model of a name."""
     models = {model.name: model for model in MOTION_MODELS}
     if name not in models:
-        raise InvalidInput("motion", found=repr(name), expected="one of " + ", ".join(models))
+        raise unknown_name("motion", name, models)
     return models[name]()
 
 
@@ -301,7 +309,8 @@ def _calibrated_set(
     label = record.name or f"calibration {number}"
     return StoredSet(
         id=f"calibration-{number}",
-        label=f"{label} ({'fitted to it' if own else 'not fitted to it'})",
+        label=f"{label} "
+        f"({'calibrated on this experiment' if own else 'not calibrated on this experiment'})",
         kind="calibration",
         parameters={name: value for name, value in values.items() if is_parameter(name)},
         motion=one.motion.name,

@@ -30,7 +30,7 @@ MARGIN: Final = 0.05  # margin around the drawing, as a fraction of its size
 class ShapeOutline(Answer):
     """An outline in its own frame: a polygon or a disk."""
 
-    polygon_m: list[list[float]] | None = Field(description="corners x, y")
+    polygon_m: list[list[float]] | None = Field(description="corners x, y of a polygon")
     disk_m: float | None = Field(description="radius")
 
 
@@ -44,19 +44,26 @@ class DrawnShape(Answer):
     """Body, pusher or fixel."""
 
     name: str
-    role: Role = Field(description="the object is the body whose motion is compared")
+    role: Role = Field(
+        description="role in the scene; `object` is the body whose motion is compared"
+    )
     shape: Annotated[Shape, PlainValidator(lambda shape: shape), PlainSerializer(_outline)]
-    pose: Numbers = Field(description="at the start: x [m], y [m], angle [rad]")
+    pose: Numbers = Field(description="start pose: x [m], y [m], angle [rad]")
 
 
 class ContactViews(Answer):
     """All contacts of all samples."""
 
-    sample: IndexArray = Field(description="(n,) which sample of the motion; not decreasing")
-    pair: IndexArray = Field(description="(n, 2) indices into the things")
-    point: Array = Field(serialization_alias="point_m", description="(n, 2) in the world")
+    sample: IndexArray = Field(
+        description="(n,) index of the sample of the motion, in ascending order"
+    )
+    pair: IndexArray = Field(description="(n, 2) indices of the two shapes")
+    point: Array = Field(
+        serialization_alias="point_m", description="(n, 2) contact point in the world"
+    )
     force: Array = Field(
-        serialization_alias="force_n", description="(n, 2) on the first of the pair, world axes"
+        serialization_alias="force_n",
+        description="(n, 2) force on the first shape of the pair, in world axes",
     )
 
 
@@ -65,7 +72,7 @@ class TouchView(Answer):
 
     names: list[str]
     time: Array = Field(serialization_alias="time_s")
-    values: Array = Field(description="(n, n_fixel) 1 where touched, NaN without a reading")
+    values: Array = Field(description="(n, n_fixel) 1 if touched, 0 if not, NaN without a reading")
 
 
 class MotionErrors(Answer):
@@ -73,38 +80,45 @@ class MotionErrors(Answer):
 
     time: Array = Field(serialization_alias="time_s")
     position: Array = Field(serialization_alias="position_m")
-    angle: Array = Field(serialization_alias="angle_rad", description="from measured to simulated")
+    angle: Array = Field(
+        serialization_alias="angle_rad", description="angle from the measured to the simulated pose"
+    )
 
 
 class MotionView(Answer):
     """Motion of everything in a scene, measured or simulated."""
 
-    id: str = Field(description="unique among motions shown together")
+    id: str = Field(description="identifier, unique among the motions of the page")
     label: str
     kind: Literal["measured", "simulated"]
-    time: Array = Field(serialization_alias="time_s", description="on the experiment's clock")
+    time: Array = Field(
+        serialization_alias="time_s", description="time on the clock of the experiment"
+    )
     pose: dict[str, Array] = Field(
-        description="by name of what moves: (n, 3) x [m], y [m], angle [rad], angles continuous"
+        description="poses by name of the moving body: (n, 3) x [m], y [m], angle [rad], with "
+        "continuous angles"
     )
     contacts: ContactViews | None = None
     touch: TouchView | None = None
     errors: MotionErrors | None = None
-    status: str = Field(default="", description="of the simulation: converged, or what went wrong")
-    advice: str = Field(default="", description="what to do about it")
+    status: str = Field(
+        default="", description="status of the simulation: converged, or the reason why it stopped"
+    )
+    advice: str = Field(default="", description="advice if the simulation stopped early")
 
 
 class Animation(Answer):
     """Motions of the same things, to be drawn together."""
 
     title: str
-    object: str = Field(description="name of the thing whose motion is compared")
+    object: str = Field(description="name of the body whose motion is compared")
     reference: Numbers = Field(
-        serialization_alias="reference_m", description="its centre of mass, in its frame"
+        serialization_alias="reference_m", description="centre of mass of this body in its frame"
     )
-    things: list[DrawnShape] = Field(description="in the order of the scene's names")
+    things: list[DrawnShape] = Field(description="shapes in the order of the names of the scene")
     box: Numbers = Field(
         serialization_alias="box_m",
-        description="x, y of the lower left and upper right of everything that is ever visible",
+        description="x, y of the lower left and upper right corner of the visible area",
     )
     motions: list[MotionView]
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from pydantic import Field
 
-from fixel.errors import InvalidInput, JobRefused
+from fixel.errors import InvalidInput, JobRefused, unknown_name
 from fixel.formats import SceneFile
 from fixel.formats.scene_file import scene_dict, scene_file_from_dict
 from fixel.io.document import parse_json, parse_yaml, plain_numbers, yaml_text
@@ -44,7 +44,7 @@ class SceneMotion(Answer):
     """Result of simulating a scene."""
 
     story: Animation
-    summary: dict[str, Any] = Field(description="as `fixel simulate --json` answers")
+    summary: dict[str, Any] = Field(description="answer of `fixel simulate --json`")
 
 
 def examples() -> list[SceneExample]:
@@ -58,9 +58,7 @@ def examples() -> list[SceneExample]:
 def example(name: str) -> dict[str, Any]:
     """Return a scene that comes with fixel, as the keys of a scene file."""
     if name not in example_names():
-        raise InvalidInput(
-            "example", found=repr(name), expected="one of " + ", ".join(example_names())
-        )
+        raise unknown_name("example", name, example_names())
     return read_scene(example_text(name))
 
 
@@ -124,7 +122,7 @@ def beside() -> WorkerProcess:
         simulated,
         limit=LIMIT,
         ready=warm_up,
-        hint="make it shorter or simpler, or run it with: fixel simulate",
+        hint="make the simulation shorter or the scene simpler, or use the command: fixel simulate",
     )
 
 
@@ -150,7 +148,7 @@ def _check_size(file: SceneFile) -> None:
                 where,
                 found=f"{found:g}{unit}",
                 expected=f"at most {most:g}{unit} on this page",
-                hint="run it with: fixel simulate",
+                hint="use the command: fixel simulate",
             )
 
 

@@ -40,18 +40,18 @@ class CompiledKernels(Answer):
 
     folder: str
     size_bytes: int
-    warm: bool = Field(description="whether the engine is compiled already")
+    warm: bool = Field(description="whether the kernels are compiled")
 
 
 class DatabaseStatus(Answer):
     """Database of the project."""
 
-    engine: str = Field(description="sqlite or postgresql")
-    place: str = Field(description="without a password")
+    engine: str = Field(description="database engine: sqlite or postgresql")
+    place: str = Field(description="location without password")
     schema_version: str | None
-    newest: str = Field(description="schema that this program knows")
-    pending: list[str] = Field(description="migrations that an upgrade would do")
-    size_bytes: int | None = Field(description="none where it lies on a server")
+    newest: str = Field(description="newest schema of this version of fixel")
+    pending: list[str] = Field(description="migrations that an upgrade would apply")
+    size_bytes: int | None = Field(description="size; null for a database on a server")
 
 
 class DiskStatus(Answer):
@@ -60,7 +60,7 @@ class DiskStatus(Answer):
     folder: str
     media_bytes: int
     media_files: int
-    counted: bool = Field(description="whether that is all of the media")
+    counted: bool = Field(description="whether all media files were counted")
     free_bytes: int
     total_bytes: int
 
@@ -170,7 +170,7 @@ def _new_name(folder: Path) -> Path:
     free = (folder / name for name in names if not os.path.lexists(folder / name))
     file = next(free, None)
     if file is None:
-        raise JobRefused("a thousand backups within this second", hint="wait a moment")
+        raise JobRefused("a thousand backups within this second", hint="wait a second")
     return file
 
 
@@ -192,7 +192,7 @@ def backup_named(project: Project, name: str) -> BackupFile:
     for backup in backups(project):
         if backup.name == name:
             return backup
-    raise NotStored(f"backup {name!r}", hint="make one with: fixel db backup FILE")
+    raise NotStored(f"backup {name!r}", hint="create one: fixel db backup FILE")
 
 
 def _backup_file(path: Path) -> BackupFile:

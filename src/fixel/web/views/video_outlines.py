@@ -23,11 +23,15 @@ MAX_OUTLINES: Final = 600  # outlines; in between the part is drawn at the neare
 class VideoOutlines(Answer):
     """Outlines of the object in pictures of this size."""
 
-    size: tuple[int, int] = Field(serialization_alias="size_px", description="width, height")
-    time: Array = Field(serialization_alias="time_s", description="(n,) on the video's clock")
+    size: tuple[int, int] = Field(
+        serialization_alias="size_px", description="width and height of the video"
+    )
+    time: Array = Field(
+        serialization_alias="time_s", description="(n,) time on the clock of the video"
+    )
     outline: ShortArray = Field(
         serialization_alias="outline_px",
-        description="(n, m, 2) closed lines; the first pixel's middle is 0",
+        description="(n, m, 2) closed outlines; the centre of the first pixel is 0",
     )
 
 

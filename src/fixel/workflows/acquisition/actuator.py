@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, final
 
-from fixel.errors import InvalidInput
+from fixel.errors import unknown_name
 from fixel.testbed.motion import SPEED, AbstractActuator
 from fixel.testbed.motion_grbl import GrblActuator
 from fixel.testbed.motion_manual import ManualActuator
@@ -60,8 +60,8 @@ def chosen_actuator(
         return ManualActuator(notify=notify, ask=_asking(notify))
     if driver == SimulatedActuator.name:
         return SimulatedActuator()
-    names = ", ".join(member.name for member in (GrblActuator, ManualActuator, SimulatedActuator))
-    raise InvalidInput("--driver", found=repr(driver), expected=f"one of {names}")
+    drivers = (GrblActuator, ManualActuator, SimulatedActuator)
+    raise unknown_name("--driver", driver, (member.name for member in drivers))
 
 
 def _asking(notify: Notify) -> Callable[[str], str]:

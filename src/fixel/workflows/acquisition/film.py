@@ -159,12 +159,10 @@ def film(
     rig = rig_of(settings.rig)
     looks = changed(_looks(settings.looks, rig), settings.changes)
     if out.exists():
-        raise InvalidInput(
-            str(out), found="a folder that is there", expected="a name for a new one"
-        )
+        raise InvalidInput(str(out), found="an existing folder", expected="a new folder")
     count, items = film_scenes(sources, project, seed=settings.seed, limit=limit)
     if video is not None and count > 1:
-        raise InvalidInput("video", found=f"{count} films", expected="one, for one video file")
+        raise InvalidInput("video", found=f"{count} films", expected="one film, for one video file")
     if count > 1:
         out.mkdir(parents=True)
     filmed = []
@@ -183,7 +181,7 @@ def _looks(name: str, rig: Rig) -> CameraEffects:
         raise InvalidInput(
             "looks",
             found=f"{name!r} with the rig {rig.name}",
-            expected="microscope or microscope-clean for a microscope, another for a bench",
+            expected="looks microscope or microscope-clean for a microscope, others for a bench",
         )
     return looks
 

@@ -142,9 +142,9 @@ def _again(experiment: Experiment) -> FilmScene:
     if apart > SAME_END:
         raise InvalidInput(
             f"experiment {experiment.key}",
-            found=f"a motion that ends {apart * 1e3:.2f} mm from where it once ended",
-            expected="the same motion again",
-            hint="its testbed had other settings than `fixel testbed run` uses",
+            found=f"a motion that ends {apart * 1e3:.2f} mm from the stored end",
+            expected="the stored motion",
+            hint="it was performed with other settings than those of `fixel testbed run`",
         )
     truth = {k: v for k, v in conditions.items() if k.startswith(TRUTH)}
     return replace(subject, truth=truth)
@@ -158,7 +158,9 @@ def _check_simulated(experiment: Experiment) -> None:
     ):
         raise InvalidInput(
             f"experiment {experiment.key}",
-            found="a real one" if experiment.real else "one whose true motion is not known",
+            found="a real experiment"
+            if experiment.real
+            else "an experiment whose true motion is unknown",
             expected="an experiment of the simulated testbed",
-            hint="fixel testbed run makes some",
+            hint="perform some: fixel testbed run",
         )

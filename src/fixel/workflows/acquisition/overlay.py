@@ -114,7 +114,7 @@ def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
         raise InvalidInput(
             "fixel overlay",
             found="both a scene and an experiment" if path else "neither scene nor experiment",
-            expected="a scene file, or --experiment with the name of a stored one",
+            expected="a scene file, or --experiment with the name of a stored experiment",
         )
     if path is not None:
         return load_scene(path).scene
@@ -123,7 +123,7 @@ def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
     if experiment.scene is None:
         raise InvalidInput(
             f"experiment {experiment.key}",
-            found="no scene: not all is known of what was on the plate",
+            found="no scene",
             expected="an experiment with a scene",
         )
     return experiment.scene
@@ -209,7 +209,7 @@ def look_once(overlay: Overlay, frames: Iterable[Frame]) -> tuple[Picture, Look]
         if number >= MIN_FRAMES and all(part.measured is not None for part in look.checked):
             break
     if answer is None:
-        raise InvalidInput("--camera", found="no picture", expected="a camera that sends some")
+        raise InvalidInput("--camera", found="no picture", expected="a camera that sends pictures")
     if answer[1].problems:
         raise InvalidInput(answer[1].problems[0])
     return answer

@@ -91,10 +91,8 @@ class RecordPlan:
         if self.mode is not None and (self.until != "seated" or self.tactile is None):
             raise InvalidInput("--mode", found=self.mode, expected="--until seated, --tactile")
         if self.folder.exists():
-            what = "a recording" if is_recording(self.folder) else "something there already"
-            raise InvalidInput(
-                str(self.folder), found=what, expected="a folder that is not there yet"
-            )
+            what = "a recording" if is_recording(self.folder) else "an existing file or folder"
+            raise InvalidInput(str(self.folder), found=what, expected="a new folder")
 
 
 def record(
@@ -158,7 +156,9 @@ def codec_for(choice: str, stream: Stream) -> str:
     """
     if choice == "as-it-comes" and not stream.jpeg:
         raise InvalidInput(
-            "--codec", found=choice, expected="near or exact: this source sends pixels, no JPEG"
+            "--codec",
+            found=choice,
+            expected="the codec near or exact, since this source does not send JPEG",
         )
     if choice != "auto":
         return choice
@@ -217,7 +217,9 @@ def _seating(plan: RecordPlan, rig: Rig | None) -> Seating:
         return Seating()
     n = 3 if rig is None else len(rig.tactile)
     if len(plan.mode) != n or set(plan.mode) - {"0", "1"}:
-        raise InvalidInput("--mode", found=plan.mode, expected=f"a 0 or 1 for each of {n} fixels")
+        raise InvalidInput(
+            "--mode", found=plan.mode, expected=f"a digit 0 or 1 for each of {n} fixels"
+        )
     if rig is None:
         return Seating(int(plan.mode, 2))  # the thesis: the byte is the mode
     digits = dict(zip(sorted(rig.tactile), plan.mode, strict=True))

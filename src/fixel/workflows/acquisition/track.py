@@ -254,7 +254,7 @@ def _beside(source: Path, name: str, option: str) -> Path:
     folder = source if source.is_dir() else source.parent
     if not (folder / name).is_file():
         raise InvalidInput(
-            option, found=f"none, and no {name} beside the film", expected="a file to read"
+            option, found=f"no option and no {name} next to the film", expected="a file to read"
         )
     return folder / name
 
@@ -346,7 +346,7 @@ def write_sheet(frames: Iterator[Frame], scene: Scene, tracked: FilmTracks, path
     rows = [np.hstack(shown[k : k + ACROSS]) for k in range(0, len(shown), ACROSS)]
     with written_whole(path) as unfinished:
         if not cv2.imwrite(str(unfinished), np.vstack(rows)):
-            raise InvalidInput(str(path), found="no room for it", expected="a file to write")
+            raise InvalidInput(str(path), found="no free disk space", expected="a file to write")
 
 
 def drawn(frame: Frame, index: int, scene: Scene, tracked: FilmTracks) -> Picture:

@@ -109,7 +109,7 @@ def experiment_of(
         raise InvalidInput(
             f"rig {rig.name!r}",
             found="parts " + ", ".join(map(repr, tracked.parts)),
-            expected=f"one called {body.name!r}, as the body of the scene is",
+            expected=f"a part named {body.name!r}, like the body of the scene",
         )
     track = tracked.parts[body.name]
     trajectory = _shifted(track.trajectory, zero)
@@ -126,9 +126,7 @@ def experiment_of(
         lambda: _scene(scene, trajectory, pusher, found, tracked, begins, moved)
     )
     if moved:
-        detail = (
-            f"the measured start was moved by {moved[0] * 1e3:.3f} mm out of what it overlapped"
-        )
+        detail = f"the measured start was moved by {moved[0] * 1e3:.3f} mm to remove an overlap"
         flags.append(remark("start-moved", detail))
     tactile = None if readings is None else _tactile(readings, rig, scene, zero)
     return Experiment(
@@ -217,9 +215,9 @@ def _check_single_push(found: tuple[str, ActuatorMotion] | None) -> None:
     begin, end = found[1].back
     raise InvalidInput(
         "film",
-        found=f"{found[0]} goes back from {begin:.2f} to {end:.2f} s, and pushes again",
+        found=f"{found[0]} moves back from {begin:.2f} to {end:.2f} s and pushes again",
         expected="one push",
-        hint="cut the film there, and track its parts one by one",
+        hint="cut the film there and track its parts one by one",
     )
 
 
@@ -230,8 +228,8 @@ def _check_start(name: str, trajectory: Trajectory, begins: float) -> None:
     if first > begins and np.hypot(*early.T).max() > REST_DISTANCE:
         raise InvalidInput(
             name,
-            found=f"it first seen at {first:.2f} s, when it moved already",
-            expected="its start in the film: a simulation begins there",
+            found=f"it first visible at {first:.2f} s, when it already moved",
+            expected="its start in the film, where a simulation begins",
         )
 
 
@@ -270,7 +268,7 @@ def _conditions(
 ) -> dict[str, str | float]:
     conditions: dict[str, str | float] = {"rig": rig.name, "tracked_by": tracked.method}
     if tracked.rig.camera != rig.camera:
-        conditions[CAMERA] = "registered anew"
+        conditions[CAMERA] = "registered again"
     if motion is not None and motion.moved:
         conditions |= {"speed_m_s": motion.cruise, "travel_m": motion.travel}
     for name, track in tracked.parts.items():
@@ -287,7 +285,9 @@ def _flags(
     remarks: tuple[str, ...],
 ) -> Iterator[Flag]:
     if track.good.mean() < MAX_GAPS:
-        yield Flag("object-lost", f"{track.name} was seen in {track.good.mean():.0%} of the frames")
+        yield Flag(
+            "object-lost", f"{track.name} was tracked in {track.good.mean():.0%} of the frames"
+        )
     for part in tracked.parts.values():
         if part.gaps:
             longest = max(part.gaps, key=lambda gap: gap[1] - gap[0])
@@ -298,24 +298,25 @@ def _flags(
                 f"{longest[0]:.2f} to {longest[1]:.2f} s: {longest[2]}",
             )
         if part.n_outliers:
-            yield remark(
-                f"{_plain(part.name)}-outliers", f"{part.n_outliers} poses are not believed"
-            )
+            yield remark(f"{_plain(part.name)}-outliers", f"{part.n_outliers} poses are outliers")
     if motion is None:
-        yield remark("no-actuator", "the path of the actuator was not tracked")
+        yield remark("no-actuator", "the path of the drive was not tracked")
     elif not motion.moved:
-        detail = f"no steady motion of the actuator, over {motion.travel * 1e3:.3f} mm"
+        detail = f"no steady motion of the drive over {motion.travel * 1e3:.3f} mm"
         yield remark("no-motion", detail)
     missing = {f.name for f in scene.fixels} - {f.name for f in tracked.fixels}
     if missing:
-        yield remark("fixels-as-planned", ", ".join(sorted(missing)) + " did not show")
+        yield remark("fixels-as-planned", ", ".join(sorted(missing)) + " was not visible")
     for fixel in tracked.fixels:
         if fixel.scatter > RESTLESS:
-            detail = f"its places scatter by {fixel.scatter * 1e3:.2f} mm: was it hit, or hidden?"
+            detail = (
+                f"its positions scatter by {fixel.scatter * 1e3:.2f} mm; it may have been "
+                "hit or hidden"
+            )
             yield remark(f"{_plain(fixel.name)}-restless", detail)
     off = float(np.hypot(*(track.trajectory.pose[0] - scene.bodies[0].pose)[:2]))
     if off > MISPLACED:
-        detail = f"{track.name} starts {off * 1e3:.1f} mm from where the scene plans it"
+        detail = f"{track.name} starts {off * 1e3:.1f} mm from its pose in the scene"
         yield remark("starts-elsewhere", detail)
     for index, sentence in enumerate((*tracked.remarks, *remarks)):
         yield remark(f"film-{index + 1}", sentence)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ERRORS, AbstractError, Robust, RootMeanSquare
 from fixel.calibration.target import Target
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.formats.scene_model import scene_content, scene_of
 from fixel.formats.scene_schema import SceneRecord
 from fixel.io.array_bytes import arrays_of, bytes_of
@@ -279,13 +278,7 @@ def _made(family: tuple[Any, ...], choice: NamedOptions, where: str) -> Any:
     known = {getattr(member, "name", LEAST_SQUARES): member for member in family}
     if choice.name not in known:
         names = [*known, *([LEAST_SQUARES] if family is OPTIMISERS else [])]
-        close = difflib.get_close_matches(choice.name, names, n=1)
-        raise InvalidInput(
-            where,
-            found=repr(choice.name),
-            expected="one of " + ", ".join(names),
-            hint=f"did you mean {close[0]!r}?" if close else None,
-        )
+        raise unknown_name(where, choice.name, names)
     member = known[choice.name]
     options = {field.name for field in dataclasses.fields(member)}
     for name in choice.options:

@@ -17,7 +17,7 @@ from fixel.database.store import Store
 from fixel.datasets import IMPORTERS
 from fixel.datasets.table import CsvTable
 from fixel.drawing.chart import refuse_ending
-from fixel.errors import InvalidInput, NotStored
+from fixel.errors import InvalidInput, NotStored, unknown_name
 from fixel.formats.frames_file import folder_whole, refuse_folder, write_frames
 from fixel.formats.lerobot import write_lerobot
 from fixel.io.atomic import refuse_unwritable
@@ -191,7 +191,7 @@ def _rights() -> dict[str, tuple[str, str]]:
 def _check_arguments(target: Path, format: str, fps: int | None) -> None:
     """Reject invalid arguments before any work."""
     if format not in FORMATS:
-        raise InvalidInput("format", found=format, expected="one of " + ", ".join(FORMATS))
+        raise unknown_name("format", format, FORMATS)
     if fps is not None and (format != "lerobot" or not RATES[0] <= fps <= RATES[1]):
         raise InvalidInput(
             "fps", found=fps, expected=f"{RATES[0]} to {RATES[1]} Hz, of a LeRobot dataset"

@@ -154,9 +154,7 @@ def bring_in(
     """Import a camera of another program and save it as fixel's own; see `import_camera`."""
     _check_output(output)
     if output.resolve() == path.resolve():
-        raise InvalidInput(
-            str(output), found="the file that is read", expected="another one to write"
-        )
+        raise InvalidInput(str(output), found="the input file", expected="another file to write")
     found = import_camera(path, format, size=size, which=which, unit=unit)
     save_camera(found.camera, output)
     return CameraAnswer(camera=found.camera, file=output, remarks=found.remarks)
@@ -248,11 +246,11 @@ def _place(
         except InvalidInput as problem:
             if board is None:
                 raise
-            why_not = f"by its tags it could not be: {problem.found}"
+            why_not = f"placing by its tags failed: {problem.found}"
     found = place_by_board(measured, seen, board_of(str(board)), pose=at, height=thickness)
     return found, (
-        f"placed by the board; {why_not}. Tags in the corners of the plate make the corners of the "
-        "picture surer than a board in its middle",
+        f"placed by the board; {why_not}. Tags in the corners of the plate give higher accuracy "
+        "in the corners of the picture than a board in its middle",
     )
 
 
@@ -329,19 +327,20 @@ class PlaceAccuracy:
         height = f"{1e3 * self.errors.height:g} mm above the plate"
         if not self.errors.known:
             return (
-                f"How right a place {height} is cannot be said: nothing is known of the camera's "
-                "errors"
+                f"The accuracy of positions {height} is unknown, since the camera file has no "
+                "uncertainty"
             )
         parts = [
-            f"A place {height} is right to {mm(self.typical)} (95 %), "
-            f"worst {mm(self.worst)} in the {self.worst_at}"
+            f"Accuracy of positions {height}: {mm(self.typical)} (95 %), at worst "
+            f"{mm(self.worst)} in the {self.worst_at}"
         ]
         if self.seen_known:
             n = len(self.empty_corners)
             parts.append(
-                "every corner of the picture had a board near"
+                "the boards cover all corners of the picture"
                 if not n
-                else f"{n} of 4 corners had no board near ({', '.join(self.empty_corners)})"
+                else f"no board was near {n} of 4 corners of the picture "
+                f"({', '.join(self.empty_corners)})"
             )
         return "; ".join(parts)
 

@@ -95,10 +95,12 @@ def check(
             problems += _moved(rig, tags)
     trip = round_trip(measured.lens)
     if not trip < ROUND_TRIP:
-        problems.append(f"pixels come back {trip:.1g} px from where they were")
+        problems.append(
+            f"the round trip from pixels to directions and back has an error of {trip:.1g} px"
+        )
     placed = measured.camera is not None
     verdicts = tuple(verdict(measured, height) for height in heights) if placed else ()
-    remarks = () if placed else ("it has no place above a plate yet",)
+    remarks = () if placed else ("it has not been placed above a plate yet",)
     answer = CameraAnswer(
         camera=measured,
         verdicts=verdicts,
@@ -140,7 +142,7 @@ def _moved(rig: Rig, tags: dict[int, float]) -> list[str]:
             "picture",
             found="none of the tags on the plate",
             expected="tags " + ", ".join(str(tag.id) for tag in rig.plate),
-            hint="is this the bench of the rig?",
+            hint="check that the picture shows the bench of the rig",
         )
     limits = {tag.id: moved_limit(rig, tag, MOVED) for tag in rig.plate}
     far = {number: off for number, off in tags.items() if off > limits[number]}
@@ -148,7 +150,7 @@ def _moved(rig: Rig, tags: dict[int, float]) -> list[str]:
         return []
     worst = max(far, key=lambda number: far[number] / limits[number])
     return [
-        f"tag {worst} of the plate is seen {mm(far[worst])} from its place, {len(far)} of "
-        f"{len(tags)} tags are off by more than the calibration explains ({mm(limits[worst])}): "
-        "the camera was moved, or the plate"
+        f"tag {worst} on the plate is {mm(far[worst])} from its nominal position; {len(far)} of "
+        f"{len(tags)} tags are off by more than the uncertainty of the calibration "
+        f"({mm(limits[worst])}): the camera or the plate was moved"
     ]

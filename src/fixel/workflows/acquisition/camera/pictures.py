@@ -82,7 +82,7 @@ def read_picture(path: Path) -> Picture:
         picture = None
     if picture is None:
         raise InvalidInput(
-            str(path), found="what is no picture", expected="a file such as .png or .jpg"
+            str(path), found="a file that is not a picture", expected="a file such as .png or .jpg"
         )
     return picture
 
