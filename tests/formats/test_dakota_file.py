@@ -117,10 +117,14 @@ def test_what_is_left_out_is_as_dakota_has_it():
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("initial_delta =", "inital_delta =", r"line 15: found inital_delta, .*did you mean initi"),
+        (
+            "initial_delta =",
+            "inital_delta =",
+            r"line 15: found inital_delta, .*did you mean 'initi",
+        ),
         ("coliny_pattern_search", "coliny_ea", r"line 11: found coliny_ea, expected one of coliny"),
         ("method,", "methods,", r"dakota: found no method block"),
-        ("strategy,", "strategies,", r"line 6: found strategies, .*did you mean strategy"),
+        ("strategy,", "strategies,", r"line 6: found strategies, .*did you mean 'strategy"),
         ("basic_pattern", "adaptive_pattern", r"line 18: found adaptive_pattern, expected expl"),
         ("coordinate", "simplex", r"line 17: found simplex, expected pattern_basis to be coord"),
         ("0.9", "", r"line 21: found model, expected a number after contraction_factor"),

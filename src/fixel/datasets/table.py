@@ -22,7 +22,6 @@ from fixel.typing import FloatArray
 
 DATASET: Final = "csv"
 ENDINGS = (".csv", ".csv.gz", ".parquet")
-MAX_NAMED: Final = 20  # columns that an error lists
 MAX_OTHERS: Final = 3  # sentences about some of the experiments of a table
 
 

@@ -10,16 +10,15 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.domain.evidence import HeldOutErrors, Value, unit_in
+from fixel.domain.evidence import HeldOutErrors, Value
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
+from fixel.units import displayed, split_unit
 
 FEW_VALUES: Final = 25  # largest number of distinct values with a cell each
 BINS: Final = 8  # ranges with equal numbers of values, for more distinct values
 MAX_CELLS: Final = 2500
 SAME_VALUE: Final = 1e-9  # difference of values that count as equal, over the extent
-
-_READ: Final = {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0)), "m/s": ("mm/s", 1e3)}
 
 
 @final
@@ -55,12 +54,12 @@ class CellAxis:
     @property
     def unit(self) -> str:
         """Displayed unit; empty for none."""
-        return _READ.get(unit_in(self.name), (unit_in(self.name), 1.0))[0]
+        return displayed(split_unit(self.name)[1])[0]
 
     @property
     def factor(self) -> float:
         """Factor from SI to the displayed unit."""
-        return _READ.get(unit_in(self.name), ("", 1.0))[1]
+        return displayed(split_unit(self.name)[1])[1]
 
     def text(self, k: int) -> str:
         """Return a cell as text, without the unit."""

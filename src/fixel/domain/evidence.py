@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, final, get_args
@@ -17,19 +16,12 @@ Value = str | float | None
 Measure = Literal["absolute", "relative"]
 
 MEASURES: Final[tuple[Measure, ...]] = get_args(Measure)
-# Suffixes of names with a unit; other names have none.
-_UNITS: Final = {"_m_s": "m/s", "_rad_s": "rad/s", "_rad": "rad", "_m": "m", "_s": "s", "_n": "N"}
 # Smallest error, since zero has no logarithm; simulations are exact to a micrometre [mm^2].
 MIN_ERROR: Final = 1e-6
 
 
 FOLDS: Final = 5
 MANY: Final = 2000  # experiments above which two folds are sufficient
-
-
-def unit_in(name: str) -> str:
-    """Return the unit in the suffix of a condition's name; empty without one."""
-    return next((unit for end, unit in _UNITS.items() if re.fullmatch(rf"\w+{end}", name)), "")
 
 
 @final

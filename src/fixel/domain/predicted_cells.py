@@ -7,9 +7,10 @@ import numpy as np
 from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.contacts import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
 from fixel.domain.error_bound import ErrorBound, min_experiments
-from fixel.domain.evidence import HeldOutErrors, Value, unit_in
+from fixel.domain.evidence import HeldOutErrors, Value
 from fixel.model import wrapped
 from fixel.typing import FloatArray, IntArray
+from fixel.units import split_unit
 
 
 def predicted_cells(
@@ -91,7 +92,7 @@ def _is_new(axis: CellAxis, k: int, values: list[Value]) -> bool:
     if axis.name == CONTACT_ANGLE:
         turn = [np.abs(wrapped(known - end)).min() for end in (low, high)]
         return bool(min(turn) > MAX_TURN)
-    if unit_in(axis.name) == "m/s":
+    if split_unit(axis.name)[1] == "m/s":
         return not ((known <= MAX_RATIO * high) & (low <= MAX_RATIO * known)).any()
     return bool(known.max() < low or known.min() > high)
 

@@ -15,6 +15,7 @@ from fixel.drawing import palette
 from fixel.errors import InvalidInput
 from fixel.table import Table
 from fixel.typing import FloatArray
+from fixel.units import displayed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -283,9 +284,9 @@ class DisplayUnit(NamedTuple):
 
 
 def display_unit(unit: str) -> DisplayUnit:
-    """Return the display unit: millimetres and degrees instead of metres and radians."""
-    known = {"m": DisplayUnit("mm", 1e3), "rad": DisplayUnit("deg", math.degrees(1.0))}
-    return known.get(unit, DisplayUnit("" if unit == "-" else unit_text(unit), 1.0))
+    """Return the display unit, such as millimetres and degrees instead of metres and radians."""
+    name, factor = displayed(unit)
+    return DisplayUnit(unit_text(name), factor)
 
 
 def unit_text(unit: str) -> str:

@@ -326,5 +326,5 @@ def _refuse_disorder(path: Path, number: int, row: RecordingRow, rows: list[Reco
         raise InvalidInput(
             f"{path}, line {number}",
             found=f"time {_seconds(row.time_us)} s after {_seconds(rows[-1].time_us)} s",
-            expected="times that increase",
+            expected="increasing times",
         )

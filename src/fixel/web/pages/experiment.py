@@ -11,6 +11,7 @@ from fastapi import Request
 from fixel.errors import NotStored
 from fixel.model import Experiment
 from fixel.testbed.simulated import TRUTH
+from fixel.units import displayed, split_unit
 from fixel.web.values import MAX_ID
 from fixel.workflows.project.compare import summary
 
@@ -104,27 +105,14 @@ def _fixed(value: float, digits: int) -> str:
     return f"\u2212{text}" if value < 0.0 and float(text) else text
 
 
-_UNITS = (
-    ("_rad_s", degrees(1.0), "deg/s"),
-    ("_m_s", 1e3, "mm/s"),
-    ("_rad", degrees(1.0), "deg"),
-    ("_m", 1e3, "mm"),
-    ("_s", 1.0, "s"),
-    ("_n", 1.0, "N"),
-    ("_kg", 1e3, "g"),
-    ("_ratio", 1.0, ""),
-)
-
-
 def _condition(name: str, value: str | float) -> Fact:
     """Format a condition, as `condition` of units.js does."""
     if isinstance(value, str):
         return Fact(name.replace("_", " "), value)
-    for ending, factor, unit in _UNITS:
-        if name.endswith(ending):
-            told = f"{factor * value:.4g}".replace("-", "\u2212", 1)
-            return Fact(name.removesuffix(ending).replace("_", " "), told, unit)
-    return Fact(name.replace("_", " "), f"{value:.4g}".replace("-", "\u2212", 1))
+    stem, si = split_unit(name)
+    unit, factor = displayed(si)
+    text = f"{factor * value:.4g}".replace("-", "\u2212", 1)
+    return Fact(stem.removesuffix("_ratio").replace("_", " "), text, unit)
 
 
 def provenance(experiment: Experiment) -> list[Fact]:

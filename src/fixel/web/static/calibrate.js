@@ -3,8 +3,7 @@
 
 import { complain, get, send, toast } from "./api.js";
 import { ROOT, at, input, make, settled } from "./dom.js";
-import { shownIn } from "./quantity.js";
-import { several } from "./units.js";
+import { several, shownIn } from "./units.js";
 
 /** @typedef {{name: string, unit: string, meaning: string, low: number, high: number, start: number, usual: boolean}} Unknown */
 /** @typedef {{experiments: number, faulty: number, unknowns: Unknown[], optimisers: {name: string, meaning: string}[]}} Offer */

@@ -4,8 +4,8 @@
 import { complain, copy, get, numbers } from "./api.js";
 import { ROOT, at, make } from "./dom.js";
 import { Plot } from "./plot.js";
-import { digits, rms, shown, shownIn, verdictOf } from "./quantity.js";
-import { several } from "./units.js";
+import { digits, rms, shown, verdictOf } from "./quantity.js";
+import { several, shownIn } from "./units.js";
 
 /** @typedef {{label: string, unit: string, value: number, best_fit: number, low: number | null, high: number | null, bounds: [number, number] | null, before: number | null, verdict: string, reason: string}} Row */
 /** @typedef {{id: number, key: string, before: number | null, after: number | null}} Residual */

@@ -7,7 +7,7 @@ import { Charts, inStep, usualPanels } from "./charts.js";
 import { at, make } from "./dom.js";
 import { Motion } from "./motion.js";
 import { Player } from "./player.js";
-import { deg, fixed, mm } from "./units.js";
+import { deg, fixed, mm, shownIn } from "./units.js";
 import { STYLES, stylesOf, swatch } from "./view.js";
 
 /** @typedef {{name: string, unit: string, meaning: string, low: number, high: number, nominal: number}} Slider */
@@ -40,10 +40,6 @@ const LIVE = "adjusted";
 const MOST = STYLES.length; // sets that can be told apart
 const USUAL_SLIDERS = 4;
 const STALE = 150; // [ms] after which an answer that nobody wants any more is not waited for
-
-const UNITS = /** @type {Record<string, [number, string]>} */ ({
-  m: [1e3, "mm"], rad: [180 / Math.PI, "deg"], "N m": [1e3, "N mm"], kg: [1e3, "g"], "-": [1, ""],
-});
 
 const root = at("compare");
 const number = Number(root.dataset.experiment);
@@ -176,7 +172,7 @@ function deeds(set) {
 /** @param {string} name @returns {[number, string]} */
 function unitOf(name) {
   const unit = sliders.find((one) => one.name === name)?.unit ?? "-";
-  return UNITS[unit] ?? [1, unit];
+  return shownIn(unit);
 }
 
 // --- sliders --------------------------------------------------------------------------------

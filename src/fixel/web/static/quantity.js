@@ -1,11 +1,7 @@
 // @ts-check
 // Values of parameters and errors as people read them.
 
-/** @type {Record<string, [number, string]>} */
-const UNITS = { m: [1e3, "mm"], rad: [180 / Math.PI, "deg"], "N m": [1e3, "N mm"], kg: [1e3, "g"], "-": [1, ""] };
-
-/** Factor from SI and unit as it is shown. @param {string} unit @returns {[number, string]} */
-export const shownIn = (unit) => UNITS[unit] ?? [1, unit];
+import { shownIn } from "./units.js";
 
 /** At most four digits, a true minus sign. @param {number | null | undefined} value */
 export function digits(value) {

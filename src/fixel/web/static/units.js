@@ -47,17 +47,22 @@ export function bytes(size) {
  */
 export function condition(name, value) {
   if (typeof value === "string") return [name, value];
-  for (const [ending, scale, unit] of ENDINGS) {
+  for (const [ending, si] of ENDINGS) {
+    const [scale, unit] = shownIn(si);
     if (name.endsWith(ending)) return [name.slice(0, -ending.length), `${short(value * scale)} ${unit}`];
   }
   return [name, short(value)];
 }
 
-/** @type {[string, number, string][]} */
-const ENDINGS = [
-  ["_rad_s", 180 / Math.PI, "deg/s"], ["_m_s", 1e3, "mm/s"], ["_rad", 180 / Math.PI, "deg"],
-  ["_m", 1e3, "mm"], ["_s", 1, "s"], ["_n", 1, "N"], ["_kg", 1, "kg"],
-];
+/** Units as people read them; the same as in units.py. @type {Record<string, [number, string]>} */
+const UNITS = {
+  m: [1e3, "mm"], "m/s": [1e3, "mm/s"], rad: [180 / Math.PI, "deg"], "rad/s": [180 / Math.PI, "deg/s"],
+  "N m": [1e3, "N mm"], kg: [1e3, "g"], "-": [1, ""],
+};
+const ENDINGS = [["_rad_s", "rad/s"], ["_m_s", "m/s"], ["_rad", "rad"], ["_m", "m"], ["_s", "s"], ["_n", "N"], ["_kg", "kg"]];
+
+/** Factor from SI and unit as it is shown. @param {string} unit @returns {[number, string]} */
+export const shownIn = (unit) => UNITS[unit] ?? [1, unit];
 
 /** At most four digits. @param {number} value */
 export const short = (value) => String(Number(value.toPrecision(4))).replace("-", "\u2212");

@@ -21,6 +21,7 @@ from fixel.table import Table
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import Notify
 from fixel.uncertainty.starts import StartError
+from fixel.units import displayed
 from fixel.workflows.calibration.project import select_experiments
 from fixel.workflows.calibration.request import LEAST_SQUARES
 from fixel.workflows.calibration.run import calibrate
@@ -122,7 +123,7 @@ def _beside_truth(project: Project, number: int) -> Table:
         experiments = [store.experiment(member.experiment_id) for member in record.members]
     rows = []
     for estimate in record.estimates:
-        unit, factor = {"m": ("mm", 1e3)}.get(estimate.unit, ("", 1.0))
+        unit, factor = displayed(estimate.unit)
         true = _true_mean(estimate.label, experiments)
         low, high = ("open" if x is None else f"{factor * x:.3g}" for x in
                      (estimate.low, estimate.high))  # fmt: skip

@@ -13,6 +13,7 @@ from fixel.calibration.misfit import shown_ratio
 from fixel.model.records import Estimate
 from fixel.table import Table
 from fixel.typing import FloatArray
+from fixel.units import displayed
 from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.report_data import CalibrationReportData
@@ -24,7 +25,6 @@ from fixel.workflows.sentences import sentences
 # Factor of the median error beyond which an experiment is named in a warning.
 FAR_RATIO: Final = 3.0
 MAX_NAMED: Final = 5
-READABLE: Final = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi), "-": ("", 1.0)}
 OF_PARAMETERS: Final = ("parameters", "profiles", "starts", "search")
 
 
@@ -209,7 +209,7 @@ def _named(names: list[str]) -> str:
 
 
 def _row(one: CalibratedValues, estimate: Estimate) -> tuple[str, ...]:
-    unit, factor = READABLE.get(estimate.unit, (estimate.unit, 1.0))
+    unit, factor = displayed(estimate.unit)
     ends = [estimate.low, estimate.high]
     low, high = ("open" if x is None else f"{factor * x:.4g}" for x in ends)
     interval = "none" if (low, high) == ("open", "open") else f"{low} to {high}"
