@@ -197,7 +197,7 @@ def test_a_file_that_is_no_picture(capsys, placed, folder, tmp_path):
             capsys, "camera", "place", placed, tmp_path / "a.png", "--board", BOARD
         )
         assert code == 2
-        assert "no picture" in err
+        assert "not a picture" in err
 
 
 def test_tags_of_the_plate_are_used_before_a_board_and_the_board_instead_of_none(

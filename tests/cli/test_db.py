@@ -103,7 +103,7 @@ def test_check_of_a_damaged_file(folder):
 
     code, out = call("check", folder)
     assert code == 1
-    assert " wrong\n" in out
+    assert "1 error\n" in out
     assert out.splitlines()[-1] == (
         "Next: replace experiments.db with a backup, which fixel db backup wrote"
     )

@@ -87,7 +87,7 @@ def test_in_place(bench, capsys):
     code, out, _ = fixel(capsys, *once(bench, "placed.mp4"))
     assert code == 0
     assert out.startswith("In place")
-    assert "allowed: 1 mm, 1 deg" in out
+    assert "tolerance: 1 mm, 1 deg" in out
     setting = f"--camera {bench}/placed.mp4 --rig {bench}/rig.yaml --scene {bench}/scene.yaml"
     assert f"Next: fixel record {setting} --out recording" in out
     assert (bench / "placed.mp4.png").read_bytes()[:4] == b"\x89PNG"
@@ -161,7 +161,7 @@ def test_ctrl_c_ends_the_page(bench, capsys, monkeypatch):
     [
         (["--rig", "nowhere"], "a rig file, or one of thesis-tags"),
         (["--rig", "thesis-tags"], "neither scene nor experiment"),
-        (["scene.yaml", "--rig", "microscope"], "knows part, probe"),
+        (["scene.yaml", "--rig", "microscope"], "it has part, probe"),
         (["scene.yaml", "--rig", "rig.yaml", "--tolerance-mm", "0"], "greater than 0"),
         (["scene.yaml", "--rig", "rig.yaml", "--camera", "none.mp4"], "none.mp4"),
         (["scene.yaml", "--rig", "rig.yaml", "--once", "--output", "a.txt"], ".png"),

@@ -92,7 +92,7 @@ def test_what_broke_off_is_checked_and_repaired(capsys: Any, tmp_path: Path) -> 
         (["--camera", "FILM", "--out", "OUT", "--size", "big"], "expected WIDTHxHEIGHT"),
         (["--camera", "FILM", "--out", "OUT", "--rig", "thesis-tags"], "expected 1280 x 720"),
         (["--camera", "FILM", "--out", "OUT", "--rig", "nowhere"], "rig: found no file"),
-        (["--camera", "FILM", "--out", "FILM"], "found a recording, expected a folder that is"),
+        (["--camera", "FILM", "--out", "FILM"], "found a recording, expected a new folder"),
         (["--camera", "FILM", "--out", "OUT/.."], "found an existing file or folder"),
         (["--camera", "FILM", "--out", "OUT", "--codec", "h264"], "as-it-comes, near, exact"),
         (["--camera", "EXACT", "--out", "OUT", "--codec", "as-it-comes"], "does not send JPEG"),

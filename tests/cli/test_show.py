@@ -55,8 +55,8 @@ def test_show_says_what_a_real_one_is(folder):
     for line in (
         "2 frames, 2 s",
         "end      30.00   40.00        28.65",
-        "travelled 50.00 mm",
-        "contact mode at the end: not known",
+        "path length 50.00 mm",
+        "contact mode at the end: unknown",
         "  surface    plywood",
         "flags\n  misregistered  4 mm inside",
         "remarks\n  no-fixels  not kept",
