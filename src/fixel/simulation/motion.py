@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, TypeVar, final
 
-from fixel.errors import InvalidInput
+from fixel.errors import unknown_name
 from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Model, Problem, State
 from fixel.typing import FloatArray
@@ -156,5 +156,5 @@ def named_part(part: Part | str, family: Sequence[type[Part]], where: str) -> Pa
         return part
     members = {str(getattr(member, "name", "")): member for member in family}
     if part not in members:
-        raise InvalidInput(where, found=repr(part), expected="one of " + ", ".join(members))
+        raise unknown_name(where, part, members)
     return members[part]()
