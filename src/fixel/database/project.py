@@ -431,7 +431,9 @@ def _server(url: str, media: Path | None) -> tuple[Path, ProjectSettings]:
             hint="open the folder of the project, or give media=FOLDER",
         )
     if file != url and not Path(file).is_file():
-        raise StoreRefused(f"there is no database {file}", hint="make one with: fixel new FOLDER")
+        raise StoreRefused(
+            f"there is no database {file}", hint="create a project: fixel new FOLDER"
+        )
     folder = Path(file).parent if media is None else Path(media).parent
     name = url.rpartition("/")[2].partition("?")[0] or "project"
     return folder, ProjectSettings(name=name[:MAX_NAME], database=url)
