@@ -176,7 +176,7 @@ def test_a_backup_of_a_server(folder, tmp_path, monkeypatch):
 @pytest.mark.parametrize("command", [["upgrade"], ["check"], ["backup", "copy.db"]])
 def test_no_project(command, tmp_path):
     with pytest.raises(
-        StoreRefused, match=r"is not a fixel project .no fixel.yaml.; create a project: fixel new"
+        StoreRefused, match=r"is not a fixel project .no fixel.yaml.; make one with: fixel new"
     ):
         call(*command, tmp_path)
 

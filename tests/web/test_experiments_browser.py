@@ -301,7 +301,7 @@ def test_notes_and_flags_of_one(one):
     assert SCRIPTS[0] in one.inner_text("#notes")
     assert one.evaluate("window.hacked") is None
     one.keyboard.press("Control+z")
-    one.wait_for_selector("#notes li:has-text('None yet')")
+    one.wait_for_selector("#notes li:has-text('No notes')")
     one.click("#flag")
     one.fill("#flag-name", "odd-one")
     one.uncheck("#flag-fault")

@@ -291,7 +291,7 @@ def test_a_damaged_file_is_named_and_hides_nothing_else(trusted_laboratory, tmp_
     told = [alone.client.get(p).text for p in ("/api/v1/calibrations/1", "/domain",
             "/api/v1/calibrations", f"/api/v1/domain/{name}", "/jobs", "/api/v1/jobs")]  # fmt: skip
     if file.name in ("analysis.json", "evidence.json", "result", "stored.json", "request.json"):
-        assert any(file.name in text or "make it again" in text for text in told)
+        assert any(file.name in text or "compute the map again" in text for text in told)
     alone.context.close()
 
 

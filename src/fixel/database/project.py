@@ -116,7 +116,7 @@ class Project:
         if not path.is_file():
             name = str(folder)
             raise StoreRefused(
-                f"{folder} is not a fixel project (no fixel.yaml) (it has no {SETTINGS})",
+                f"{folder} is not a fixel project (no {SETTINGS})",
                 hint=f"make one with: {shlex.join(['fixel', 'new', name])}, or in Python"
                 f" fixel.Project.create({name!r})",
             )
