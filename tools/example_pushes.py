@@ -11,7 +11,7 @@ import sys
 import numpy as np
 
 import fixel
-from fixel.testing.scenes import box, row
+from fixel.testing.scenes import row
 
 LENGTH, WIDTH, TIP = 0.100, 0.080, 0.005  # [m]
 RATE, DURATION, SPEED, REST = 20.0, 3.0, 0.020, 0.2  # [Hz], [s], [m/s], [s]
@@ -40,20 +40,19 @@ def main() -> None:
         tip = row(x, y) + (begin + way) @ turn.T
         path = np.column_stack((time, tip, np.zeros(len(time))))
         part = fixel.Body(
-            name="part",
-            shape=box(LENGTH, WIDTH),
+            "part",
+            fixel.Polygon.rectangle(LENGTH, WIDTH),
             mass=0.5,
             pose=row(x, y, theta),
             support=fixel.Tripod(radius=RADIUS, friction=TABLE[surface]),
         )
         pusher = fixel.Pusher(
-            name="tip",
-            shape=fixel.Disk(TIP),
-            pose=path[0, 1:],
+            "tip",
+            fixel.Disk(TIP),
             drive=fixel.PathDrive(waypoints=path),
             friction=friction,
         )
-        scene = fixel.Scene(bodies=(part,), pushers=(pusher,), duration=DURATION)
+        scene = fixel.Scene(part, pusher, duration=DURATION)
         run = fixel.simulate(scene, output_interval=1.0 / RATE)
         pose = np.column_stack([np.interp(time, run.time, own) for own in run.pose["part"].T])
         pose = pose + rng.normal(size=pose.shape) * [2e-4, 2e-4, np.radians(0.15)]

@@ -63,6 +63,8 @@ if TYPE_CHECKING:
         Comparison as Comparison,
         compare as compare,
     )
+    from fixel.workflows.project.export import export as export
+    from fixel.workflows.report.write import report as report
 
     from fixel.filtering.recorded import FilterRun as FilterRun
     from fixel.uncertainty.outcomes import Sensitivity as Sensitivity
@@ -114,6 +116,8 @@ _NAMES = {
     "fixel.workflows.experiments": "read_experiments",
     "fixel.workflows.project.comparison": "Comparison compare",
     "fixel.workflows.uncertainty.run": "posterior",
+    "fixel.workflows.project.export": "export",
+    "fixel.workflows.report.write": "report",
 }
 _HOME_OF = {name: module for module, names in _NAMES.items() for name in names.split()}
 

@@ -269,20 +269,18 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write the experiments of a project for others, flagged ones too."""
-    from fixel.workflows.project.export import export as export_project
+    from fixel.database.project import Project
 
     *places, target = paths
     if len(places) > 1:
         raise InvalidInput("TARGET", found=f"{len(paths)} paths", expected="[PROJECT] TARGET")
     if parquet and lerobot:
         raise InvalidInput("--parquet", found="--lerobot too", expected="one of them")
-    answer = export_project(
-        project_at(places[0] if places else None, folder),
+    answer = Project(project_at(places[0] if places else None, folder)).export(
         target,
         format="parquet" if parquet else "lerobot" if lerobot else "bundle",
         dataset=dataset,
         fps=fps,
-        progress=progress_bar("Exporting"),
     )
     print_answer(as_json, answer.summary, lambda: _exported(answer))
 

@@ -30,12 +30,10 @@ def report(
     The page needs no network. Next to it: every figure as PDF, and a bibliography.
     """
     from fixel.database.project import Project
-    from fixel.workflows.report.write import write_report
 
-    done = write_report(
-        Project.open(folder),
+    done = Project(folder).report(
         out,
-        number=calibration,
+        calibration=calibration,
         title=title,
         command=command_line(),
         notify=notify if sys.stderr.isatty() else None,

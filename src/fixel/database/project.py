@@ -102,6 +102,7 @@ class Project:
     ('example/06', 'example/12')
     >>> lab.experiment("example/12").conditions["surface"]
     'abs'
+    >>> folder.cleanup()
     """
 
     folder: Path

@@ -97,7 +97,7 @@ def with_scene(
         driven, more, sentence = _driven(pusher, body.shape, track, experiment.pusher)
         pushers, flags = (driven,), (*flags, *more)
         sentences.append(sentence)
-    elif any(map(_is_template, pushers)):
+    elif any(pusher.is_template for pusher in pushers):
         raise InvalidInput(
             source,
             found=f"a pusher {pushers[0].name!r} without a drive, and a table without its poses",
@@ -210,11 +210,6 @@ def _object_of(scene: Scene, source: str, name: str | None) -> Any:
     return scene.bodies[names.index(name)]
 
 
-def _is_template(pusher: Pusher) -> bool:
-    drive: object = pusher.drive
-    return drive is None
-
-
 def _pusher_of(scene: Scene, source: str) -> Pusher:
     if len(scene.pushers) != 1:
         raise InvalidInput(
@@ -250,7 +245,7 @@ def _driven(
             sentence += " It is often deep inside the object: listings leave the experiment out."
     else:
         sentence += "."
-    limit = None if _is_template(pusher) else pusher.drive.force_limit
+    limit = None if pusher.is_template else pusher.drive.force_limit
     drive = PathDrive(waypoints=measured, force_limit=limit)
     return replace(pusher, pose=measured[0, 1:], drive=drive), flags, sentence
 

@@ -9,8 +9,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from fixel.datasets.base import ImportPlan, Origin, fixel_version, guarded
 from fixel.datasets.experiments import Experiments
 from fixel.datasets.files import read_table, table_rows
@@ -19,7 +17,7 @@ from fixel.datasets.own_scene import SceneChoice
 from fixel.datasets.table import DATASET as TABLE
 from fixel.datasets.table import CsvTable, plan_table, refuse_unknown_name
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, LineDrive, Polygon, Provenance, Pusher, Scene, Tripod
+from fixel.model import Body, Disk, Polygon, Provenance, Pusher, Scene, Tripod
 from fixel.progress import ProgressOption, show_progress
 
 KINDS: Final = ("time", "length", "angle")
@@ -134,17 +132,9 @@ def example() -> Experiments:
 
 def example_plan() -> ImportPlan:
     """Plan the reading of `example`."""
-    away, (x, y) = np.array([1.0, 1.0, 0.0]), (0.05, 0.04)
-    part = Body(
-        name="part",
-        shape=Polygon(np.array([[-x, -y], [x, -y], [x, y], [-x, y]])),
-        mass=0.5,
-        pose=0.0 * away,
-        support=Tripod(radius=0.025, friction=0.25),
-    )
-    drive = LineDrive(direction=away[:2], speed=0.0)  # the measured path replaces it
-    tip = Pusher(name="tip", shape=Disk(0.005), pose=away, drive=drive, friction=0.3)
-    scene = Scene(bodies=(part,), pushers=(tip,), duration=1.0)
+    support = Tripod(radius=0.025, friction=0.25)
+    part = Body("part", Polygon.rectangle(0.1, 0.08), mass=0.5, support=support)
+    scene = Scene(part, Pusher("tip", Disk(0.005), friction=0.3))
     source = Path(str(files("fixel.datasets") / EXAMPLE))
     options = {"name": "example", "simulated_by": "fixel"}
     return plan_import(source, scene=scene, split_by="push", options=options)

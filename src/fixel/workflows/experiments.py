@@ -91,8 +91,11 @@ def read_experiments(
     ...     "pusher_x_mm": [-55.0, -46.0, -55.0, -46.0],
     ...     "pusher_y_mm": [10.0, 10.0, -10.0, -10.0],
     ... }
-    >>> fixel.read_experiments(table, split_by="push")
-    Experiments: 2 of dataset 'table' (real), 0 with scene
+    >>> part = fixel.Body("part", fixel.Polygon.rectangle(0.1, 0.1), mass=0.5,
+    ...                   support=fixel.Tripod(radius=0.03, friction=0.25))
+    >>> tip = fixel.Pusher("tip", fixel.Disk(0.005), friction=0.3)
+    >>> fixel.read_experiments(table, split_by="push", scene=fixel.Scene(part, tip))
+    Experiments: 2 of dataset 'table' (real), 2 with scene
       name     frames  duration [s]  moved [mm]  turned [deg]
       table/a       2          1.00         8.0           5.0
       table/b       2          1.00         9.0          -4.0

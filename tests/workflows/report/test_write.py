@@ -30,7 +30,6 @@ from fixel.workflows.calibration.stored import CalibratedValues, load_values
 from fixel.workflows.figures import Picture
 from fixel.workflows.report.bibliography import bibtex, known_works, line, works
 from fixel.workflows.report.calibration import calibration_warnings
-from fixel.workflows.report.write import write_report
 
 PLANNED = thesis_plan().experiments
 EVIL = '<script>alert("x")</script>'
@@ -59,7 +58,7 @@ def project(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def report(project, tmp_path_factory):
-    return write_report(project, tmp_path_factory.mktemp("out") / "r", command="fixel report")
+    return project.report(tmp_path_factory.mktemp("out") / "r", command="fixel report")
 
 
 def _kept(project, **changes):
@@ -114,7 +113,7 @@ def test_the_page_needs_nothing_but_itself(report):
 def test_names_of_experiments_are_text_and_no_markup(project, report):
     assert EVIL not in report.page.read_text(encoding="utf-8")
     _kept(project)
-    again = write_report(project, report.page.parent.parent / "evil")
+    again = project.report(report.page.parent.parent / "evil")
     assert EVIL in "".join(_Page(again.page.read_text(encoding="utf-8")).text)
 
 
@@ -130,7 +129,7 @@ def test_warnings_stand_first_and_name_the_next_command(report):
 
 def test_an_analysis_takes_its_place_and_its_warnings(project, tmp_path):
     _kept(project)
-    done = write_report(project, tmp_path / "r")
+    done = project.report(tmp_path / "r")
     words = " ".join(done.content.warnings)
     assert "One cell has no data." in words
     assert "fixel domain" not in words
@@ -142,7 +141,7 @@ def test_an_analysis_takes_its_place_and_its_warnings(project, tmp_path):
 
 def test_an_analysis_of_another_calibration_has_no_place(project, tmp_path):
     _kept(project, question={"of": "another"}, calibrations=(999,), experiments=(998,), title="No")
-    titles = [s.title for s in write_report(project, tmp_path / "r").content.sections]
+    titles = [s.title for s in project.report(tmp_path / "r").content.sections]
     assert titles.count("Where the calibrated simulator can be trusted") <= 1
 
 
@@ -185,7 +184,7 @@ def test_verdicts_become_warnings(project):
 
 def test_without_a_calibration_there_is_nothing_to_report(tmp_path):
     with pytest.raises(InvalidInput, match="fixel calibrate"):
-        write_report(Project.create(tmp_path / "empty"), tmp_path / "r")
+        Project.create(tmp_path / "empty").report(tmp_path / "r")
 
 
 def test_the_bibliography_is_bibtex():

@@ -20,8 +20,8 @@ from fixel.model import Experiment, Parameters
 from fixel.model.parameters import KNOWN_PARAMETERS, info_of, is_parameter
 from fixel.model.records import CalibrationRecord, SimulationRecord
 from fixel.model.selection import ExperimentQuery
-from fixel.simulation import AbstractMotionModel, simulate
-from fixel.simulation.motion import MOTION_MODELS
+from fixel.simulation import simulate
+from fixel.simulation.motion import MOTION_MODELS, motion_model
 from fixel.simulation.stepper import Adaptive
 from fixel.web.values import Answer, Finite
 from fixel.web.views.motion_views import MotionView, compared_motion, stored_motion
@@ -243,14 +243,6 @@ def warm_up() -> None:
     from fixel.testing.scenes import grasp
 
     get_ready(grasp())
-
-
-def motion_model(name: str) -> AbstractMotionModel:
-    """Return the motion model of a name."""
-    models = {model.name: model for model in MOTION_MODELS}
-    if name not in models:
-        raise unknown_name("motion", name, models)
-    return models[name]()
 
 
 def command_of(

@@ -16,9 +16,10 @@ from fixel.io.document import parse_json, parse_yaml, plain_numbers, yaml_text
 from fixel.jobs.worker_process import WorkerProcess
 from fixel.model import Disk, Experiment, PathDrive, Scene, SupportPoints, UniformPressure
 from fixel.simulation import simulate
+from fixel.simulation.motion import motion_model
 from fixel.simulation.stepper import Adaptive
 from fixel.web.values import Answer
-from fixel.web.views.live_comparison import motion_model, warm_up
+from fixel.web.views.live_comparison import warm_up
 from fixel.web.views.motion_views import Animation, animation_of_scene, simulated_motion
 from fixel.workflows.demo.scene_demo import example_names, example_text
 

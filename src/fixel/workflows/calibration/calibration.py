@@ -85,6 +85,8 @@ class Calibration(Result, Mapping[str, float]):
     'finished'
     """
 
+    _stored_by: ClassVar[str] = "fixel.workflows.calibration.project:add_to_project"
+
     run: Calibrations
     number: int = 0
 
@@ -449,6 +451,8 @@ class Calibrations(Result, Sequence[Calibration]):
     interrupted : bool
         Whether the run was interrupted before its end.
     """
+
+    _stored_by: ClassVar[str] = "fixel.workflows.calibration.project:add_to_project"
 
     request: CalibrationRequest
     outcome: CalibrationResult

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, final, overload
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from fixel.model.records import CalibrationRecord, Evaluations, Member
 from fixel.model.selection import ExperimentQuery
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.workflows import jobs
-from fixel.workflows.calibration.calibration import Calibrations
+from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.request import TARGETS, CalibrationRequest
 from fixel.workflows.calibration.result import SEARCHED, ParameterSet
@@ -164,18 +164,25 @@ def stored_points(project: Project, space: ParameterSpace) -> list[list[float]]:
     return [list(point) for point in points]
 
 
-def add_to_project(project: Project, run: Calibrations) -> Calibrations:
+@overload
+def add_to_project(project: Project, found: Calibration) -> Calibration: ...
+@overload
+def add_to_project(project: Project, found: Calibrations) -> Calibrations: ...
+def add_to_project(
+    project: Project, found: Calibration | Calibrations
+) -> Calibration | Calibrations:
     """Store the calibrations of a run in a project; those of a job are stored once.
 
     Parameters
     ----------
     project : Project
         Project that contains the experiments.
-    run : Calibrations
+    found : Calibration or Calibrations
+        Of a calibration, all of its run are stored.
 
     Returns
     -------
-    Calibrations
+    Calibration or Calibrations
         The same, with the ids of the stored calibrations.
 
     Raises
@@ -183,6 +190,7 @@ def add_to_project(project: Project, run: Calibrations) -> Calibrations:
     NotStored
         An experiment is not in the project.
     """
+    run = found.run if isinstance(found, Calibration) else found
     with project.store() as store:
         experiments = [store.find(key) for key in run.outcome.keys]
         words = [str(number) for number in experiments]
@@ -192,7 +200,8 @@ def add_to_project(project: Project, run: Calibrations) -> Calibrations:
             ids = [store.add_calibration(record) for record in _records(run, experiments)]
         else:
             ids = _stored_once(store, run, experiments, run.folder)
-    return replace(run, ids=tuple(ids))
+    stored = replace(run, ids=tuple(ids))
+    return stored[found.number] if isinstance(found, Calibration) else stored
 
 
 def collected(project: Project, folder: Path) -> Calibrations:

@@ -35,7 +35,7 @@ from fixel.workflows.compilation import engine_is_cold
 from fixel.workflows.demo.emulated_bench import record_film
 from fixel.workflows.demo.laboratory_demo import calibrate_jointly
 from fixel.workflows.figures import Picture
-from fixel.workflows.report.write import Report, write_report
+from fixel.workflows.report.write import Report
 
 # From the plan of the thesis: straight on, off the middle, turned; pushes from several sides
 # inform friction better than a single one.
@@ -164,8 +164,8 @@ def run_camera_tour(
     _keep(project, tuple(runs), estimates, numbers[1], members)
     notify("writing the report")
     at = shlex.quote(str(project.folder))
-    report = write_report(
-        project, folder / "report", number=numbers[1], command=f"fixel report --project {at}"
+    report = project.report(
+        folder / "report", calibration=numbers[1], command=f"fixel report --project {at}"
     )
     return CameraTour(
         project=project.folder,

@@ -27,7 +27,7 @@ from fixel.workflows.calibration.request import LEAST_SQUARES
 from fixel.workflows.calibration.run import calibrate
 from fixel.workflows.domain.request import DomainRequest
 from fixel.workflows.domain.run import map_domain
-from fixel.workflows.report.write import Report, write_report
+from fixel.workflows.report.write import Report
 from fixel.workflows.sensitivity.request import SensitivityRequest
 from fixel.workflows.sensitivity.run import analyse_sensitivity
 from fixel.workflows.uncertainty.report import store_uncertainty
@@ -92,8 +92,8 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     except InvalidInput as missing:  # the package that samples posteriors
         notify(f"left out: {missing}")
     notify("writing the report")
-    report = write_report(
-        project, folder.parent / "report", number=number, command=f"fixel report {at}"
+    report = project.report(
+        folder.parent / "report", calibration=number, command=f"fixel report {at}"
     )
     return Tour(project=folder, report=report, truth=_beside_truth(project, number))
 

@@ -15,7 +15,7 @@ from fixel.model import Experiment, Parameters
 from fixel.progress import ProgressOption, show_progress
 from fixel.results import Result, Summary
 from fixel.simulation import AbstractMotionModel
-from fixel.simulation.motion import MOTION_MODELS
+from fixel.simulation.motion import motion_model
 from fixel.table import Column, Table
 from fixel.workflows.project.compare import RunComparison, compare_run
 
@@ -262,13 +262,6 @@ def _named(models: Any) -> dict[str, Any]:
     return dict(models) if several else {"given": models}
 
 
-def _motion_model(motion: AbstractMotionModel | str) -> AbstractMotionModel:
-    models = {model.name: model for model in MOTION_MODELS}
-    if isinstance(motion, str) and motion not in models:
-        raise InvalidInput("motion", found=repr(motion), expected="one of " + ", ".join(models))
-    return models[motion]() if isinstance(motion, str) else motion
-
-
 def _compared(
     experiment: Experiment,
     name: str,
@@ -280,7 +273,7 @@ def _compared(
     fitted = model if hasattr(model, "values_for") else None
     like = fitted or next((m for m in models.values() if hasattr(m, "values_for")), None)
     own = like.motion if motion is None and like is not None else motion
-    chosen = None if own is None else _motion_model(own)
+    chosen = None if own is None else motion_model(own)
     if fitted is None:
         return ComparedModel(name, "", compare_run(experiment, Parameters(model or {}), chosen))
     values = Parameters(fitted.values_for(experiment))

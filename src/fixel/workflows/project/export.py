@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final, final
 
 import numpy as np
 
 from fixel.database.bundle import export_bundle, import_bundle, record_counts
 from fixel.database.bundle_file import opened_bundle
+from fixel.database.experiments import stored_experiments
 from fixel.database.project import Project
-from fixel.database.store import Store
-from fixel.datasets import IMPORTERS
+from fixel.datasets import IMPORTERS, Experiments
 from fixel.datasets.table import CsvTable
 from fixel.drawing.chart import refuse_ending
 from fixel.errors import InvalidInput, NotStored, unknown_name
@@ -23,6 +25,7 @@ from fixel.formats.lerobot import write_lerobot
 from fixel.io.atomic import refuse_unwritable
 from fixel.model import Experiment
 from fixel.model.selection import ExperimentQuery, ExperimentRow
+from fixel.progress import ProgressOption, Reporter, show_progress
 from fixel.typing import ProgressCallback
 
 FORMATS: Final = ("bundle", "parquet", "lerobot")
@@ -32,7 +35,7 @@ RATES: Final = (1, 1000)  # [Hz]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportAnswer:
-    """ExperimentRow of an export.
+    """Result of an export.
 
     Attributes
     ----------
@@ -81,30 +84,36 @@ def import_zip(
 
 
 def export(
-    folder: Path,
-    target: Path,
+    what: Project | Experiment | Iterable[Experiment],
+    path: str | os.PathLike[str],
     *,
-    format: str = "bundle",
+    format: str | None = None,
     dataset: str | None = None,
     fps: int | None = None,
-    progress: ProgressCallback | None = None,
+    progress: ProgressOption = None,
 ) -> ExportAnswer:
-    """Export a project's experiments.
+    """Write experiments to files for other programs, those with faults in their data too.
 
     Parameters
     ----------
-    folder : Path
-        Folder of the project.
-    target : Path
-        A ``.zip`` for a bundle, else a new or empty folder.
-    format : str
-        One of `FORMATS`.
+    what : Project or experiments
+        A project with all that was computed from its experiments, or some experiments.
+    path : path
+        A ``.zip``, else a new or empty folder.
+    format : str, optional
+        ``bundle``: a ``.zip`` that another project imports; ``parquet``: two tables, experiments
+        and frames; ``lerobot``: a LeRobot dataset, version 3.0. By default a bundle for a ``.zip``,
+        else tables.
     dataset : str, optional
         Dataset whose experiments are exported; by default all.
     fps : int, optional
-        Frame rate of a LeRobot dataset; by default the median rate of the experiments.
-    progress : callable, optional
-        Called with the number of exported experiments and their total.
+        Frame rate of a LeRobot dataset [Hz]; by default the median rate of the experiments.
+    progress : bool or callable, optional
+
+    Returns
+    -------
+    ExportAnswer
+        Number of records, and those that were left out.
 
     Raises
     ------
@@ -114,28 +123,33 @@ def export(
         There are no experiments.
     StoreRefused
         The project cannot be opened or read.
+
+    Examples
+    --------
+    >>> import fixel, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     done = fixel.export(fixel.datasets.example()[:3], f"{folder}/tables", progress=False)
+    >>> done.counts["frames"]
+    183
     """
+    target = Path(path)
+    if format is None:
+        format = "bundle" if target.suffix.lower() == ".zip" else "parquet"
     _check_arguments(target, format, fps)
     started = time.perf_counter()
-    project = Project.open(folder)
-    with project.store() as store:
-        everything = store.experiments(ExperimentQuery(dataset=dataset, include_faulty=True)).rows
-        if not everything:
-            what = "experiments" if dataset is None else f"experiments of dataset {dataset!r}"
-            raise NotStored(what, hint="see what there is with: fixel list")
-        counts, left_out = {"experiments": len(everything)}, {}
+    if isinstance(what, Project):
+        counts, left_out = _exported(what, target, format, dataset, fps, progress)
+    else:
+        chosen = Experiments.of(what)
+        chosen = chosen if dataset is None else chosen.where(f'"dataset:{dataset}"')
         if format == "bundle":
-            written = export_bundle(store, target, dataset=dataset, progress=progress)
-            counts, left_out = written.counts, written.left_out
+            with TemporaryDirectory(prefix="fixel-export-") as folder:
+                project = Project.create(folder)
+                project.add(chosen, progress=False)
+                counts, left_out = _exported(project, target, format, None, fps, progress)
         else:
-            name = dataset or project.settings.name
-            counts["frames"] = _tables(store, everything, target, format, fps, name, progress)
-            counts["flagged"] = store.experiments(
-                ExperimentQuery(dataset=dataset, limit=0)
-            ).left_out
-        marks = ("simulated", "replaced") if format == "bundle" else ("simulated",)
-        simulated = ExperimentQuery(dataset=dataset, marks=marks, include_faulty=True, limit=0)
-        counts["simulated"] = store.experiments(simulated).total
+            name = dataset or (chosen.entries[0].row.dataset if len(chosen) else "")
+            counts, left_out = _written(chosen, target, format, fps, name, progress), {}
     return ExportAnswer(
         target=target,
         format=format,
@@ -146,30 +160,68 @@ def export(
     )
 
 
-def _tables(
-    store: Store,
-    summaries: list[ExperimentRow],
+def _exported(
+    project: Project,
+    target: Path,
+    format: str,
+    dataset: str | None,
+    fps: int | None,
+    progress: ProgressOption,
+) -> tuple[dict[str, int], dict[str, int]]:
+    """Export from a project; return the number of records, and of those left out."""
+    query = ExperimentQuery(dataset=dataset, include_faulty=True)
+    with project.store() as store:
+        if format != "bundle":
+            name = dataset or project.settings.name
+            chosen = stored_experiments(store, query)
+            return _written(chosen, target, format, fps, name, progress, dataset), {}
+        n = store.experiments(replace(query, limit=0)).total
+        _refuse_none(n, dataset)
+        with show_progress(progress, "exporting") as report:
+            written = export_bundle(store, target, dataset=dataset, progress=report)
+        marked = replace(query, marks=("simulated", "replaced"), limit=0)
+        counts = {"experiments": n} | written.counts
+        return counts | {"simulated": store.experiments(marked).total}, written.left_out
+
+
+def _refuse_none(n: int, dataset: str | None) -> None:
+    if not n:
+        what = "experiments" if dataset is None else f"experiments of dataset {dataset!r}"
+        raise NotStored(what, hint="see what there is with: fixel list")
+
+
+def _written(
+    experiments: Experiments,
     target: Path,
     format: str,
     fps: int | None,
     name: str,
-    progress: ProgressCallback | None,
-) -> int:
-    records = _read(store, summaries, progress)
-    with folder_whole(target) as unfinished:
+    progress: ProgressOption,
+    dataset: str | None = None,
+) -> dict[str, int]:
+    """Write experiments as tables or as a LeRobot dataset; return counts."""
+    _refuse_none(len(experiments), dataset)
+    rows = [entry.row for entry in experiments.entries]
+    with (
+        show_progress(progress, "exporting") as report,
+        folder_whole(target) as unfinished,
+    ):
+        records = _reported(experiments, report)
         if format == "parquet":
-            return write_frames(records, unfinished)
-        rate = fps or median_rate(summaries)
-        return write_lerobot(records, unfinished, fps=rate, name=name, rights=_rights())
+            frames = write_frames(records, unfinished)
+        else:
+            rate = fps or median_rate(rows)
+            frames = write_lerobot(records, unfinished, fps=rate, name=name, rights=_rights())
+    faulty = [any(flag.fault for flag in e.details.flags) for e in experiments.entries]
+    simulated = sum(not row.is_real for row in rows)
+    counts = {"experiments": len(rows), "frames": frames, "flagged": sum(faulty)}
+    return counts | {"simulated": simulated}
 
 
-def _read(
-    store: Store, summaries: list[ExperimentRow], progress: ProgressCallback | None
-) -> Iterator[Experiment]:
-    for done, summary in enumerate(summaries, start=1):
-        yield store.experiment(summary.id)
-        if progress is not None:
-            progress(done, len(summaries))
+def _reported(experiments: Experiments, report: Reporter) -> Iterator[Experiment]:
+    for done, experiment in enumerate(experiments, start=1):
+        yield experiment
+        report(done, len(experiments))
 
 
 def median_rate(summaries: list[ExperimentRow]) -> int:

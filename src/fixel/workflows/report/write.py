@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import os
 import platform
 import shlex
 import shutil
@@ -16,6 +17,7 @@ from typing import Any, Final, final
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
+from fixel.results import Result
 from fixel.typing import FloatArray, Notify
 from fixel.workflows.analysis import Kind, StoredAnalysis, load_analyses
 from fixel.workflows.calibration.calibration import Calibrations
@@ -33,6 +35,7 @@ from fixel.workflows.report.calibration import (
 )
 from fixel.workflows.report.content import Content, Figure, Section
 from fixel.workflows.report.data import ReportData, data_of, data_section, data_warnings
+from fixel.workflows.report.results import results_content
 from fixel.workflows.sentences import environment, sentences
 
 PAGE: Final = "report.html"
@@ -86,35 +89,59 @@ class Report:
         }
 
 
-def write_report(
-    project: Project,
-    folder: Path,
+def report(
+    what: Project | Result | Sequence[Result],
+    path: str | os.PathLike[str] = "report",
     *,
-    number: int | None = None,
+    calibration: int | None = None,
     title: str = "",
     command: str = "",
     notify: Notify | None = None,
 ) -> Report:
-    """Write the report of a calibration and of the analyses that used it.
+    """Write one page that needs no network, with every figure as PDF next to it.
 
     Parameters
     ----------
-    project : Project
-    folder : Path
-        Created if missing; files of the same names are replaced.
-    number : int, optional
-        Id of the calibration.
+    what : Project, result, or sequence of results
+        A project: its newest calibration for several experiments, and the analyses that used it.
+        Results, such as calibrations and comparisons: their tables and figures.
+    path : path
+        A ``.html`` file, or a folder; files of the same names are replaced.
+    calibration : int, optional
+        Id of the calibration of a project.
     title, command : str
+        Title of the page, and the command that wrote it.
     notify : callable, optional
+        Called with a sentence before each part of the work.
+
+    Returns
+    -------
+    Report
+        Its files and its content.
 
     Raises
     ------
     InvalidInput
         Nothing to report on, or a folder that cannot be written to.
+
+    Examples
+    --------
+    >>> import fixel, tempfile
+    >>> found = fixel.compare(fixel.datasets.example()[:3], progress=False)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     done = fixel.report(found, f"{folder}/report.html")
+    >>> done.page.name, len(done.figures)
+    ('report.html', 1)
     """
+    page = Path(path) if Path(path).suffix.lower() == ".html" else Path(path) / PAGE
+    folder = page.parent
     template = environment().get_template("report.html")
     make_folder(folder / FIGURES)
-    content = gather(project, number, folder / FIGURES, title, notify)
+    if isinstance(what, Project):
+        content = gather(what, calibration, folder / FIGURES, title, notify)
+    else:
+        results = [what] if isinstance(what, Result) else [*what]
+        content = results_content(results, folder / FIGURES, title)
     cited = works(content.references)
     html = template.render(
         content=content,
@@ -127,18 +154,18 @@ def write_report(
     data = html.encode()
     if len(data) > MAX_PAGE_BYTES:
         raise InvalidInput(
-            str(folder / PAGE),
+            str(page),
             found=f"{len(data) / 1e6:.1f} MB",
             expected=f"at most {MAX_PAGE_BYTES / 1e6:.0f} MB",
             hint="report fewer analyses: remove some from the project's folder analyses",
         )
-    with written_whole(folder / BIBLIOGRAPHY) as path:
-        path.write_text(bibtex(cited), encoding="utf-8")
-    with written_whole(folder / PAGE) as path:
-        path.write_bytes(data)
+    with written_whole(folder / BIBLIOGRAPHY) as file:
+        file.write_text(bibtex(cited), encoding="utf-8")
+    with written_whole(page) as file:
+        file.write_bytes(data)
     shown = [figure for section in content.sections for figure in section.figures]
     return Report(
-        page=folder / PAGE,
+        page=page,
         bibliography=folder / BIBLIOGRAPHY,
         figures=[figure.png.with_suffix(".pdf") for figure in shown],
         content=content,
