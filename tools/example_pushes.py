@@ -52,7 +52,7 @@ def main() -> None:
             drive=fixel.PathDrive(waypoints=path),
             friction=friction,
         )
-        scene = fixel.Scene(part, pusher, duration=DURATION)
+        scene = fixel.Scene((part,), (pusher,), duration=DURATION)
         run = fixel.simulate(scene, output_interval=1.0 / RATE)
         pose = np.column_stack([np.interp(time, run.time, own) for own in run.pose["part"].T])
         pose = pose + rng.normal(size=pose.shape) * [2e-4, 2e-4, np.radians(0.15)]

@@ -134,7 +134,7 @@ def example_plan() -> ImportPlan:
     """Plan the reading of `example`."""
     support = Tripod(radius=0.025, friction=0.25)
     part = Body("part", Polygon.rectangle(0.1, 0.08), mass=0.5, support=support)
-    scene = Scene(part, Pusher("tip", Disk(0.005), friction=0.3))
+    scene = Scene((part,), (Pusher("tip", Disk(0.005), friction=0.3),))
     source = Path(str(files("fixel.datasets") / EXAMPLE))
     options = {"name": "example", "simulated_by": "fixel"}
     return plan_import(source, scene=scene, split_by="push", options=options)
