@@ -2,17 +2,18 @@
 Pushes that cannot be repeated
 ==============================
 
-Some pushes make small errors of the start smaller, others let them grow. This part slips past a
-peg on one side or on the other.
+Some pushes make errors of the start smaller, others let them grow. Where starts side by side end
+far apart, a push cannot be repeated, and no calibration helps.
 """
 
 import fixel
 from fixel.units import deg, mm
 
-scene = fixel.load_scene("../scenes/peg_slip.yaml").scene
-start = fixel.StartError(x=0.5 * mm, y=0.5 * mm, theta=1 * deg)
-found = fixel.sensitivity(scene, start, samples=500)
+scene = fixel.load_scene("../scenes/grasp.yaml").scene
+start = fixel.StartError(x=10 * mm, y=10 * mm, theta=15 * deg)
+found = fixel.sensitivity(scene, start, samples=500, indices=True, base=64)
 found
 
 # %%
-found.plot()
+# Sobol indices: the share of the variance of the end that each error of the start causes.
+found.plot("indices")

@@ -113,7 +113,7 @@ class EnsembleChart(AbstractChart):
             clean(axes)
             _few_numbers(axes)
         _angles(panels["angles"], self)
-        legend_below(figure, [panels["scene"]])
+        legend_below(figure, [panels["scene"]], most=4)
         return figure
 
     def table(self) -> Table:
