@@ -11,7 +11,7 @@ from tests.fixtures import project_of
 
 from fixel.datasets import plan_import
 from fixel.workflows.domain.request import DomainRequest
-from fixel.workflows.domain.run import map_domain
+from fixel.workflows.domain.run import map_stored
 
 
 def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root: Path, tmp_path: Path) -> None:
@@ -25,7 +25,7 @@ def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root: Path, tmp_pat
         folds=2,
         threshold=6.0,
     )
-    done = map_domain(project, asked)
+    done = map_stored(project, asked)
     rms = np.sqrt(done.gathered.evidence.error_mm2)
     assert np.isfinite(rms).all()
     assert 1.0 < np.median(rms) < 6.0

@@ -55,7 +55,7 @@ def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
 
     from fixel.web.views.calibration_form import CalibrationForm
     from fixel.workflows.domain.request import DomainRequest
-    from fixel.workflows.domain.run import map_domain
+    from fixel.workflows.domain.run import map_stored
 
     folder = tmp_path_factory.mktemp("trusted") / "my_lab"
     shutil.copytree(laboratory, folder)
@@ -77,7 +77,7 @@ def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
     run.run(job)
     run.collect(project, job, "fixel calibrate --name first", {})
     asked = DomainRequest(axes=("offset_y_m", "shape"), fit=("mu_pusher",), folds=2, threshold=6.0)
-    map_domain(project, asked, command="fixel domain")
+    map_stored(project, asked, command="fixel domain")
     return folder
 
 

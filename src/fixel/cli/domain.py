@@ -23,7 +23,6 @@ from fixel.cli.screen import (
     command_of,
     notify,
     print_answer,
-    progress_bar,
     seconds,
     shortened,
     wrote,
@@ -148,14 +147,13 @@ def domain(
     if context.invoked_subcommand is not None:
         return
     from fixel.database.project import Project
-    from fixel.workflows.domain.run import map_domain
+    from fixel.workflows.domain.run import map_stored
 
     request = options.request
-    done = map_domain(
+    done = map_stored(
         Project.open(folder),
         request,
         plot=plot,
-        progress=progress_bar("Holding out"),
         command=command_line(),
     )
     print_answer(as_json, lambda: _content(done), lambda: _lines(done, folder, request))

@@ -93,6 +93,15 @@ class CellAxis:
         extent = self.centres[-1] - self.centres[0]
         return k if near[k] <= max(SAME_VALUE * extent, 1e-12) * 10.0 else -1
 
+    def nearest(self, value: Value) -> int:
+        """Return the cell of a value, or of the nearest value within the tried ones; -1 if none."""
+        own = self._find(value)
+        if own >= 0 or self.is_text or isinstance(value, str | None) or len(self) < 2:
+            return own
+        centres = np.array(self.centres)
+        inside = centres[0] <= value <= centres[-1]
+        return int(np.abs(centres - value).argmin()) if inside and not self.edges else -1
+
     @property
     def places(self) -> FloatArray:
         """Positions (n, d) of cells, for distances between them: numbers as shares of the extent,

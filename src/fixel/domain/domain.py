@@ -7,19 +7,26 @@ here on held-out experiments, with a confidence, and without extrapolation.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple, final
+from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
 from fixel.domain.cells import Cells
+from fixel.domain.coordinates import coordinates_of, label_of, push_target
 from fixel.domain.evidence import HeldOutErrors, Measure, threshold_score, value_of
 from fixel.domain.predicted_cells import untried
 from fixel.domain.surface import CellObservations, Surface, fit_surface
 from fixel.errors import InvalidInput
+from fixel.model import Experiment, Probability, Scene
+from fixel.results import Result, Summary
+from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from fixel.domain.next_experiment import Proposal
 
 # Colours of cells.
 TRUSTED: Final = "trusted"
@@ -28,6 +35,14 @@ NOT_TRUSTED: Final = "not trusted"
 NO_DATA: Final = "no data"
 PREDICTED: Final = "predicted"  # no data, but a predicted bound below the threshold
 COLOURS: Final = (TRUSTED, DOUBTFUL, NOT_TRUSTED, NO_DATA, PREDICTED)
+
+_WORDS: Final[Mapping[str, str]] = {
+    TRUSTED: TRUSTED,
+    DOUBTFUL: DOUBTFUL,
+    NOT_TRUSTED: NOT_TRUSTED,
+    NO_DATA: "without data",
+    PREDICTED: "with an error bound only",
+}
 
 MIN_EXPERIMENTS: Final = 6  # minimum number to estimate the scatter of errors
 
@@ -88,10 +103,37 @@ class CellVerdict(NamedTuple):
     reason: str
 
 
+class Applicability(NamedTuple):
+    """Answer of a map for one push.
+
+    Attributes
+    ----------
+    verdict : str
+        `"trusted"`, `"doubtful"`, `"not trusted"`, `"no data"`, or `"predicted"`: no experiment in
+        the cell, but an error bound below the threshold.
+    probability : Probability or None
+        Share of the held-out errors nearby that stay within the threshold, with its interval; None
+        without experiments nearby.
+    nearby : int
+        Number of held-out experiments in the same cell.
+    reason : str
+    cell : str
+        Cell of the map, with its coordinates.
+    """
+
+    verdict: str
+    probability: Probability | None
+    nearby: int
+    reason: str
+    cell: str
+
+
 @final
-@dataclass(frozen=True, eq=False)
-class DomainMap:
+@dataclass(frozen=True, repr=False, eq=False)
+class DomainMap(Result):
     """Map of the cells for each group of experiments.
+
+    Made by `fixel.map_domain`.
 
     Parameters
     ----------
@@ -106,7 +148,16 @@ class DomainMap:
     surface : Surface
     predicted_mm : (n_group, n_cell) float64, optional
         Predicted error bounds for cells without experiments; nan for none.
+    claim : Claim, optional
+        Threshold, share and confidence of the verdicts.
+    facets : tuple of str
+        Conditions with a map for each of their values.
     """
+
+    _drawings: ClassVar[Mapping[str, str]] = {
+        "map": "fixel.drawing.domain:draw_map",
+        "size": "fixel.drawing.domain:draw_size",
+    }
 
     evidence: HeldOutErrors
     cells: Cells
@@ -115,6 +166,136 @@ class DomainMap:
     measure: Measure
     surface: Surface
     predicted_mm: FloatArray | None = None
+    claim: Claim | None = None
+    facets: tuple[str, ...] = ()
+
+    @property
+    def claimed(self) -> Claim:
+        """Claim of the map; by default that at twice the median error."""
+        default = default_threshold(self.evidence, self.measure)
+        return self.claim or Claim(threshold=default, measure=self.measure)
+
+    @property
+    def held_out(self) -> dict[str, float]:
+        """Held-out error of each experiment, root mean square [m]; inf for a failed simulation."""
+        errors = 1e-3 * np.sqrt(self.evidence.error_mm2)
+        return dict(zip(self.evidence.keys, errors.tolist(), strict=True))
+
+    @property
+    def next_experiment(self) -> Proposal | None:
+        """Experiment that is expected to settle most of the map; None if all of it is settled."""
+        from fixel.domain.next_experiment import proposals
+
+        return next(iter(proposals(self, self.claimed, 1)), None)
+
+    def within(self, threshold: float) -> DomainMap:
+        """Return the same map with another threshold, without new fits.
+
+        Parameters
+        ----------
+        threshold : float
+            Largest allowed error [m], or share above the own best for a relative map.
+        """
+        factor = 1e3 if self.measure == "absolute" else 1.0
+        return replace(self, claim=_at(self.claimed, factor * threshold))
+
+    def at(self, scene: Scene | Experiment, **conditions: str | float) -> Applicability:
+        """Return the verdict of the map on a push.
+
+        Parameters
+        ----------
+        scene : Scene or Experiment
+        **conditions
+            Conditions that a bare scene does not have, such as `surface="abs"` [SI].
+
+        Returns
+        -------
+        Applicability
+
+        Raises
+        ------
+        InvalidInput
+            A coordinate of the map is missing.
+        """
+        own = coordinates_of(push_target(scene, conditions))
+        for name in (*(axis.name for axis in self.cells.axes), *self.facets):
+            if name not in own:
+                hint = f"give it: .at(scene, {name}=...)"
+                raise InvalidInput(
+                    "scene", found=f"no {name}", expected="every coordinate of the map", hint=hint
+                )
+        claim = self.claimed
+        group = label_of(own, self.facets)
+        place = tuple(axis.nearest(own[axis.name]) for axis in self.cells.axes)
+        where = ", ".join(
+            f"{axis.name} = {axis.shown(value)} {axis.unit}".rstrip()
+            if isinstance(value := own[axis.name], float)
+            else f"{axis.name} = {value}"
+            for axis in self.cells.axes
+        )
+        if group not in self.groups:
+            return Applicability(NO_DATA, None, 0, f"no experiments with {group}", where)
+        if place not in self.cells.index:
+            return Applicability(NO_DATA, None, 0, "outside the experiments", where)
+        g, c = self.groups.index(group), self.cells.index.index(place)
+        verdict = self.verdicts(claim)[g][c]
+        scores = self.scores[self.members[g][c]]
+        n = len(scores)
+        chance = None
+        if n:
+            chance = Probability.of(int((scores <= claim.score).sum()), n, claim.confidence)
+        return Applicability(verdict.colour, chance, n, verdict.reason, self.cells.text(c))
+
+    def _summary(self) -> Summary:
+        claim, counts = self.claimed, self.colours(self.claimed)
+        n, folds = len(self.evidence), len(set(self.evidence.fold.tolist()))
+        words = ", ".join(f"{counts[c]} {_WORDS[c]}" for c in COLOURS if counts[c])
+        best = self.next_experiment
+        notes = [f"{words} of {sum(counts.values())} cells"]
+        if best is not None:
+            group = f"{best.group}: " if best.group else ""
+            notes.append(f"most informative next experiment: {group}{best.where} ({best.reason})")
+        head: tuple[Column | str, ...] = (
+            "map",
+            *self._axis_columns(),
+            "pushes",
+            Column("error", "mm", ".3g"),
+            "verdict",
+        )
+        seen, verdicts = self.statistic(claim.level), self.verdicts(claim)
+        rows = [
+            (group or "all", *self._place(c), int(self.counts[g, c]),
+             float(seen[g, c]), verdicts[g][c].colour)
+            for g, group in enumerate(self.groups)
+            for c in range(len(self.cells))
+            if self.counts[g, c]
+        ]  # fmt: skip
+        share = f"{100.0 * claim.level:g} % of new pushes"
+        return Summary(
+            f"DomainMap: error <= {claim.text()} in {share}"
+            f" (held out, {folds} folds, {n} experiments)",
+            [Table(head, rows)],
+            notes,
+            {
+                "confidence": f"{claim.confidence:g}",
+                "axes": ", ".join(a.name for a in self.cells.axes),
+            },
+        )
+
+    def _axis_columns(self) -> list[Column]:
+        return [Column(axis.name, axis.unit, "" if axis.is_text else ".4g")
+                for axis in self.cells.axes]  # fmt: skip
+
+    def _place(self, c: int) -> list[str | float]:
+        return [
+            axis.labels[k] if axis.is_text else axis.factor * axis.centres[k]
+            for axis, k in zip(self.cells.axes, self.cells.index[c], strict=True)
+        ]
+
+    def colours(self, claim: Claim) -> dict[str, int]:
+        """Number of cells of each colour, over all maps."""
+        every = [verdict.colour for own in self.verdicts(claim) for verdict in own]
+        return {colour: every.count(colour) for colour in COLOURS}
 
     @cached_property
     def scores(self) -> FloatArray:
@@ -199,7 +380,7 @@ class DomainMap:
     def _without_data(self, claim: Claim, g: int, c: int) -> CellVerdict:
         bound = np.nan if self.predicted_mm is None else float(self.predicted_mm[g, c])
         if bound <= claim.threshold:
-            return CellVerdict(PREDICTED, np.nan, f"no experiment; promised {claim.text(bound)}")
+            return CellVerdict(PREDICTED, np.nan, f"no experiment; error bound {claim.text(bound)}")
         return CellVerdict(
             NO_DATA, np.nan, self._untried[self.groups[g]][c] or "no experiment here"
         )

@@ -19,9 +19,11 @@ from fixel.drawing.chart import (
     clean,
     legend_of,
     log_scale,
+    plot_axes,
     sheet,
     shorten,
 )
+from fixel.errors import InvalidInput
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
 
@@ -266,3 +268,29 @@ class SizeChart(AbstractChart):
         columns = dict(zip(names, self.sizes, strict=True))
         thresholds = self.domain.usual_thresholds
         return Table.from_columns({f"threshold_{unit}": thresholds, **columns})
+
+
+# --- plots of results ---------------------------------------------------------------------------
+
+
+def draw_map(found: DomainMap, *, axis: str | None = None, ax: Axes | None = None) -> Any:
+    """Draw the verdicts of a map over its axes, or along one of them through the nominal."""
+    names = [own.name for own in found.cells.axes]
+    if axis is not None and axis not in names:
+        raise InvalidInput("axis", found=repr(axis), expected="one of " + ", ".join(names))
+    claim = found.claimed
+    across = 0 if axis is None else names.index(axis)
+    alone = found.cells.arms or len(names) == 1 or axis is not None
+    chart = MapChart(
+        domain=found,
+        claim=claim,
+        verdicts=found.verdicts(claim),
+        across=across,
+        up=None if alone else 1,
+    )
+    return plot_axes(chart.figure, ax)
+
+
+def draw_size(found: DomainMap, *, ax: Axes | None = None) -> Any:
+    """Draw the number of cells in the domain of applicability against the threshold."""
+    return plot_axes(SizeChart(domain=found, claim=found.claimed).figure, ax)

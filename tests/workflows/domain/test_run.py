@@ -9,6 +9,7 @@ from tests.fixtures import project_of
 from fixel.calibration.objective import Comparer, Evaluation, MeanSquare, RootMeanSquare
 from fixel.calibration.target import targets_of
 from fixel.database.project import Project
+from fixel.domain.coordinates import coordinates_of, label_of
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache
 from fixel.model import Parameters, Provenance
@@ -19,8 +20,8 @@ from fixel.simulation import Dynamic
 from fixel.simulation.stepper import Adaptive
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration.parameter_options import searched_unknowns
-from fixel.workflows.domain.evidence import coordinates_of, gather, noise_floor
-from fixel.workflows.domain.held_out import Apart, CalibrationModel, held_out, label_of, stepper_for
+from fixel.workflows.domain.evidence import gather, noise_floor
+from fixel.workflows.domain.held_out import Apart, CalibrationModel, held_out, stepper_for
 from fixel.workflows.domain.request import DomainRequest, model_of, own_best
 
 METHOD = {"how": "alone", "error": "mean-square", "error.angle_scale": 0.035, "motion": "dynamic"}

@@ -15,7 +15,7 @@ from pydantic import Field
 from fixel.calibration.target import scene_of
 from fixel.calibration.usual_parameters import default_unknowns, usual_unknown
 from fixel.database.store import Store
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters
 from fixel.model.parameters import KNOWN_PARAMETERS, info_of, is_parameter
 from fixel.model.records import CalibrationRecord, SimulationRecord

@@ -26,7 +26,7 @@ from fixel.workflows.calibration.project import select_experiments
 from fixel.workflows.calibration.request import LEAST_SQUARES
 from fixel.workflows.calibration.run import calibrate
 from fixel.workflows.domain.request import DomainRequest
-from fixel.workflows.domain.run import map_domain
+from fixel.workflows.domain.run import map_stored
 from fixel.workflows.report.write import Report
 from fixel.workflows.sensitivity.request import SensitivityRequest
 from fixel.workflows.sensitivity.run import analyse_sensitivity
@@ -83,7 +83,7 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     command = f"fixel calibrate --optimiser {LEAST_SQUARES} {at}"
     number = calibrate_jointly(project, command, ExperimentQuery())
     notify("mapping where the calibrated simulator can be trusted")
-    map_domain(project, DomainRequest(calibration=number), command=f"fixel domain {at}")
+    map_stored(project, DomainRequest(calibration=number), command=f"fixel domain {at}")
     notify("asking how far the start decides the outcome")
     _ask_starts(project, number, at)
     notify("asking what is not known, and what follows from it")

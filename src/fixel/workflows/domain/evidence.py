@@ -16,14 +16,12 @@ from fixel.calibration.objective import ANGLE_SCALE, EndPose
 from fixel.calibration.target import Target, repetitions, same_configuration
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.domain.contacts import CONTACT_ANGLE
+from fixel.domain.coordinates import coordinates_of, label_of
 from fixel.domain.evidence import HeldOutErrors, Value, default_folds
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
 from fixel.io.result_cache import ResultCache
-from fixel.model.trajectory import wrapped
-from fixel.simulation.pack import pusher_path
 from fixel.typing import FloatArray, ProgressCallback
 from fixel.workflows.analysis import ANALYSES
 from fixel.workflows.calibration.project import select_experiments
@@ -35,19 +33,12 @@ from fixel.workflows.domain.held_out import (
     CalibrationModel,
     HeldOut,
     held_out,
-    label_of,
 )
 from fixel.workflows.domain.request import DomainRequest, model_of, own_best
 
 FOLDER: Final = "held-out"
 WHOLE: Final = "evidence.json"
 VERSION: Final = 2  # increase it when the same request no longer means the same numbers
-
-
-PUSH: Final = "push_angle_rad"
-TRAVEL: Final = "travel_m"
-_HIDDEN: Final = ("experiment", "repetition", "step")
-_TRUTH: Final = "truth_"
 
 
 class DomainEvidence(NamedTuple):
@@ -91,7 +82,7 @@ def gather(
             with written_whole(folder / WHOLE) as path:
                 path.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
         with readable(folder / WHOLE, f"delete the folder {folder}"):
-            gathered = _gathered(content, asked)
+            gathered = gathered_from(content, asked)
         if asked.measure == "relative":
             gathered = _with_own(project, store, asked, gathered)
     real = all(summary.is_real for summary in summaries)
@@ -107,7 +98,7 @@ def gathered_before(
     if content is None:
         return None
     with readable(path, f"delete the folder {path.parent}, and make the map again"):
-        gathered = _gathered(content, asked)
+        gathered = gathered_from(content, asked)
     if asked.measure == "relative":
         gathered = _with_own(project, store, asked, gathered)
     real = all(summary.is_real for summary in store.experiments(asked.query).rows)
@@ -145,27 +136,43 @@ def _computed(
     started = model_of(project, store, asked, chosen.targets)
     if asked.measure == "relative":  # raises before hours of fits if there is no own best
         own_best(store, chosen.ids, started.model)
-    folds = asked.folds or _usual(chosen.targets, asked)
-    apart = Apart(tuple(asked.apart), asked.leave_out, folds, asked.seed)
-    errors = held_out(chosen.targets, started.model, apart, finished, progress)
-    floor, source = noise_floor(
-        chosen.targets, _scale(started.model), ends=isinstance(started.model.error, EndPose)
-    )
     return {
-        "keys": [target.key for target in chosen.targets],
+        **evidence_of(chosen.targets, started.model, asked, finished, progress),
         "ids": chosen.ids,
-        "coordinates": [coordinates_of(target) for target in chosen.targets],
-        "configuration": [same_configuration(target) for target in chosen.targets],
-        **_plain(errors),
         "calibration": started.calibration,
         "started": started.said,
+        "left_out": dict(chosen.left_out),
+    }
+
+
+def evidence_of(
+    targets: Sequence[Target],
+    model: CalibrationModel,
+    asked: DomainRequest,
+    finished: ResultCache,
+    progress: ProgressCallback | None = None,
+    threads: int | None = None,
+) -> dict[str, Any]:
+    """Compute held-out errors of experiments, with coordinates and noise, as plain values."""
+    folds = asked.folds or _usual(targets, asked)
+    apart = Apart(tuple(asked.apart), asked.leave_out, folds, asked.seed)
+    errors = held_out(targets, model, apart, finished, progress, threads)
+    floor, source = noise_floor(targets, _scale(model), ends=isinstance(model.error, EndPose))
+    return {
+        "keys": [target.key for target in targets],
+        "ids": list(range(len(targets))),
+        "coordinates": [coordinates_of(target) for target in targets],
+        "configuration": [same_configuration(target) for target in targets],
+        **_plain(errors),
+        "calibration": None,
+        "started": "the calibration",
         "floor_mm": floor,
         "floor_from": source,
         "folds": folds,
-        "labels": list(started.model.space.labels),
-        "motion": started.model.motion.name,
-        "scale_mm": 1e3 * _scale(started.model),
-        "left_out": dict(chosen.left_out),
+        "labels": list(model.space.labels),
+        "motion": model.motion.name,
+        "scale_mm": 1e3 * _scale(model),
+        "left_out": {},
     }
 
 
@@ -180,9 +187,9 @@ def _scale(model: CalibrationModel) -> float:
 
 
 def _plain(errors: HeldOut) -> dict[str, Any]:
-    told = {np.inf: "failed"}
+    words = {np.inf: "failed"}
     return {
-        "error": [None if np.isnan(e) else told.get(e, e) for e in errors.error.tolist()],
+        "error": [None if np.isnan(e) else words.get(e, e) for e in errors.error.tolist()],
         "fold": errors.fold.tolist(),
         "points": errors.points,
         "stepper": errors.stepper,
@@ -197,15 +204,16 @@ def _read(path: Any) -> dict[str, Any] | None:
     return content
 
 
-def _gathered(content: dict[str, Any], asked: DomainRequest) -> DomainEvidence:
+def gathered_from(content: dict[str, Any], asked: DomainRequest) -> DomainEvidence:
+    """Return the evidence that plain values describe, divided into the maps requested."""
     rows: list[dict[str, Value]] = content["coordinates"]
     names = dict.fromkeys(name for row in rows for name in row)
-    told = {None: np.nan, "failed": np.inf}
+    values = {None: np.nan, "failed": np.inf}
     evidence = HeldOutErrors(
         keys=tuple(content["keys"]),
         ids=tuple(content["ids"]),
         coordinates={name: tuple(row.get(name) for row in rows) for name in names},
-        error_mm2=np.array([told.get(e, e) for e in content["error"]], np.float64),
+        error_mm2=np.array([values.get(e, e) for e in content["error"]], np.float64),
         fold=np.array(content["fold"]),
         group=tuple(label_of(row, asked.by) for row in rows),
         configuration=tuple(content["configuration"]),
@@ -275,44 +283,3 @@ def _bends(pose: FloatArray) -> float:
     second = np.diff(pose, n=2, axis=0)
     middle = np.median(second**2, axis=0) / 0.4549  # variance of normal numbers from the median
     return float(np.sqrt(middle.sum() / 6.0))
-
-
-def coordinates_of(target: Target) -> dict[str, Value]:
-    """Return all coordinates that an axis can use.
-
-    In addition to the conditions: the bearing of the pusher at the start from the centre of mass,
-    in the body's frame [rad]; its direction of travel relative to the line to the centre of mass
-    [rad]; its distance of travel [m]. Truths that no real laboratory could know are left out.
-    """
-    found: dict[str, Value] = {
-        name: value
-        for name, value in target.conditions.items()
-        if name not in _HIDDEN and not name.startswith(_TRUTH)
-    }
-    for name, number in _geometry(target).items():
-        found.setdefault(name, number)
-    return found
-
-
-def _geometry(target: Target) -> dict[str, float]:
-    scene = target.case.scene
-    if not scene.pushers:
-        return {}
-    path = pusher_path(scene.pushers[0], float(target.case.times[-1]))
-    way = path[-1, 1:3] - path[0, 1:3]
-    body = scene.bodies[0]
-    c, s = math.cos(float(body.pose[2])), math.sin(float(body.pose[2]))
-    turn = np.array([[c, -s], [s, c]])
-    arm = path[0, 1:3] - (body.pose[:2] + turn @ body.com)
-    found = {TRAVEL: float(np.hypot(*way))}
-    if np.hypot(*arm) > 0.0:
-        bearing = math.atan2(float(arm[1]), float(arm[0])) - float(body.pose[2])
-        found[CONTACT_ANGLE] = _short(bearing)
-        if found[TRAVEL] > 0.0:
-            heading = math.atan2(float(way[1]), float(way[0]))
-            found[PUSH] = _short(heading - math.atan2(-float(arm[1]), -float(arm[0])))
-    return found
-
-
-def _short(angle: float) -> float:
-    return float(wrapped(np.array([angle]))[0])

@@ -7,7 +7,7 @@ a stored calibration. Finished fits are stored, so that an interrupted command c
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, final
 
@@ -20,6 +20,8 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import AbstractError, Comparer, EndPose, MeanSquare
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target, same_configuration
+from fixel.calibration.usual_parameters import Space, search_space
+from fixel.domain.coordinates import label_of
 from fixel.domain.evidence import folds_of
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache
@@ -27,6 +29,8 @@ from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
 from fixel.typing import FloatArray, IntArray, ProgressCallback
+from fixel.uncertainty.push import motion_named
+from fixel.workflows.calibration.calibration import Calibration
 
 # Steps along a push, for experiments with two poses only. On a twelfth of the pushes of a public
 # dataset they took half the time of adaptive steps; 19 in 20 errors agreed within 0.06 mm.
@@ -77,6 +81,33 @@ class CalibrationModel:
                 expected="mean-square or end-pose [mm^2], which a map counts in",
                 hint="calibrate again with --error mean-square",
             )
+
+
+def calibration_model(
+    fit: Calibration | Space,
+    targets: Sequence[Target],
+    motion: AbstractMotionModel | str | None = None,
+) -> CalibrationModel:
+    """Return the parameters that are fitted without each fold, and the method.
+
+    Parameters
+    ----------
+    fit : Calibration, mapping, sequence of str or None
+        Calibration at which fits start, or parameters as for `fixel.calibrate`.
+    targets : sequence of Target
+    motion : AbstractMotionModel or str, optional
+        Motion model; by default that of the calibration, else dynamic.
+    """
+    if not isinstance(fit, Calibration):
+        space = search_space(fit, targets)
+        return CalibrationModel(space=space, motion=motion_named(motion), error=MeanSquare())
+    # Maps count mean squares [mm^2]; other errors minimised before do not matter here.
+    error = fit.request.made_error
+    return CalibrationModel(
+        space=fit.space.started_at(fit.found.point),
+        motion=motion_named(motion or fit.motion),
+        error=error if isinstance(error, MeanSquare | EndPose) else MeanSquare(),
+    )
 
 
 @final
@@ -229,22 +260,6 @@ def _folds(targets: Sequence[Target], groups: Sequence[str], apart: Apart) -> In
         return folds_of(blocks, groups, apart.folds, apart.seed)
     values = [label_of(target.conditions, (apart.out,)) for target in targets]
     return folds_of(values, [""] * len(targets), apart.folds, apart.seed)
-
-
-def label_of(conditions: Mapping[str, Any], names: Sequence[str]) -> str:
-    """Label of the experiments that share the values of some conditions."""
-    missing = [name for name in names if name not in conditions]
-    if missing:
-        raise InvalidInput(
-            "--by",
-            found=f"{conditions.get('experiment', 'an experiment')} without {missing[0]}",
-            expected="a condition that all experiments have",
-            hint="see which there are: fixel show",
-        )
-    return " ".join(
-        f"{conditions[n]:g}" if isinstance(conditions[n], float) else str(conditions[n])
-        for n in names
-    )
 
 
 def _asked(

@@ -15,9 +15,10 @@ from fixel.io.damaged_files import each_readable
 from fixel.jobs import folder as files
 from fixel.jobs.functions import callable_by_jobs
 from fixel.jobs.work import Work
+from fixel.progress import Progress
 from fixel.workflows import jobs
 from fixel.workflows.domain.request import DomainRequest, asked_again
-from fixel.workflows.domain.run import map_domain
+from fixel.workflows.domain.run import map_stored
 
 MAKER: Final = "domain:domain_work"
 PROGRESS: Final = "fits.json"  # number of finished fits and their total
@@ -32,14 +33,14 @@ def domain_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     """
     yield from ()  # makes this a generator, as all work is
 
-    def show(done: int, total: int, note: str = "") -> None:
+    def show(now: Progress) -> None:
         with written_whole(inputs.parent / PROGRESS) as path:
-            path.write_text(json.dumps([done, total]))
+            path.write_text(json.dumps([now.done, now.total]))
 
     # The job is in the folder `jobs` of its project.
     project = Project.open(inputs.resolve().parents[2])
     question, command = options["question"], str(options["command"])
-    done = map_domain(project, asked_again(question), progress=show, command=command)
+    done = map_stored(project, asked_again(question), progress=show, command=command)
     return done.kept.folder.name.encode()
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from fixel.domain.cells import Cells
-from fixel.domain.domain import COLOURS, DOUBTFUL, NO_DATA, CellVerdict, Claim, DomainMap
+from fixel.domain.domain import DOUBTFUL, NO_DATA, CellVerdict, Claim, DomainMap
 from fixel.domain.next_experiment import Proposal
 from fixel.table import Table
 from fixel.workflows.domain.evidence import DomainEvidence
@@ -18,7 +18,7 @@ def headline(
     domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]], found: list[Proposal]
 ) -> tuple[str, ...]:
     """Return the main results as sentences."""
-    count = colour_counts(verdicts)
+    count = domain.colours(claim)
     sizes = [len(own) for own in domain.domains(claim)]
     return sentences(
         "domain",
@@ -41,12 +41,6 @@ def _begins(domain: DomainMap, claim: Claim) -> float | None:
     return float(thresholds[filled[0]]) if len(filled) else None
 
 
-def colour_counts(verdicts: list[list[CellVerdict]]) -> dict[str, int]:
-    """Number of cells of each colour, over all maps."""
-    every = [verdict.colour for own in verdicts for verdict in own]
-    return {colour: every.count(colour) for colour in COLOURS}
-
-
 def warnings_of(
     gathered: DomainEvidence, domain: DomainMap, claim: Claim, aside: int, verdicts: Any
 ) -> tuple[str, ...]:
@@ -66,7 +60,7 @@ def warnings_of(
         failed=int(np.isinf(domain.evidence.error_mm2).sum()),
         unknown=[note for note in domain.evidence.notes if note],
         empty=[group or "the map" for g, group in enumerate(domain.groups) if nominal[g] == 0],
-        few=few and not colour_counts(verdicts)["trusted"],
+        few=few and not domain.colours(claim)["trusted"],
     )
 
 
@@ -78,9 +72,9 @@ def tables(
     rows = []
     extents, domains = domain.extents(claim), domain.domains(claim)
     for g, group in enumerate(domain.groups):
-        count = colour_counts([verdicts[g]])
+        own = [verdict.colour for verdict in verdicts[g]]
         reach = [_reach_text(extents[g][axis.name]) for axis in axes]
-        cells = [str(count[c]) for c in ("trusted", "doubtful", "not trusted", NO_DATA)]
+        cells = [str(own.count(c)) for c in ("trusted", "doubtful", "not trusted", NO_DATA)]
         rows.append((group or "all", *reach, str(len(domains[g])), *cells))
     head = (
         "map",
@@ -98,7 +92,7 @@ def tables(
         title="What to try next",
         left=4,
     )
-    return (first, *promise_table(domain, claim), *([second] if found else []))
+    return (first, *bound_table(domain, claim), *([second] if found else []))
 
 
 def _reach_text(reach: tuple[str, str] | None) -> str:
@@ -129,7 +123,7 @@ def numbers(
                 "members": int(domain.counts[g, c]),
                 "error": _finite(seen[g, c]),
                 "confidence": _finite(verdict.confidence),
-                "promised_mm": _promise_at(domain, g, c),
+                "promised_mm": _bound_at(domain, g, c),
                 "colour": verdict.colour,
                 "in_domain": c in inside[g],
                 "reason": verdict.reason,
@@ -144,11 +138,11 @@ def numbers(
     }
 
 
-def _promise_at(domain: DomainMap, g: int, c: int) -> float | None:
+def _bound_at(domain: DomainMap, g: int, c: int) -> float | None:
     return None if domain.predicted_mm is None else _finite(domain.predicted_mm[g, c])
 
 
-def promise_table(domain: DomainMap, claim: Claim) -> list[Table]:
+def bound_table(domain: DomainMap, claim: Claim) -> list[Table]:
     """Table of the error bounds of new experiments, by map; empty if there are no bounds."""
     if domain.predicted_mm is None:
         return []
@@ -162,7 +156,7 @@ def promise_table(domain: DomainMap, claim: Claim) -> list[Table]:
         rows.append((group or "all", f"{np.median(own):.3g}", *(shown or ["nothing"] * 3)))
     head = ("map", "median error [mm]", "least bound [mm]", "median bound [mm]", "most [mm]")
     likely = f"{100.0 * claim.level:g} %"
-    title = f"Promised for new experiments in these cells, with a probability of {likely}"
+    title = f"Error bounds of new experiments in these cells, each with a probability of {likely}"
     return [Table(head, rows, title=title)]
 
 

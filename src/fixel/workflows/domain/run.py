@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -18,7 +18,8 @@ from fixel.domain.next_experiment import Proposal, proposals
 from fixel.domain.predicted_cells import predicted_cells
 from fixel.domain.surface import Surface
 from fixel.errors import InvalidInput
-from fixel.typing import FloatArray, ProgressCallback
+from fixel.progress import ProgressOption, show_progress
+from fixel.typing import FloatArray
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.domain.charts import pictures_of
 from fixel.workflows.domain.evidence import DomainEvidence, gather
@@ -28,7 +29,7 @@ from fixel.workflows.figures import make_folder
 
 MAX_EXAMPLES: Final = 3
 SURFACE: Final = "surface_"  # prefix of the arrays stored with a map
-PROMISED: Final = "promised"
+BOUNDS: Final = "promised"  # name of the error bounds in stored maps
 MOST_BYTES: Final = 64_000_000  # largest size of a stored surface
 USUAL: Final = ("surface", "shape", "contact_angle_rad")  # axes if nothing was offset
 
@@ -63,15 +64,15 @@ class DomainResult:
     files: tuple[Path, ...] = ()
 
 
-def map_domain(
+def map_stored(
     project: Project,
     asked: DomainRequest,
     *,
     plot: Path | None = None,
-    progress: ProgressCallback | None = None,
+    progress: ProgressOption = None,
     command: str = "",
 ) -> DomainResult:
-    """Map the experiments for which one parameter set can be trusted.
+    """Map the experiments of a project for which one parameter set can be trusted, and store it.
 
     Parameters
     ----------
@@ -79,8 +80,8 @@ def map_domain(
     asked : DomainRequest
     plot : Path, optional
         Folder for charts, in addition to those in the project.
-    progress : callable, optional
-        Called with the number of finished fits and their total.
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
     command : str
         Command as typed.
 
@@ -93,10 +94,10 @@ def map_domain(
     begun = time.perf_counter()
     if plot is not None:
         make_folder(plot)
-    gathered = gather(project, asked, progress)
-    evidence, cells, aside = _cut(gathered, asked)
-    claim = _claim(asked, gathered, evidence)
-    domain = _spread(evidence, cells, asked)
+    with show_progress(progress, "holding out") as report:
+        gathered = gather(project, asked, report)
+    domain, aside = mapped(gathered, asked)
+    claim, evidence = domain.claimed, domain.evidence
     verdicts = domain.verdicts(claim)
     found = proposals(domain, claim, verdicts=verdicts)
     warnings = warnings_of(gathered, domain, claim, aside, verdicts)
@@ -133,6 +134,20 @@ def map_domain(
     )
 
 
+def mapped(gathered: DomainEvidence, asked: DomainRequest) -> tuple[DomainMap, int]:
+    """Return the map of some evidence, and the number of experiments left out of it.
+
+    Raises
+    ------
+    InvalidInput
+        A threshold below the noise, a nominal without data, or an axis that no experiment has.
+    """
+    evidence, cells, aside = _cut(gathered, asked)
+    claim = _claim(asked, gathered, evidence)
+    domain = _spread(evidence, cells, asked)
+    return replace(domain, claim=claim, facets=tuple(asked.by)), aside
+
+
 def spread_out(
     gathered: DomainEvidence, asked: DomainRequest, fitted: Mapping[str, FloatArray] | None = None
 ) -> tuple[DomainMap, int]:
@@ -150,8 +165,8 @@ def spread_out(
     if not is_fitted(known):
         return _spread(evidence, cells, asked), aside
     surface = Surface(**{field.name: known[f"{SURFACE}{field.name}"] for field in fields(Surface)})
-    promised = known.get(PROMISED)
-    return domain_map(evidence, cells, asked.measure, asked.seed, promised, surface), aside
+    bounds = known.get(BOUNDS)
+    return domain_map(evidence, cells, asked.measure, asked.seed, bounds, surface), aside
 
 
 def is_fitted(known: Mapping[str, FloatArray]) -> bool:
@@ -170,7 +185,7 @@ def _fitted(domain: DomainMap) -> dict[str, Any]:
     if surface.covariance.nbytes > MOST_BYTES:
         return {}
     found = {f"{SURFACE}{field.name}": getattr(surface, field.name) for field in fields(surface)}
-    return found if domain.predicted_mm is None else found | {PROMISED: domain.predicted_mm}
+    return found if domain.predicted_mm is None else found | {BOUNDS: domain.predicted_mm}
 
 
 def _cut(gathered: DomainEvidence, asked: DomainRequest) -> tuple[HeldOutErrors, Cells, int]:
@@ -180,13 +195,13 @@ def _cut(gathered: DomainEvidence, asked: DomainRequest) -> tuple[HeldOutErrors,
 
 
 def _spread(evidence: HeldOutErrors, cells: Cells, asked: DomainRequest) -> DomainMap:
-    promised = _promised(evidence, cells, asked)
-    domain = domain_map(evidence, cells, asked.measure, asked.seed, promised)
+    bounds = _bounds(evidence, cells, asked)
+    domain = domain_map(evidence, cells, asked.measure, asked.seed, bounds)
     _refuse_empty_nominal(domain)
     return domain
 
 
-def _promised(evidence: HeldOutErrors, cells: Cells, asked: DomainRequest) -> FloatArray | None:
+def _bounds(evidence: HeldOutErrors, cells: Cells, asked: DomainRequest) -> FloatArray | None:
     """Error bounds of the cells; only for the error itself, not relative to the own best."""
     if asked.measure != "absolute":
         return None
@@ -230,9 +245,9 @@ def _claim(asked: DomainRequest, gathered: DomainEvidence, evidence: HeldOutErro
     if asked.measure == "absolute" and floor is not None and threshold < floor:
         raise InvalidInput(
             "--threshold-mm",
-            found=f"{threshold:.3g}, below what the measurement alone makes",
+            found=f"{threshold:.3g}, below the error that measurement noise alone causes",
             expected=f"{floor:.3g} at least ({gathered.floor_from})",
-            hint="no simulator can be held to less than the noise",
+            hint="no simulator can be more accurate than the measurement",
         )
     return Claim(
         threshold=threshold,

@@ -1,0 +1,90 @@
+"""Coordinates of a push that the axes of a map can use: conditions, and geometry of the push."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from fixel.calibration.target import Target, target_of
+from fixel.domain.contacts import CONTACT_ANGLE
+from fixel.domain.evidence import Value
+from fixel.errors import InvalidInput
+from fixel.model import Experiment, Scene, wrapped
+from fixel.model.fields import instance
+from fixel.simulation.ensemble import RolloutCase
+from fixel.simulation.pack import pusher_path
+
+PUSH: Final = "push_angle_rad"
+TRAVEL: Final = "travel_m"
+_HIDDEN: Final = ("experiment", "repetition", "step")
+_TRUTH: Final = "truth_"
+
+
+def push_target(what: Scene | Experiment, conditions: Mapping[str, str | float]) -> Target:
+    """Return the target of a scene or experiment, with more conditions."""
+    if isinstance(what, Experiment):
+        own = target_of(what)
+        return own._replace(conditions={**own.conditions, **conditions})
+    instance(what, Scene, "scene", "a Scene or an Experiment")
+    case = RolloutCase(what, np.array([what.duration]))
+    return Target("scene", dict(conditions), case, np.zeros((0, 3)))
+
+
+def coordinates_of(target: Target) -> dict[str, Value]:
+    """Return all coordinates that an axis can use.
+
+    In addition to the conditions: the bearing of the pusher at the start from the centre of mass,
+    in the body's frame [rad]; its direction of travel relative to the line to the centre of mass
+    [rad]; its distance of travel [m]. Truths that no real laboratory could know are left out.
+    """
+    found: dict[str, Value] = {
+        name: value
+        for name, value in target.conditions.items()
+        if name not in _HIDDEN and not name.startswith(_TRUTH)
+    }
+    for name, number in _geometry(target).items():
+        found.setdefault(name, number)
+    return found
+
+
+def _geometry(target: Target) -> dict[str, float]:
+    scene = target.case.scene
+    if not scene.pushers:
+        return {}
+    path = pusher_path(scene.pushers[0], float(target.case.times[-1]))
+    way = path[-1, 1:3] - path[0, 1:3]
+    body = scene.bodies[0]
+    c, s = math.cos(float(body.pose[2])), math.sin(float(body.pose[2]))
+    turn = np.array([[c, -s], [s, c]])
+    arm = path[0, 1:3] - (body.pose[:2] + turn @ body.com)
+    found = {TRAVEL: float(np.hypot(*way))}
+    if np.hypot(*arm) > 0.0:
+        bearing = math.atan2(float(arm[1]), float(arm[0])) - float(body.pose[2])
+        found[CONTACT_ANGLE] = _short(bearing)
+        if found[TRAVEL] > 0.0:
+            heading = math.atan2(float(way[1]), float(way[0]))
+            found[PUSH] = _short(heading - math.atan2(-float(arm[1]), -float(arm[0])))
+    return found
+
+
+def _short(angle: float) -> float:
+    return float(wrapped(np.array([angle]))[0])
+
+
+def label_of(conditions: Mapping[str, Any], names: Sequence[str]) -> str:
+    """Label of the experiments that share the values of some conditions."""
+    missing = [name for name in names if name not in conditions]
+    if missing:
+        raise InvalidInput(
+            "conditions",
+            found=f"{conditions.get('experiment', 'an experiment')} without {missing[0]}",
+            expected="a condition that all experiments have",
+            hint="see which there are: fixel show",
+        )
+    return " ".join(
+        f"{conditions[n]:g}" if isinstance(conditions[n], float) else str(conditions[n])
+        for n in names
+    )

@@ -1,0 +1,115 @@
+"""Maps in memory against fits and fractions computed here."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+import fixel
+from fixel.calibration.objective import Comparer
+from fixel.calibration.target import targets_of
+from fixel.calibration.usual_parameters import search_space
+from fixel.errors import InvalidInput
+from fixel.simulation import Dynamic
+from fixel.testing.pushes import example_pushes
+from fixel.workflows.domain.map import map_domain
+
+SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+QUIET = {"progress": False, "threads": 1}
+
+
+@pytest.fixture(scope="module")
+def pushes():
+    return example_pushes(10, duration=0.3)
+
+
+@pytest.fixture(scope="module")
+def found(pushes):
+    return map_domain(
+        pushes, SPACE, axes=["side"], threshold=2e-4, folds=2, confidence=0.9, **QUIET
+    )
+
+
+def test_held_out_errors_are_those_of_a_fit_without_the_fold(pushes, found):
+    """The other fold's best friction, on a grid."""
+    targets = targets_of(pushes)
+    space = search_space(SPACE, targets)
+    comparer = Comparer(targets, space, motion=Dynamic(), threads=1)
+    grid = np.linspace(0.15, 0.35, 41)
+    squares = np.array(
+        [comparer.errors(np.full(41, k), grid[:, None]).error for k in range(len(targets))]
+    )
+    fold = found.evidence.fold
+    for k in (0, 1):
+        best = squares[fold != k].sum(axis=0).argmin()
+        own = [found.held_out[targets[j].key] for j in np.flatnonzero(fold == k)]
+        np.testing.assert_allclose(own, 1e-3 * np.sqrt(squares[fold == k, best]), rtol=0.05)
+
+
+def test_a_push_has_the_share_of_its_cell(pushes, found):
+    for side in ("left", "right"):
+        errors = [found.held_out[p.key] for p in pushes if p.conditions["side"] == side]
+        good = sum(error <= 2e-4 for error in errors)
+        own = found.at(pushes[0].scene, side=side)
+        exact = binomtest(good, len(errors)).proportion_ci(0.9, "exact")
+        assert own.nearby == len(errors)
+        assert own.probability == pytest.approx((good / own.nearby, *exact, own.nearby))
+        assert own.verdict in ("trusted", "doubtful", "not trusted")
+    assert found.at(pushes[0]).cell == "side = right"
+    assert found.at(pushes[0].scene, side="below").verdict == "no data"
+    assert found.at(pushes[0].scene, side="below").probability is None
+
+
+def test_a_wider_threshold_trusts_more_without_new_fits(found):
+    wide = found.within(0.1)
+    assert wide.held_out == found.held_out
+    assert {row[-1] for row in wide._summary().tables[0].rows} == {"trusted"}
+    tight = found.within(1e-6)
+    assert {row[-1] for row in tight._summary().tables[0].rows} <= {"not trusted", "doubtful"}
+
+
+def test_a_map_says_what_it_rests_on(found):
+    text = repr(found)
+    assert "error <= 0.2 mm in 90 % of new pushes (held out, 2 folds, 10 experiments)" in text
+    assert len(text.splitlines()) <= 25
+    assert found.to_dict()["pushes"] == [5, 5]
+
+
+def test_numbers_between_tried_ones_belong_to_the_nearest(pushes):
+    one = map_domain(pushes, SPACE, axes=["offset_m"], folds=2, **QUIET)
+    near = one.at(pushes[0].scene, offset_m=pushes[1].conditions["offset_m"] + 1e-4)
+    assert near.cell == one.at(pushes[1]).cell
+    assert one.at(pushes[0].scene, offset_m=0.2).verdict == "no data"
+
+
+def test_a_stored_map_is_not_fitted_again(pushes, tmp_path, monkeypatch):
+    known = map_domain(pushes[:6], SPACE, axes=["side"], folds=2, store=tmp_path, **QUIET)
+
+    def never(self):
+        raise AssertionError("fitted again")
+
+    monkeypatch.setattr("fixel.workflows.domain.held_out._FoldFit.__call__", never)
+    again = map_domain(pushes[:6], SPACE, axes=["side"], folds=2, store=tmp_path, **QUIET)
+    assert again.held_out == known.held_out
+
+
+def test_wrong_input_is_refused_before_any_fit(pushes, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("held out before the refusal")
+
+    monkeypatch.setattr("fixel.workflows.domain.evidence.held_out", never)
+    for options, match in (
+        ({"axes": ["surface"]}, "surface"),
+        ({"axes": "side"}, "a list"),
+        ({"threshold": -1.0}, "threshold"),
+        ({"threshold": 1e-3, "relative": 1.0}, "one of them"),
+        ({"level": 1.5}, "level"),
+        ({"facets": ["surface"]}, "surface"),
+    ):
+        with pytest.raises(InvalidInput, match=match):
+            map_domain(pushes, SPACE, **options, **QUIET)
+    with pytest.raises(InvalidInput, match="no scene"):
+        map_domain([replace(pushes[0], scene=None)], SPACE, **QUIET)
+    with pytest.raises(InvalidInput, match="known parameter"):
+        fixel.map_domain(pushes, ["mu_pushr"], **QUIET)
