@@ -29,6 +29,8 @@ from fixel.model.selection import (
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 
+MAX_LISTED = 20  # experiments that a summary lists
+
 
 class ExperimentEntry(NamedTuple):
     """One of several experiments: its facts, and the experiment unless it is read when needed."""
@@ -200,10 +202,10 @@ class Experiments(Result, Sequence[Experiment]):
             Both in the order of the experiments.
         """
         groups = [*self.groupby(by).values()] if by else [self._with([e]) for e in self.entries]
-        wanted = round(test * len(groups)) if isinstance(test, float) else test
+        wanted = max(1, round(test * len(groups))) if isinstance(test, float) else test
         if isinstance(test, bool) or not 0 < wanted < len(groups):
-            most = f"from 1 to {len(groups) - 1}, or a share of as many"
-            raise InvalidInput("test", found=test, expected=f"a number {most}")
+            expected = f"a number from 1 to {len(groups) - 1}, or a share below 1.0"
+            raise InvalidInput("test", found=test, expected=expected)
         drawn = np.random.default_rng(seed).choice(len(groups), wanted, replace=False)
         keys = {(e.row.id, e.row.key) for k in drawn.tolist() for e in groups[k].entries}
         chosen = [(e.row.id, e.row.key) in keys for e in self.entries]
@@ -283,15 +285,17 @@ class Experiments(Result, Sequence[Experiment]):
         kind = next(iter(kinds)) if len(kinds) == 1 else f"{kinds['real']} real"
         heading = f"Experiments: {len(self)} of {of} ({kind}), {n_scene} with scene"
         skipped = [f"skipped {len(self.skipped)}: {self.skipped[0]}, ..."] if self.skipped else []
+        more = max(0, len(self) - MAX_LISTED)
         notes = [f"note: {note}" for note in self.notes if note.startswith("Guess")]
         return Summary(
             heading if self.entries else "Experiments: none",
             [self._listed()] if self.entries else [],
-            [*skipped, *notes],
+            [*([f"... and {more} more"] if more else []), *skipped, *notes],
             {"source": note} if (note := " ".join(self.notes)) else {},
         )
 
     def _listed(self) -> Table:
+        """Table of the first experiments; all of them would take long."""
         with_error = any(entry.details.error_mm2 is not None for entry in self.entries)
         rows = [
             (
@@ -299,7 +303,7 @@ class Experiments(Result, Sequence[Experiment]):
                 degrees(row.turned_rad),
                 *([_root(details.error_mm2)] if with_error else []),
             )
-            for row, details, _ in self.entries
+            for row, details, _ in self.entries[:MAX_LISTED]
         ]
         columns = [Column("name"), Column("frames"), Column("duration", "s", ".2f")]
         columns += [Column("moved", "mm", ".1f"), Column("turned", "deg", ".1f")]

@@ -14,7 +14,7 @@ from fixel.datasets.mit_push import MitPush
 from fixel.datasets.mit_pusher_slider import MitPusherSlider
 from fixel.datasets.rpi_2dgad import Rpi2dgad
 from fixel.datasets.table import CsvTable
-from fixel.errors import DatasetMissing, InvalidInput
+from fixel.errors import DatasetMissing, unknown_name
 
 _ALL: Final = (Rpi2dgad(), MitPush(), MitPusherSlider(), CmuTripod(), CmuTwoPoint(), CsvTable())
 
@@ -36,7 +36,7 @@ def importer_for(source: Path, name: str | None = None) -> Importer:
     known = ", ".join(IMPORTERS)
     if name is not None:
         if name not in IMPORTERS:
-            raise InvalidInput("importer", found=repr(name), expected=f"one of {known}")
+            raise unknown_name("format", name, IMPORTERS)
         return IMPORTERS[name]
     source = Path(source)
     if not source.exists():

@@ -174,7 +174,7 @@ def _scene(choice: SceneChoice, experiment: Experiment) -> tuple[Scene, str]:
     if isinstance(choice, Path):
         return _loaded(choice, experiment), choice.name
     conditions = {**experiment.conditions, "name": experiment.name}
-    scene = choice if isinstance(choice, Scene) else choice(conditions)
+    scene = choice(conditions) if callable(choice) else choice
     instance(scene, Scene, "scene", "a Scene, a scene file, or a function that returns a Scene")
     return scene, "scene"
 

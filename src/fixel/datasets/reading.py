@@ -54,7 +54,10 @@ def plan_import(
         No importer recognises the source.
     """
     known = dict(options or {})
-    importer = importer_for(source, format) if isinstance(source, Path) else IMPORTERS[TABLE]
+    in_memory = not isinstance(source, Path)
+    if in_memory and format not in (None, TABLE):
+        raise InvalidInput("format", found=repr(format), expected=f"{TABLE!r}, for a table")
+    importer = IMPORTERS[TABLE] if in_memory else importer_for(source, format)
     if isinstance(importer, CsvTable):
         importer.check_options(known)
         file = known.pop("scene", None)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal, NamedTuple, cast, final
 
-from fixel.errors import InvalidInput, closest, did_you_mean
+from fixel.errors import InvalidInput, closest, unknown_name
 from fixel.model.experiment import Experiment, Flag
 from fixel.model.trajectory import turned
 
@@ -30,7 +30,6 @@ RELATIONS: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
 }
 MARKS: Final = ("clean", "faulty", "flagged", "noted", "real", "simulated", "deleted", "replaced")
 MAX_FILTER: Final = 1000  # characters
-MAX_NAMED: Final = 12  # values listed in an error
 
 TEXTS: Final = ("dataset", "name", "contacts", "created")
 ERRORS: Final = ("before_mm", "after_mm", "error_mm")
@@ -421,22 +420,12 @@ class UnknownName(NamedTuple):
     typed: str
     known: tuple[str, ...]
 
-    @property
-    def meant(self) -> str | None:
-        """Known name that resembles it most; None if none does."""
-        return closest(self.typed, self.known)
-
     def error(self) -> InvalidInput:
         """Return the error to raise."""
-        more = f", ... ({len(self.known)} in all)" if len(self.known) > MAX_NAMED else ""
-        return InvalidInput(
-            self.what,
-            found=repr(self.typed),
-            expected="one of " + ", ".join(self.known[:MAX_NAMED]) + more
-            if self.known
-            else "nothing: no experiment has one",
-            hint=did_you_mean(self.typed, self.known),
-        )
+        if not self.known:
+            expected = "nothing: no experiment has one"
+            return InvalidInput(self.what, found=repr(self.typed), expected=expected)
+        return unknown_name(self.what, self.typed, self.known)
 
 
 def unknown_names(
@@ -490,7 +479,8 @@ def meant_filter(filter: str, known: KnownNames) -> str | None:
     """
     changed = filter
     for unknown in unknown_names(parse_filter(filter), known):
-        if unknown.meant is None:
+        meant = closest(unknown.typed, unknown.known)
+        if meant is None:
             return None
-        changed = changed.replace(unknown.typed, unknown.meant, 1)
+        changed = changed.replace(unknown.typed, meant, 1)
     return changed if changed != filter else None

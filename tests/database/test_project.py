@@ -1,0 +1,145 @@
+"""Projects as Python opens them: filters, results, and the same numbers as the commands."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from tests.cli.shell import fixel as run
+
+import fixel
+from fixel.database import arrays
+from fixel.datasets import example
+from fixel.errors import InvalidInput, NotStored, StoreRefused
+from fixel.model import Flag
+
+KEYS = ("example/00", "example/01", "example/02")
+
+
+@pytest.fixture
+def lab(tmp_path):
+    made = fixel.Project.create(tmp_path / "my lab")
+    pushes = list(example()[:3])
+    pushes[1] = pushes[1].flagged(Flag("late", "by 0.2 s"))
+    assert made.add(pushes, progress=False)[:3] == (3, 0, 1)
+    return made
+
+
+def test_opening_creates_nothing(tmp_path):
+    for place in ("nothing here", "sqlite:///" + str(tmp_path / "nothing.db")):
+        with pytest.raises(StoreRefused, match="fixel new"):
+            fixel.Project(place if "://" in place else tmp_path / place)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InvalidInput, match="media: found none"):
+        fixel.Project("postgresql+psycopg://somebody@nowhere/lab")
+
+
+def test_a_url_opens_the_same_project(lab):
+    same = fixel.Project(f"sqlite:///{lab.folder / 'experiments.db'}")
+    assert same.experiments(flagged=True) == lab.experiments(flagged=True)
+    assert same.experiment("example/02") == lab.experiment(3)
+
+
+def test_experiments_are_added_once(lab):
+    assert lab.add(example()[0], progress=False)[:2] == (0, 1)
+    corrected = replace(lab.experiment("00"), conditions={"surface": "felt"})
+    assert lab.add(corrected, progress=False).new == 1
+    assert lab.experiments("surface=felt").keys == ("example/00",)
+    for wrong in (3, ["example/00"]):
+        with pytest.raises(InvalidInput, match="expected experiments, or a result"):
+            lab.add(wrong)
+
+
+def test_filters_are_those_of_the_command(lab, capsys):
+    for words, flagged in (
+        ((), False),
+        (("surface=abs", "turned<0"), False),
+        (("flag:late",), False),
+        (("plywood duration>=3",), True),
+    ):
+        where = [word for one in words for word in ("--where", one)]
+        more = ["--all"] if flagged else []
+        code, out, _ = run(capsys, "list", *where, *more, "--project", lab.folder, "--json")
+        assert code == 0
+        listed = [f"{e['dataset']}/{e['name']}" for e in json.loads(out)["experiments"]]
+        assert list(lab.experiments(*words, flagged=flagged).keys) == listed
+    farthest = lab.experiments(flagged=True, sort="moved", descending=True, limit=1)
+    moved = lab.experiments(flagged=True).to_dict()["moved"]
+    assert farthest.to_dict()["moved"] == [max(moved)]
+    assert lab.experiments("flagged").keys == ("example/01",)
+    for text in ("surface=plywod", "surfce!=abs", "dataset:exmple"):
+        with pytest.raises(InvalidInput, match="did you mean"):
+            lab.experiments(text)
+
+
+def test_printing_reads_no_series(lab, monkeypatch):
+    def refuse(*_):
+        raise AssertionError("a series was read")
+
+    monkeypatch.setattr(arrays, "read_all", refuse)
+    found = lab.experiments(flagged=True)
+    assert repr(found).splitlines()[0].startswith("Experiments: 3 of dataset 'example'")
+    assert "example/00" in found._repr_html_()
+    assert found.where("surface=abs").split(1)[0].keys
+    assert found.to_arrow().num_rows == 3
+    assert "3" in repr(lab)
+    with pytest.raises(AssertionError, match="a series was read"):
+        found[0]
+
+
+def test_stored_experiments_equal_those_added(lab):
+    for own, added in zip(lab.experiments(flagged=True), example(), strict=False):
+        assert own.trajectory == added.trajectory
+        assert own.scene == added.scene
+
+
+def test_a_comparison_equals_that_of_the_command(lab, capsys):
+    found = fixel.compare(lab.experiment("example/00"), {"mu_pusher": 0.2}, progress=False)
+    words = ("compare", "example/00", "--set", "mu_pusher=0.2", "--project", lab.folder, "--json")
+    code, out, _ = run(capsys, *words)
+    assert code == 0
+    answer = json.loads(out)
+    row = found.to_dict()
+    assert answer["error_mm2"] == found.rows[0].run.error_mm2
+    assert answer["position_rms_m"] == row["position_rms"][0]
+    assert answer["final_angle_rad"] == row["final_angle"][0]
+
+
+def test_errors_of_a_project_can_be_filtered(lab):
+    for key in KEYS:
+        stored = lab.experiment(key)
+        record = fixel.compare(stored, progress=False).rows[0].run
+        with lab.store() as store:
+            store.add_simulation(record.record(store.find(key)))
+    by_hand = {
+        row.run.experiment.key: row.error_mm
+        for row in fixel.compare(lab.experiments(flagged=True), progress=False).rows
+    }
+    limit = sorted(by_hand.values())[1]
+    found = lab.experiments(f"error>{limit}", flagged=True)
+    assert list(found.keys) == [key for key in KEYS if by_hand[key] > limit]
+    assert found.keys == lab.experiments(flagged=True).where(f"error>{limit}").keys
+    assert "error [mm]" in repr(found)
+
+
+def test_the_rest_is_what_commands_do(lab, tmp_path, capsys):
+    assert lab.check().troubles == ()
+    assert lab.backup(tmp_path / "copy.db").size > 0
+    assert lab.upgrade().after == lab.check().version
+    assert (dict(lab.calibrations), list(lab.analyses), list(lab.jobs)) == ({}, [], [])
+    done = lab.export(tmp_path / "all.zip", progress=False)
+    words = ("export", tmp_path / "again.zip", "--project", lab.folder, "--json")
+    answer = json.loads(run(capsys, *words)[1])
+    assert answer["counts"] == done.counts
+    assert (tmp_path / "again.zip").read_bytes() == (tmp_path / "all.zip").read_bytes()
+    with pytest.raises(NotStored, match="did you mean 'example/00'"):
+        lab.experiment("exmple/00")
+
+
+def test_a_calibration_is_stored(lab):
+    fit = lab.calibrate("surface=abs", {"mu_pusher": (0, 1)}, verdicts=False, progress=False)
+    (record,) = lab.calibrations.values()
+    assert record.parameters["mu_pusher"] == fit["mu_pusher"]
+    assert [member.experiment_id for member in record.members] == [1, 3]
+    table = fixel.compare(lab.experiments(flagged=True), fit, progress=False)
+    uses = {row.run.experiment.key: row.use for row in table.of("calibrated")}
+    assert uses == {KEYS[0]: "fitted", KEYS[1]: "held out", KEYS[2]: "fitted"}

@@ -1,0 +1,105 @@
+"""Comparisons of several experiments and models."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fixel
+from fixel.errors import InvalidInput
+from fixel.workflows.project.comparison import compare
+
+
+@pytest.fixture(scope="module")
+def pushes():
+    return fixel.datasets.example()[:5]
+
+
+@pytest.fixture(scope="module")
+def found(pushes):
+    models = {"scene": None, "true": {"mu_pusher": 0.22, "tripod_radius": 0.038}}
+    return compare(pushes, models, progress=False)
+
+
+def test_errors_are_those_of_the_poses(found):
+    """Computed anew from measured and simulated poses, angles at 35 mm per radian."""
+    for row in found.rows:
+        track = row.run.experiment.trajectory
+        difference = row.run.simulated.at(track.time[1:]) - track.pose[1:]
+        squares = (1e3 * difference[:, :2]) ** 2
+        turned = (difference[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        expected = np.sqrt(np.mean(squares.sum(axis=1) + (35.0 * turned) ** 2))
+        assert row.error_mm == pytest.approx(expected, rel=1e-9)
+
+
+def test_true_values_fit_better(found):
+    errors = {model: [row.error_mm for row in found.of(model)] for model in found.models}
+    assert max(errors["true"]) < 1.0 < min(errors["scene"])
+
+
+def test_it_prints_models_and_the_worst(found):
+    lines = repr(found).splitlines()
+    assert lines[0] == "Comparison of 5 experiments with 2 models"
+    assert len(lines) <= 25
+    assert any(line.split()[:2] == ["true", "5"] for line in lines)
+    table = found.to_arrow()
+    assert table.num_rows == 10
+    assert table.column("model").to_pylist()[:2] == ["scene", "true"]
+
+
+def test_experiments_are_filtered_by_their_errors(found, pushes):
+    with_errors = found.experiments
+    limit = found.of("true")[2].error_mm
+    expected = [row.run.experiment.key for row in found.of("true") if row.error_mm >= limit]
+    assert list(with_errors.where(f"error>={limit}").keys) == expected
+    assert with_errors[0] == pushes[0]
+    assert len(with_errors.where("before>0.1")) == 5
+
+
+def test_experiments_without_a_scene_are_skipped_or_refused(pushes):
+    bare = replace(pushes[0], scene=None)
+    found = compare([bare, pushes[1]], progress=False)
+    assert len(found.rows) == 1
+    assert "no scene" in found.skipped[0]
+    assert "skipped 1" in repr(compare([bare, *pushes[1:3]], progress=False))
+    for experiments in (bare, [bare, bare], []):
+        with pytest.raises(InvalidInput, match="scene"):
+            compare(experiments, progress=False)
+
+
+@pytest.mark.parametrize(
+    ("models", "motion", "complaint"),
+    [
+        ({"mu_pushr": 0.2}, None, "mu_pushr"),
+        (0.2, None, "models: found 0.2"),
+        ({}, None, "models: found"),
+        (None, "quasi", "motion: found 'quasi'"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused(pushes, models, motion, complaint):
+    with pytest.raises(InvalidInput, match=complaint):
+        compare(pushes[:2], models, motion=motion, progress=False)
+
+
+def test_plots(found, pushes):
+    from matplotlib import pyplot
+
+    _, ax = pyplot.subplots()
+    assert found.plot(ax=ax) is ax
+    assert [line.get_label() for line in ax.lines] == ["scene (5)", "true (5)"]
+    assert ax.lines[1].get_ydata()[-1] == 100.0
+    assert len(found.plot(experiment=pushes[3].key)) == 3
+    assert len(compare(pushes[0], progress=False).plot()) == 3
+    with pytest.raises(InvalidInput, match="experiment: found 'nowhere'"):
+        found.plot(experiment="nowhere")
+    pyplot.close("all")
+
+
+def test_progress_is_reported(pushes):
+    seen = []
+    compare(pushes[:2], progress=seen.append)
+    assert [(progress.done, progress.total) for progress in seen] == [(0, 2), (1, 2), (2, 2)]
+
+
+def test_it_is_saved(found, tmp_path):
+    assert fixel.load(found.save(tmp_path / "errors.fixel")).to_dict() == found.to_dict()

@@ -1,0 +1,192 @@
+"""Experiments read from tables, datasets, recordings and exports; and what is refused."""
+
+import numpy as np
+import pytest
+from tests.closed_form import SIDE, push
+from tests.datasets.recordings import table_file
+
+import fixel
+from fixel.errors import DatasetMissing, InvalidInput
+from fixel.workflows.experiments import read_experiments
+
+HEAD = ("time_s", "x_m", "y_m", "theta_rad", "tip_x_m", "tip_y_m")
+
+
+def template():
+    part = fixel.Body(
+        "part",
+        fixel.Polygon.rectangle(SIDE, SIDE),
+        mass=0.5,
+        support=fixel.Tripod(radius=0.03, friction=0.25),
+    )
+    return fixel.Scene(part, fixel.Pusher("tip", fixel.Disk(0.005), friction=0.3))
+
+
+def columns(*offsets, **more):
+    """Columns of pushes in closed form, one after the other."""
+    rows, names = [], []
+    for k, offset in enumerate(offsets):
+        time, pose, tip = push(0.15, offset)
+        rows.append(np.column_stack((time, pose, tip)))
+        names += [f"p{k}"] * len(time)
+    table = dict(zip(HEAD, np.concatenate(rows).T.tolist(), strict=True))
+    return {"push": names, **table, **more}
+
+
+def text_of(table):
+    names = list(table)
+    lines = [
+        ",".join(names),
+        *(",".join(map(str, row)) for row in zip(*table.values(), strict=True)),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def read(table, **more):
+    return read_experiments(table, split_by="push", scene=template(), progress=False, **more)
+
+
+def test_three_lines_make_scenes_of_a_table():
+    found = read(columns(0.01, -0.02))
+
+    assert found.keys == ("table/p0", "table/p1")
+    for experiment, offset in zip(found, (0.01, -0.02), strict=True):
+        time, pose, tip = push(0.15, offset)
+        scene = experiment.scene
+        assert scene.bodies[0].pose == pytest.approx(pose[0])
+        assert scene.pushers[0].drive.waypoints[:, 1:3] == pytest.approx(tip)
+        assert scene.duration == pytest.approx(time[-1])
+        assert experiment.trajectory.pose == pytest.approx(pose)
+        assert experiment.simulate().converged
+    assert found.skipped == ()
+    assert "2 experiments, one for each value of 'push'." in found.notes
+
+
+def test_all_tables_give_the_same(tmp_path):
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    table = columns(0.01, -0.02, surface=["abs"] * len(columns(0.01, -0.02)["push"]))
+    pandas = pytest.importorskip("pandas")
+    csv = table_file(tmp_path / "table.csv", text_of(table))
+    pa.parquet.write_table(pa.table(table), tmp_path / "table.parquet")
+    expected = read(table)
+    assert expected[0].conditions == {"push": "p0", "surface": "abs"}
+    for source in (
+        str(csv),
+        tmp_path / "table.parquet",
+        pa.table(table),
+        pandas.DataFrame(table),
+        {name: np.array(column) for name, column in table.items()},
+    ):
+        found = read(source)
+        assert found.keys == expected.keys
+        for one, other in zip(found, expected, strict=True):
+            assert one.trajectory == other.trajectory
+            assert one.scene == other.scene
+            assert one.conditions == other.conditions
+
+
+def test_columns_and_units_are_chosen_where_the_header_does_not_say():
+    table = columns(0.01)
+    table["robot x"] = [1e3 * x for x in table.pop("tip_x_m")]
+    table["robot y"] = [1e3 * y for y in table.pop("tip_y_m")]
+    table["yaw (raw)"] = np.degrees(table.pop("theta_rad")).tolist()
+    chosen = {"pusher_x": "robot x", "pusher_y": "robot y", "theta": "yaw (raw)"}
+
+    found = read(table, columns=chosen, units={"length": "mm", "angle": "deg"})
+
+    _, pose, tip = push(0.15, 0.01)
+    assert found[0].trajectory.pose == pytest.approx(pose)
+    assert found[0].pusher.pose[:, :2] == pytest.approx(tip)
+
+
+def test_a_function_gives_each_experiment_its_scene():
+    table = columns(0.01, -0.02)
+    sizes = {"p0": 0.5, "p1": 0.7}
+
+    def scene(conditions):
+        part = fixel.Body(
+            "part", fixel.Polygon.rectangle(SIDE, SIDE), mass=sizes[conditions["name"]],
+            support=fixel.Tripod(radius=0.03, friction=0.25),
+        )  # fmt: skip
+        return fixel.Scene(part, fixel.Pusher("tip", fixel.Disk(0.005), friction=0.3))
+
+    found = read_experiments(table, split_by="push", scene=scene, progress=False)
+    assert [one.scene.bodies[0].mass for one in found] == [0.5, 0.7]
+
+
+def test_single_rows_are_skipped_and_named():
+    table = columns(0.01)
+    table = {name: [*column, column[0]] for name, column in table.items()}
+    table["push"][-1] = "lost"
+    found = read(table)
+    assert found.skipped == ("table/lost: one row",)
+    assert "skipped 1: table/lost: one row" in repr(found)
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "complaint"),
+    [
+        ({"time_s": None}, {}, "found the columns .*expected a column for time"),
+        ({"x_m": 1e3, "y_m": 1e3, "tip_x_m": 1e3, "tip_y_m": 1e3}, {}, "x_mm is in millimetres"),
+        ({"theta_rad": 57.3}, {}, "units={'angle': 'deg'}"),
+        ({}, {"units": {"angles": "deg"}}, "did you mean 'angle'"),
+        ({}, {"units": {"length": "inch"}, "columns": {"x": "push"}}, "expected one of m, mm"),
+        ({}, {"columns": {"theta": "thta_rad"}}, "did you mean 'theta_rad'"),
+        ({}, {"columns": {"pusher_xx": "tip_x_m"}}, "did you mean 'pusher_x'"),
+        ({}, {"split_by": "pushes"}, "did you mean 'push'"),
+        ({"tip_x_m": None, "tip_y_m": None}, {}, "'tip' without a drive, and a table without its"),
+        ({}, {"object_name": "prt"}, "expected the object 'prt'"),
+        ({}, {"scene": 3}, "scene: found a int"),
+        ({}, {"limit": 0}, "limit: found 0"),
+        ({}, {"format": "cvs"}, "format: found 'cvs'"),
+    ],
+)
+def test_what_cannot_be_right_is_refused(change, options, complaint):
+    table = columns(0.01)
+    for name, factor in change.items():
+        column = table.pop(name)
+        if factor is not None:
+            table[name] = [factor * value for value in column]
+    given = {"split_by": "push", "scene": template(), "progress": False} | options
+    with pytest.raises(InvalidInput, match=complaint):
+        read_experiments(table, **given)
+
+
+def test_sources_that_are_none(tmp_path):
+    with pytest.raises(DatasetMissing, match="no such file"):
+        read_experiments(tmp_path / "nothing.csv")
+    with pytest.raises(InvalidInput, match="found a int, expected a file"):
+        read_experiments(3)
+    with pytest.raises(InvalidInput, match="equal ones"):
+        read_experiments({"time_s": [0.0], "x_m": [0.0, 1.0]})
+
+
+def test_several_files_and_a_limit(tmp_path):
+    table = columns(0.01)
+    del table["push"]
+    files = [table_file(tmp_path / f"run{k}.csv", text_of(table)) for k in range(3)]
+    found = read_experiments(files, scene=template(), limit=2, progress=False)
+    assert found.keys == ("csv/run0", "csv/run1")
+    reported = []
+    read_experiments(files, progress=reported.append)
+    assert [progress.done for progress in reported] == [1, 2, 3]
+
+
+def test_a_bundle_gives_its_experiments_back(tmp_path):
+    pushes = fixel.datasets.example()[:3]
+    done = fixel.export(pushes, tmp_path / "pushes.zip", progress=False)
+    found = read_experiments(done.target)
+    assert found.keys == pushes.keys
+    assert [one.trajectory for one in found] == [one.trajectory for one in pushes]
+    assert [one.scene for one in found] == [one.scene for one in pushes]
+
+
+def test_a_public_dataset_is_recognised(data_root):
+    folder = data_root / "rpi_2dgad"
+    found = read_experiments(folder, limit=3, progress=False)
+    assert len(found) == 3
+    assert found[0].dataset == "rpi-2dgad"
+    with pytest.raises(InvalidInput, match="scene: found a source read as rpi-2dgad"):
+        read_experiments(folder, scene=template())
