@@ -98,7 +98,7 @@ def test_numbers_that_are_an_id_and_a_name_are_told_apart(capsys, lab):
     code, out, _ = fixel(capsys, "show", "1", "--project", lab)
     assert (code, out.splitlines()[0]) == (0, "own/run 1; true: real")
     assert fixel(capsys, "show", "2", "--project", lab)[0] == 0  # id and name of one
-    with Project.open(lab).store() as store:
+    with Project(lab).store() as store:
         store.add_experiment(
             Experiment(
                 dataset="own", name="1", real=True, provenance=Provenance(version="0"),
@@ -175,7 +175,7 @@ def test_a_shell_completes_commands():
 def test_small_parts_are_read_in_micrometres(capsys, lab):
     scene = micro_push(3, "p1")
     track = Trajectory(time=[0.0, 1.0], pose=[[0.0, 0.0, 0.0], [2.5e-5, 0.0, 0.0]])
-    with Project.open(lab).store() as store:
+    with Project(lab).store() as store:
         store.add_experiment(
             Experiment(
                 dataset="micro", name="push", real=True, provenance=Provenance(version="0"),

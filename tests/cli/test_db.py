@@ -124,7 +124,7 @@ def test_check_of_what_is_no_database(folder):
 
 def test_a_backup_reads_back_while_another_process_writes(folder, tmp_path):
     copy = tmp_path / "copy.db"
-    with Project.open(folder).store() as store:
+    with Project(folder).store() as store:
         store.add_experiment(experiment("d"))  # still in the journal beside the database
         code, out = call("backup", copy, folder)
         store.add_experiment(experiment("e"))
@@ -136,7 +136,7 @@ def test_a_backup_reads_back_while_another_process_writes(folder, tmp_path):
         file.unlink()
     shutil.copyfile(copy, folder / "experiments.db")
     assert json.loads(call("check", folder, "--json")[1])["counts"]["experiment"] == 4
-    with Project.open(folder).store() as store:
+    with Project(folder).store() as store:
         assert [s.name for s in store.experiments().rows] == ["a", "b", "c", "d"]
         assert store.add_experiment(experiment("f")).new
 

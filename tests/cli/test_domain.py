@@ -39,7 +39,7 @@ def test_a_map_its_pictures_and_the_next_command(capsys, project, tmp_path):
     assert lines[-1].endswith("--threshold-mm 2 --folds 2")
     names = {path.stem for path in plot.glob("*.png")}
     assert names == {"map-offset_x_m", "map-offset_theta_rad", "size"}
-    (one, *_) = load_analyses(Project.open(project), "domain")
+    (one, *_) = load_analyses(Project(project), "domain")
     assert one.analysis.numbers["threshold"] == 4.0
     assert len(one.analysis.numbers["cells"]) == 11
     assert all(picture.caption for picture in one.analysis.pictures)

@@ -120,7 +120,7 @@ def test_a_project_on_a_disk_that_cannot_be_written(small_disk, laboratory, caps
     assert (code, err) == (0, "")
     assert "2" in out
     assert fixel(capsys, "db", "check", lab)[0] == 0
-    with Project.open(lab).store() as store:
+    with Project(lab).store() as store:
         assert store.experiment(1).trajectory.time.size > 1
         with pytest.raises(StoreRefused, match="read-only"):
             store.delete([1])
@@ -196,7 +196,7 @@ def test_long_names(tmp_path, capsys, name):
     assert code == (1 if len(name) == 300 else 0), err
     assert "Traceback" not in err
     if not code:
-        assert name.startswith(Project.open(tmp_path / name).settings.name)
+        assert name.startswith(Project(tmp_path / name).settings.name)
 
 
 # --- documents ------------------------------------------------------------------------------------

@@ -85,7 +85,7 @@ def test_doubts_come_first_and_calibrations_stand_beside(folder):
 
 def test_more_noise_than_believed_is_reported(folder):
     noisy = replace(push(duration=2.0, noise=(1.4e-3, 0.03), ahead=0.0), name="noisy")
-    with Project.open(folder).store() as store:
+    with Project(folder).store() as store:
         store.add_experiment(noisy)
 
     words = "times what the filter believes: its intervals are too small"

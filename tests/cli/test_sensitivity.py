@@ -59,7 +59,7 @@ def test_everything_in_a_project_is_ranked_and_kept(folder):
     assert out.startswith("Of 2 pushes: ")
     assert "bare was left out: " in out
     assert "Kept: " in out
-    (analysis,) = (one.analysis for one in load_analyses(Project.open(folder), "sensitivity"))
+    (analysis,) = (one.analysis for one in load_analyses(Project(folder), "sensitivity"))
     assert len(analysis.experiments) == 2
     assert len(analysis.pictures) == 2
     assert analysis.methods
@@ -82,7 +82,7 @@ def test_one_experiment_as_json_with_indices(folder):
 
 def test_a_calibration_gives_values_ranges_and_motion(folder):
     pytest.importorskip("SALib")
-    project = Project.open(folder)
+    project = Project(folder)
     record = CalibrationRecord(
         name="one",
         parameters=Parameters(mu_pusher=0.3),

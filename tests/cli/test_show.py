@@ -118,7 +118,7 @@ def test_compare_keeps_the_simulation_only_when_asked(folder):
     )
 
     assert before["simulation_id"] is None
-    with Project.open(folder).store() as store:
+    with Project(folder).store() as store:
         assert store.simulations(after["experiment_id"]) == [after["simulation_id"]]
         record = store.simulation(after["simulation_id"])
     assert record.parameters == Parameters(mu_pusher=0.2)

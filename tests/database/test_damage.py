@@ -24,7 +24,7 @@ def whole(trusted_laboratory, tmp_path_factory):  # noqa: F811
     folder = tmp_path_factory.mktemp("whole") / "my_lab"
     shutil.copytree(trusted_laboratory, folder)
     time = np.linspace(0.0, 1.0, 50_000)
-    with Project.open(folder).store() as store:
+    with Project(folder).store() as store:
         store.add_experiment(
             Experiment(
                 dataset="long",
@@ -220,7 +220,7 @@ def test_what_is_spoiled_is_named_where_it_is_touched(folder):
         folder, ROWS["no JSON"], ROWS["a byte less"], ROWS["columns"].replace("id = 7", "id = 25")
     )
     named = []
-    with Project.open(folder).store() as store:
+    with Project(folder).store() as store:
         for number in range(1, 32):
             try:
                 store.experiment(number)

@@ -22,7 +22,7 @@ class Bench:
     def __init__(self, folder):
         self.folder = folder
         self.gate = Gate()
-        self.context = ProjectContext(Project.open(folder))
+        self.context = ProjectContext(Project(folder))
         self.api = project_api(self.context)
         self.pages = project_pages(self.context)
         self.app = create_app(self.pages, self.gate, api=self.api, name=self.context.name)

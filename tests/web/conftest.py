@@ -70,7 +70,7 @@ def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
         most_evaluations=60,
         starts=2,
     )
-    project = Project.open(folder)
+    project = Project(folder)
     with project.store() as store:
         chosen = form.selection(store)
     job = run.prepare(project, chosen, form.plan(chosen).request)
@@ -95,7 +95,7 @@ def server(project):
     from fixel.web.context import ProjectContext
     from fixel.web.project import project_server
 
-    context = ProjectContext(Project.open(project))
+    context = ProjectContext(Project(project))
     running = project_server(context).start()
     running.context = context
     yield running

@@ -20,7 +20,7 @@ def main():
     for _ in sys.stdin:
         child = os.fork()
         if child == 0:
-            server = project_server(ProjectContext(Project.open(folder))).start()
+            server = project_server(ProjectContext(Project(folder))).start()
             said = {"pid": os.getpid(), "port": server.port, "token": server.gate.token}
             print(json.dumps(said), flush=True)
             server.wait()

@@ -25,7 +25,7 @@ ADDRESS = "/api/v1/experiments"
 class Bench:
     def __init__(self, folder):
         self.gate = Gate()
-        self.context = ProjectContext(Project.open(folder))
+        self.context = ProjectContext(Project(folder))
         self.store = self.context.store
         self.app = create_app(
             project_pages(self.context), self.gate, api=project_api(self.context), name="my_lab"

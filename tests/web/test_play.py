@@ -26,7 +26,7 @@ class Bench:
 
     def __init__(self, folder):
         gate = Gate()
-        self.context = ProjectContext(Project.open(folder))
+        self.context = ProjectContext(Project(folder))
         app = create_app(
             project_pages(self.context), gate, api=project_api(self.context), name="my_lab"
         )

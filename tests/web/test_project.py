@@ -30,7 +30,7 @@ HERE = "http://127.0.0.1:8000"
 class Bench:
     def __init__(self, folder):
         self.gate = Gate()
-        self.context = ProjectContext(Project.open(folder))
+        self.context = ProjectContext(Project(folder))
         self.app = create_app(
             project_pages(self.context), self.gate, api=project_api(self.context), name="my_lab"
         )

@@ -38,7 +38,7 @@ ALL = " ".join(EVIL)
 
 def poisoned(folder):
     """The experiments of a project again, with markup wherever somebody may write something."""
-    project = Project.open(folder)
+    project = Project(folder)
     with project.store() as store:
         for number, evil in enumerate(EVIL, 1):
             one = store.experiment(number)

@@ -43,7 +43,7 @@ def project(trusted_laboratory, tmp_path_factory):
 
 class Bench:
     def __init__(self, folder):
-        self.context = ProjectContext(Project.open(folder))
+        self.context = ProjectContext(Project(folder))
         gate = Gate()
         pages, api = project_pages(self.context), project_api(self.context)
         app = create_app(pages, gate, api=api, name="my_lab")
@@ -117,7 +117,7 @@ def test_one_whose_job_is_gone_still_says_what_is_stored(trusted_laboratory, tmp
 
 
 def test_the_objective_read_from_the_journal_is_the_one_that_is_stored(bench, project):
-    watch = ProgressReader(Project.open(project))
+    watch = ProgressReader(Project(project))
     (folder,) = (p.parent for p in (project / "jobs").glob("first-*/job.json"))
     seen = watch.look(folder)
     assert seen.stored == [1]
@@ -224,7 +224,7 @@ def test_what_a_terminal_went_on_with_is_stored_by_who_looks(trusted_laboratory,
     alone = Bench(folder)
     (one,) = alone.get("/calibrations")["calibrations"]
     assert one["sets"] == 2  # and the one that was stored before
-    assert collected(Project.open(folder), job).ids == (2,)
+    assert collected(Project(folder), job).ids == (2,)
     alone.context.close()
 
 

@@ -197,7 +197,7 @@ def calibrate(
     )
     from fixel.workflows.compilation import get_ready
 
-    project = Project.open(folder)
+    project = Project(folder)
     with project.store() as store:
         chosen = select_experiments(store, experiments or (), selection.query)
     if search.sample is not None:

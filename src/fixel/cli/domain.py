@@ -151,7 +151,7 @@ def domain(
 
     request = options.request
     done = map_stored(
-        Project.open(folder),
+        Project(folder),
         request,
         plot=plot,
         command=command_line(),
@@ -280,7 +280,7 @@ def growth(
     require_folder(plot)
     report = command_of("report", project=folder)
     found, kept = run_growth(
-        Project.open(folder),
+        Project(folder),
         request,
         command=command_line(),
         where=report.removeprefix("fixel report"),

@@ -93,7 +93,7 @@ def filter_(
         priors=dict(map(_prior, options.prior or [])),
     )
     answer = filter_experiment(
-        Project.open(project),
+        Project(project),
         key,
         machine,
         occlusion=None if options.occlude is None else _interval("--occlude", options.occlude),

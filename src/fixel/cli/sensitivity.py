@@ -130,7 +130,7 @@ def sensitivity(
     answer = analyse_sensitivity(
         things or (),
         request,
-        lambda: Project.open(project),
+        lambda: Project(project),
         command=command_line(),
         ready=lambda scene: get_ready(scene, notice(as_json)),
     )

@@ -45,7 +45,7 @@ def serve(
     from fixel.web.context import ProjectContext
     from fixel.web.project import project_server
 
-    context = ProjectContext(Project.open(project_at(place, folder)))
+    context = ProjectContext(Project(project_at(place, folder)))
     server = project_server(context, port=port, host=host).start()
     door = None
     try:

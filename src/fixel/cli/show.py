@@ -47,7 +47,7 @@ def show(
     from fixel.workflows.project.compare import summary
 
     require_picture(plot)
-    with Project.open(project).store() as store:
+    with Project(project).store() as store:
         number = store.find(key)
         experiment = store.experiment(number)
     if plot is not None:
@@ -88,21 +88,21 @@ def compare(
 ) -> None:
     """Simulate an experiment and report the error against the measurement."""
     from fixel.database.project import Project
-    from fixel.simulation.motion import MOTION_MODELS
+    from fixel.simulation.motion import motion_model
     from fixel.workflows.calibration.stored import parameters_of
-    from fixel.workflows.project.compare import compare_run
+    from fixel.workflows.project.comparison import compare as compare_experiments
 
     require_picture(plot)
     parameters = _parameters(set_ or [])
-    models = {model.name: model for model in MOTION_MODELS}
-    with Project.open(project).store() as store:
+    with Project(project).store() as store:
         number = store.find(key)
         experiment = store.experiment(number)
-        model = models[motion]() if motion else None
+        model = motion_model(motion.value) if motion else None
         if calibration is not None:
             parameters, model = parameters_of(store, calibration, experiment, parameters, model)
         _compile(experiment, as_json)
-        answer = compare_run(experiment, parameters, model)
+        found = compare_experiments(experiment, {"given": parameters}, motion=model, progress=False)
+        answer = found.rows[0].run
         command = _command("compare", experiment, project, set_ or [], motion, calibration)
         saved = store.add_simulation(answer.record(number, command)) if save else None
     if plot is not None:

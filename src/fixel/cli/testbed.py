@@ -49,7 +49,7 @@ def run_plan(
     from fixel.workflows.project.importing import run_testbed
 
     done = run_testbed(
-        Project.open(folder),
+        Project(folder),
         plan,
         seed=seed,
         limit=limit,

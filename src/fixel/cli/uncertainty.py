@@ -98,7 +98,7 @@ def uncertainty(
 
     request = options.request(experiments or [])
     require_folder(plot)
-    project = Project.open(folder)
+    project = Project(folder)
     found = find_uncertainty(project, request)
     kept = store_uncertainty(project, found, command_line())
     pictures = [] if plot is None else kept.copy_pictures(plot)

@@ -133,11 +133,6 @@ class Project:
             ) from None
 
     @classmethod
-    def open(cls, folder: Path) -> Project:
-        """Load the project in a folder; raise `StoreRefused` if there is none."""
-        return cls(folder)
-
-    @classmethod
     def create(cls, folder: str | os.PathLike[str], *, database: str | None = None) -> Project:
         """Create a project with an empty database, in a new or empty folder.
 

@@ -71,7 +71,7 @@ def test_the_command_and_the_python_say_the_same(live, tmp_path):
     assert words[-4:] == ["--set", "mu_fixel=0.25", "--motion", "first-order"]
     text = live_comparison.python_of(experiment, tmp_path, {"mu_fixel": 0.25}, "first-order")
     compile(text, "copied", "exec")
-    assert "Parameters(mu_fixel=0.25), FirstOrder()" in text
+    assert "{'mu_fixel': 0.25}, motion='first-order'" in text
 
 
 def test_a_name_with_quotes_does_not_leave_its_string(live, tmp_path):

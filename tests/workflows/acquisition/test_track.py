@@ -84,7 +84,7 @@ def test_a_film_becomes_an_experiment(film, tmp_path):
         plot=tmp_path / "plot.png",
     )
     assert all(path.stat().st_size > 1000 for path in answer.files.values())
-    with Project.open(tmp_path / "lab").store() as store:
+    with Project(tmp_path / "lab").store() as store:
         stored = store.experiment(answer.number)
         assert store.video(answer.number).read_bytes() == film.read_bytes()
     assert stored.real

@@ -66,7 +66,7 @@ def test_the_answer_for_people(answered):
 
 def test_it_is_kept_as_an_analysis(folder, answered):
     assert answered
-    (one,) = load_analyses(Project.open(folder), "uncertainty")
+    (one,) = load_analyses(Project(folder), "uncertainty")
     numbers = one.analysis.numbers
     assert numbers["experiments"] == ["testbed/push-1"]
     assert set(numbers["parameters"]) == {"tripod_radius", "model_error"}
@@ -84,7 +84,7 @@ def test_it_is_kept_as_an_analysis(folder, answered):
 
 def test_the_cameras_noise_is_found_out(folder):
     wanted = UncertaintyRequest(experiments=("push-1",), fit=FIT, motion="quasistatic", samples=50)
-    found = find_uncertainty(Project.open(folder), wanted)
+    found = find_uncertainty(Project(folder), wanted)
     assert found.posterior.noise.position_m == pytest.approx(5e-5, rel=0.4)
     assert found.posterior.noise.angle_rad == pytest.approx(2e-3, rel=0.4)
     assert np.isfinite(found.posterior.points).all()
@@ -101,12 +101,12 @@ def test_the_cameras_noise_is_found_out(folder):
 def test_questions_that_make_no_sense_are_refused(folder, changes, words):
     asked = UncertaintyRequest(**({"experiments": ("push-1",), "fit": FIT} | changes))
     with pytest.raises(InvalidInput, match=words):
-        find_uncertainty(Project.open(folder), asked)
+        find_uncertainty(Project(folder), asked)
 
 
 def test_an_experiment_that_is_not_there(folder):
     with pytest.raises(NotStored):
-        find_uncertainty(Project.open(folder), UncertaintyRequest(experiments=("nothing",)))
+        find_uncertainty(Project(folder), UncertaintyRequest(experiments=("nothing",)))
 
 
 def test_half_a_noise_is_refused(folder):

@@ -148,11 +148,10 @@ def command(context: ProjectContext, experiment: Experiment) -> str:
 
 def python(context: ProjectContext, experiment: Experiment) -> str:
     """Return a script that loads the experiment."""
-    folder = str(context.folder)
     return (
-        "from pathlib import Path\n\n"
-        "from fixel.database.project import Project\n\n"
-        f"with Project.open(Path({folder!r})).store() as store:\n"
-        f"    experiment = store.experiment(store.find({experiment.key!r}))\n"
-        "print(experiment.trajectory.pose[-1])  # x [m], y [m], angle [rad]\n"
+        "import fixel\n\n"
+        f"lab = fixel.Project({str(context.folder)!r})\n"
+        f"experiment = lab.experiment({experiment.key!r})\n"
+        "print(experiment)\n"
+        "experiment.plot()\n"
     )

@@ -21,7 +21,7 @@ from fixel.model.parameters import KNOWN_PARAMETERS, info_of, is_parameter
 from fixel.model.records import CalibrationRecord, SimulationRecord
 from fixel.model.selection import ExperimentQuery
 from fixel.simulation import simulate
-from fixel.simulation.motion import MOTION_MODELS, motion_model
+from fixel.simulation.motion import motion_model
 from fixel.simulation.stepper import Adaptive
 from fixel.web.values import Answer, Finite
 from fixel.web.views.motion_views import MotionView, compared_motion, stored_motion
@@ -261,21 +261,15 @@ def python_of(
     experiment: Experiment, folder: Path, parameters: Mapping[str, float], motion: str
 ) -> str:
     """Return the script for the same comparison."""
-    named = {model.name: model.__name__ for model in MOTION_MODELS}
-    model = named[motion]
     return "\n".join(
         (
-            "from pathlib import Path",
+            "import fixel",
             "",
-            "from fixel.database.project import Project",
-            "from fixel.model import Parameters",
-            f"from fixel.simulation import {model}",
-            "from fixel.workflows.project.compare import compare_run",
-            "",
-            f"with Project.open(Path({str(folder)!r})).store() as store:",
-            f"    experiment = store.experiment(store.find({experiment.key!r}))",
-            f"answer = compare_run(experiment, {Parameters(parameters)!r}, {model}())",
-            "print(answer.summary())",
+            f"lab = fixel.Project({str(folder)!r})",
+            f"experiment = lab.experiment({experiment.key!r})",
+            f"found = fixel.compare(experiment, {dict(parameters)!r}, motion={motion!r})",
+            "print(found)",
+            "found.plot()",
             "",
         )
     )

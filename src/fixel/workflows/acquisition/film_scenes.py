@@ -96,7 +96,7 @@ def _makers(
     """One function for each scene of a source, which simulates it."""
     path = Path(source)
     if path.suffix.lower() not in FILES:
-        with Project.open(project).store() as store:
+        with Project(project).store() as store:
             experiment = store.experiment(store.find(source))
         _check_simulated(experiment)
         return [partial(_again, experiment)]

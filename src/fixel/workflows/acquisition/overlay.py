@@ -118,7 +118,7 @@ def scene_of(path: Path | None, key: str | None, project: Path) -> Scene:
         )
     if path is not None:
         return load_scene(path).scene
-    with Project.open(project).store() as store:
+    with Project(project).store() as store:
         experiment = store.experiment(store.find(str(key)))
     if experiment.scene is None:
         raise InvalidInput(

@@ -178,7 +178,7 @@ def track_film(
     wanted = {"overlay": overlay, "sheet": sheet, "plot": plot}
     files = {kind: path for kind, path in wanted.items() if path is not None}
     _check_files(files)
-    opened = None if project is None else Project.open(project)
+    opened = None if project is None else Project(project)
     film = open_film(source)
     marked = rig_of(rig or _beside(source, RIG_FILE, "--rig"))
     planned = load_scene(scene or _beside(source, SCENE_FILE, "--scene")).scene

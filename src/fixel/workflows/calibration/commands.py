@@ -99,10 +99,8 @@ def _without(words: Sequence[str], names: Collection[str]) -> list[str]:
 def python_of(folder: Path, number: int) -> str:
     """Return a script that loads a stored calibration."""
     return (
-        "from pathlib import Path\n\n"
-        "from fixel.database.project import Project\n\n"
-        f"with Project.open(Path({str(folder)!r})).store() as store:\n"
-        f"    calibration = store.calibration({number})\n"
+        "import fixel\n\n"
+        f"calibration = fixel.Project({str(folder)!r}).calibrations[{number}]\n"
         "for one in calibration.estimates:\n"
         "    print(one.label, one.value, one.low, one.high, one.verdict)  # SI\n"
         "print(calibration.parameters)  # best fit, for prediction\n"

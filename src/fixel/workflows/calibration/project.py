@@ -221,7 +221,7 @@ def store_result(folder: Path) -> None:
 
     The process may be killed at any moment: the next one that inspects the job does the rest.
     """
-    collected(Project.open(folder.resolve().parents[1]), folder)
+    collected(Project(folder.resolve().parents[1]), folder)
 
 
 def reopened(project: Project, record: CalibrationRecord) -> Calibrations | None:

@@ -86,7 +86,7 @@ class CalibrationReportData:
         folder = self.calibration.folder
         if folder is None or not self.calibration.ids:
             return []
-        with Project.open(folder.parents[1]).store() as store:
+        with Project(folder.parents[1]).store() as store:
             ids = [store.find(key) for key in self.keys]
             listed = store.experiments(ALL_EXPERIMENTS).rows
             real = {summary.id for summary in listed if summary.is_real}

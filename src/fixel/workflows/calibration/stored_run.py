@@ -81,7 +81,7 @@ def run_stored(
 def project_at(store: PathLike[str] | str | Project) -> Project | None:
     """Return the project of a `store=`; None for the folder of a single calibration."""
     folder = _path(store)
-    return Project.open(folder) if (folder / SETTINGS).is_file() else None
+    return Project(folder) if (folder / SETTINGS).is_file() else None
 
 
 def _path(store: PathLike[str] | str | Project) -> Path:

@@ -193,7 +193,7 @@ def _begun(folder: Path, asked: dict[str, object]) -> Project:
         raise InvalidInput(
             str(folder), found="a tour of other pushes", expected="a folder to be made"
         )
-    return Project.open(lab) if (lab / SETTINGS).is_file() else Project.create(lab)
+    return Project(lab) if (lab / SETTINGS).is_file() else Project.create(lab)
 
 
 def _tracked(folder: Path, made: Path, firmware: Path | None, notify: Notify) -> TrackAnswer:

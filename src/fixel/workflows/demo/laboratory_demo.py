@@ -74,7 +74,7 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
         Called with a sentence before each part of the tour.
     """
     notify = notify or (lambda _: None)
-    project = Project.open(folder) if (folder / "fixel.yaml").is_file() else Project.create(folder)
+    project = Project(folder) if (folder / "fixel.yaml").is_file() else Project.create(folder)
     at = f"--project {shlex.quote(str(folder))}"
     notify(f"performing {EXPERIMENTS} experiments on a simulated testbed")
     with project.store() as store:

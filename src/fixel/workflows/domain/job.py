@@ -38,7 +38,7 @@ def domain_work(inputs: Path, options: Mapping[str, Any]) -> Work:
             path.write_text(json.dumps([now.done, now.total]))
 
     # The job is in the folder `jobs` of its project.
-    project = Project.open(inputs.resolve().parents[2])
+    project = Project(inputs.resolve().parents[2])
     question, command = options["question"], str(options["command"])
     done = map_stored(project, asked_again(question), progress=show, command=command)
     return done.kept.folder.name.encode()
