@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, constant_bound
+from fixel.domain.error_bound import LEVEL, ConformalBound, Experience, constant_bound
 from fixel.replay.base import Row
 from fixel.typing import BoolArray, FloatArray, IntArray
 from reproductions.charts.error_bounds import error_bounds_figure
@@ -139,10 +139,10 @@ def _halves(table: PushTable, seed: int) -> tuple[IntArray, IntArray]:
 
 def _counted(
     table: PushTable, column: int, repeat: int, judging: IntArray, counting: IntArray
-) -> tuple[ErrorBound, HalfCount]:
+) -> tuple[ConformalBound, HalfCount]:
     error, group = table.errors[:, column], table.group
     train = np.flatnonzero(~table.held_out)
-    bounds = ErrorBound.fit(
+    bounds = ConformalBound.fit(
         table.features[judging],
         error[judging],
         group[judging].tolist(),

@@ -17,7 +17,7 @@ import numpy as np
 from fixel.calibration.registration import gaps_and_normals
 from fixel.datasets.mit_plates import TIP
 from fixel.domain.contacts import PushedContacts, TouchedPlaces, contacts_of
-from fixel.domain.error_bound import LEVEL, ErrorBound, Experience, min_experiments
+from fixel.domain.error_bound import LEVEL, ConformalBound, Experience, min_experiments
 from fixel.domain.features import Configurations
 from fixel.model import wrapped
 from fixel.replay.base import Row
@@ -180,16 +180,16 @@ class CoverageCount(NamedTuple):
 
 def _beyond(
     bench: BenchmarkData, plates: Sequence[str], left: Sequence[LeftOut], column: int
-) -> dict[str, ErrorBound | None]:
+) -> dict[str, ConformalBound | None]:
     """Bounds for new sides and speeds of every plate, from those of the other plates."""
-    found: dict[str, ErrorBound | None] = {}
+    found: dict[str, ConformalBound | None] = {}
     for plate in plates:
         others = [own for own in left if own.key[1] != plate]
         found[plate] = None
         if len(others) >= min_experiments(LEVEL):
             first = list({own.key: own for own in others}.values())
             features, errors = _rows(others, lambda own: own.new, column)
-            found[plate] = ErrorBound.fit(
+            found[plate] = ConformalBound.fit(
                 features, errors, _spread(others, lambda own: own.key[1], lambda own: own.new),
                 also=Experience(*_rows(first, lambda own: ~own.new, column)),
                 units=_spread(others, lambda own: own.unit, lambda own: own.new),
@@ -199,7 +199,10 @@ def _beyond(
 
 
 def _counted(
-    bench: BenchmarkData, left: Sequence[LeftOut], beyond: dict[str, ErrorBound | None], column: int
+    bench: BenchmarkData,
+    left: Sequence[LeftOut],
+    beyond: dict[str, ConformalBound | None],
+    column: int,
 ) -> CoverageCount | None:
     """Bounds and errors of all left-out pushes; None where too few are left to judge any."""
     plates: dict[Key, list[LeftOut]] = {}
@@ -218,7 +221,7 @@ def _counted(
         if len(errors) < min_experiments(LEVEL):
             continue  # a quick look at few pushes
         also = Experience(*_rows(use, lambda own: own.train, column))
-        plain = ErrorBound.fit(features, errors, names, also=also)
+        plain = ConformalBound.fit(features, errors, names, also=also)
         pushed = PushedContacts(contacts, names)
         for own in [own[k] for own in plates.values() if k < len(own)]:
             rows = np.flatnonzero(own.new)

@@ -67,11 +67,13 @@ if TYPE_CHECKING:
     from fixel.workflows.report.write import report as report
 
     from fixel.domain.domain import DomainMap as DomainMap
+    from fixel.domain.push_bound import ErrorBound as ErrorBound
     from fixel.filtering.recorded import FilterRun as FilterRun
     from fixel.uncertainty.outcomes import Sensitivity as Sensitivity
     from fixel.uncertainty.posterior import Posterior as Posterior
     from fixel.uncertainty.prediction import Prediction as Prediction
     from fixel.uncertainty.starts import StartError as StartError
+    from fixel.workflows.domain.bound import error_bound as error_bound
     from fixel.workflows.domain.map import map_domain as map_domain
     from fixel.workflows.filtering import filter as filter
     from fixel.workflows.calibration.calibration import (
@@ -106,11 +108,13 @@ _NAMES = {
     "fixel.simulation": "Adaptive BatchResult Dynamic FirstOrder GaussSeidel Lemke Newton"
     " QuasiStatic Simulation StewartTrinkle simulate simulate_batch",
     "fixel.domain.domain": "DomainMap",
+    "fixel.domain.push_bound": "ErrorBound",
     "fixel.filtering.recorded": "FilterRun",
     "fixel.uncertainty.outcomes": "Sensitivity",
     "fixel.uncertainty.posterior": "Posterior",
     "fixel.uncertainty.prediction": "Prediction",
     "fixel.uncertainty.starts": "StartError",
+    "fixel.workflows.domain.bound": "error_bound",
     "fixel.workflows.domain.map": "map_domain",
     "fixel.workflows.filtering": "filter",
     "fixel.workflows.calibration.calibration": "Calibration Calibrations",

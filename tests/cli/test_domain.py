@@ -77,7 +77,7 @@ def test_what_was_offset_elsewhere_is_left_out_and_said(capsys, project):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--threshold-mm", "0.01"), "below what the measurement alone makes"),
+        (("--threshold-mm", "0.01"), "below the error that measurement noise alone causes"),
         (("--threshold-mm", "2", "--relative", "1"), "one of them"),
         (("--relative", "1"), "fixel calibrate --mode each"),
         (("--axes", "offset_z_m"), "axis offset_z_m"),

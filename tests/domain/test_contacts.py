@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fixel.domain.contacts import PushedContacts, TouchedPlaces, contacts_of
-from fixel.domain.error_bound import ErrorBound, held_out_bounds
+from fixel.domain.error_bound import ConformalBound, held_out_bounds
 from fixel.domain.features import Configurations
 from fixel.errors import InvalidInput
 from fixel.model import Polygon
@@ -64,9 +64,11 @@ def coverage(bias: float, repeats: int = 12) -> dict[str, FloatArray]:
         lab = Laboratory(10, bias, seed)
         known = [(part, side) for part in range(10) for side in range(3)]
         left_out = lab.pushes(known, seen=False)
-        beyond = ErrorBound.fit(*left_out[:2], left_out[3], units=left_out[4], model="neighbours")
+        beyond = ConformalBound.fit(
+            *left_out[:2], left_out[3], units=left_out[4], model="neighbours"
+        )
         x, e, contacts, parts, _ = lab.pushes(known, seen=True)
-        blind = ErrorBound.fit(x, e, parts, model="neighbours")
+        blind = ConformalBound.fit(x, e, parts, model="neighbours")
         promise = blind.for_contacts(contacts, parts, beyond)
         x, e, contacts, parts, _ = lab.pushes([(part, 3) for part in range(10)], seen=False)
         bound = promise.bounds(x, parts, contacts)
@@ -116,8 +118,10 @@ def test_what_is_new_in_both_or_of_a_new_part_has_no_data_even_with_left_out_sid
     lab = Laboratory(10, 1.0, 0)
     known = [(part, side) for part in range(10) for side in range(3)]
     x, e, contacts, parts, units = lab.pushes(known, seen=True)
-    beyond = ErrorBound.fit(x, e, parts, units=units, model="neighbours")
-    promise = ErrorBound.fit(x, e, parts, model="neighbours").for_contacts(contacts, parts, beyond)
+    beyond = ConformalBound.fit(x, e, parts, units=units, model="neighbours")
+    promise = ConformalBound.fit(x, e, parts, model="neighbours").for_contacts(
+        contacts, parts, beyond
+    )
     asked = TouchedPlaces.joined(
         [
             contacts_on(side, np.zeros(1), v)
@@ -139,16 +143,16 @@ def test_a_finite_bound_takes_nine_left_out_sides() -> None:
         cells = [(k % 4, k // 4) for k in range(sides)]
         x, e, _, parts, units = lab.pushes(cells, seen=True)
         if good:
-            assert np.isfinite(ErrorBound.fit(x, e, parts, units=units).bounds(x[:1])).all()
+            assert np.isfinite(ConformalBound.fit(x, e, parts, units=units).bounds(x[:1])).all()
         else:
             with pytest.raises(InvalidInput, match="8 sides or speeds left out, expected 9"):
-                ErrorBound.fit(x, e, parts, units=units)
+                ConformalBound.fit(x, e, parts, units=units)
 
 
 def test_contacts_are_asked_for_and_refused() -> None:
     lab = Laboratory(1, 0.0, 0)
     x, e, contacts, parts, _ = lab.pushes([(0, 0), (0, 1)], seen=True)
-    plain = ErrorBound.fit(x, e, parts, model="neighbours")
+    plain = ConformalBound.fit(x, e, parts, model="neighbours")
     with pytest.raises(InvalidInput, match="contacts"):
         plain.for_contacts(contacts, parts).bounds(x, parts)
     with pytest.raises(InvalidInput, match="contacts"):

@@ -9,7 +9,7 @@ import pytest
 from fixel.domain import scale_model
 from fixel.domain.error_bound import (
     COLOURS,
-    ErrorBound,
+    ConformalBound,
     Experience,
     colours,
     constant_bound,
@@ -39,7 +39,7 @@ def test_bounds_hold_as_often_as_stated_overall_and_in_every_group(model: str) -
     held: list[FloatArray] = []
     for seed in range(repeats):
         features, errors, groups = made_up(150, seed)
-        promise = ErrorBound.fit(features, errors, groups, seed=seed, model=model)
+        promise = ConformalBound.fit(features, errors, groups, seed=seed, model=model)
         new, off, where = made_up(n_new, 1000 + seed)
         held.append((off <= promise.bounds(new, where)).reshape(-1, len(GROUPS)))
     share = np.concatenate(held)
@@ -56,7 +56,7 @@ def test_without_groups_the_worst_of_them_is_let_down() -> None:
     features, errors, _ = made_up(600, 0)
     new, off, groups = made_up(3000, 1)
     idle = np.zeros((600, 1)), np.zeros((3000, 1))
-    bound = ErrorBound.fit(idle[0], errors, None).bounds(idle[1])
+    bound = ConformalBound.fit(idle[0], errors, None).bounds(idle[1])
     worst = np.array([name == "wood" for name in groups])
     assert (off <= bound)[worst].mean() < 0.85
     assert features.shape == (600, 4)
@@ -70,7 +70,7 @@ def test_bounds_are_sharper_than_a_constant_where_features_tell() -> None:
     features, new = rng.uniform(0.0, 1.0, (2, 450, 2))
     errors, off = (np.exp(3.0 * f[:, 0]) * rng.uniform(0.8, 1.2, len(f)) for f in (features, new))
     for model in ("forest", "neighbours"):
-        bound = ErrorBound.fit(features, errors, model=model).bounds(new)
+        bound = ConformalBound.fit(features, errors, model=model).bounds(new)
         assert bound.mean() < 0.65 * constant_bound(errors)
         assert (off <= bound).mean() == pytest.approx(0.9, abs=0.06)
 
@@ -79,7 +79,7 @@ def test_a_constant_model_without_groups_is_split_conformal() -> None:
     """Every experiment but its own fold sets the same constant, as nearly as medians do."""
     _, errors, _ = made_up(120, 5)
     idle = np.zeros((120, 1))
-    promise = ErrorBound.fit(idle, errors, None, model="constant")
+    promise = ConformalBound.fit(idle, errors, None, model="constant")
     assert promise.bounds(idle[:1])[0] == pytest.approx(constant_bound(errors), rel=0.1)
 
 
@@ -93,13 +93,13 @@ def test_too_few_experiments_are_refused_with_the_number_needed() -> None:
     assert [min_experiments(level) for level in (0.5, 0.8, 0.9, 0.95, 0.99)] == [1, 4, 9, 19, 99]
     features, errors, _ = made_up(8, 0)
     with pytest.raises(InvalidInput, match="8 held out, expected 9 or more"):
-        ErrorBound.fit(features, errors)
+        ConformalBound.fit(features, errors)
     with pytest.raises(InvalidInput, match="19 or more for bounds that hold with 95 %"):
         held_out_bounds(features, errors, features, 0.95)
     with pytest.raises(InvalidInput, match="9 or more"):
         constant_bound(errors)
     nine, off, _ = made_up(9, 0)
-    promise = ErrorBound.fit(nine, off)
+    promise = ConformalBound.fit(nine, off)
     assert promise.model == "constant"
     assert np.isfinite(promise.bounds(nine)).all()
 
@@ -119,26 +119,26 @@ def test_numbers_that_cannot_be_are_refused(
 ) -> None:
     features, errors, _ = made_up(30, 0)
     with pytest.raises(InvalidInput, match=complaint):
-        ErrorBound.fit(*change(features, errors))
+        ConformalBound.fit(*change(features, errors))
 
 
 def test_levels_columns_and_labels_are_refused() -> None:
     features, errors, groups = made_up(30, 0)
     with pytest.raises(InvalidInput, match="between 0 and 1"):
-        ErrorBound.fit(features, errors, level=1.0)
+        ConformalBound.fit(features, errors, level=1.0)
     with pytest.raises(InvalidInput, match="29 labels"):
-        ErrorBound.fit(features, errors, groups[:-1])
-    promise = ErrorBound.fit(features, errors, groups, model="constant")
+        ConformalBound.fit(features, errors, groups[:-1])
+    promise = ConformalBound.fit(features, errors, groups, model="constant")
     with pytest.raises(InvalidInput, match="3 columns"):
         promise.bounds(features[:, :3], groups)
     with pytest.raises(InvalidInput, match=r"also\.features"):
-        ErrorBound.fit(features, errors, also=Experience(features[:, :2], errors))
+        ConformalBound.fit(features, errors, also=Experience(features[:, :2], errors))
 
 
 def test_nothing_is_promised_far_from_all_evidence() -> None:
     features, errors, groups = made_up(90, 0)
     features[:, 3] = 7.0
-    promise = ErrorBound.fit(features, errors, groups, model="neighbours")
+    promise = ConformalBound.fit(features, errors, groups, model="neighbours")
     far = features[:3].copy()
     far[0, 0] += 10.0
     far[1, 3] = 8.0  # a setting that never varied
@@ -153,7 +153,7 @@ def test_failed_simulations_count_as_errors_without_end() -> None:
     """One in five fails: no finite bound can hold with 90 %, one with 60 % can."""
     features, errors, _ = made_up(100, 0)
     errors[::5] = np.inf
-    promise = ErrorBound.fit(features, errors, None, model="neighbours")
+    promise = ConformalBound.fit(features, errors, None, model="neighbours")
     high, low = promise.quantiles(features, None, (0.9, 0.6))
     assert np.isinf(high).all()
     assert np.isfinite(low).all()
@@ -161,7 +161,7 @@ def test_failed_simulations_count_as_errors_without_end() -> None:
 
 def test_a_group_never_seen_gets_the_promise_of_all() -> None:
     features, errors, groups = made_up(90, 0)
-    promise = ErrorBound.fit(features, errors, groups, model="neighbours")
+    promise = ConformalBound.fit(features, errors, groups, model="neighbours")
     bound = promise.bounds(features, ["glass"] * 90)
     assert (errors <= bound).mean() > 0.85
     assert np.isfinite(bound).all()
@@ -170,7 +170,7 @@ def test_a_group_never_seen_gets_the_promise_of_all() -> None:
 def test_same_seed_same_bits_and_higher_levels_are_wider() -> None:
     features, errors, groups = made_up(90, 0)
     new, _, where = made_up(30, 1)
-    first, again = (ErrorBound.fit(features, errors, groups, seed=4) for _ in range(2))
+    first, again = (ConformalBound.fit(features, errors, groups, seed=4) for _ in range(2))
     assert np.array_equal(first.bounds(new, where), again.bounds(new, where))
     table = first.quantiles(new, where, (0.3, 0.5, 0.7, 0.9))
     assert (np.diff(table, axis=0) >= 0.0).all()
@@ -181,7 +181,7 @@ def test_what_shapes_the_model_judges_nothing() -> None:
     """Experience a hundred times too good cannot make a promise that does not hold."""
     features, errors, groups = made_up(300, 0)
     more, off, _ = made_up(300, 1)
-    promise = ErrorBound.fit(
+    promise = ConformalBound.fit(
         features, errors, groups, model="neighbours", also=Experience(more, 0.01 * off)
     )
     new, real, where = made_up(900, 2)
@@ -195,12 +195,12 @@ def test_without_scikit_learn_neighbours_are_asked(monkeypatch: pytest.MonkeyPat
     monkeypatch.setitem(__import__("sys").modules, "sklearn", None)
     assert scale_model.default_model(30) == "neighbours"
     features, errors, groups = made_up(60, 0)
-    assert ErrorBound.fit(features, errors, groups).model == "neighbours"
+    assert ConformalBound.fit(features, errors, groups).model == "neighbours"
 
 
 def test_no_configurations_have_no_bounds() -> None:
     features, errors, groups = made_up(60, 0)
-    assert ErrorBound.fit(features, errors, groups).bounds(features[:0], []).shape == (0,)
+    assert ConformalBound.fit(features, errors, groups).bounds(features[:0], []).shape == (0,)
 
 
 def test_colours_say_what_is_tolerated() -> None:

@@ -56,8 +56,8 @@ class Experience(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class ErrorBound:
-    """Bounds on errors that hold with a stated probability; made by `ErrorBound.fit`.
+class ConformalBound:
+    """Bounds on errors that hold with a stated probability; made by `ConformalBound.fit`.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class ErrorBound:
     _near: _Near
     _unit: IntArray | None = None  # (n,) number of the unit that was left out as a whole
     _pushed: PushedContacts | None = None
-    _beyond: ErrorBound | None = None
+    _beyond: ConformalBound | None = None
 
     @classmethod
     def fit(
@@ -94,7 +94,7 @@ class ErrorBound:
         also: Experience | None = None,
         model: str | None = None,
         units: Labels | None = None,
-    ) -> ErrorBound:
+    ) -> ConformalBound:
         """Learn from experiments that the calibration has not seen.
 
         Parameters
@@ -156,8 +156,8 @@ class ErrorBound:
         self,
         contacts: TouchedPlaces,
         groups: Labels | None = None,
-        beyond: ErrorBound | None = None,
-    ) -> ErrorBound:
+        beyond: ConformalBound | None = None,
+    ) -> ConformalBound:
         """Return the same bounds without data on sides and at speeds that were never pushed.
 
         Parameters
@@ -166,7 +166,7 @@ class ErrorBound:
             Contacts of the experiments.
         groups : (k,) sequence, optional
             Labels of these; a group is one part.
-        beyond : ErrorBound, optional
+        beyond : ConformalBound, optional
             Bounds for a new side or a new speed of a pushed part, fitted with `units`. A contact
             that is new in both has no bound.
         """
@@ -317,7 +317,7 @@ def colours(bounds: FloatArray, expected: FloatArray, near: BoolArray, tau: floa
     Parameters
     ----------
     bounds, expected : (m,) float64
-        Answers of `ErrorBound`, in one unit.
+        Answers of `ConformalBound`, in one unit.
     near : (m,) bool
         Mask of the configurations with data.
     tau : float
@@ -374,7 +374,7 @@ def held_out_bounds(
         pushed then have no data.
     """
     known, asked = (None, None) if contacts is None else contacts
-    bounds = ErrorBound.fit(evidence, errors, None, level, seed)
+    bounds = ConformalBound.fit(evidence, errors, None, level, seed)
     if known is not None:
         bounds = bounds.for_contacts(known)
     bound, expected = bounds.quantiles(new, None, (level, 0.5), asked)

@@ -6,7 +6,7 @@ import numpy as np
 
 from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.contacts import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
-from fixel.domain.error_bound import ErrorBound, min_experiments
+from fixel.domain.error_bound import ConformalBound, min_experiments
 from fixel.domain.evidence import HeldOutErrors, Value
 from fixel.model import wrapped
 from fixel.typing import FloatArray, IntArray
@@ -105,7 +105,7 @@ def _bounds(
         return None
     groups = list(dict.fromkeys(evidence.group))
     apart = len(groups) > 1
-    fitted = ErrorBound.fit(
+    fitted = ConformalBound.fit(
         cells.places[place[rows]],
         np.sqrt(evidence.error_mm2[rows]),
         [evidence.group[k] for k in rows.tolist()] if apart else None,

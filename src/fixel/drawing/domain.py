@@ -11,6 +11,7 @@ import numpy as np
 
 from fixel.domain.cells import CellAxis
 from fixel.domain.domain import CellVerdict, Claim, DomainMap
+from fixel.domain.push_bound import ErrorBound
 from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
@@ -294,3 +295,33 @@ def draw_map(found: DomainMap, *, axis: str | None = None, ax: Axes | None = Non
 def draw_size(found: DomainMap, *, ax: Axes | None = None) -> Any:
     """Draw the number of cells in the domain of applicability against the threshold."""
     return plot_axes(SizeChart(domain=found, claim=found.claimed).figure, ax)
+
+
+def draw_bounds(found: ErrorBound, *, ax: Axes | None = None) -> Any:
+    """Draw held-out errors of end positions against their bounds; those below the line hold."""
+
+    def fill(axes: Axes) -> None:
+        data = found.to_dict()
+        pairs = zip(data["position"], data["position_bound"], strict=True)
+        shown = [
+            (1e3 * error, 1e3 * bound)
+            for error, bound in pairs
+            if isinstance(error, float) and isinstance(bound, float)
+        ]
+        most = 1.1 * max((bound for _, bound in shown), default=1.0)
+        axes.plot([b for _, b in shown], [e for e, _ in shown], ".", color=palette.BODY)
+        axes.plot([0.0, most], [0.0, most], color=palette.INK, linewidth=0.8)
+        axes.set(xlabel=f"bound, {100.0 * found.level:g} % [mm]", ylabel="held-out error [mm]")
+        axes.set(xlim=(0.0, most), ylim=(0.0, None))
+        clean(axes)
+
+    if ax is not None:
+        fill(ax)
+        return ax
+
+    def make() -> Figure:
+        figure = sheet(3.5, 2.8, "End position: held-out errors and their bounds")
+        fill(figure.subplots())
+        return figure
+
+    return plot_axes(make)

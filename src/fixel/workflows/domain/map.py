@@ -124,8 +124,8 @@ def map_domain(
     targets = targets_of(experiments)
     model = calibration_model(fit, targets, motion)
     asked = DomainRequest(
-        axes=_names("axes", axes),
-        by=_names("facets", facets),
+        axes=listed_names("axes", axes),
+        by=listed_names("facets", facets),
         leave_out=leave_out,
         nominal=nominal or {},
         steps=cells or {},
@@ -154,7 +154,8 @@ def map_domain(
     return mapped(gathered, asked)[0]
 
 
-def _names(where: str, names: Sequence[str]) -> tuple[str, ...]:
+def listed_names(where: str, names: Sequence[str]) -> tuple[str, ...]:
+    """Return names as a tuple; a single text is refused."""
     if isinstance(names, str):
         raise InvalidInput(where, found=repr(names), expected=f"a list: [{names!r}]")
     return tuple(names)

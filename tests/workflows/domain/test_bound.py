@@ -1,0 +1,96 @@
+"""Error bounds against order statistics, new pushes, and another fit of the parameters."""
+
+import math
+
+import numpy as np
+import pytest
+
+import fixel
+from fixel.errors import InvalidInput
+from fixel.testing.pushes import TRUTH, example_pushes
+from fixel.testing.scenes import grasp
+from fixel.workflows.domain.bound import error_bound
+
+# Friction alone cannot repair the radius: errors are those of a wrong model.
+SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.03}
+QUIET = {"progress": False, "threads": 1}
+
+
+@pytest.fixture(scope="module")
+def pushes():
+    return example_pushes(14, duration=0.3)
+
+
+@pytest.fixture(scope="module")
+def found(pushes):
+    return error_bound(pushes, SPACE, folds=2, **QUIET)
+
+
+def test_bounds_of_few_experiments_are_an_order_statistic(pushes, found):
+    """Without features: the (n + 1) level'th smallest held-out error (Vovk et al., 2005)."""
+    bound = found.at(pushes[3])
+    k = math.ceil(15 * 0.9) - 1
+    # Every score is the error itself, less a constant that differs a little between folds.
+    assert bound.position == pytest.approx(np.sort(found.position)[k], rel=0.2)
+    assert bound.verdict == "bounded"
+
+
+def test_held_out_errors_are_those_of_simulations(pushes, found):
+    """The errors at the end, with a friction that was fitted to the other fold."""
+    own = found.fold == 0
+    fit = fixel.calibrate(
+        [p for p, k in zip(pushes, own, strict=True) if not k],
+        SPACE,
+        verdicts=False,
+        progress=False,
+    )
+    for k in np.flatnonzero(own)[:3]:
+        off = fit.residuals(pushes[k])[-1]
+        assert found.position[k] == pytest.approx(math.hypot(*off[:2]), rel=0.3, abs=2e-5)
+
+
+def test_new_pushes_stay_within_their_bounds(found):
+    new = example_pushes(9, duration=0.3, seed=8)
+    fit = {"mu_pusher": 0.25, "tripod_radius": 0.03}
+    inside = 0
+    for push in new:
+        end = fixel.simulate(push.scene, fixel.Parameters(fit)).final["part"]
+        off = math.hypot(*(end - push.trajectory.pose[-1])[:2])
+        inside += off <= 1.3 * found.at(push.scene).position
+    assert inside >= 7
+    assert TRUTH["tripod_radius"] != fit["tripod_radius"]
+
+
+def test_coverage_has_an_interval_and_is_printed(found):
+    own = found.coverage["position"]
+    assert own.low <= own.value <= own.high
+    assert own.n <= 14
+    assert own.high >= 0.8
+    text = repr(found)
+    assert "holds for 90 % of new pushes (held out, 2 folds, 14 experiments)" in text
+    assert len(found.to_dict()["position_bound"]) == 14
+
+
+def test_a_push_unlike_all_others_has_no_data(found):
+    own = found.at(grasp("seated"))
+    assert (own.verdict, own.position) == ("no data", None)
+    assert "far from" in own.reason
+
+
+def test_groups_have_bounds_of_their_own(pushes, tmp_path):
+    own = error_bound(pushes, SPACE, groups=["side"], folds=2, store=tmp_path, **QUIET)
+    assert own.at(pushes[0]).verdict == "bounded"
+    assert own.at(pushes[0].scene, side="below").verdict == "no data"
+    with pytest.raises(InvalidInput, match="side"):
+        own.at(pushes[0].scene)
+    own.save(tmp_path / "bound")
+    assert fixel.load(tmp_path / "bound") == own
+
+
+def test_too_few_experiments_are_refused_before_any_fit(pushes):
+    with pytest.raises(InvalidInput, match="9 at least"):
+        error_bound(pushes[:8], SPACE, **QUIET)
+    with pytest.raises(InvalidInput, match="level"):
+        error_bound(pushes, SPACE, level=1.0, **QUIET)
+    with pytest.raises(InvalidInput, match="surface"):
+        error_bound(pushes, SPACE, groups=["surface"], **QUIET)
