@@ -11,7 +11,7 @@ from fixel.units import deg, mm
 
 scene = fixel.load_scene("../scenes/grasp.yaml").scene
 start = fixel.StartError(x=10 * mm, y=10 * mm, theta=15 * deg)
-found = fixel.sensitivity(scene, start, samples=500, indices=True, base=64)
+found = fixel.sensitivity(scene, start, samples=500, indices=True, base=512)
 found
 
 # %%

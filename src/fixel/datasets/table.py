@@ -194,8 +194,7 @@ def _parts(table: CsvRows, split_by: str | None) -> Iterator[tuple[str | None, C
     for row, value in enumerate(table.columns[split_by]):
         rows.setdefault(value.strip(), []).append(row)
     for value, own in rows.items():
-        others = ((name, column) for name, column in table.columns.items() if name != split_by)
-        cells = {name: [column[row] for row in own] for name, column in others}
+        cells = {name: [column[row] for row in own] for name, column in table.columns.items()}
         yield value, CsvRows(table.source, cells)
 
 
