@@ -80,5 +80,8 @@ def test_a_filter_in_python_is_that_of_the_command(project):
     assert found.parameters == stored.estimates.parameters
     assert repr(found).startswith(f"FilterRun of {experiment.key}")
     assert len(found.to_dict()["time"]) == len(found.time)
+    number = project.add(found)
+    with project.store() as store:
+        assert store.filter_run(number).trajectory == found.trajectory
     with pytest.raises(InvalidInput, match="motion"):
         filter(experiment, motion="dynamic", progress=False)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
@@ -152,12 +152,15 @@ class DomainMap(Result):
         Threshold, share and confidence of the verdicts.
     facets : tuple of str
         Conditions with a map for each of their values.
+    source, question : mapping
+        Plain content of the evidence and of the options, with which a project stores the map.
     """
 
     _drawings: ClassVar[Mapping[str, str]] = {
         "map": "fixel.drawing.domain:draw_map",
         "size": "fixel.drawing.domain:draw_size",
     }
+    _stored_by: ClassVar[str] = "fixel.workflows.domain.run:store_map"
 
     evidence: HeldOutErrors
     cells: Cells
@@ -168,6 +171,8 @@ class DomainMap(Result):
     predicted_mm: FloatArray | None = None
     claim: Claim | None = None
     facets: tuple[str, ...] = ()
+    source: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    question: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     @property
     def claimed(self) -> Claim:

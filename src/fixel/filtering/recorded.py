@@ -71,6 +71,7 @@ class FilterRun(Result):
     """
 
     _drawings: ClassVar[Mapping[str, str]] = {"run": "fixel.drawing.filtering:plot_filter"}
+    _stored_by: ClassVar[str] = "fixel.workflows.filtering:store_run"
 
     experiment: Experiment
     options: ParticleFilter

@@ -131,6 +131,7 @@ class Posterior(Result):
     _drawings: ClassVar[Mapping[str, str]] = {
         "parameters": "fixel.drawing.uncertainty:draw_posterior",
     }
+    _stored_by: ClassVar[str] = "fixel.workflows.uncertainty.report:store_posterior"
 
     labels: tuple[str, ...]
     units: tuple[str, ...]

@@ -183,39 +183,51 @@ class FilterAnswer:
             for number, record in self.calibrations.items()
         }
 
-    def record(self, filter_parameters_id: int, command: str = "") -> FilterRecord:
-        """Return the record of the run for a project; `command` is the command as typed."""
-        found = self.estimates
-        values = np.concatenate((found.mean[:, :, None], found.quantiles), axis=2)
-        return FilterRecord(
-            experiment_id=self.experiment_id,
-            filter_parameters_id=filter_parameters_id,
-            provenance=_provenance(found, command),
-            trajectory=found.trajectory,
-            uses_tactile=found.uses_tactile,
-            occlusion=found.occlusion,
-            contact_mode=found.contact_mode,
-            estimate_names=tuple(n + ending for n in found.prior.names for ending in ENDINGS),
-            estimates=values.reshape(len(values), -1),
-        )
 
-    def settings(self, command: str = "") -> FilterParameters:
-        """Return the record of the options for a project."""
-        found = self.estimates
-        numbers = {
-            name: float(value)
-            for name in ParticleFilter.__dataclass_fields__
-            if name != "threads" and isinstance(value := getattr(found.options, name), int | float)
-        }
-        prior = found.prior
-        for name, low, high in zip(prior.names, prior.low, prior.high, strict=True):
-            numbers |= {f"{name}_low": float(low), f"{name}_high": float(high)}
-        return FilterParameters(
-            name=f"{NAME}, {found.options.motion.name}",
-            is_particle_filter=True,
-            provenance=_provenance(found, command),
-            values=numbers,
-        )
+def store_run(project: Project, found: FilterRun, command: str = "") -> int:
+    """Store a run of the filter and its settings in a project; return the id of the run.
+
+    Raises
+    ------
+    NotStored
+        The project has no such experiment.
+    """
+    with project.store() as store:
+        experiment_id = store.find(found.experiment.key)
+        settings = store.add_filter_parameters(_settings(found, command))
+        return store.add_filter_run(_record(found, experiment_id, settings, command))
+
+
+def _record(found: FilterRun, experiment_id: int, settings_id: int, command: str) -> FilterRecord:
+    values = np.concatenate((found.mean[:, :, None], found.quantiles), axis=2)
+    return FilterRecord(
+        experiment_id=experiment_id,
+        filter_parameters_id=settings_id,
+        provenance=_provenance(found, command),
+        trajectory=found.trajectory,
+        uses_tactile=found.uses_tactile,
+        occlusion=found.occlusion,
+        contact_mode=found.contact_mode,
+        estimate_names=tuple(n + ending for n in found.prior.names for ending in ENDINGS),
+        estimates=values.reshape(len(values), -1),
+    )
+
+
+def _settings(found: FilterRun, command: str) -> FilterParameters:
+    numbers = {
+        name: float(value)
+        for name in ParticleFilter.__dataclass_fields__
+        if name != "threads" and isinstance(value := getattr(found.options, name), int | float)
+    }
+    prior = found.prior
+    for name, low, high in zip(prior.names, prior.low, prior.high, strict=True):
+        numbers |= {f"{name}_low": float(low), f"{name}_high": float(high)}
+    return FilterParameters(
+        name=f"{NAME}, {found.options.motion.name}",
+        is_particle_filter=True,
+        provenance=_provenance(found, command),
+        values=numbers,
+    )
 
 
 def _provenance(found: FilterRun, command: str) -> Provenance:
@@ -281,8 +293,6 @@ def filter_experiment(
             if number in {member.experiment_id for member in record.members}
         }
         answer = FilterAnswer(experiment_id=number, estimates=estimates, calibrations=of_it)
-        if not save:
-            return answer
-        settings = store.add_filter_parameters(answer.settings(command))
-        run = store.add_filter_run(answer.record(settings, command))
-    return replace(answer, run_id=run)
+    if not save:
+        return answer
+    return replace(answer, run_id=store_run(project, estimates, command))

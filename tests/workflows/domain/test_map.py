@@ -5,15 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import binomtest
+from tests.fixtures import project_of
 
 import fixel
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import targets_of
 from fixel.calibration.usual_parameters import search_space
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, NotStored
 from fixel.simulation import Dynamic
 from fixel.testing.pushes import example_pushes
+from fixel.workflows.analysis import load_analyses
+from fixel.workflows.domain.evidence import gathered_before
 from fixel.workflows.domain.map import map_domain
+from fixel.workflows.domain.request import asked_again
 
 SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
 QUIET = {"progress": False, "threads": 1}
@@ -113,3 +117,28 @@ def test_wrong_input_is_refused_before_any_fit(pushes, monkeypatch):
         map_domain([replace(pushes[0], scene=None)], SPACE, **QUIET)
     with pytest.raises(InvalidInput, match="known parameter"):
         fixel.map_domain(pushes, ["mu_pushr"], **QUIET)
+
+
+def test_a_project_stores_a_map_with_its_evidence(pushes, found, tmp_path, monkeypatch):
+    monkeypatch.setattr("fixel.workflows.analysis.write_picture", lambda *_: [])
+    lab = project_of(tmp_path / "lab", pushes)
+    kept = lab.add(found)
+    (stored,) = load_analyses(lab)
+    assert kept.folder == stored.folder
+    assert stored.analysis.numbers["threshold"] == pytest.approx(0.2)
+    asked = asked_again(stored.analysis.question)
+    with lab.store() as store:
+        again = gathered_before(lab, store, asked, stored.analysis.numbers["evidence"])
+        keys = {number: store.experiment(number).key for number in again.evidence.ids}
+    assert again is not None
+    assert [keys[k] for k in again.evidence.ids] == list(found.held_out)
+    np.testing.assert_array_equal(again.evidence.error_mm2, found.evidence.error_mm2)
+    with pytest.raises(NotStored):
+        project_of(tmp_path / "empty", pushes[:1]).add(found)
+
+
+def test_a_map_survives_a_file(found, tmp_path):
+    found.save(tmp_path / "map")
+    again = fixel.load(tmp_path / "map")
+    assert again == found
+    assert repr(again) == repr(found)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from benchmarks.sbc import MODEL_ERROR, NOISE
+from tests.fixtures import project_of
 from tests.uncertainty.forks import fork
 from tests.uncertainty.test_likelihood import measured
 
@@ -110,7 +111,8 @@ def test_a_calibration_predicts_with_its_values_and_motion_model():
     assert found.time[-1] == pytest.approx(0.5)
 
 
-def test_the_posterior_holds_the_truth_and_predicts_another_push():
+def test_the_posterior_holds_the_truth_and_predicts_another_push(tmp_path, monkeypatch):
+    monkeypatch.setattr("fixel.workflows.analysis.write_picture", lambda *_: [])
     pushes = example_pushes(2, duration=0.3)
     found = fixel.posterior(
         pushes[0],
@@ -128,5 +130,9 @@ def test_the_posterior_holds_the_truth_and_predicts_another_push():
     told = predict(pushes[1], found, samples=60, **QUIET)
     assert set(told.shares) >= {"parameters", "start", "noise"}
     assert max(told.levels_of(pushes[1].trajectory.pose[-1])) < 0.999
+    kept = project_of(tmp_path / "lab", pushes).add(found)
+    assert kept.analysis.numbers["parameters"]["mu_pusher"]["best"] == found.best[0]
+    found.save(tmp_path / "posterior")
+    assert fixel.load(tmp_path / "posterior") == found
     with pytest.raises(InvalidInput, match="known parameter"):
         fixel.posterior(pushes[0], {"mu_pushr": (0, 1)}, **QUIET)

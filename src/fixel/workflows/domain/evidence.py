@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -87,6 +87,26 @@ def gather(
             gathered = _with_own(project, store, asked, gathered)
     real = all(summary.is_real for summary in summaries)
     return gathered._replace(is_real=real, mark=mark)
+
+
+def store_evidence(
+    project: Project, content: Mapping[str, Any], asked: DomainRequest
+) -> DomainEvidence:
+    """Store evidence of a map that was computed in memory, for the pages; return it with ids."""
+    if not content:
+        expected = "a map that fixel.map_domain has made"
+        raise InvalidInput("map", found="no evidence in it", expected=expected)
+    with project.store() as store:
+        ids = [store.find(key) for key in content["keys"]]
+        real = all(store.experiment(number).real for number in ids)
+    whole = {**content, "ids": ids}
+    text = json.dumps(whole, allow_nan=False)
+    mark = hashlib.sha256(text.encode()).hexdigest()[:12]
+    folder = project.folder / ANALYSES / FOLDER / mark
+    folder.mkdir(parents=True, exist_ok=True)
+    with written_whole(folder / WHOLE) as path:
+        path.write_text(text, encoding="utf-8")
+    return gathered_from(whole, asked)._replace(is_real=real, mark=mark)
 
 
 def gathered_before(
@@ -204,7 +224,7 @@ def _read(path: Any) -> dict[str, Any] | None:
     return content
 
 
-def gathered_from(content: dict[str, Any], asked: DomainRequest) -> DomainEvidence:
+def gathered_from(content: Mapping[str, Any], asked: DomainRequest) -> DomainEvidence:
     """Return the evidence that plain values describe, divided into the maps requested."""
     rows: list[dict[str, Value]] = content["coordinates"]
     names = dict.fromkeys(name for row in rows for name in row)

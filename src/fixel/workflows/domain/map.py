@@ -151,7 +151,7 @@ def map_domain(
             report.stage = "calibrating each alone"
             own = _own_best(targets, model, seed, threads, report)
             gathered = gathered._replace(evidence=replace(gathered.evidence, own_mm2=own))
-    return mapped(gathered, asked)[0]
+    return replace(mapped(gathered, asked)[0], source=content, question=asked.question())
 
 
 def listed_names(where: str, names: Sequence[str]) -> tuple[str, ...]:

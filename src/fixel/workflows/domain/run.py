@@ -22,9 +22,9 @@ from fixel.progress import ProgressOption, show_progress
 from fixel.typing import FloatArray
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.domain.charts import pictures_of
-from fixel.workflows.domain.evidence import DomainEvidence, gather
+from fixel.workflows.domain.evidence import DomainEvidence, gather, store_evidence
 from fixel.workflows.domain.report import headline, methods_of, numbers, tables, warnings_of
-from fixel.workflows.domain.request import OFFSETS, DomainRequest
+from fixel.workflows.domain.request import OFFSETS, DomainRequest, asked_again
 from fixel.workflows.figures import make_folder
 
 MAX_EXAMPLES: Final = 3
@@ -97,6 +97,44 @@ def map_stored(
     with show_progress(progress, "holding out") as report:
         gathered = gather(project, asked, report)
     domain, aside = mapped(gathered, asked)
+    return _stored(project, asked, gathered, domain, aside, plot, command, begun)
+
+
+def store_map(project: Project, domain: DomainMap) -> StoredAnalysis:
+    """Store a map of experiments that a project has.
+
+    Raises
+    ------
+    NotStored
+        The project does not have one of its experiments.
+    """
+    begun = time.perf_counter()
+    claim = domain.claimed
+    asked = replace(
+        asked_again(domain.question),
+        threshold=claim.threshold,
+        level=claim.level,
+        confidence=claim.confidence,
+    )
+    gathered = store_evidence(project, domain.source, asked)
+    number = dict(zip(gathered.evidence.keys, gathered.evidence.ids, strict=True))
+    evidence = domain.evidence
+    own = replace(domain, evidence=replace(evidence, ids=tuple(number[k] for k in evidence.keys)))
+    aside = len(number) - len(evidence)
+    return _stored(project, asked, gathered, own, aside, None, "", begun).kept
+
+
+def _stored(
+    project: Project,
+    asked: DomainRequest,
+    gathered: DomainEvidence,
+    domain: DomainMap,
+    aside: int,
+    plot: Path | None,
+    command: str,
+    begun: float,
+) -> DomainResult:
+    """Store a map as an analysis, with charts."""
     claim, evidence = domain.claimed, domain.evidence
     verdicts = domain.verdicts(claim)
     found = proposals(domain, claim, verdicts=verdicts)

@@ -23,7 +23,7 @@ from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.calibration.stored import misfit_of
 from fixel.workflows.sentences import rounded, sentences
 from fixel.workflows.uncertainty.charts import curves_of, pictures_of, what_of
-from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty
+from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty, predicted_by
 
 REFERENCES: Final = ("skilling2006", "feroz2009", "speagle2020", "kennedy2001")
 
@@ -55,6 +55,17 @@ def store_uncertainty(project: Project, found: Uncertainty, command: str = "") -
     )
     arrays = {"samples": posterior.points, "log_likelihood": posterior.log_likelihood}
     return store_analysis(project, analysis, list(pictures_of(found)), arrays)
+
+
+def store_posterior(project: Project, found: Posterior) -> StoredAnalysis:
+    """Store a posterior in a project, with predictions of its experiments and charts.
+
+    Raises
+    ------
+    NotStored
+        The project does not have one of its experiments.
+    """
+    return store_uncertainty(project, predicted_by(project, found))
 
 
 def numbers_of(found: Uncertainty) -> dict[str, Any]:

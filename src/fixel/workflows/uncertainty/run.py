@@ -288,6 +288,36 @@ def find_uncertainty(
     )
 
 
+def predicted_by(project: Project, found: Posterior) -> Uncertainty:
+    """Return a posterior with predictions of its experiments, which the project has."""
+    noise = found.noise
+    with project.store() as store:
+        ids = [store.find(key) for key in found.experiments]
+        experiments = [store.experiment(number) for number in ids]
+        known = newest_calibration(store, ids[0])
+        compared = None if known is None else load_values(store, known)
+    targets = [target_of(experiment) for experiment in experiments]
+    comparer = Comparer(targets, found.searched, motion=motion_named(found.motion))
+    return Uncertainty(
+        request=UncertaintyRequest(
+            experiments=found.experiments,
+            motion=found.motion,
+            noise=None if noise is None else (noise.position_m, noise.angle_rad),
+            model_error=found.model_error is not None,
+            samples=len(found.points),
+            seed=found.seed,
+        ),
+        space=found.searched,
+        posterior=found,
+        predicted=tuple(
+            _predicted(number, experiments[k], comparer, k, found, False)
+            for k, number in enumerate(ids)
+        ),
+        motion=found.motion,
+        compared=compared,
+    )
+
+
 def _ids(store: Store, request: UncertaintyRequest, one: CalibratedValues | None) -> list[int]:
     if request.experiments:
         return list(dict.fromkeys(store.find(key) for key in request.experiments))
