@@ -143,3 +143,20 @@ def test_a_calibration_is_stored(lab):
     table = fixel.compare(lab.experiments(flagged=True), fit, progress=False)
     uses = {row.run.experiment.key: row.use for row in table.of("calibrated")}
     assert uses == {KEYS[0]: "fitted", KEYS[1]: "held out", KEYS[2]: "fitted"}
+
+
+def test_a_map_is_stored_as_the_command_stores_it(tmp_path, capsys):
+    lab = fixel.Project.create(tmp_path / "lab")
+    lab.add(example()[:12], progress=False)
+    lab.calibrate("", {"mu_pusher": (0, 1)}, verdicts=False, progress=False)
+    options = {"axes": ["contact_offset_m"], "threshold": 3e-3, "folds": 2}
+    found = lab.map_domain("surface=abs", **options, progress=False)
+    (kept,) = lab.analyses
+    words = ("domain", "--where", "surface=abs", "--axes", "contact_offset_m", "--folds", "2")
+    code, out, _ = run(capsys, *words, "--threshold-mm", "3", "--project", lab.folder, "--json")
+    assert code == 0
+    assert len(lab.analyses) == 1  # the same request replaces it
+    assert kept.arrays["error_mm2"].tolist() == found.evidence.error_mm2.tolist()
+    again = lab.analyses[0]
+    assert again.analysis.numbers == kept.analysis.numbers
+    assert again.arrays["error_mm2"].tolist() == kept.arrays["error_mm2"].tolist()

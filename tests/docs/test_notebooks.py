@@ -1,19 +1,31 @@
 """The example notebooks: made from their tutorials, and they run."""
 
+from pathlib import Path
+
 import nbformat
 import pytest
 from nbclient import NotebookClient
-from tools.notebooks import FOLDER, NAMES, PAGES, text
+from tools.notebooks import FOLDER, NAMES, PAGES, is_output, shown_outputs, text
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_notebook_is_that_of_its_page_and_runs(name: str) -> None:
+def test_notebook_is_that_of_its_page_and_runs(name: str, tmp_path: Path) -> None:
     source = (FOLDER / f"{name}.ipynb").read_text(encoding="utf-8")
     page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
     assert source == text(page), "run: python -m tools.notebooks"
     notebook = nbformat.reads(source, as_version=4)
     nbformat.validate(notebook)
+    for folder in ("data", "scenes"):
+        (tmp_path / folder).symlink_to(FOLDER.parent / folder)
+    place = tmp_path / "notebooks"  # what a notebook writes is not left among the examples
+    place.mkdir()
     NotebookClient(
-        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": FOLDER}}
+        notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": place}}
     ).execute()
-    assert all(cell.execution_count for cell in notebook.cells if cell.cell_type == "code")
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(cell.execution_count for cell in cells)
+    for cell, (_, shown) in zip(cells, shown_outputs(page), strict=True):
+        streams = [o.text for o in cell.outputs if o.output_type == "stream" and o.name == "stdout"]
+        assert shown is None or is_output(shown, "".join(streams)), (
+            f"{cell.source} printed {streams}"
+        )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from tools.notebooks import NAMES
+from tools.notebooks import NAMES, is_output, shown_outputs
 
 from fixel.formats import scene_file_from_dict
 from fixel.model import KNOWN_PARAMETERS
@@ -41,13 +41,18 @@ RUNNING = [
 
 @pytest.mark.parametrize("page", RUNNING, ids=lambda page: page.stem)
 def test_python_blocks_run_in_order(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, object] = {"__name__": "page"}
-    for block in BLOCK.findall(page.read_text(encoding="utf-8")):
+    for block, shown in shown_outputs(page.read_text(encoding="utf-8")):
         exec(compile(block, str(page), "exec"), namespace)
+        printed = capsys.readouterr().out
+        assert shown is None or is_output(shown, printed), f"{block} printed {printed}"
 
 
 @pytest.mark.parametrize("page", ALL_PAGES, ids=lambda page: page.stem)

@@ -71,7 +71,7 @@ def test_all_tables_give_the_same(tmp_path):
     csv = table_file(tmp_path / "table.csv", text_of(table))
     pa.parquet.write_table(pa.table(table), tmp_path / "table.parquet")
     expected = read(table)
-    assert expected[0].conditions == {"push": "p0", "surface": "abs"}
+    assert expected[0].conditions == {"surface": "abs"}
     for source in (
         str(csv),
         tmp_path / "table.parquet",
@@ -132,7 +132,7 @@ def test_single_rows_are_skipped_and_named():
         ({"x_m": 1e3, "y_m": 1e3, "tip_x_m": 1e3, "tip_y_m": 1e3}, {}, "x_mm is in millimetres"),
         ({"theta_rad": 57.3}, {}, "units={'angle': 'deg'}"),
         ({}, {"units": {"angles": "deg"}}, "did you mean 'angle'"),
-        ({}, {"units": {"length": "inch"}, "columns": {"x": "push"}}, "expected one of m, mm"),
+        ({}, {"units": {"angle": "grad"}}, "expected one of rad, deg"),
         ({}, {"columns": {"theta": "thta_rad"}}, "did you mean 'theta_rad'"),
         ({}, {"columns": {"pusher_xx": "tip_x_m"}}, "did you mean 'pusher_x'"),
         ({}, {"split_by": "pushes"}, "did you mean 'push'"),

@@ -292,41 +292,44 @@ class Project:
         **options
             Options of `fixel.calibrate`.
         """
-        return self._stored("calibrate", experiments, parameters, **options)
-
-    def map_domain(self, experiments: str | Iterable[Experiment], fit: Any, **options: Any) -> Any:
-        """Map where a calibration can be trusted with `fixel.map_domain`, and store the map.
-
-        Parameters
-        ----------
-        experiments : str or experiments
-            Filter, or experiments of the project.
-        fit : Calibration
-        **options
-            Options of `fixel.map_domain`.
-        """
-        return self._stored("map_domain", experiments, fit, **options)
-
-    def posterior(
-        self, experiments: str | Iterable[Experiment], parameters: Any = None, **options: Any
-    ) -> Any:
-        """Sample a posterior with `fixel.posterior`, and store it.
-
-        Parameters
-        ----------
-        experiments : str or experiments
-            Filter, or experiments of the project.
-        parameters : mapping or Calibration, optional
-        **options
-            Options of `fixel.posterior`.
-        """
-        return self._stored("posterior", experiments, parameters, **options)
-
-    def _stored(self, name: str, experiments: Any, *arguments: Any, **options: Any) -> Any:
         chosen = self.experiments(experiments) if isinstance(experiments, str) else experiments
-        result = _named(f"fixel:{name}")(chosen, *arguments, **options)
-        added = self.add(result)
-        return added if isinstance(added, type(result)) else result
+        return self.add(_named("fixel:calibrate")(chosen, parameters, **options))
+
+    def map_domain(self, filter: str = "", fit: Any = None, **options: Any) -> Any:
+        """Map where a calibration can be trusted, as `fixel domain` does, and store the map.
+
+        Parameters
+        ----------
+        filter : str
+            Filter of the experiments.
+        fit : Calibration or int, optional
+            Calibration, or the id of a stored one; by default the newest for several experiments.
+        **options
+            Options of `fixel.map_domain`, such as `threshold`, `axes` and `facets`.
+
+        Returns
+        -------
+        DomainMap
+        """
+        return _named("fixel.workflows.lab:map_domain")(self, filter, fit, **options)
+
+    def posterior(self, filter: str = "", fit: Any = None, **options: Any) -> Any:
+        """Sample a posterior, as `fixel uncertainty` does, and store it with its predictions.
+
+        Parameters
+        ----------
+        filter : str
+            Filter of the experiments; by default those of the calibration.
+        fit : Calibration or int, optional
+            Calibration, or the id of a stored one, whose parameters and motion model are used.
+        **options
+            `samples`, `model_error`, `seed` and `progress`, as for `fixel.posterior`.
+
+        Returns
+        -------
+        Posterior
+        """
+        return _named("fixel.workflows.lab:posterior")(self, filter, fit, **options)
 
     # --- files ----------------------------------------------------------------------------------
 

@@ -194,7 +194,8 @@ def _parts(table: CsvRows, split_by: str | None) -> Iterator[tuple[str | None, C
     for row, value in enumerate(table.columns[split_by]):
         rows.setdefault(value.strip(), []).append(row)
     for value, own in rows.items():
-        cells = {name: [column[row] for row in own] for name, column in table.columns.items()}
+        others = ((name, column) for name, column in table.columns.items() if name != split_by)
+        cells = {name: [column[row] for row in own] for name, column in others}
         yield value, CsvRows(table.source, cells)
 
 

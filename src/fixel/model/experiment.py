@@ -191,7 +191,7 @@ class Experiment(Comparable, Result):
       part   x [mm]  y [mm]  angle [deg]
       start  210.26  -47.14      -126.63
       end    202.78  -90.20       -94.97
-      contact_offset_m=-0.022 push=00 push_angle_rad=0 surface=abs
+      contact_offset_m=-0.022 push_angle_rad=0 surface=abs
     >>> push.simulate().status
     'converged'
     """
