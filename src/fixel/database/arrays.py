@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -97,7 +98,7 @@ def keep(data: bytes, media: Path) -> str:
 
 def _settle_folder(folder: Path) -> None:
     """Flush the entries of a folder to disk, so that they survive a power cut; POSIX only."""
-    if os.name != "posix":
+    if sys.platform == "win32":
         return
     handle = os.open(folder, os.O_RDONLY)
     try:

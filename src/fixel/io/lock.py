@@ -20,6 +20,8 @@ from fixel.errors import JobRefused
 
 # [s] `holder` takes the lock for a moment, so `FileLock` tries again for this time.
 PATIENCE_S: Final = 0.5
+_QUERY: Final = 0x1000  # PROCESS_QUERY_LIMITED_INFORMATION of Windows
+_STILL_ACTIVE: Final = 259  # of Windows: the exit code of a process that has not ended
 _UNSUPPORTED: Final = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
@@ -90,7 +92,8 @@ class FileLock:
                 self._substitute = _substitute(self._path)
             if locked or self._substitute:
                 os.ftruncate(descriptor, 0)
-                os.pwrite(descriptor, _this_process(), 0)
+                os.lseek(descriptor, 0, os.SEEK_SET)
+                os.write(descriptor, _this_process())
                 self._descriptor = descriptor
         finally:
             if self._descriptor != descriptor:
@@ -178,10 +181,24 @@ def _substitute(path: Path) -> Path | None:
 
 def _gone(owner: Owner) -> bool:
     """Whether a process has certainly ended; False for processes of other hosts."""
-    if owner.host != socket.gethostname():
+    return owner.host == socket.gethostname() and not is_running(owner.pid)
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process of this machine exists."""
+    if pid <= 0:
         return False
+    if sys.platform == "win32":  # os.kill would send it Ctrl-C there
+        import ctypes
+
+        kernel = ctypes.windll.kernel32
+        handle = kernel.OpenProcess(_QUERY, False, pid)
+        code = ctypes.c_ulong()
+        kernel.GetExitCodeProcess(handle, ctypes.byref(code))
+        kernel.CloseHandle(handle)
+        return code.value == _STILL_ACTIVE
     try:
-        os.kill(owner.pid, 0)
+        os.kill(pid, 0)
     except OSError as problem:
-        return isinstance(problem, ProcessLookupError)
-    return False
+        return isinstance(problem, PermissionError)
+    return True

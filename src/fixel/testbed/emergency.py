@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, final
 
 from fixel.errors import DeviceFailed, InvalidInput
+from fixel.io.lock import is_running
 
 GUARD: Final = Path(__file__).with_name("stop_guard.py")
 STOP: Final = b"!\x18"
@@ -170,7 +171,7 @@ def running() -> list[Running]:
         except (OSError, ValueError, KeyError, TypeError):
             continue
         # The guard outlives its program until it has sent the stop to the drive.
-        if _alive(program.pid) or _alive(program.guard):
+        if is_running(program.pid) or is_running(program.guard):
             found.append(program)
         else:
             path.unlink(missing_ok=True)
@@ -258,15 +259,3 @@ def _terminal() -> int:
         return os.open("/dev/tty", os.O_RDWR)
     except OSError:
         return -1
-
-
-def _alive(pid: int) -> bool:
-    if pid <= 0:
-        return False
-    try:
-        os.kill(pid, 0)
-    except PermissionError:
-        return True
-    except OSError:
-        return False
-    return True

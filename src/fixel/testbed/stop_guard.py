@@ -12,6 +12,8 @@ reset to it
 `q` from its owner ends it without stopping the drive.
 
     python -I -S stop_guard.py PORT_FD KEYS_FD(or -1)
+
+It needs Linux or macOS, and is not started on Windows.
 """
 
 from __future__ import annotations

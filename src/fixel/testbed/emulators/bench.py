@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -111,7 +111,7 @@ def emulated_bench(film: Path, firmware: Path | None) -> Iterator[EmulatedBench]
         camera = stack.enter_context(LoopbackCamera(film))
         board = None if firmware is None else stack.enter_context(EmulatedMega(firmware))
         actuator: AbstractActuator | None = None
-        if os.name == "posix":
+        if sys.platform != "win32":  # it has no pseudo-terminals: the drive is left out
             from fixel.testbed.motion_grbl import GrblActuator
 
             controller = stack.enter_context(EmulatedGrbl(start=0.0))

@@ -14,12 +14,15 @@ import contextlib
 import os
 import re
 import select
+import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple, Self, final
+
+from fixel.errors import InvalidInput
 
 BUFFER: Final = 128  # bytes
 PLANNER: Final = 15  # moves
@@ -94,6 +97,10 @@ class EmulatedGrbl:
         inches: bool = False,
         rate: float = 1.0,
     ) -> None:
+        if sys.platform == "win32":
+            raise InvalidInput(
+                "emulated drive", found="Windows", expected="Linux or macOS: it needs a terminal"
+            )
         import pty
         import tty
 

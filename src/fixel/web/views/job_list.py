@@ -13,7 +13,7 @@ from typing import Final, Literal, get_args
 from pydantic import Field
 
 from fixel.errors import FixelError, JobRefused, NotStored
-from fixel.io.lock import Owner
+from fixel.io.lock import Owner, is_running
 from fixel.jobs import folder as files
 from fixel.jobs import link
 from fixel.web.values import Answer
@@ -177,8 +177,4 @@ def _lives(pid: int, name: str) -> bool:
         pass
     if Path("/proc/self").exists():
         return False
-    try:
-        os.kill(pid, 0)
-    except OSError:
-        return False
-    return True
+    return is_running(pid)
