@@ -22,7 +22,7 @@ HANGS     := --max-worker-restart=0 -o faulthandler_timeout=600 -o faulthandler_
 SCRIPTS   := build/scripts/.packages
 TSC       := build/scripts/node_modules/typescript/bin/tsc
 
-.PHONY: help demo demo-camera test test-slow test-cluster check lint lint-scripts format house soak bench docs lock clean
+.PHONY: help demo demo-camera test test-slow test-cluster check lint lint-scripts format house soak bench docs wheel lock clean
 .DELETE_ON_ERROR:
 
 help:  ## this list
@@ -86,6 +86,9 @@ bench: $(READY) $(PEERS)  ## speed and accuracy beside the peers; writes CSV und
 docs: $(READY) $(DOCS)  ## the documentation site, in build/docs; a warning fails; DOCS_ARGS=-E reads all again
 	@$(BIN)/sphinx-build -W --keep-going -n -q -b html -d build/doctrees docs build/docs $(DOCS_ARGS)
 	@echo "Open build/docs/index.html"
+
+wheel: $(READY)  ## the package that pip installs, in dist
+	@$(BIN)/python -m hatchling build -t wheel -d dist
 
 lock:  ## resolve requirements/*.txt again from pyproject.toml; LOCK_ARGS=--upgrade for newer versions
 	@test -x $(UV_VENV)/bin/uv || { echo "Installing uv into $(UV_VENV) ..."; \

@@ -15,7 +15,12 @@ from benchmarks.figures import FULL, SMALL, Figure, Size
 
 # name -> (module, function, what it measures)
 SCENARIOS: dict[str, tuple[str, str, str]] = {
-    "start": ("processes", "run_start", "fixel --help and a process's first simulation"),
+    "start": (
+        "processes",
+        "run_start",
+        "import fixel, fixel --help and a process's first simulation",
+    ),
+    "wheel": ("processes", "run_wheel", "the package that pip installs"),
     "compile": ("processes", "run_compile", "the first simulation ever"),
     "grasp": ("grasp", "run", "one grasp on one core"),
     "steps": ("step_cost", "run", "where the time of a grasp goes"),
