@@ -31,6 +31,7 @@ TRUTHS: Final = 200
 FIRST: Final = 8000  # never looked at while the method was made
 WRONG: Final = 24  # truths for each wrong belief
 PARTICLES: Final = 125
+FEW: Final = 20  # only to see whether it runs
 ROWS: Final = RESULTS / "filter-coverage.csv"
 ROWS_WRONG: Final = "filter-coverage-{}.csv"
 HEAD: Final = ("seed", "parameter", "truth", "rank", "low", "high", "ellipsoids")
@@ -75,7 +76,7 @@ class RunCoverage(NamedTuple):
 def run(size: Size) -> list[Figure]:
     """Measure how even ranks are and how often 90 % intervals and ellipsoids hold the truth."""
     full = size.rollouts >= 500
-    return figures_of(_rows(TRUTHS if full else 4, ROWS if full else None, RIGHT))
+    return figures_of(_rows(TRUTHS if full else 4, ROWS if full else None, RIGHT, full))
 
 
 def run_wrong(size: Size) -> list[Figure]:
@@ -83,12 +84,12 @@ def run_wrong(size: Size) -> list[Figure]:
     full, figures = size.rollouts >= 500, []
     for label, bench in BENCHES.items():
         path = RESULTS / ROWS_WRONG.format(label.replace(" ", "-"))
-        rows = _rows(WRONG if full else 2, path if full else None, bench)
+        rows = _rows(WRONG if full else 2, path if full else None, bench, full)
         figures += figures_of(rows, label, (None,))
     return figures
 
 
-def _rows(n: int, path: Path | None, bench: Bench) -> list[dict[str, str]]:
+def _rows(n: int, path: Path | None, bench: Bench, full: bool) -> list[dict[str, str]]:
     known = []
     if path is not None and path.is_file():
         with path.open(newline="") as file:
@@ -97,7 +98,7 @@ def _rows(n: int, path: Path | None, bench: Bench) -> list[dict[str, str]]:
     for seed in range(FIRST, FIRST + n):
         if seed in done:
             continue
-        one = held(seed, bench=bench)
+        one = held(seed, PARTICLES if full else FEW, bench)
         rows = [
             (seed, name, one.truth[name], rank, one.low[name], one.high[name], one.ellipsoids)
             for name, rank in one.rank.items()

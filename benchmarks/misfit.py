@@ -79,13 +79,13 @@ def faultless(seed: int) -> SimulatedTestbed:
     )
 
 
-def design(seed: int) -> list[PlannedExperiment]:
-    """Three random pushes of the square in each of seven random layouts."""
+def design(seed: int, n: int = LAYOUTS) -> list[PlannedExperiment]:
+    """Three random pushes of the square in each of `n` random layouts."""
     draw = np.random.default_rng([seed, 2])
     square = [one for one in thesis_plan().experiments if one.conditions["shape"] == "square"]
     layouts = sorted({str(one.conditions["layout"]) for one in square})
     chosen = []
-    for layout in draw.choice(layouts, LAYOUTS, replace=False).tolist():
+    for layout in draw.choice(layouts, n, replace=False).tolist():
         own = [one for one in square if one.conditions["layout"] == layout]
         chosen += [own[k] for k in draw.choice(len(own), RUNS, replace=False).tolist()]
     return chosen
@@ -109,10 +109,10 @@ def calibrated(
     return comparer, run_assessment(comparer, members.tolist(), running)
 
 
-def laboratory(kind: str, seed: int) -> list[dict[str, str | float]]:
+def laboratory(kind: str, seed: int, layouts: int = LAYOUTS) -> list[dict[str, str | float]]:
     """One row a friction; value, sd and freedom are nan where the model does not misfit."""
     bench = faultless(seed) if kind == "right" else imperfect(seed)
-    planned = design(seed)[::RUNS] if kind == "few" else design(seed)
+    planned = design(seed, layouts)[:: RUNS if kind == "few" else 1]
     experiments = list(bench.run(planned, threads=1))
     comparer, best = calibrated(experiments, ENLARGED if kind == "enlarged" else ())
     misfit, honest = best.misfit, best.honest
@@ -142,10 +142,12 @@ def run(size: Size) -> list[Figure]:
         for k in range(count if full else 1)
     }
     wanted = sorted(share, key=lambda one: share[one])
-    return figures_of(_rows(wanted, path))
+    return figures_of(_rows(wanted, path, LAYOUTS if full else 3))
 
 
-def _rows(wanted: Sequence[tuple[str, int]], path: Path | None) -> list[dict[str, str]]:
+def _rows(
+    wanted: Sequence[tuple[str, int]], path: Path | None, layouts: int
+) -> list[dict[str, str]]:
     known = []
     if path is not None and path.is_file():
         with path.open(newline="") as file:
@@ -154,7 +156,7 @@ def _rows(wanted: Sequence[tuple[str, int]], path: Path | None) -> list[dict[str
     for kind, seed in wanted:
         if (kind, seed) in done:
             continue
-        rows = laboratory(kind, seed)
+        rows = laboratory(kind, seed, layouts)
         known += [{name: str(value) for name, value in row.items()} for row in rows]
         if path is not None:
             fresh = not path.is_file()

@@ -79,7 +79,7 @@ def run(size: Size) -> list[Figure]:
     cv2.setNumThreads(1)
     full = size.rollouts >= 500
     wanted = [(print_, seed) for seed in (SEEDS if full else SEEDS[:1]) for print_ in prints()]
-    return figures_of(_rows(wanted, ROWS if full else None))
+    return figures_of(_rows(wanted, ROWS if full else None, PICTURES if full else 8))
 
 
 def figures_of(rows: Sequence[dict[str, str]]) -> list[Figure]:
@@ -107,7 +107,9 @@ def figures_of(rows: Sequence[dict[str, str]]) -> list[Figure]:
     return figures
 
 
-def _rows(wanted: Sequence[tuple[Print, int]], path: Path | None) -> list[dict[str, str]]:
+def _rows(
+    wanted: Sequence[tuple[Print, int]], path: Path | None, pictures: int
+) -> list[dict[str, str]]:
     known = []
     if path is not None and path.is_file():
         with path.open(newline="") as file:
@@ -117,7 +119,7 @@ def _rows(wanted: Sequence[tuple[Print, int]], path: Path | None) -> list[dict[s
     for print_, seed in wanted:
         if (print_.name, seed) in done:
             continue
-        rows = _one(camera, print_, seed)
+        rows = _one(camera, print_, seed, pictures)
         known += [{name: str(value) for name, value in row.items()} for row in rows]
         if path is not None:
             fresh = not path.is_file()
@@ -130,10 +132,12 @@ def _rows(wanted: Sequence[tuple[Print, int]], path: Path | None) -> list[dict[s
     return [row for row in known if (row["board"], int(row["seed"])) in asked]
 
 
-def _one(camera: OtherCamera, print_: Print, seed: int) -> list[dict[str, str | float]]:
+def _one(
+    camera: OtherCamera, print_: Print, seed: int, pictures: int
+) -> list[dict[str, str | float]]:
     """One row a number of coefficients and a way of placing."""
     rng = np.random.default_rng([seed, len(print_.name)])
-    views = _views(camera, print_, rng)
+    views = _views(camera, print_, rng, pictures)
     turn = Rotation.from_euler("xyz", [*rng.uniform(-2, 2, 2), rng.uniform(-4, 4)], degrees=True)
     rotation = turn.as_matrix() @ np.diag([1.0, -1.0, -1.0])
     shift = -rotation @ MIDDLE
@@ -173,14 +177,16 @@ def _judged(
     )
 
 
-def _views(camera: OtherCamera, print_: Print, rng: np.random.Generator) -> list[BoardView]:
+def _views(
+    camera: OtherCamera, print_: Print, rng: np.random.Generator, pictures: int
+) -> list[BoardView]:
     """Views of a board that is held in all parts of the picture."""
     views: list[BoardView] = []
     width, height = print_.board.size
     corners = np.array([[0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0.0]])
     size = np.array(camera.size)
     number = 0
-    while len(views) < PICTURES:
+    while len(views) < pictures:
         number += 1
         middle = np.append(camera.directions((AIMS[number % len(AIMS)] * size)[None])[0], 1.0)
         axis = rng.uniform(0.0, 2.0 * math.pi)

@@ -47,7 +47,7 @@ SPEED = 120.0  # [frames/s]
 def run(size: Size) -> list[Figure]:
     """Every case: errors, gaps, outliers, and frames a second with decoding."""
     opencv().setNumThreads(1)
-    frames = None if size.rollouts >= 500 else 12
+    frames = None if size.rollouts >= 500 else 4
     with tempfile.TemporaryDirectory() as folder:
         figures = []
         for number, case in enumerate(CASES):
