@@ -15,6 +15,7 @@ from fixel.calibration.objective import Comparer, MeanSquare
 from fixel.calibration.target import Target, same_configuration, targets_of
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.domain.cells import cells_of
+from fixel.domain.coordinates import coordinates_of
 from fixel.domain.domain import NOT_TRUSTED, TRUSTED, Claim, DomainMap, domain_map
 from fixel.domain.evidence import HeldOutErrors
 from fixel.io.result_cache import ResultCache
@@ -24,7 +25,6 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import FloatArray
-from fixel.workflows.domain.evidence import coordinates_of
 from fixel.workflows.domain.held_out import Apart, CalibrationModel, calibrated_on, held_out
 
 # Not those on which the settings of the surface were chosen.

@@ -121,4 +121,4 @@ def test_every_module_imports_on_macos_and_windows() -> None:
     assert "is in use by process" in also
     assert workers.startswith("several workers need Linux or macOS")
     assert "expected Linux or macOS" in drive
-    assert "switch the drive's power off" in stop
+    assert "power of the drive" in stop

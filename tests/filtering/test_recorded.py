@@ -19,7 +19,7 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 
 SOME = ParticleFilter(n_particles=200)
-FEW = ParticleFilter(n_particles=100)
+FEW = ParticleFilter(n_particles=50)
 HIDDEN = (4.0, 6.5)
 
 
@@ -76,13 +76,13 @@ def test_fixels_help_the_blind():
     def mean_error(use_tactile):
         runs = [
             run_filter(experiment, FEW, occlusion=long, use_tactile=use_tactile, seed=seed)
-            for seed in range(5)
+            for seed in range(3)
         ]
         assert all(run.uses_tactile == use_tactile for run in runs)
         return np.mean([hidden_rms(experiment, run) for run in runs])
 
-    # 2.2 mm with, 3.0 mm without when this was written.
-    assert mean_error(True) < mean_error(False)
+    # 0.5 mm with, 1.2 mm without when this was written.
+    assert mean_error(True) < 0.7 * mean_error(False)
 
 
 def test_the_same_every_time_and_only_within_what_is_useful(experiment):
