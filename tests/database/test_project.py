@@ -153,7 +153,7 @@ def test_a_map_is_stored_as_the_command_stores_it(tmp_path, capsys):
     found = lab.map_domain("surface=abs", **options, progress=False)
     (kept,) = lab.analyses
     words = ("domain", "--where", "surface=abs", "--axes", "contact_offset_m", "--folds", "2")
-    code, out, _ = run(capsys, *words, "--threshold-mm", "3", "--project", lab.folder, "--json")
+    code, _out, _ = run(capsys, *words, "--threshold-mm", "3", "--project", lab.folder, "--json")
     assert code == 0
     assert len(lab.analyses) == 1  # the same request replaces it
     assert kept.arrays["error_mm2"].tolist() == found.evidence.error_mm2.tolist()
