@@ -4,13 +4,14 @@ from dataclasses import replace
 
 from fixel.workflows import jobs
 from fixel.workflows.calibration import stored_run
+from fixel.workflows.calibration.plan import CalibrationPlan
 from fixel.workflows.calibration.project import (
     ExperimentSelection,
+    add_to_project,
     collected,
     draw_sample,
     select_experiments,
 )
-from fixel.workflows.calibration.run import CalibrationPlan
 
 __all__ = ["ExperimentSelection", "collected", "draw_sample", "select_experiments"]
 
@@ -20,7 +21,7 @@ def prepare(project, chosen, request):
     request.check()
     plan = CalibrationPlan(request=request, targets=chosen.targets)
     plan.rehearse()
-    folder = stored_run.job_folder(project, plan)
+    folder = stored_run.job_folder(project.folder, plan)
     stored_run.prepare_folder(plan, folder)
     return folder
 
@@ -35,4 +36,4 @@ def run(folder, progress=None):
 def collect(project, folder, command, left_out):
     """Store what a job has found, once."""
     plan = replace(stored_run.plan_in(folder), command=command, left_out=left_out)
-    return stored_run.collect(plan, folder, project)
+    return add_to_project(project, stored_run.collect(plan, folder))

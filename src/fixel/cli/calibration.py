@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from fixel.workflows.calibration.calibration import Calibrations
     from fixel.workflows.calibration.project import ExperimentSelection
     from fixel.workflows.calibration.request import NamedOptions
-    from fixel.workflows.calibration.run import CalibrationPlan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,15 +185,7 @@ def calibrate(
     from dataclasses import replace
 
     from fixel.database.project import Project
-    from fixel.workflows.calibration.calibration import Calibration
     from fixel.workflows.calibration.project import draw_sample, select_experiments
-    from fixel.workflows.calibration.run import (
-        CalibrationPlan,
-        calibrate,
-        calibrate_campaign,
-        calibrate_each,
-        calibrate_stored,
-    )
     from fixel.workflows.compilation import get_ready
 
     project = Project(folder)
@@ -205,28 +196,14 @@ def calibrate(
     chosen = replace(chosen, command=command_line())
     mode, arguments = search.chosen_mode(chosen), search.arguments(chosen)
     if prepare_only:
-        job = _prepare(project, CalibrationPlan.of(mode, chosen, **arguments))
+        job = _prepare(project, mode, chosen, arguments)
         print_answer(as_json, lambda: {"job": str(job)}, lambda: _prepared(job))
         return
     get_ready(chosen.targets[0].case.scene, notice(as_json))  # before the clock runs
     require_folder(plot)
-    functions: dict[str, Any] = {
-        "joint": calibrate,
-        "each": calibrate_each,
-        "campaign": calibrate_campaign,
-        "stored": calibrate_stored,
-    }
-    try:
-        found = functions[mode](chosen, **arguments, store=project, workers=workers or 0, site=site)
-    except Interrupted as interrupted:
-        notify(str(interrupted))
-        raise
-    done: Calibrations = found.run if isinstance(found, Calibration) else found
-    pictures = []
-    if plot is not None:
-        from fixel.workflows.calibration.charts import draw_all
-
-        pictures = draw_all(done, plot)
+    where = {"store": project, "workers": workers or 0, "site": site}
+    done = _calibrations(mode, chosen, arguments | where)
+    pictures = [] if plot is None else done.draw(plot)
 
     def lines() -> list[str]:
         from fixel.cli.calibration_text import lines_of
@@ -238,11 +215,35 @@ def calibrate(
     )
 
 
-def _prepare(project: "Project", plan: "CalibrationPlan") -> Path:
+def _calibrations(
+    mode: str, chosen: "ExperimentSelection", arguments: dict[str, Any]
+) -> "Calibrations":
+    """Call the function of a mode."""
+    from fixel.workflows.calibration import run
+
+    try:
+        if mode == "joint":
+            return run.calibrate(chosen, **arguments).run
+        functions = {
+            "each": run.calibrate_each,
+            "campaign": run.calibrate_campaign,
+            "stored": run.calibrate_stored,
+        }
+        return functions[mode](chosen, **arguments)
+    except Interrupted as interrupted:
+        notify(str(interrupted))
+        raise
+
+
+def _prepare(
+    project: "Project", mode: Any, chosen: "ExperimentSelection", arguments: dict[str, Any]
+) -> Path:
+    from fixel.workflows.calibration.plan import CalibrationPlan
     from fixel.workflows.calibration.stored_run import job_folder, prepare_folder
 
+    plan = CalibrationPlan.of(mode, chosen, **arguments)
     plan.rehearse()
-    job = job_folder(project, plan)
+    job = job_folder(project.folder, plan)
     prepare_folder(plan, job)
     return job
 

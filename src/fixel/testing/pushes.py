@@ -36,7 +36,7 @@ def example_pushes(n: int = 8, *, seed: int = 1, duration: float = 1.0) -> list[
     Parameters
     ----------
     n : int
-        Number of pushes, beside the part's centre at even distances.
+        Number of pushes, at even distances from the part's centre.
     seed : int
         Seed of the noise.
     duration : float

@@ -16,13 +16,13 @@ from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.web.values import Answer, FilterText, Id, RequestBody, Text
 from fixel.workflows import jobs
+from fixel.workflows.calibration.plan import CalibrationPlan
 from fixel.workflows.calibration.project import (
     STORE_RESULT,
     ExperimentSelection,
     comparable,
     draw_sample,
 )
-from fixel.workflows.calibration.run import CalibrationPlan
 from fixel.workflows.calibration.stored_run import job_folder, prepare_folder
 from fixel.workflows.project.filters import view_of
 
@@ -184,7 +184,7 @@ def begin(project: Project, plan: CalibrationPlan) -> Path:
     One that was begun before, and stopped, continues.
     """
     plan.rehearse()
-    folder = job_folder(project, plan)
+    folder = job_folder(project.folder, plan)
     prepare_folder(plan, folder)
     if jobs.status_of(folder).state != "done":
         go_on(folder)

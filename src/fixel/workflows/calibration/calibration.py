@@ -58,7 +58,7 @@ class MisfitStatement(NamedTuple):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Calibration(Result, Mapping[str, float]):
-    """Calibrated parameters, with what the experiments say about each of them.
+    """Calibrated parameters, each with its interval and verdict.
 
     It is a mapping from names to the values that fit best, fixed ones included, and can be passed
     wherever parameters are accepted: `fixel.simulate(scene, fit)`. Values to quote in a text are
@@ -105,6 +105,9 @@ class Calibration(Result, Mapping[str, float]):
 
     def __len__(self) -> int:
         return len(self._values)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"run": self.run, "number": self.number}  # what is computed once is left out
 
     @cached_property
     def _values(self) -> dict[str, float]:
@@ -490,6 +493,11 @@ class Calibrations(Result, Sequence[Calibration]):
         found = self.outcome.found
         kinds = (FitKind.DIRECT, FitKind.STORED)
         return next((self[k] for k in range(len(found)) if found[k].how in kinds), None)
+
+    def draw(self, folder: Path) -> list[Path]:
+        """Draw all charts into a folder; return PNG, PDF and CSV of each."""
+        paths: list[Path] = import_module(_CHARTS).draw_all(self, folder)
+        return paths
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, for `--json`; infinite errors become None."""

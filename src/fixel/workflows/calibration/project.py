@@ -212,7 +212,7 @@ def collected(project: Project, folder: Path) -> Calibrations:
     JobRefused
         Another process is storing them.
     """
-    return collect(plan_in(folder), folder, project)
+    return add_to_project(project, collect(plan_in(folder), folder))
 
 
 @callable_by_jobs
@@ -230,7 +230,7 @@ def reopened(project: Project, record: CalibrationRecord) -> Calibrations | None
     if not ((folder / files.RESULT).is_file() and (folder / STORED).is_file()):
         return None
     plan = replace(plan_in(folder), command=record.provenance.command)
-    return collect(plan, folder, project)
+    return add_to_project(project, collect(plan, folder))
 
 
 def experiments_of(project: Project, folder: Path) -> list[int]:

@@ -2,57 +2,32 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self, TypedDict, Unpack, final
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Final, TypedDict, Unpack
 
 from fixel.calibration.noise import Noise
-from fixel.calibration.objective import AbstractError, Comparer, EndPose
+from fixel.calibration.objective import AbstractError
 from fixel.calibration.optimiser import AbstractOptimiser
-from fixel.calibration.study import at_points, run_study
-from fixel.calibration.target import Target, target_of
+from fixel.calibration.target import Target
 from fixel.calibration.usual_parameters import Space, search_space
-from fixel.errors import Interrupted, InvalidInput
-from fixel.jobs.work import (
-    AbstractEngine,
-    Batch,
-    Chunk,
-    JobProgress,
-    Show,
-    answer_of,
-    run_work,
-)
+from fixel.errors import Interrupted
+from fixel.jobs.work import run_work
 from fixel.model import Experiment
-from fixel.model.space import ParameterSpace
-from fixel.progress import Progress, ProgressOption, Reporter, show_progress
+from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
-from fixel.workflows.calibration.job import (
-    CHUNKS,
-    SearchState,
-    calibration_rounds,
-    comparer_of,
-    evaluate_here,
+from fixel.workflows.calibration.job import SearchState, calibration_rounds, comparer_of
+from fixel.workflows.calibration.plan import (
+    CalibrationPlan,
+    DirectEngine,
+    Named,
+    best_so_far,
+    reporting,
+    targets_of,
 )
-from fixel.workflows.calibration.request import (
-    CalibrationRequest,
-    Combine,
-    Mode,
-    NamedOptions,
-    usual_optimiser,
-)
-from fixel.workflows.calibration.result import (
-    CalibrationResult,
-    FitKind,
-    ParameterSet,
-    outcome_of,
-)
+from fixel.workflows.calibration.request import Combine, Mode
+from fixel.workflows.calibration.result import outcome_of
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -60,10 +35,7 @@ if TYPE_CHECKING:
     from fixel.database.project import Project
     from fixel.jobs.site import Site
 
-PREFLIGHT: Final = 16  # experiments that are simulated before any work starts
-_BEST: Final = re.compile(r", best RMS (\S+) mm")
-
-Named = Mapping[str, Any] | str
+PROJECT_FILE: Final = "fixel.yaml"  # makes a folder a project
 
 
 class CalibrationOptions(TypedDict, total=False):
@@ -294,7 +266,7 @@ def calibrate_stored(
     from fixel.workflows.calibration.project import stored_points
 
     project: Any = options.get("store")
-    points = stored_points(project, search_space(parameters, _targets(experiments)))
+    points = stored_points(project, search_space(parameters, targets_of(experiments)))
     options["verdicts"] = False
     return _calibrated("stored", experiments, parameters, stored=points, **options)
 
@@ -315,16 +287,7 @@ def _calibrated(
     plan = CalibrationPlan.of(mode, experiments, parameters, **options)
     plan.rehearse(threads)
     if store is not None or workers or site is not None:
-        from fixel.workflows.calibration.stored_run import run_stored
-
-        return run_stored(
-            plan,
-            store,
-            threads=threads,
-            workers=None if site is not None and not workers else workers,
-            site=site,
-            progress=progress,
-        )
+        return _in_store(plan, store, threads, workers, site, progress)
     comparer = comparer_of(plan.request, plan.targets, threads)
     state = SearchState(plan.request)
     work = calibration_rounds(plan.request, comparer, state)
@@ -338,199 +301,24 @@ def _calibrated(
     return plan.result(outcome_of(result))
 
 
-@final
-@dataclass(frozen=True, kw_only=True)
-class CalibrationPlan:
-    """Calibration that has not been run yet: its request and its experiments.
+def _in_store(
+    plan: CalibrationPlan,
+    store: PathLike[str] | str | Project | None,
+    threads: int | None,
+    workers: int,
+    site: PathLike[str] | str | Site | None,
+    progress: ProgressOption,
+) -> Calibrations:
+    """Calibrate in a folder with a journal; in a project, store the result."""
+    from fixel.workflows.calibration.stored_run import job_folder, run_stored
 
-    Parameters
-    ----------
-    request : CalibrationRequest
-    targets : sequence of Target
-    source : str
-        Python expression of the experiments.
-    command : str
-        Shell command that was typed, if any.
-    left_out : mapping from name to reason
-        Experiments that were skipped.
-    """
+    given = None if store is None else Path(getattr(store, "folder", store))  # type: ignore[arg-type]
+    in_project = given is not None and (given / PROJECT_FILE).is_file()
+    folder = job_folder(given, plan) if given is not None and in_project else given
+    run = run_stored(plan, folder, threads, workers, site, progress)
+    if given is None or not in_project:
+        return run
+    from fixel.database.project import Project
+    from fixel.workflows.calibration.project import add_to_project
 
-    request: CalibrationRequest
-    targets: Sequence[Target]
-    source: str = "experiments"
-    command: str = ""
-    left_out: Mapping[str, str] = dataclasses.field(default_factory=dict)
-
-    @classmethod
-    def of(
-        cls,
-        mode: Mode,
-        experiments: Iterable[Experiment | Target],
-        parameters: Space = None,
-        *,
-        error: Named | AbstractError = "mean-square",
-        combine: Combine = "sum",
-        optimiser: Named | AbstractOptimiser = "auto",
-        start: Mapping[str, float] | None = None,
-        noise: Noise | None = None,
-        motion: str | AbstractMotionModel = "dynamic",
-        **others: Any,
-    ) -> Self:
-        """Return the plan for arguments of `calibrate`, checked."""
-        targets = _targets(experiments)
-        space = search_space(parameters, targets, start)
-        kind = _named(error, "error")
-        search = _named(optimiser, "optimiser")
-        if search.name == "auto":
-            usual = usual_search(mode, combine, kind.name, targets, space)
-            search = search.model_copy(update={"name": usual})
-        request = CalibrationRequest(
-            mode=mode,
-            unknowns=list(space.unknowns),
-            error=kind,
-            combine=combine,
-            optimiser=search,
-            noise_position=None if noise is None else noise.position_m,
-            noise_angle=None if noise is None else noise.angle_rad,
-            motion=motion if isinstance(motion, str) else motion.name,
-            sample_of=getattr(experiments, "sample_of", None),
-            **others,
-        )
-        request.check()
-        return cls(
-            request=request,
-            targets=targets,
-            source=str(getattr(experiments, "call", "experiments")),
-            command=str(getattr(experiments, "command", "")),
-            left_out=getattr(experiments, "left_out", {}),
-        )
-
-    def rehearse(self, threads: int | None = None) -> None:
-        """Simulate a few experiments, to refuse now what cannot be simulated at all."""
-        spread = np.unique(np.linspace(0, len(self.targets) - 1, PREFLIGHT).astype(int))
-        few = [self.targets[k] for k in spread.tolist()]
-        comparer = comparer_of(self.request, self.targets, threads)
-        start = np.repeat(self.request.space.nominal[None], len(few), axis=0)
-        answer = comparer.errors(spread, start)
-        if np.isinf(answer.error).all():
-            raise InvalidInput(
-                "start",
-                found=f"values with which nothing can be simulated: {answer.reasons[0]}",
-                expected="values with which an experiment can be simulated",
-                hint="choose another start or other bounds",
-            )
-
-    def result(self, outcome: CalibrationResult, **more: Any) -> Calibrations:
-        """Return the calibrations for the numbers that were found."""
-        return Calibrations(
-            request=self.request,
-            outcome=outcome,
-            targets=tuple(self.targets),
-            source=self.source,
-            command=self.command,
-            left_out=self.left_out,
-            **more,
-        )
-
-
-class DirectEngine(AbstractEngine):
-    """Engine that computes the chunks of one calibration in this process, without files."""
-
-    workers = 1
-
-    def __init__(self, request: CalibrationRequest, comparer: Comparer) -> None:
-        self._own = request, comparer
-
-    def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
-        call = CHUNKS[function]
-        for chunk in chunks:
-            yield [(chunk.name, answer_of(call, *self._own, chunk.payload))]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-
-def best_so_far(
-    plan: CalibrationPlan, comparer: Comparer, state: SearchState
-) -> Calibration | None:
-    """Return the best parameter set of an interrupted calibration; None if there is none yet."""
-    found = list(state.found)
-    members = tuple(range(len(plan.targets)))
-    here = evaluate_here(comparer)
-    if not found and math.isfinite(state.best.error):
-        point = state.best.point
-        errors, _ = run_study(at_points(members, point[None]), here)
-        found.append(
-            ParameterSet(
-                how=FitKind.DIRECT,
-                members=members,
-                point=point,
-                errors=errors[0],
-                trace=state.trace,
-            )
-        )
-    if not found:
-        return None
-    nominal, _ = run_study(at_points(members, comparer.space.nominal[None]), here)
-    outcome = CalibrationResult(
-        keys=tuple(target.key for target in plan.targets),
-        labels=comparer.space.labels,
-        nominal=nominal[0],
-        found=tuple(found),
-    )
-    return plan.result(outcome, interrupted=True)[-1]
-
-
-def reporting(report: Reporter) -> Show:
-    """Return a callback that reports the progress of rounds."""
-
-    def show(progress: JobProgress) -> None:
-        best = _BEST.search(progress.note)
-        report.show(
-            Progress(
-                stage=_BEST.sub("", progress.note) or report.stage,
-                done=progress.done,
-                total=None if progress.share is None else progress.total,
-                best=None if best is None else 1e-3 * float(best[1]),
-                left=progress.left_s,
-            )
-        )
-
-    return show
-
-
-def usual_search(
-    mode: Mode, combine: str, error: str, targets: Sequence[Target], space: ParameterSpace
-) -> str:
-    """Return the name of the search that suits a calibration best."""
-    ends = error == EndPose.name
-    frames = sum(1 if ends else len(target.pose) for target in targets)
-    several = mode if len(targets) > 1 else "each"
-    return usual_optimiser(several, combine, error, 3 * frames, len(space.free))
-
-
-def _targets(experiments: Iterable[Experiment | Target]) -> list[Target]:
-    """Return what simulations are compared with."""
-    found = [own if isinstance(own, Target) else target_of(own) for own in experiments]
-    if not found:
-        raise InvalidInput("experiments", found="none", expected="one or more with a scene")
-    return found
-
-
-def _named(choice: Any, where: str) -> NamedOptions:
-    """Return a method by name with its options, from a name, a mapping or the object itself."""
-    if isinstance(choice, NamedOptions):
-        return choice
-    if isinstance(choice, str):
-        return NamedOptions(name=choice)
-    if isinstance(choice, Mapping) and "name" in choice:
-        options = {key: value for key, value in choice.items() if key != "name"}
-        return NamedOptions(name=str(choice["name"]), options=options)
-    if isinstance(choice, AbstractError | AbstractOptimiser):
-        names = [own.name for own in dataclasses.fields(choice)]  # type: ignore[arg-type]
-        options = {name: getattr(choice, name) for name in names}
-        return NamedOptions(name=choice.name, options=options)
-    raise InvalidInput(where, found=choice, expected="a name, or a mapping with a name and options")
+    return add_to_project(Project.open(given), run)

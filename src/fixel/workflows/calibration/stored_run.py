@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 import shlex
 import tempfile
-from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fixel.database.project import SETTINGS, Project
 from fixel.errors import FixelError, Interrupted, InvalidInput
 from fixel.io.damaged_files import readable
 from fixel.io.journal import Journal
@@ -26,14 +25,14 @@ from fixel.workflows.calibration.job import (
     calibration_rounds,
     comparer_of,
 )
-from fixel.workflows.calibration.request import CalibrationRequest, read_targets, target_files
-from fixel.workflows.calibration.result import outcome_of
-from fixel.workflows.calibration.run import (
+from fixel.workflows.calibration.plan import (
     CalibrationPlan,
     DirectEngine,
     best_so_far,
     reporting,
 )
+from fixel.workflows.calibration.request import CalibrationRequest, read_targets, target_files
+from fixel.workflows.calibration.result import outcome_of
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -43,57 +42,40 @@ MAKER: Final = "calibration:calibration_work"
 
 def run_stored(
     plan: CalibrationPlan,
-    store: PathLike[str] | str | Project | None,
-    *,
+    folder: Path | None,
     threads: int | None = None,
-    workers: int | None = 0,
+    workers: int = 0,
     site: PathLike[str] | str | Site | None = None,
     progress: ProgressOption = None,
-    notify: Callable[[str], None] | None = None,
 ) -> Calibrations:
-    """Run or continue a calibration in a folder, in the jobs of a project, or for a moment only.
+    """Run or continue a calibration in a folder.
 
     Parameters
     ----------
     plan : CalibrationPlan
-    store : path, Project or None
-        Folder of the job, or a project; None for a temporary folder.
+    folder : Path or None
+        Folder of the job; None for a temporary one.
     threads, workers, site, progress
         As for `fixel.calibrate`.
-    notify : callable, optional
-        Called with a sentence when something happens to a worker.
     """
-    if store is None:
+    if folder is None:
         with tempfile.TemporaryDirectory(prefix="fixel-") as place:
-            return run_stored(
-                plan, Path(place) / "job", threads=threads, workers=workers, site=site,
-                progress=progress, notify=notify,
-            )  # fmt: skip
-    project = project_at(store)
-    folder = _path(store) if project is None else job_folder(project, plan)
+            run = run_stored(plan, Path(place) / "job", threads, workers, site, progress)
+        return replace(run, folder=None)
     prepare_folder(plan, folder)
-    cluster = site if isinstance(site, Site | None) else load_site(Path(site))
     if jobs.status_of(folder).state != "done":
-        _run(plan, folder, threads, workers, cluster, progress, notify)
-    return collect(plan, folder, project)
+        cluster = site if isinstance(site, Site | None) else load_site(Path(site))
+        number = None if cluster is not None and not workers else workers
+        _run(plan, folder, threads, number, cluster, progress)
+    return collect(plan, folder)
 
 
-def project_at(store: PathLike[str] | str | Project) -> Project | None:
-    """Return the project of a `store=`; None for the folder of a single calibration."""
-    folder = _path(store)
-    return Project(folder) if (folder / SETTINGS).is_file() else None
-
-
-def _path(store: PathLike[str] | str | Project) -> Path:
-    return store.folder if isinstance(store, Project) else Path(store)
-
-
-def job_folder(project: Project, plan: CalibrationPlan) -> Path:
-    """Return the folder of a calibration in a project; the same one for the same calibration."""
+def job_folder(project: Path, plan: CalibrationPlan) -> Path:
+    """Return the folder of a calibration in the folder of a project; one for each calibration."""
     digest = hashlib.sha256()
     for name, content in sorted(_inputs(plan).items()):
         digest.update(name.encode() + b"\0" + hashlib.sha256(content).digest())
-    return project.folder / jobs.JOBS / f"{plan.request.name}-{digest.hexdigest()[:10]}"
+    return project / jobs.JOBS / f"{plan.request.name}-{digest.hexdigest()[:10]}"
 
 
 def prepare_folder(plan: CalibrationPlan, folder: Path) -> None:
@@ -164,7 +146,6 @@ def _run(
     workers: int | None,
     site: Site | None,
     progress: ProgressOption,
-    notify: Callable[[str], None] | None,
 ) -> None:
     settings = jobs.arrange(folder, workers=workers, site=site)
     local = None
@@ -172,7 +153,7 @@ def _run(
         local = DirectEngine(plan.request, comparer_of(plan.request, plan.targets, threads))
     with show_progress(progress, "searching") as report:
         try:
-            jobs.run_here(folder, reporting(report), notify, local)
+            jobs.run_here(folder, reporting(report), local=local)
         except KeyboardInterrupt:
             again = f"fixel jobs resume {shlex.quote(str(folder))}"
             hint = f"the same call with this store continues, or: {again}"
@@ -196,17 +177,11 @@ def _best_in(plan: CalibrationPlan, folder: Path) -> Calibration | None:
     return best_so_far(plan, comparer, state)
 
 
-def collect(plan: CalibrationPlan, folder: Path, project: Project | None) -> Calibrations:
-    """Load the result of a finished job; in a project it is stored, once."""
+def collect(plan: CalibrationPlan, folder: Path) -> Calibrations:
+    """Load the result of a finished job."""
     path = folder / files.RESULT
     with readable(path, f"delete that file, then: fixel jobs resume {shlex.quote(str(folder))}"):
-        outcome = outcome_of(path.read_bytes())
-    run = plan.result(outcome, folder=folder)
-    if project is None:
-        return run
-    from fixel.workflows.calibration.project import add_to_project
-
-    return add_to_project(project, run)
+        return plan.result(outcome_of(path.read_bytes()), folder=folder)
 
 
 def plan_in(folder: Path) -> CalibrationPlan:

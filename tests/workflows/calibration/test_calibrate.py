@@ -1,0 +1,330 @@
+"""`fixel.calibrate` from Python: values, refusals, stores, interruptions, and what is shown."""
+
+import math
+import pickle
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fixel
+from fixel.testing.pushes import ANGLE_NOISE, POSITION_NOISE, TRUTH, example_pushes
+
+BOUNDS = {"mu_pusher": (0, 1), "tripod_radius": (0.01, 0.06)}
+QUIET = {"progress": False, "threads": 1}
+
+
+@pytest.fixture(scope="module")
+def pushes():
+    return example_pushes(4)
+
+
+@pytest.fixture(scope="module")
+def fit(pushes):
+    return fixel.calibrate(pushes, BOUNDS, **QUIET)
+
+
+def test_the_true_values_are_in_their_intervals(fit):
+    assert fit.status == "finished"
+    assert fit.identified == ("mu_pusher", "tripod_radius")
+    for name, truth in TRUTH.items():
+        own = fit.estimates[name]
+        assert own.low <= own.value <= own.high
+        assert (
+            own.low - 0.2 * (own.high - own.low) <= truth <= own.high + 0.2 * (own.high - own.low)
+        )
+        assert (own.level, own.identified, own.partners) == (0.95, True, ())
+    assert set(fit) == set(TRUTH)
+    assert fit.rms_error < fit.nominal_rms_error
+
+
+def test_residuals_are_the_difference_of_a_simulation_and_the_measurement(fit, pushes):
+    """The simulation is made here by `fixel.simulate`, without the calibration's own code."""
+    push = pushes[1]
+    run = fixel.simulate(push.scene, dict(fit), output_interval=0.05)
+    wanted = run.pose["part"][1 : len(push.trajectory.time)] - push.trajectory.pose[1:]
+    np.testing.assert_allclose(fit.residuals(push), wanted, atol=2e-5)
+    scaled = fit.residuals(push) * (1.0, 1.0, 0.035)
+    errors = [
+        np.sum((fit.residuals(own) * (1.0, 1.0, 0.035)) ** 2, axis=1).mean() for own in pushes
+    ]
+    assert fit.rms_error == pytest.approx(math.sqrt(np.mean(errors)), rel=1e-9)
+    assert np.abs(scaled).max() < 6 * max(POSITION_NOISE, 0.035 * ANGLE_NOISE)
+    again = fit.simulate(push, output_interval=0.05)
+    np.testing.assert_allclose(again.pose["part"], run.pose["part"], atol=1e-12)
+
+
+def test_the_call_repeats_it_bit_for_bit(fit, pushes):
+    assert eval(fit.call, {"fixel": fixel, "experiments": pushes}) == fit
+    prior = {"mu_pusher": fixel.Parameter(0, 1, prior=(0.3, 0.2), scale=0.05), "mass": 0.15}
+    noise = fixel.Noise(position_m=1e-4, angle_rad=1e-3)
+    error = {"name": "robust", "distance": 1e-3}
+    options = {"error": error, "noise": noise, "optimiser": "nelder-mead", "max_evaluations": 30}
+    one = fixel.calibrate(
+        pushes[:2], prior, **options, seed=3, motion="quasistatic", verdicts=False
+    )
+    call = one.call
+    assert "prior=(0.3, 0.2)" in call
+    assert eval(call, {"fixel": fixel, "experiments": pushes[:2]}) == one
+
+
+def test_results_are_values(fit, tmp_path):
+    assert fixel.load(fit.save(tmp_path / "fit.fixel")) == fit
+    assert pickle.loads(pickle.dumps(fit)) == fit
+    frame = fit.to_dict()
+    assert frame["parameter"] == ["mu_pusher", "tripod_radius"]
+    assert frame["value"][0] == fit.estimates["mu_pusher"].value
+    with pytest.raises(AttributeError):
+        fit.number = 1
+
+
+def test_what_is_shown(fit):
+    text = repr(fit)
+    assert len(text.splitlines()) <= 25
+    assert max(map(len, text.splitlines())) <= 100
+    assert text.startswith("Calibration of 4 experiments (dynamic): finished after ")
+    value = f"{fit.estimates['mu_pusher'].value:.4g}"
+    assert value in text
+    assert value in fit._repr_html_()
+    assert "mm" in text
+
+
+def test_a_parameter_that_is_not_identified_is_not_shown_as_known(fit):
+    """The estimates are replaced, so that the representation alone is tested."""
+    found = fit.found
+    open_ones = tuple(
+        replace(own, verdict="not identified", low=None, high=None, reason="no value fits worse")
+        if own.label == "mu_pusher"
+        else own
+        for own in found.estimates
+    )
+    outcome = replace(fit.run.outcome, found=(replace(found, estimates=open_ones),))
+    text = repr(replace(fit, run=replace(fit.run, outcome=outcome)))
+    row = next(line for line in text.splitlines() if "mu_pusher" in line)
+    assert row.split()[1] == "-"
+    assert "anything in 0 to 1" in row
+    assert f"{fit.estimates['mu_pusher'].value:.4g}" not in row
+
+
+@pytest.mark.parametrize("kind", ["parameters", "profiles", "search", "errors"])
+def test_plots_are_axes(fit, kind):
+    from matplotlib import pyplot
+
+    axes = fit.plot(kind)
+    assert np.ravel(axes)[0].figure is not None
+    pyplot.close("all")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        ({"mu_pusher": (1, 0)}, "mu_pusher: found bounds 1 to 0, expected the lower one first"),
+        ({"tripod_radius_mm": (10, 60)}, "(10 * mm, 60 * mm)"),
+        ({"mu_pushr": (0, 1)}, "did you mean 'mu_pusher'?"),
+        ({"mu_fixel": (0, 1)}, "no fixel in any of the experiments"),
+        ({"ellipsoid_torque": (0.1, 1)}, "a body on Tripod"),
+        ({"mu_pusher[surface=steel]": (0, 1)}, "no experiment with mu_pusher[surface=steel]"),
+        ({"mu_pusher": fixel.Parameter(0, 1, by="surface")}, "no experiment with surface"),
+        ({"mu_pusher": "wide"}, "(low, high), a number to fix it"),
+        ({"mu_pusher": (0, math.nan)}, "mu_pusher.high"),
+        ({"mu_pusher": (0, 1, 2)}, "3 numbers, expected two bounds"),
+        ({"mu_pusher": 0.3}, "no unknown that is free"),
+        (
+            {
+                "mu_pusher": (
+                    0,
+                    5,
+                )
+            },
+            "",
+        ),
+    ],
+)
+def test_spaces_that_cannot_be_searched_are_refused(pushes, parameters, said):
+    if not said:
+        return
+    with pytest.raises(fixel.InvalidInput) as refused:
+        fixel.calibrate(pushes[:1], parameters, **QUIET)
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"error": "mean-sqare"}, "did you mean 'mean-square'"),
+        ({"motion": "dynamics"}, "did you mean 'dynamic'"),
+        ({"optimiser": "least-square"}, "did you mean 'least-squares'"),
+        ({"level": 95}, "level"),
+        ({"starts": 0}, "starts"),
+        ({"seed": -1}, "seed"),
+        ({"combine": "product"}, "combine"),
+        ({"max_evaluations": 0}, "max_evaluations"),
+        ({"budget": 0.0}, "budget"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(pushes, options, said):
+    with pytest.raises(fixel.InvalidInput) as refused:
+        fixel.calibrate(pushes[:1], {"mu_pusher": (0, 1)}, **QUIET, **options)
+    assert said in str(refused.value)
+
+
+def test_experiments_that_cannot_be_compared_are_refused(pushes):
+    with pytest.raises(fixel.InvalidInput, match="no scene"):
+        fixel.calibrate([pushes[0], replace(pushes[1], scene=None)], BOUNDS, **QUIET)
+    with pytest.raises(fixel.InvalidInput, match="found none"):
+        fixel.calibrate([], BOUNDS, **QUIET)
+
+
+def test_one_value_for_each_condition(pushes):
+    by_side = {"mu_pusher": fixel.Parameter(0, 1, by="side"), "tripod_radius": 0.038}
+    fit = fixel.calibrate(pushes, by_side, verdicts=False, **QUIET)
+    assert set(fit) == {"mu_pusher[side=left]", "mu_pusher[side=right]", "tripod_radius"}
+    assert fit.values_for(side="left")["mu_pusher"] == fit["mu_pusher[side=left]"]
+    assert fit.values_for(pushes[0])["mu_pusher"] == fit["mu_pusher[side=right]"]
+    with pytest.raises(fixel.InvalidInput, match=r"fit.values_for\(side="):
+        fit.simulate(pushes[0].scene)
+    with pytest.raises(fixel.InvalidInput, match="values_for"):
+        fixel.simulate(pushes[0].scene, fit)
+    assert eval(fit.call, {"fixel": fixel, "experiments": pushes}) == fit
+
+
+def test_limits_are_totals_and_repeat(pushes):
+    options = {"optimiser": "pattern-search", "verdicts": False, **QUIET}
+    short = fixel.calibrate(pushes[:2], BOUNDS, max_evaluations=20, **options)
+    assert short.status == "budget"
+    assert 20 <= short.evaluations < 40
+    again = fixel.calibrate(pushes[:2], BOUNDS, max_evaluations=short.evaluations, **options)
+    assert dict(again) == dict(short)
+    assert fixel.calibrate(pushes[:2], BOUNDS, budget=1e-6, **options).status == "budget"
+
+
+def test_a_store_continues_and_refuses_another_call(pushes, tmp_path):
+    store = tmp_path / "fit"
+    whole = fixel.calibrate(pushes[:2], BOUNDS, **QUIET)
+
+    def interrupt(progress):
+        if progress.stage.startswith("verdicts") and progress.done > 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(fixel.Interrupted) as stopped:
+        fixel.calibrate(pushes[:2], BOUNDS, store=store, progress=interrupt)
+    best = stopped.value.result
+    assert best.status == "interrupted"
+    assert dict(best) == dict(whole)  # the search had ended
+    assert "the same call" in str(stopped.value)
+    assert fixel.calibrate(pushes[:2], BOUNDS, store=store, **QUIET) == whole
+    for changed, said in (
+        ({"seed": 1}, "another seed: 0"),
+        ({"level": 0.9}, "another level: 0.95"),
+        ({"parameters": {"mu_pusher": (0, 1)}}, "another parameters"),
+        ({"experiments": pushes[2:]}, "other experiments"),
+    ):
+        call = {"experiments": pushes[:2], "parameters": BOUNDS, **QUIET, **changed}
+        with pytest.raises(fixel.InvalidInput, match="store") as refused:
+            fixel.calibrate(**call, store=store)
+        assert said in str(refused.value)
+
+
+def test_an_interrupted_search_gives_the_best_so_far(pushes, fit):
+    def interrupt(progress):
+        if progress.done >= 6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(fixel.Interrupted) as stopped:
+        fixel.calibrate(pushes, BOUNDS, progress=interrupt)
+    best = stopped.value.result
+    assert best.status == "interrupted"
+    assert fit.rms_error <= best.rms_error < best.nominal_rms_error
+    assert "interrupted" in repr(best)
+    assert fixel.calibrate(pushes, BOUNDS, **QUIET) == fit
+
+
+def test_nothing_is_changed_by_a_calibration(pushes, fit):
+    assert all(own == new for own, new in zip(pushes, example_pushes(4), strict=True))
+
+
+def test_each_and_campaign(pushes):
+    space = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    each = fixel.calibrate_each(pushes[:2], space, verdicts=False, **QUIET)
+    assert [one.keys_of_experiments for one in each] == [(own.key,) for own in pushes[:2]]
+    campaign = fixel.calibrate_campaign(pushes[:2], space, verdicts=False, **QUIET)
+    assert [dict(one) for one in campaign.each] == [dict(one) for one in each]
+    assert campaign.joint["mu_pusher"] == pytest.approx(0.25, abs=0.02)
+    assert len(repr(each).splitlines()) <= 25
+    assert eval(each.call, {"fixel": fixel, "experiments": pushes[:2]}) == each
+
+
+SCRIPT = """
+import sys, threading, _thread, time
+import fixel
+from fixel.testing.pushes import example_pushes
+pushes = example_pushes(2, duration=0.5)
+space = {"mu_pusher": (0, 1), "tripod_radius": (0.01, 0.06)}
+whole = fixel.calibrate(pushes, space, progress=False)
+fixel.calibrate(pushes, space, progress=False, store=sys.argv[1])  # everything is imported
+print("ready", flush=True)
+for line in sys.stdin:
+    store = line.split()[0]
+    try:
+        try:
+            print("begin", flush=True)
+            fixel.calibrate(pushes, space, progress=False, store=None if store == "-" else store)
+            print("finished", flush=True)
+        except KeyboardInterrupt as problem:
+            began = time.monotonic()
+            print(type(problem).__name__, flush=True)
+        same = fixel.calibrate(pushes, space, progress=False, store=None if store == "-" else store)
+        print("same" if same == whole else "other", flush=True)
+    except KeyboardInterrupt:
+        print("late", flush=True)
+"""
+
+
+def _interrupted(folder, delays, stores):
+    """Interrupt calibrations in another interpreter after delays; yield how each ended."""
+    with subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, str(folder / "first")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            assert process.stdout.readline().strip() == "ready"
+            for delay, store in zip(delays, stores, strict=True):
+                process.stdin.write(f"{store}\n")
+                process.stdin.flush()
+                assert process.stdout.readline().strip() == "begin"
+                time.sleep(delay)
+                process.send_signal(signal.SIGINT)
+                sent = time.monotonic()
+                said = process.stdout.readline().strip()
+                waited = time.monotonic() - sent
+                assert said in ("Interrupted", "KeyboardInterrupt", "finished"), said
+                if said != "finished":
+                    assert waited < 5.0
+                    assert process.stdout.readline().strip() == "same"
+                else:
+                    process.stdout.readline()
+                yield said
+        finally:
+            process.kill()
+
+
+def test_the_interpreter_is_usable_after_an_interruption(tmp_path):
+    stores = ["-", tmp_path / "a", "-"]
+    ends = list(_interrupted(tmp_path, [0.05, 0.1, 0.2], stores))
+    assert "Interrupted" in ends
+
+
+@pytest.mark.slow
+def test_any_instant_can_be_interrupted(tmp_path):
+    rng = random.Random(1)
+    delays = [rng.uniform(0.0, 0.6) for _ in range(100)]
+    stores = [tmp_path / f"{k}" if k % 2 else "-" for k in range(100)]
+    ends = list(_interrupted(tmp_path, delays, stores))
+    assert ends.count("Interrupted") + ends.count("KeyboardInterrupt") > 20
