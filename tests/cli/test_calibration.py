@@ -140,3 +140,27 @@ def test_what_cannot_be_is_refused_in_a_sentence(capsys, project, arguments, sai
     assert code == 2
     assert out == ""
     assert said in err
+
+
+def test_stored_calibrations_are_listed_and_shown_again(capsys, project):
+    code, out, _ = fixel(
+        capsys, "calibrate", "-p", project, "--fit", "mu_pusher", "--json", "--name", "again"
+    )
+    assert code == 0
+    number = json.loads(out)["found"][0]["calibration"]
+    code, out, _ = fixel(capsys, "calibrations", "-p", project)
+    assert code == 0
+    assert out.splitlines()[1].split()[:2] == [str(number), "again:"]
+    code, shown, _ = fixel(capsys, "calibrations", number, "-p", project)
+    assert code == 0
+    code, out, _ = fixel(capsys, "calibrations", number, "-p", project, "--json")
+    answer = json.loads(out)
+    (estimate,) = answer["estimates"]
+    assert estimate["label"] == "mu_pusher"
+    assert estimate["verdict"] in shown
+    folder = project / "jobs"
+    folder.rename(project / "away")  # its record alone is enough
+    try:
+        assert fixel(capsys, "calibrations", number, "-p", project)[1] == shown
+    finally:
+        (project / "away").rename(folder)

@@ -4,7 +4,9 @@ import json
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from fixel.cli.options import (
     AsJson,
@@ -21,8 +23,8 @@ from fixel.cli.options import (
     require_one_of,
     with_options,
 )
-from fixel.cli.screen import command_line, notice, notify, print_answer
-from fixel.errors import Interrupted, InvalidInput
+from fixel.cli.screen import command_line, command_of, notice, notify, print_answer
+from fixel.errors import Interrupted, InvalidInput, NotStored
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
@@ -212,6 +214,45 @@ def calibrate(
 
     print_answer(
         as_json, lambda: done.summary() | {"pictures": [str(path) for path in pictures]}, lines
+    )
+
+
+def calibrations(
+    number: Annotated[
+        int | None, typer.Argument(help="Id of a calibration to show; all are listed without it.")
+    ] = None,
+    folder: ProjectFolder = Path(),
+    as_json: AsJson = False,
+) -> None:
+    """List the stored calibrations of a project, or show the estimates of one."""
+    from fixel.database.project import Project
+    from fixel.workflows.calibration.project import list_calibrations, stored_calibration
+
+    project = Project.open(folder)
+    if number is None:
+        listed = list_calibrations(project)
+        if not listed.rows:
+            raise NotStored("calibration", hint="make one with: fixel calibrate")
+        last = listed.rows[0][0]
+        print_answer(
+            as_json,
+            lambda: {"calibrations": listed.records()},
+            lambda: [*listed.lines(), f"Next: {command_of('calibrations', last, project=folder)}"],
+        )
+        return
+    fit = stored_calibration(project, number)
+    print_answer(
+        as_json,
+        lambda: {
+            "calibration": number,
+            "estimates": [own.stored() for own in fit.estimates.values()],
+            "parameters": dict(fit),
+            "rms_error_mm": 1e3 * fit.rms_error,
+            "status": fit.status,
+            "command": fit.command,
+            "call": fit.call,
+        },
+        lambda: [repr(fit), *([f"Repeat it: {fit.command}"] if fit.command else [])],
     )
 
 

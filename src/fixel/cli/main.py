@@ -81,6 +81,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
     },
     "Calibrate and assess": {
         "calibrate": calibration.calibrate,
+        "calibrations": calibration.calibrations,
         "domain": domain.app,
         "sensitivity": sensitivity.sensitivity,
         "uncertainty": uncertainty.uncertainty,

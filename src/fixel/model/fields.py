@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from numbers import Real
-from types import MappingProxyType, UnionType
+from types import UnionType
 from typing import Any
 
 import numpy as np
@@ -32,17 +32,6 @@ class Comparable:
 
     def __hash__(self) -> int:
         return hash((type(self).__name__, self._compared()))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments; read-only mappings cannot be pickled themselves."""
-        named = (own.name for own in dataclasses.fields(self) if own.init)  # type: ignore[arg-type]
-        values = ((name, getattr(self, name)) for name in named)
-        plain = {k: dict(x) if isinstance(x, MappingProxyType) else x for k, x in values}
-        return _rebuilt, (type(self), plain)
-
-
-def _rebuilt(kind: type[Any], values: dict[str, Any]) -> Any:
-    return kind(**values)
 
 
 def settle(instance: object, **values: object) -> None:

@@ -141,15 +141,19 @@ def info_of(name: str) -> ParameterInfo:
         return ParameterInfo(
             "-", f"load on support point {name[5:]}, relative to the others", stands_for=_LOADS
         )
+    if "[" in str(name):
+        raise InvalidInput(
+            "parameters",
+            found=f"{name!r}, a value for some conditions only",
+            expected="one value for each parameter",
+            hint="fit.values_for(...) selects them",
+        )
+    hints = (did_you_mean(name, KNOWN_PARAMETERS), "fixel.known_parameters() lists all")
     raise InvalidInput(
         "parameters",
         found=repr(name),
         expected="a known parameter",
-        hint=" ".join(
-            filter(
-                None, (did_you_mean(name, KNOWN_PARAMETERS), "fixel.known_parameters() lists all")
-            )
-        ),
+        hint=" ".join(filter(None, hints)),
     )
 
 

@@ -363,7 +363,9 @@ class Calibration(Result, Mapping[str, float]):
                 left=5,
             )
         ]
-        notes = [self._error_note(), *self._misfit_notes()]
+        unknown = [own for own in self.estimates.values() if own.reason and not own.is_known]
+        notes = [f"{own.label}: {own.reason}" for own in unknown]
+        notes += [self._error_note(), *self._misfit_notes()]
         notes += [note for note in self.warnings if note not in self.found.misfit]
         return Summary(self._heading(), tables, notes, self._details())
 
@@ -643,11 +645,11 @@ def _rows(estimates: Sequence[Estimate]) -> list[tuple[str, ...]]:
     width = max(len("value"), *map(len, values))
     rows: list[tuple[str, ...]] = []
     for own, value in zip(estimates, values, strict=True):
-        verdict = own.verdict if own.verdict != "frozen" else ""
-        if own.reason and not own.is_known:
-            verdict = f"{verdict}: {own.reason}"
-        best = own.best_fit if own.is_assessed and own.word != "frozen" else None
-        fitted = "" if best is None else f"{in_shown_unit(own.unit, best):.4g}"
+        is_searched = own.is_assessed and own.is_known and own.best_fit is not None
+        fitted = ""
+        if is_searched and own.word != "frozen":
+            fitted = f"{in_shown_unit(own.unit, own.best_fit or 0.0):.4g}"
+        verdict = own.verdict if own.word != "frozen" else ""
         rows.append((own.label, value.rjust(width), _shown_interval(own), fitted, verdict or "-"))
     return rows
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -12,6 +13,7 @@ from typing import Any, Final, final, overload
 
 import numpy as np
 
+from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
 from fixel.database.store import Store
@@ -25,11 +27,12 @@ from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Evaluations, Member
 from fixel.model.selection import ExperimentQuery
 from fixel.model.space import ParameterSpace, Unknown
+from fixel.table import Column, Table
 from fixel.workflows import jobs
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.commands import command_of
-from fixel.workflows.calibration.request import TARGETS, CalibrationRequest
-from fixel.workflows.calibration.result import SEARCHED, ParameterSet
+from fixel.workflows.calibration.request import TARGETS, CalibrationRequest, NamedOptions
+from fixel.workflows.calibration.result import SEARCHED, CalibrationResult, FitKind, ParameterSet
 from fixel.workflows.calibration.stored_run import collect, plan_in
 from fixel.workflows.project.filters import check_known_names
 
@@ -231,6 +234,98 @@ def reopened(project: Project, record: CalibrationRecord) -> Calibrations | None
         return None
     plan = replace(plan_in(folder), command=record.provenance.command)
     return add_to_project(project, collect(plan, folder))
+
+
+def stored_calibration(project: Project, number: int) -> Calibration:
+    """Load a stored calibration; from its record alone where its job is gone.
+
+    Parameters
+    ----------
+    project : Project
+    number : int
+        Id of the calibration.
+
+    Returns
+    -------
+    Calibration
+        Without profiles where its job is gone.
+    """
+    with project.store() as store:
+        record = store.calibration(number)
+        run = reopened(project, record)
+        if run is not None and number in run.ids:
+            return run[run.ids.index(number)]
+        members = [store.experiment(member.experiment_id) for member in record.members]
+    return _from_record(number, record, [target_of(own) for own in members])
+
+
+def _from_record(number: int, record: CalibrationRecord, targets: Sequence[Target]) -> Calibration:
+    """Return a calibration with what its record has."""
+    method = record.method
+    searched = json.loads(str(method.get(SEARCHED, "[]")))
+    unknowns = [Unknown(**own) for own in searched] or [
+        Unknown.fixed(name, value) for name, value in record.parameters.items()
+    ]
+    options: dict[str, dict[str, Any]] = {"error": {}, "optimiser": {}}
+    for name, value in method.items():
+        kind, _, option = name.partition(".")
+        if option and kind in options:
+            options[kind][option] = value
+    request = CalibrationRequest(
+        name=record.name.partition(":")[0],
+        unknowns=unknowns,
+        mode=str(method.get("mode", "joint")),  # type: ignore[arg-type]
+        error=NamedOptions(name=str(method.get("error", "mean-square")), options=options["error"]),
+        motion=str(method.get("motion", "dynamic")),
+        optimiser=NamedOptions(name=str(method.get("optimiser", "auto"))),
+        combine=str(method.get("combine", "sum")),  # type: ignore[arg-type]
+        seed=record.provenance.seed or 0,
+    )
+    labels = request.space.labels
+    known = {own.label: own.value for own in record.estimates} | dict(record.parameters)
+    evaluations, errors = record.evaluations, np.array(record.errors)
+    point = np.array([known[label] for label in labels])
+    trace = None
+    if evaluations is not None:
+        best = float(evaluations.error.min(initial=math.inf))
+        tried, reasons = (evaluations.values, evaluations.error), list(evaluations.reasons)
+        trace = Trace(point, best, *tried, reasons, str(method.get("ended", "")))
+    found = ParameterSet(
+        how=FitKind(str(method.get("how", FitKind.DIRECT))),
+        members=tuple(range(len(targets))),
+        point=point,
+        errors=errors,
+        trace=trace,
+        estimates=record.estimates,
+        misfit=tuple(str(method.get("misfit", "")).splitlines()),
+        misfit_ratio=float(method.get("misfit_ratio", math.nan)),
+    )
+    outcome = CalibrationResult(
+        keys=tuple(target.key for target in targets),
+        labels=labels,
+        nominal=np.full(len(targets), float(method.get("nominal_error", math.nan))),
+        found=(found,),
+    )
+    command = record.provenance.command
+    return Calibrations(
+        request=request, outcome=outcome, targets=tuple(targets), command=command, ids=(number,)
+    )[0]
+
+
+def list_calibrations(project: Project) -> Table:
+    """Return the stored calibrations of a project, the newest first."""
+    rows = []
+    with project.store() as store:
+        summaries = store.calibration_summaries()
+    for number, record in reversed(summaries.items()):
+        errors = np.array(record.errors)
+        squares = errors if record.error_unit == "mm^2" else errors**2
+        verdicts = Counter(own.word for own in record.estimates if own.word not in ("", "frozen"))
+        said = ", ".join(f"{n} {word}" for word, n in verdicts.items())
+        error = float(np.sqrt(squares.mean()))
+        rows.append((number, record.name, len(errors), error, said or "-"))
+    error_column = Column("error", "mm", ".3g")
+    return Table(("id", "calibration", "experiments", error_column, "verdicts"), rows, left=2)
 
 
 def experiments_of(project: Project, folder: Path) -> list[int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Final, final
 
@@ -83,7 +83,7 @@ class ParameterSet:
     misfit: tuple[str, ...] = ()
     misfit_ratio: float = math.nan
     solutions: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    seconds: float = 0.0
+    seconds: float = field(default=0.0, compare=False)
     note: str = ""
 
     def __post_init__(self) -> None:
@@ -100,7 +100,7 @@ class ParameterSet:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibrationResult:
-    """Complete result of a calibration. Two are equal if all but computing times is.
+    """Complete result of a calibration.
 
     Attributes
     ----------
@@ -117,16 +117,6 @@ class CalibrationResult:
     labels: tuple[str, ...]
     nominal: FloatArray
     found: tuple[ParameterSet, ...]
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, CalibrationResult) and self._bits() == other._bits()
-
-    def __hash__(self) -> int:
-        return hash((self.keys, self.labels))
-
-    def _bits(self) -> bytes:
-        found = tuple(replace(one, seconds=0.0) for one in self.found)
-        return outcome_bytes(replace(self, found=found))
 
     @property
     def alone(self) -> list[ParameterSet]:
