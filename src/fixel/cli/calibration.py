@@ -228,7 +228,7 @@ def calibrations(
     from fixel.database.project import Project
     from fixel.workflows.calibration.project import list_calibrations, stored_calibration
 
-    project = Project.open(folder)
+    project = Project(folder)
     if number is None:
         listed = list_calibrations(project)
         if not listed.rows:

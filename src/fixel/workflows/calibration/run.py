@@ -321,4 +321,4 @@ def _in_store(
     from fixel.database.project import Project
     from fixel.workflows.calibration.project import add_to_project
 
-    return add_to_project(Project.open(given), run)
+    return add_to_project(Project(given), run)
