@@ -1,14 +1,16 @@
-"""Compiled rollouts in threads, so that Ctrl-C stops them at their next step."""
+"""Compiled rollouts, in one or many threads, that Ctrl-C stops at their next step."""
 
 from __future__ import annotations
 
 import os
+import signal
+import socket
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from functools import partial
-from queue import SimpleQueue
-from typing import Final, NamedTuple
+from typing import Final
 
 from fixel.errors import InvalidInput
 from fixel.kernels import batch as kernel
@@ -16,7 +18,6 @@ from fixel.kernels import codes
 from fixel.kernels.arrays import SAMPLES, STOP, Batch, BatchRecord, StepMethod
 
 WAIT_S: Final = 0.1  # between two looks for Ctrl-C, which interrupts no wait on Windows
-LAST_WAIT_S: Final = 0.5  # for rollouts to notice that they were stopped
 
 
 def rollout_in_threads(
@@ -34,14 +35,13 @@ def rollout_in_threads(
         Ctrl-C; rollouts that did not end have the status INTERRUPTED.
     """
     n = len(record.status)
-    n_threads = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
-    n_threads = (n_threads or 1) if threads is None else threads
+    n_threads = _cores() if threads is None else threads
     if n_threads < 1:
         raise InvalidInput("threads", found=threads, expected="at least 1")
     roll = partial(kernel.rollout_batch, batch, method, record, every_step)
     try:
         if n_threads == 1 or n < 2:
-            _run_beside(partial(roll, 0, n), record)
+            _run(partial(roll, 0, n), record)
         else:
             _share(roll, record, n, n_threads)
     except KeyboardInterrupt:
@@ -49,6 +49,11 @@ def rollout_in_threads(
             codes.INTERRUPTED
         )
         raise
+
+
+def _cores() -> int:
+    count = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
+    return count or 1
 
 
 def _share(roll: Callable[[int, int], None], record: BatchRecord, n: int, n_threads: int) -> None:
@@ -66,67 +71,64 @@ def _share(roll: Callable[[int, int], None], record: BatchRecord, n: int, n_thre
             raise
 
 
-class _Task(NamedTuple):
-    """Call in the worker thread: a lock that is released at its end, and its exceptions."""
-
-    call: Callable[[], None]
-    end: threading.Lock
-    problems: list[BaseException]
+_sender: socket.socket | None = None  # of the numbers of signals, to the thread that watches
+_rolling: BatchRecord | None = None  # what the main thread computes, for that thread to stop
+_next_fd = -1  # where signals went before
 
 
-_tasks: SimpleQueue[_Task] | None = None
+def _run(call: Callable[[], None], record: BatchRecord) -> None:
+    """Run compiled code in this thread; Ctrl-C in the main thread stops it at its next step.
 
-
-def _run_beside(call: Callable[[], None], record: BatchRecord) -> None:
-    """Run compiled code in a worker thread, while this one waits for its end or Ctrl-C.
-
-    Python handles signals in the main thread only, and not while that runs compiled code. Other
-    threads run the call themselves.
+    Python handles a signal only after compiled code returns. Its number is sent to a socket at
+    once, though, where another thread waits for it and sets the flag that the code looks at.
     """
-    if threading.current_thread() is not threading.main_thread():
+    global _rolling, _next_fd
+    if (
+        threading.current_thread() is not threading.main_thread()
+        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    ):
         call()
         return
-    task = _Task(call, threading.Lock(), [])
-    task.end.acquire()
-    started = False
-    try:
-        _worker().put(task)
-        started = True
-        while not task.end.acquire(timeout=WAIT_S):
-            pass
-    except BaseException:
-        record.total[:, STOP] = 1.0
-        if started:
-            task.end.acquire(timeout=LAST_WAIT_S)
-        raise
-    if task.problems:
-        raise task.problems[0]
-
-
-def _worker() -> SimpleQueue[_Task]:
-    """Return the queue of the worker thread, which starts when first used."""
-    global _tasks
-    if _tasks is None:
-        _tasks = SimpleQueue()
-        threading.Thread(target=_work, args=(_tasks,), daemon=True, name="fixel").start()
-    return _tasks
-
-
-def _work(tasks: SimpleQueue[_Task]) -> None:
+    given = record.total.copy()
     while True:
-        task = tasks.get()
+        sender = _watched()
+        _rolling = record
+        _next_fd = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
         try:
-            task.call()
-        except BaseException as problem:
-            task.problems.append(problem)
-        task.end.release()
-        del task  # which refers to the record
+            call()
+        finally:
+            signal.set_wakeup_fd(_next_fd)
+            _rolling = None
+        if not record.total[0, STOP]:
+            return
+        # Stopped by a signal that an earlier call has handled: run once more.
+        record.count[:], record.status[:], record.total[:] = 0, codes.CONVERGED, given
 
 
-def _forget_worker() -> None:
-    global _tasks
-    _tasks = None
+def _watched() -> socket.socket:
+    """Return the socket for the numbers of signals; its thread starts when first used."""
+    global _sender
+    if _sender is None:
+        receiver, _sender = socket.socketpair()
+        _sender.setblocking(False)
+        threading.Thread(target=_watch, args=(receiver,), daemon=True, name="fixel").start()
+    return _sender
+
+
+def _watch(receiver: socket.socket) -> None:
+    while number := receiver.recv(1):
+        record, following = _rolling, _next_fd
+        if number[0] == signal.SIGINT and record is not None:
+            record.total[:, STOP] = 1.0
+        if following >= 0:
+            with suppress(OSError):
+                os.write(following, number)
+
+
+def _forget_watch() -> None:
+    global _sender
+    _sender = None
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
-    os.register_at_fork(after_in_child=_forget_worker)
+    os.register_at_fork(after_in_child=_forget_watch)
