@@ -65,7 +65,7 @@ def test_rollout_that_stops_early_keeps_its_last_pose():
         ({"parameters": {"mu_fixel": [1, 1], "mu_pusher": [1]}}, "variations", "2", "same length"),
         ({"parameters": {"mu_fixel": [0.1, -0.2]}}, "mu_fixel", "-0.2", "at least 0"),
         ({"parameters": {"mu_fixel": [0.1, np.nan]}}, "mu_fixel", "nan", "finite"),
-        ({"parameters": {"mu_fixle": [0.1]}}, "parameters", "mu_fixle", "one of"),
+        ({"parameters": {"mu_fixle": [0.1]}}, "parameters", "mu_fixle", "mu_fixel"),
         (
             {"parameters": [Parameters(mu_fixel=0.1), Parameters(mu_pusher=0.1)]},
             "parameters[1]",
