@@ -123,9 +123,9 @@ def read_documents(root: Path) -> Iterator[Text]:
                 yield Text(f"{file.relative_to(root)}:{line}", text)
 
 
-# Not prose in Markdown: fenced and indented code, comments and formulas.
+# Not prose in Markdown: fenced and indented code, marks of containers, comments, formulas.
 NOT_PROSE = re.compile(
-    r"^(```+|~~~+).*?^\1|(?<=\n\n)(?:(?: {4,}|\t)[^\n]*\n|\n)+|<!--.*?-->|\$\$.*?\$\$",
+    r"^(```+|~~~+).*?^\1|^:{3,}[^\n]*|(?<=\n\n)(?:(?: {4,}|\t)[^\n]*\n|\n)+|<!--.*?-->|\$\$.*?\$\$",
     re.DOTALL | re.MULTILINE,
 )
 INLINE = re.compile(r"`[^`]*`|\$[^$\n]+\$|\]\([^)]*\)|(?<!\*)\*[^*\n]+\*(?!\*)")
