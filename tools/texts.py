@@ -135,7 +135,7 @@ BLOCK = re.compile(r"\n\s*(?:\n|(?=[-*|#>:]|\d+\.))|(?<=[^\n]) \|")
 def _markdown(source: str) -> Iterator[tuple[int, str]]:
     """Line and text of each paragraph, list item and cell; code, formulas and titles are `X`."""
     source, _, _ = source.partition("\n## Sources\n")
-    plain = INLINE.sub(lambda m: VALUE + _blank(m), NOT_PROSE.sub(_blank, source))
+    plain = INLINE.sub(lambda m: VALUE + _blank(m), NOT_PROSE.sub(_blank, source).replace("**", ""))
     at = 0
     for found in [*BLOCK.finditer(plain), None]:
         end = found.start() if found else len(plain)
