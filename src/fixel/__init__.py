@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from fixel.calibration.usual_parameters import known_parameters as known_parameters
     from fixel.database.project import Project as Project
     from fixel.datasets import Experiments as Experiments
+    from fixel.domain.domain import DomainMap as DomainMap
+    from fixel.domain.push_bound import ErrorBound as ErrorBound
     from fixel.errors import (
         FixelError as FixelError,
         Interrupted as Interrupted,
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
         SolveFailed as SolveFailed,
         StoreRefused as StoreRefused,
     )
+    from fixel.filtering.recorded import FilterRun as FilterRun
     from fixel.formats import load_scene as load_scene
     from fixel.io import load as load
     from fixel.model import (
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
         PathDrive as PathDrive,
         Plane as Plane,
         Polygon as Polygon,
+        Pose as Pose,
         Pusher as Pusher,
         Scene as Scene,
         Seated as Seated,
@@ -53,29 +57,15 @@ if TYPE_CHECKING:
         Lemke as Lemke,
         Newton as Newton,
         QuasiStatic as QuasiStatic,
-        Simulation as Simulation,
-        StewartTrinkle as StewartTrinkle,
         simulate as simulate,
         simulate_batch as simulate_batch,
+        Simulation as Simulation,
+        StewartTrinkle as StewartTrinkle,
     )
-    from fixel.workflows.experiments import read_experiments as read_experiments
-    from fixel.workflows.project.comparison import (
-        Comparison as Comparison,
-        compare as compare,
-    )
-    from fixel.workflows.project.export import export as export
-    from fixel.workflows.report.write import report as report
-
-    from fixel.domain.domain import DomainMap as DomainMap
-    from fixel.domain.push_bound import ErrorBound as ErrorBound
-    from fixel.filtering.recorded import FilterRun as FilterRun
     from fixel.uncertainty.outcomes import Sensitivity as Sensitivity
     from fixel.uncertainty.posterior import Posterior as Posterior
     from fixel.uncertainty.prediction import Prediction as Prediction
     from fixel.uncertainty.starts import StartError as StartError
-    from fixel.workflows.domain.bound import error_bound as error_bound
-    from fixel.workflows.domain.map import map_domain as map_domain
-    from fixel.workflows.filtering import filter as filter
     from fixel.workflows.calibration.calibration import (
         Calibration as Calibration,
         Calibrations as Calibrations,
@@ -85,6 +75,16 @@ if TYPE_CHECKING:
         calibrate_campaign as calibrate_campaign,
         calibrate_each as calibrate_each,
     )
+    from fixel.workflows.domain.bound import error_bound as error_bound
+    from fixel.workflows.domain.map import map_domain as map_domain
+    from fixel.workflows.experiments import read_experiments as read_experiments
+    from fixel.workflows.filtering import filter as filter
+    from fixel.workflows.project.comparison import (
+        compare as compare,
+        Comparison as Comparison,
+    )
+    from fixel.workflows.project.export import export as export
+    from fixel.workflows.report.write import report as report
     from fixel.workflows.sensitivity.run import sensitivity as sensitivity
     from fixel.workflows.uncertainty.prediction import predict as predict
     from fixel.workflows.uncertainty.run import posterior as posterior
@@ -97,35 +97,35 @@ _NAMES = {
     "fixel.calibration.usual_parameters": "known_parameters",
     "fixel.database.project": "Project",
     "fixel.datasets": "Experiments",
+    "fixel.domain.domain": "DomainMap",
+    "fixel.domain.push_bound": "ErrorBound",
     "fixel.errors": "FixelError Interrupted InvalidInput MissingExtra SolveFailed StoreRefused",
+    "fixel.filtering.recorded": "FilterRun",
     "fixel.formats": "load_scene",
     "fixel.io": "load",
     "fixel.model": "Body Disk Ellipsoid Experiment Fixel LineDrive NoSupport PairFriction"
-    " Parameters PathDrive Plane Polygon Pusher Scene Seated SupportPoints Trajectory Tripod"
+    " Parameters PathDrive Plane Polygon Pose Pusher Scene Seated SupportPoints Trajectory Tripod"
     " UniformPressure",
     "fixel.model.records": "Estimate",
     "fixel.model.space": "Parameter",
     "fixel.simulation": "Adaptive BatchResult Dynamic FirstOrder GaussSeidel Lemke Newton"
-    " QuasiStatic Simulation StewartTrinkle simulate simulate_batch",
-    "fixel.domain.domain": "DomainMap",
-    "fixel.domain.push_bound": "ErrorBound",
-    "fixel.filtering.recorded": "FilterRun",
+    " QuasiStatic simulate simulate_batch Simulation StewartTrinkle",
     "fixel.uncertainty.outcomes": "Sensitivity",
     "fixel.uncertainty.posterior": "Posterior",
     "fixel.uncertainty.prediction": "Prediction",
     "fixel.uncertainty.starts": "StartError",
-    "fixel.workflows.domain.bound": "error_bound",
-    "fixel.workflows.domain.map": "map_domain",
-    "fixel.workflows.filtering": "filter",
     "fixel.workflows.calibration.calibration": "Calibration Calibrations",
     "fixel.workflows.calibration.run": "calibrate calibrate_campaign calibrate_each",
-    "fixel.workflows.sensitivity.run": "sensitivity",
-    "fixel.workflows.uncertainty.prediction": "predict",
+    "fixel.workflows.domain.bound": "error_bound",
+    "fixel.workflows.domain.map": "map_domain",
     "fixel.workflows.experiments": "read_experiments",
-    "fixel.workflows.project.comparison": "Comparison compare",
-    "fixel.workflows.uncertainty.run": "posterior",
+    "fixel.workflows.filtering": "filter",
+    "fixel.workflows.project.comparison": "compare Comparison",
     "fixel.workflows.project.export": "export",
     "fixel.workflows.report.write": "report",
+    "fixel.workflows.sensitivity.run": "sensitivity",
+    "fixel.workflows.uncertainty.prediction": "predict",
+    "fixel.workflows.uncertainty.run": "posterior",
 }
 _HOME_OF = {name: module for module, names in _NAMES.items() for name in names.split()}
 
