@@ -201,7 +201,7 @@ class Result:
         kinds = list(self._drawings)
         chosen = next(iter(kinds), "") if kind is None else kind
         if chosen not in self._drawings:
-            expected = " or ".join(repr(own) for own in kinds) or "no plot: it has none"
+            expected = " or ".join(repr(own) for own in kinds) or "no plot of this result"
             raise InvalidInput("kind", found=repr(kind), expected=expected)
         module, name = self._drawings[chosen].split(":")
         return getattr(import_module(module), name)(self, ax=ax, **options)

@@ -118,7 +118,7 @@ def test_one_experiment_gives_wider_intervals_than_seven():
     comparer, several, _ = _fitted("wrong")
     _, one, _ = _fitted("one")
     assert one.misfit.experiments == 1
-    assert "one experiment only" in " ".join(one.misfit.sentences)
+    assert "only one experiment" in " ".join(one.misfit.sentences)
     assert (one.honest.freedom == 1.5).all()
     k = comparer.space.labels.index("mu_pusher")
     width = [np.subtract(*found.honest.ends(0.95)[::-1])[k] for found in (one, several)]

@@ -81,4 +81,4 @@ def test_experiments_that_fit_far_worse_are_named():
 
 def test_of_one_experiment_the_variation_between_experiments_cannot_be_seen():
     found = misfit_of(_residuals(5.0, n=1), ["a"], NOISE)
-    assert "one experiment only" in found.sentences[1]
+    assert "only one experiment" in found.sentences[1]

@@ -199,7 +199,7 @@ def test_fewer_starts_where_feasible_points_are_rare():
 
 
 def test_no_feasible_start():
-    with pytest.raises(InvalidInput, match="no feasible point among 16384 random ones"):
+    with pytest.raises(InvalidInput, match="no feasible start among 16384 random points"):
         MultiStart(optimiser=NelderMead()).start(box(), 0, lambda points: np.zeros(len(points)))
 
 

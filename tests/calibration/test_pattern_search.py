@@ -214,7 +214,7 @@ def test_fixed_steps_stop_at_the_first_round_without_a_better_one():
     tell(search, 5.0, 4.0, 6.0, 7.0)
     assert search.ask().mean(axis=0) == pytest.approx([0.45, 0.5])
     tell(search, 4.0, 4.0, 4.0, 4.0)
-    assert search.reason == "no step along any unknown was better"
+    assert search.reason == "no step along any parameter decreased the error"
     assert search.best.error == 4.0
 
 

@@ -82,5 +82,5 @@ def test_what_is_left_open_stays_as_expected() -> None:
 def test_tips_far_away_are_refused() -> None:
     pose, tip = touching(SQUARE, 5, 6)
 
-    with pytest.raises(InvalidInput, match="no tip near the object"):
+    with pytest.raises(InvalidInput, match="no tip close to the object"):
         registration_from_gaps(SQUARE, RADIUS, pose, tip + 0.5)

@@ -97,14 +97,14 @@ def test_at_bound_says_whether_the_deviance_still_falls():
     assert told[0].value == 1.0
     assert told[0].high is None
     assert told[0].low == pytest.approx(0.95, abs=0.02)
-    assert "still falls at the bound 1" in told[0].reason
+    assert "still decreases at the bound 1" in told[0].reason
     assert "is the bound 0 itself" in told[1].reason
 
 
 def test_interval_that_reaches_a_bound():
     told = verdicts(lambda p: np.c_[p[:, 0] - 0.1, p[:, 1] - 0.5, p[:, 2] - 0.4] / 0.1)
     assert told[0].verdict == "at most"
-    assert "do not tell it from the bound 0" in told[0].reason
+    assert "do not distinguish it from the bound 0" in told[0].reason
     assert told[0].low is None
     assert 0.0 < told[0].value < told[0].high
 
@@ -157,7 +157,7 @@ def test_two_minima_are_not_identified_once_both_are_known():
 
 def test_bumps_are_told():
     told = verdicts(rough(decay_residuals(2), size=0.5, jump=0.0), DECAY_BOX)
-    assert any("finer steps" in verdict.reason for verdict in told)
+    assert any("smaller steps" in verdict.reason for verdict in told)
 
 
 def test_not_excited_comes_first():
@@ -221,7 +221,7 @@ def test_a_value_lies_in_the_interval_that_allows_for_misfit():
         assert verdict.high == pytest.approx(high[k])
         assert verdict.low < verdict.value == honest.value[k] < verdict.high
     assert words(told[:2]) == ["identified", "identified"]
-    assert "misfit makes it 5 times as wide" in told[0].reason
+    assert "misfit makes it 5 times wider" in told[0].reason
 
 
 def test_what_stands_for_something_else_is_effective_where_the_model_misfits():
@@ -257,7 +257,7 @@ def test_an_interval_that_misfit_makes_wide_does_not_identify():
     for verdict in (pusher, fixel):
         assert (verdict.low, verdict.high) == pytest.approx((0.023, 0.385), abs=1e-3)
         assert verdict.verdict == "precise, but the model misfits"
-        assert verdict.reason.startswith("noise alone would put it at 0.198 to 0.202")
+        assert verdict.reason.startswith("noise alone gives 0.198 to 0.202")
     assert support.verdict == "effective"
     # Half as wide it is identified, and so it is where the model hardly misfits.
     assert words(_with_misfit(0.2, 1e-3, 0.204, 0.09 / 1.96)[:2]) == ["identified"] * 2

@@ -66,7 +66,7 @@ def test_the_best_of_those_stored(capsys, project):
     code, out, _ = fixel(capsys, "calibrate", "-p", project, *options)
     assert code == 0
     (one,) = json.loads(out)["found"]
-    assert one["how"] == "best of those stored"
+    assert one["how"] == "best of the stored sets"
     assert len(one["errors"]) == 3
     code, _, err = fixel(capsys, "calibrate", "-p", project, "--fit", "start_x", "--mode", "stored")
     assert code == 2
@@ -123,7 +123,7 @@ def test_a_job_to_submit_elsewhere(capsys, project):
         (("--combine", "product"), "--combine: found 'product'"),
         (("--option", "delta"), "NAME=VALUE"),
         (("--fit", "mu_pushr"), "did you mean 'mu_pusher'"),
-        (("--fit", "mu_pusher=1:0"), "the lower one first"),
+        (("--fit", "mu_pusher=1:0"), "the lower bound first"),
         (("--fit", "mu_pusher=0:1:2"), "outside the bounds"),
         (("--optimiser", "least-squares", "--mode", "each"), "--mode joint"),
         (("--noise-mm", "0.1"), "both, or neither"),

@@ -107,7 +107,7 @@ def test_check_of_a_damaged_file(folder):
     assert out.splitlines()[-1] == (
         "Next: replace experiments.db with a backup, which fixel db backup wrote"
     )
-    with pytest.raises(StoreRefused, match="see what is wrong with: fixel db check"):
+    with pytest.raises(StoreRefused, match="list the errors: fixel db check"):
         call("backup", folder.parent / "copy.db", folder)
     assert not list(folder.parent.glob("*copy*"))
 

@@ -48,7 +48,11 @@ def good(*arguments):
 def test_a_scene_file_that_bifurcates(file, tmp_path):
     out = good(file, "--samples", "200", "--plot", tmp_path / "pictures")
     assert out.startswith("fork: bifurcates: its outcomes fall apart into groups.")
-    for words in ("fork has 2 outcomes (50%, 50%)", "Pushes, to avoid first", "wrote 3 files"):
+    for words in (
+        "fork has 2 outcomes (50%, 50%)",
+        "Pushes, the most sensitive first",
+        "wrote 3 files",
+    ):
         assert words in out
     assert (tmp_path / "pictures" / "01-fork-ensemble.png").read_bytes().startswith(b"\x89PNG")
     assert out.splitlines()[-1].startswith("Next: ")

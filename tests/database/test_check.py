@@ -107,19 +107,19 @@ def test_what_a_killed_writer_left_is_no_trouble(folder):
             "series",
             "UPDATE series SET owner_id = 77 WHERE owner_id = 2 AND place = 1",
             "experiment 77, series 'channel force'",
-            "its record is gone",
+            "its record is missing",
         ),
         (
             "series",
             "DELETE FROM series WHERE owner_id = 2 AND place = 0",
             "experiment 2",
-            "the path of its object is not whole",
+            "the trajectory of its object is incomplete",
         ),
         (
             "experiment",
             "UPDATE experiment SET n_frame = 7 WHERE id = 3",
             "experiment 3",
-            "the path of its object is not whole",
+            "the trajectory of its object is incomplete",
         ),
     ],
 )

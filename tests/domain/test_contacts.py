@@ -107,8 +107,8 @@ def test_a_new_side_or_speed_has_no_data_and_says_why() -> None:
     assert np.isfinite(answer.bound).tolist() == [True, False, False, False, False]
     assert answer.near.tolist() == [True, False, False, False, False]
     assert answer.colours(1e6).tolist() == ["trusted"] + 4 * ["no data"]
-    why = ("", "90 degrees from all pushed", "speed never pushed: 20 mm/s, nearest 10",
-           "side never pushed", "place never pushed")  # fmt: skip
+    why = ("", "90 degrees from those of all pushed", "speed never pushed: 20 mm/s, nearest 10",
+           "side never pushed", "contact point never pushed")  # fmt: skip
     assert all(part in reason for part, reason in zip(why, answer.reasons, strict=True))
     assert answer.reasons[0] == ""
     assert "speed never pushed" in answer.reasons[3]

@@ -96,7 +96,7 @@ def test_too_few_experiments_are_refused_with_the_number_needed() -> None:
         ConformalBound.fit(features, errors)
     with pytest.raises(InvalidInput, match="19 or more for bounds that hold with 95 %"):
         held_out_bounds(features, errors, features, 0.95)
-    with pytest.raises(InvalidInput, match="9 or more"):
+    with pytest.raises(InvalidInput, match="at least 9"):
         constant_bound(errors)
     nine, off, _ = made_up(9, 0)
     promise = ConformalBound.fit(nine, off)

@@ -34,9 +34,9 @@ def test_equal_by_content_and_hashable():
 
 
 def test_simulated_for_ever():
-    with pytest.raises(InvalidInput, match="what made it"):
+    with pytest.raises(InvalidInput, match="the simulator"):
         experiment(real=False)
-    with pytest.raises(InvalidInput, match="nothing for a real experiment"):
+    with pytest.raises(InvalidInput, match="no text for a real experiment"):
         experiment(simulated_by="a testbed")
     assert not experiment(real=False, simulated_by="a testbed").real
 
@@ -90,5 +90,5 @@ def test_scene_and_contact_mode_agree():
 def test_heights_and_times_are_checked():
     with pytest.raises(InvalidInput, match="height"):
         experiment(height=-0.04)
-    with pytest.raises(InvalidInput, match="first instant first"):
+    with pytest.raises(InvalidInput, match="earlier time first"):
         experiment(effective=(1.0, 0.5))

@@ -58,8 +58,8 @@ def test_a_closing_vertex_on_a_straight_edge_is_taken_out():
     [
         ([[0, 0], [1, 1], [1, 0], [0, 1]], "polygon", "vertex 0 to 1 meets the edge from vertex 2"),
         ([[0, 0], [2, 0], [1, 0.5], [1, 0], [0, 1]], "polygon", "touches itself"),
-        ([[0, 0], [2, 0], [1, 0]], "polygon", "zero area"),
-        ([[0, 0], [1, 0], [2, 0], [3, 0]], "polygon", "zero area"),
+        ([[0, 0], [2, 0], [1, 0]], "polygon", "no area"),
+        ([[0, 0], [1, 0], [2, 0], [3, 0]], "polygon", "no area"),
         ([[0, 0], [1, 0], [1, 1], [1, 2], [1, 1]], "polygon", "itself"),
         ([[0, 0], [1, 0]], "polygon", "at least 3"),
         ([[0, 0], [1, 0], [0, 0], [0, 0]], "polygon", "at least 3"),

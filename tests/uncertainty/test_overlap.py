@@ -70,4 +70,4 @@ def test_no_room_has_a_reason():
     _, caught = remove_overlap(Disk(0.01), np.zeros((1, 3)), walls, most=0.1)
     assert caught[0].startswith("starts inside")
     _, far = remove_overlap(Disk(0.01), np.zeros((1, 3)), walls[:1], most=1e-4)
-    assert "no room" in far[0]
+    assert "no free space" in far[0]

@@ -52,7 +52,7 @@ def test_no_room_is_no_outcome_with_a_reason():
         scene, StartError(x=1e-4, y=1e-4, theta=0.0), drawn=far, motion=QuasiStatic()
     )
     assert ensemble.ended.tolist() == [True, False]
-    assert "fixel-1" in ensemble.reasons[1] or "no room" in ensemble.reasons[1]
+    assert "fixel-1" in ensemble.reasons[1] or "no free space" in ensemble.reasons[1]
 
 
 def test_a_free_slide_keeps_its_error():

@@ -260,7 +260,7 @@ def _mixed(
         rows = next(study)
         while True:
             rows = study.send(
-                (yield AssessmentRequest("shifted", rows, "fit of each experiment's own shifts"))
+                (yield AssessmentRequest("shifted", rows, "fit with shifts of each experiment"))
             )
     except StopIteration as end:
         mixed: MixedStudyFit = end.value

@@ -47,7 +47,7 @@ class NormalPrior:
         settle(self, mean=frozen(self.mean), sd=frozen(self.sd))
         if self.mean.ndim != 1 or self.mean.shape != self.sd.shape:
             found = f"shapes {self.mean.shape} and {self.sd.shape}"
-            raise InvalidInput("prior", found=found, expected="a mean and an sd a parameter")
+            raise InvalidInput("prior", found=found, expected="a mean and an sd for each parameter")
         if not np.isfinite(self.mean).all():
             raise InvalidInput("prior.mean", found=self.mean.tolist(), expected="finite numbers")
         if not (self.sd > 0.0).all():

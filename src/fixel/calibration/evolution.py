@@ -30,10 +30,10 @@ from fixel.typing import FloatArray
 
 _MORE_WORDS = {
     "tolx": "the cloud shrank to the tolerance",
-    "tolflatfitness": "all points are equally bad or good",
+    "tolflatfitness": "all points have the same error",
     "tolfun": "errors in the cloud no longer differ",
     "tolfunhist": "errors no longer change",
-    "tolstagnation": "errors no longer fall",
+    "tolstagnation": "errors no longer decrease",
     "tolxstagnation": "the cloud no longer moves",
 }
 

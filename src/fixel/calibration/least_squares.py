@@ -34,11 +34,11 @@ PATIENCE: Final = 2
 ON_BOUND: Final = 1e-12
 
 FAILED: Final = "no start could be evaluated"
-SETTLED: Final = "the deviance no longer falls"
-STUCK: Final = "no step lowers the deviance"
-NO_ANSWER: Final = "the residuals do not answer to any parameter"
+SETTLED: Final = "the deviance no longer decreases"
+STUCK: Final = "no step decreases the deviance"
+NO_ANSWER: Final = "the residuals do not depend on any parameter"
 NOTHING_FREE: Final = "no parameter is free"
-EXHAUSTED: Final = "as many iterations as allowed"
+EXHAUSTED: Final = "the maximum number of iterations was reached"
 
 
 @final
@@ -137,7 +137,9 @@ class LeastSquares:
         """
         if prior is not None and len(prior.mean) != box.n:
             found = f"{len(prior.mean)} parameters"
-            raise InvalidInput("prior", found=found, expected=f"{box.n}, as the box has")
+            raise InvalidInput(
+                "prior", found=found, expected=f"{box.n}, as many as the bounds have"
+            )
         starts = box.start[None]
         if self.starts > 1:
             drawn = feasible_points(box, self.starts - 1, seed, feasible)
@@ -223,7 +225,7 @@ def checked_residuals(residuals: FloatArray, points: FloatArray) -> FloatArray:
     """Return residuals (k, m) of requested points (k, n), or raise `InvalidInput`."""
     rows = np.asarray(residuals, np.float64)
     if rows.ndim != 2 or len(rows) != len(points):
-        expected = f"({len(points)}, m), one row a point"
+        expected = f"({len(points)}, m), one row per point"
         raise InvalidInput("residuals", found=f"shape {rows.shape}", expected=expected)
     return rows
 

@@ -32,7 +32,7 @@ from fixel.typing import FloatArray
 THINKS_WITHIN: Final = 600.0  # [s] limit for the next points; usually milliseconds
 _WORDS = (
     ("frame size", "the frame shrank to {0.threshold:g} of the scale"),
-    ("mesh", "the mesh became as fine as numbers are"),
+    ("mesh", "the mesh reached the resolution of numbers"),
     ("number of blackbox", "{0.max_evaluations} evaluations were made"),
 )
 

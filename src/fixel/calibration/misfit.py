@@ -83,16 +83,17 @@ class Misfit(NamedTuple):
             sizes = (self.angle_rad, self.noise.angle_rad, 1e3, "mrad")
         residual, noise, factor, unit = sizes
         first = (
-            f"{'model misfit' if self.warned else 'slight model misfit'}: residuals of"
-            f" {factor * residual:.2g} {unit} are {shown_ratio(self.ratio)} times the noise of"
-            f" {factor * noise:.2g} {unit} ({_HOW[self.noise.source]}). Intervals allow for it as"
-            " far as these experiments can show it; an error that all of them share stays unseen."
+            f"{'model misfit' if self.warned else 'slight model misfit'}: residuals of "
+            f"{factor * residual:.2g} {unit} are {shown_ratio(self.ratio)} times the noise of "
+            f"{factor * noise:.2g} {unit} ({_HOW[self.noise.source]}). Intervals include it as "
+            "far as these experiments show it; an error common to all of them cannot be "
+            "detected."
         )
         more = []
         if self.experiments == 1:
             more.append(
-                "There is one experiment only: how results vary from experiment to experiment"
-                " cannot be seen, so its intervals say little about other experiments."
+                "There is only one experiment, so the variation between experiments is unknown "
+                "and the intervals do not apply to other experiments."
             )
         elif self.worst:
             n = len(self.worst)

@@ -140,8 +140,8 @@ def noise_from_repetitions(groups: Sequence[ArrayLike]) -> Noise:
     if not deviations:
         raise InvalidInput(
             "groups",
-            found="no experiment that was repeated",
-            expected="two or more repetitions of at least one",
+            found="no repeated experiment",
+            expected="two or more repetitions of at least one experiment",
             hint="state the noise instead: Noise(position_m=..., angle_rad=...)",
         )
     variance = np.mean(np.concatenate(deviations) ** 2, axis=0)
@@ -202,7 +202,7 @@ def correlation_time(series: Sequence[ArrayLike]) -> float:
     columns = _standardised([np.atleast_2d(np.asarray(one, np.float64).T) for one in series])
     length = max((len(column) for column in columns), default=0)
     if length == 0:
-        raise InvalidInput("series", found="no residuals", expected="one series at least")
+        raise InvalidInput("series", found="no residuals", expected="at least one series")
     sums = np.zeros(length)
     for column in columns:
         sums[: len(column)] += _lagged(column)

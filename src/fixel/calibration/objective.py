@@ -293,8 +293,8 @@ def _refuse_idle(targets: Sequence[Target], space: ParameterSpace) -> None:
             raise InvalidInput(
                 unknown.label,
                 found="no experiment under these conditions",
-                expected="one at least that could inform it",
-                hint="freeze it, or leave it out",
+                expected="at least one experiment that depends on it",
+                hint="fix the parameter, or leave it out",
             )
 
 

@@ -86,7 +86,7 @@ class Search(abc.ABC):
         told = np.asarray(errors, np.float64)
         if told.shape != (len(asked),):
             raise InvalidInput(
-                "errors", found=f"shape {told.shape}", expected=f"({len(asked)},), one a point"
+                "errors", found=f"shape {told.shape}", expected=f"({len(asked)},), one per point"
             )
         told = np.where(np.isnan(told), math.inf, told)
         self.evaluations += len(told)
@@ -220,8 +220,8 @@ def feasible_points(
     if not len(found):
         raise InvalidInput(
             "start",
-            found=f"no feasible point among {TRIES} random ones",
-            expected="bounds that hold points which can be simulated",
+            found=f"no feasible start among {TRIES} random points",
+            expected="bounds that contain points which can be simulated",
             hint="narrow the bounds around a parameter set that works",
         )
     return found

@@ -212,7 +212,7 @@ class FixedStepSearch(AbstractOptimiser):
             raise InvalidInput(
                 "FixedStepSearch.steps",
                 found=f"{len(self.steps)} steps",
-                expected=f"{box.n}, one an unknown",
+                expected=f"{box.n}, one per parameter",
             )
         return _FixedStepWalk(box, self)
 
@@ -233,5 +233,5 @@ class _FixedStepWalk(GeneratorSearch):
             point, error = self.best
             yield np.clip(point + pattern, box.low, box.high)
             if not self.best.error < error:
-                return "no step along any unknown was better"
+                return "no step along any parameter decreased the error"
         return f"{options.rounds} rounds were made"

@@ -120,7 +120,7 @@ def registration_from_gaps(
     if not near.any():
         raise InvalidInput(
             "registration",
-            found="no tip near the object",
+            found="no tip close to the object",
             expected=f"gaps below {LARGEST_GAP * 1e3:g} mm, at the ends of pushes",
         )
     expected = np.asarray(prior, np.float64)

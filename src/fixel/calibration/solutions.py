@@ -113,7 +113,7 @@ def support_features(
         found = f"shapes {table.shape} and {weight.shape}"
         raise InvalidInput("support", found=found, expected="(k, n, 2) points and (k, n) loads")
     if not ((weight >= 0.0).all() and (weight.sum(axis=1) > 0.0).all()):
-        raise InvalidInput("loads", found="negative or no load", expected="loads that press down")
+        raise InvalidInput("loads", found="a load of zero or less", expected="positive loads")
     share = weight / weight.sum(axis=1, keepdims=True)
     arms = table - np.broadcast_to(np.asarray(com, np.float64), (len(table), 2))[:, None, :]
     centre = np.einsum("kn,kni->ki", share, arms)

@@ -256,7 +256,9 @@ def weighted_mean(
     found = np.isfinite(errors)
     if not found.any():
         raise InvalidInput(
-            "weighted mean", found="no calibrated member", expected="one with a finite error"
+            "weighted mean",
+            found="no calibrated member",
+            expected="at least one member with a finite error",
         )
     weight = 1.0 / np.maximum(errors[found], MIN_ERROR)
     mean = np.asarray(weight @ points[found] / weight.sum())

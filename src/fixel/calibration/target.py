@@ -59,8 +59,8 @@ def targets_of(experiments: Iterable[Experiment]) -> list[Target]:
         raise InvalidInput(
             "experiments",
             found="none",
-            expected="one at least",
-            hint="see what there is: fixel list",
+            expected="at least one experiment",
+            hint="fixel list shows all experiments",
         )
     return targets
 
@@ -72,7 +72,7 @@ def scene_of(experiment: Experiment) -> Scene:
         raise InvalidInput(
             f"experiment {experiment.key}",
             found="no scene" + (f": {reasons}" if reasons else ""),
-            expected="one whose object, pusher and fixels are known",
+            expected="an experiment with a scene of object, pusher and fixels",
             hint="fixel show has its path",
         )
     return experiment.scene
@@ -88,7 +88,7 @@ def useful_poses(experiment: Experiment) -> BoolArray:
         raise InvalidInput(
             f"experiment {experiment.key}.effective",
             found=f"no measured pose from {first:g} to {last:g} s",
-            expected="one at least, after the first",
+            expected="at least one experiment, after the first",
         )
     return useful
 

@@ -83,8 +83,8 @@ def usual_unknown(name: str, scene: Scene) -> Unknown:
             raise InvalidInput(
                 name,
                 found=f"no {contact} in any of the experiments",
-                expected="an experiment that could inform it",
-                hint="leave it out",
+                expected="an experiment that depends on it",
+                hint="leave the parameter out",
             )
         mu = scene.friction(body.name, things[0].name)
         return Unknown(name=name, low=0.0, high=MAX_FRICTION, nominal=min(mu, MAX_FRICTION))
@@ -110,7 +110,7 @@ def usual_unknown(name: str, scene: Scene) -> Unknown:
     raise InvalidInput(
         name,
         found=f"a body on {type(support).__name__}",
-        expected="a support that this parameter could change",
+        expected="a support that has this parameter",
         hint=f"{name} is the {info_of(name).meaning}",
     )
 
@@ -215,7 +215,7 @@ def _unknowns(key: str, entry: Bounds, targets: Sequence[Target]) -> list[Unknow
         raise InvalidInput(
             key,
             found=f"no experiment with {', '.join(by) or key}",
-            expected=f"an experiment that could inform it, with {', '.join(conditions)}",
+            expected=f"an experiment that depends on it, with {', '.join(conditions)}",
         )
     return [_unknown(name, entry, where | dict(group), targets) for group in groups]
 

@@ -192,13 +192,16 @@ def judge(
     if not 0.0 < level < 1.0:
         raise InvalidInput("level", found=level, expected="a number between 0 and 1")
     if profiles.profiles and len(profiles.profiles) != len(space.free):
-        found = f"profiles of {len(profiles.profiles)} unknowns"
-        raise InvalidInput("profiles", found=found, expected=f"one each of {len(space.free)}")
+        found = f"profiles of {len(profiles.profiles)} parameters"
+        raise InvalidInput(
+            "profiles", found=found, expected=f"one profile for each of {len(space.free)}"
+        )
     verdicts = []
     for j, unknown in enumerate(space.free):
         if excited is not None and not excited(unknown.label):
             reason = (
-                "the simulations never had the contact or slip it acts on, so its value is a guess"
+                "the simulations have no contact or slip that depends on it, so its value is "
+                "arbitrary"
             )
             verdicts.append(_without_interval(unknown, profiles, j, "not excited", reason))
         elif not profiles.profiles:
@@ -286,11 +289,11 @@ def _judged(case: _ParameterCase, prior_width: float | None) -> Estimate:
         return _of(case, "not identified", reason)
     if prior_width is not None and case.width >= LIKE_PRIOR * prior_width:
         return _of(
-            case, "not identified", "its interval is that of the prior; the data add nothing"
+            case, "not identified", "its interval is that of the prior; the data add no information"
         )
     stands_for = info_of(case.unknown.name).stands_for
     if case.misfits and stands_for and (case.precise or (case.narrow and case.open_sides < 2)):
-        return _of(case, "effective", f"it stands for {stands_for}, which the model has not got")
+        return _of(case, "effective", f"it stands for {stands_for}, which the model does not have")
     if case.safe and case.open_sides == 0:
         return _of(case, "identified", _extent(case))
     if case.safe and case.open_sides == 1:
@@ -302,11 +305,11 @@ def _judged(case: _ParameterCase, prior_width: float | None) -> Estimate:
         return _of(case, "at bound", _at_bound(case))
     if case.centre is not None and case.precise:
         ends = f"{case.shown(case.profile.low or 0.0)} to {case.shown(case.profile.high or 0.0)}"
-        reason = f"noise alone would put it at {ends}; the model's own errors leave more open"
+        reason = f"noise alone gives {ends}; model error widens the interval"
         return _of(case, "precise, but the model misfits", reason)
     partners = _partners(case)
     if partners:
-        reason = "it is known only while held together with what it trades off with"
+        reason = "only a combination with the parameters it trades off with is determined"
         return _of(case, "trades off", reason, partners)
     return _of(case, "not identified", _why_wide(case))
 
@@ -314,8 +317,11 @@ def _judged(case: _ParameterCase, prior_width: float | None) -> Estimate:
 def _at_bound(case: _ParameterCase) -> str:
     bound = case.unknown.low if case.low is None else case.unknown.high
     if _falls_outwards(case):
-        return f"the deviance still falls at the bound {case.shown(bound)}; widen it if it may be"
-    return f"the best value is the bound {case.shown(bound)} itself"
+        return (
+            f"the deviance still decreases at the bound {case.shown(bound)}; widen the bound "
+            "if larger values are possible"
+        )
+    return f"the best value is the bound {case.shown(bound)}"
 
 
 def _one_sided(case: _ParameterCase) -> str:
@@ -323,7 +329,7 @@ def _one_sided(case: _ParameterCase) -> str:
         known, bound = f"at least {case.shown(case.low or 0.0)}", case.unknown.high
     else:
         known, bound = f"at most {case.shown(case.high)}", case.unknown.low
-    return f"it is {known}; the data do not tell it from the bound {case.shown(bound)}"
+    return f"it is {known}; the data do not distinguish it from the bound {case.shown(bound)}"
 
 
 def _falls_outwards(case: _ParameterCase) -> bool:
@@ -356,20 +362,20 @@ def _partners(case: _ParameterCase) -> tuple[str, ...]:
 
 def _why_wide(case: _ParameterCase) -> str:
     if case.open_sides == 2:
-        return "no value within the bounds fits clearly worse than the best"
+        return "all values within the bounds fit about equally well"
     if case.open_sides == 1:
         end = case.low if case.high is None else case.high
         side = "above" if case.high is None else "below"
-        return f"the data say no more than that it lies {side} {case.shown(end or 0.0)}"
+        return f"the data determine only that it lies {side} {case.shown(end or 0.0)}"
     return _extent(case)
 
 
 def _extent(case: _ParameterCase) -> str:
     if case.widened >= SAID:
-        wider = f"misfit makes it {case.widened:.2g} times as wide as noise alone would"
+        wider = f"misfit makes it {case.widened:.2g} times wider than noise alone"
         return f"its interval covers {100.0 * case.width / case.range:.2g} % of the range; {wider}"
     share = f"its interval covers {100.0 * case.width / case.range:.2g} % of the range searched"
-    widened = "; rough simulations widen it more than the noise does, finer steps would narrow it"
+    widened = "; numerical errors widen it more than noise; smaller steps would narrow it"
     return share + widened if case.rough else share
 
 

@@ -105,7 +105,7 @@ class Importer(ABC):
                 raise InvalidInput(
                     f"importer {self.name}",
                     found=f"the option {option}",
-                    expected=f"one of those it has: {known}",
+                    expected=f"one of its options: {known}",
                 )
 
     def read(self, source: Path, **options: object) -> ImportPlan:
@@ -142,7 +142,7 @@ def guarded(source: str) -> Iterator[None]:
         raise InvalidInput(
             source,
             found=f"{type(problem).__name__}: {problem}"[:200],
-            expected="data in the form this importer knows",
+            expected="data in the format of this importer",
         ) from problem
 
 

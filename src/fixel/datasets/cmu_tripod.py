@@ -90,9 +90,9 @@ class CmuTripod(Importer):
                 " at 0 s and at the last reading of force or finger.",
                 "Poses in m and rad at the centre of mass, in the frame of the robot; the finger"
                 " from mm to m, its angle from the quaternion; force on the block in N.",
-                f"Scenes: the machined support points, which carry what statics says, or even"
-                f" pressure for the patch; the authors' friction of the surface, {MU_FINGER:g}"
-                " assumed at the finger.",
+                "Scenes: the machined support points with loads from statics, or uniform "
+                f"pressure for the patch; friction of the surface from the authors; {MU_FINGER:g} "
+                "is assumed at the finger.",
                 f"Final gaps beyond {LARGEST_GAP / MM:g} mm are flagged (tip-gap).",
             ),
             len(pushes),
@@ -218,6 +218,6 @@ def _doubts(data: _TripodData, row: int, dropped: int) -> Iterator[Flag]:
     if abs(gap) > LARGEST_GAP:
         yield Flag("tip-gap", f"the finger ends {gap / MM:.3g} mm from the outline")
     if "mixed" in data.log[row]:
-        yield remark("joined-sessions", "the log was put together from two sessions")
+        yield remark("joined-sessions", "the log was combined from two sessions")
     if dropped:
         yield remark("repeated-times", f"{dropped} rows of the finger dropped")

@@ -36,7 +36,7 @@ UNKNOWN = (
     remark("no-mass", "masses of the blocks were not recorded: no scene"),
     remark("pusher-offset", "the frame of the fingers is off by millimetres in each action"),
 )
-NO_SUPPORT = remark("no-support", "where the three support points are was not recorded")
+NO_SUPPORT = remark("no-support", "the positions of the three support points were not recorded")
 
 
 @final
@@ -106,7 +106,7 @@ def _run(
     provenance: Provenance,
 ) -> Experiment:
     if not advancing(readings[:, 0]).all():
-        raise InvalidInput(f"run {name}", found="time going back", expected="increasing times")
+        raise InvalidInput(f"run {name}", found="decreasing times", expected="increasing times")
     time = readings[:, 0] - readings[0, 0]
     seen = ~lost
     if not seen.any():

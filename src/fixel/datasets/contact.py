@@ -73,7 +73,7 @@ def corrected_path(path: FloatArray, offset: FloatArray, fade: float = math.inf)
 
 def correction_flag(gap: float) -> Flag:
     """Create the flag of an experiment whose pusher was moved to contact."""
-    detail = f"in the scene, which it starts {-gap * 1e3:.3g} mm in"
+    detail = f"in the scene, in which it overlaps by {-gap * 1e3:.3g} mm at the start"
     return remark("pusher-moved-to-contact", detail)
 
 

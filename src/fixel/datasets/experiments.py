@@ -163,7 +163,7 @@ class Experiments(Result, Sequence[Experiment]):
                 f"filter: {asked.removesuffix('_mm')}",
                 found="experiments that were not simulated",
                 expected="errors of simulations",
-                hint="fixel.compare(experiments).experiments has them, as do those of a project",
+                hint="use fixel.compare(experiments).experiments, or experiments of a project",
             )
         return self._with(kept)
 

@@ -127,7 +127,9 @@ def table_rows(table: Any, source: str = "table") -> CsvRows:
         )
     lengths = {name: len(column) for name, column in columns.items()}
     if not lengths or len({*lengths.values()}) > 1 or not max(lengths.values()):
-        raise InvalidInput(source, found=f"columns of lengths {lengths}", expected="equal ones")
+        raise InvalidInput(
+            source, found=f"columns of lengths {lengths}", expected="columns of equal length"
+        )
     return CsvRows(source, {name: [_cell(v) for v in column] for name, column in columns.items()})
 
 
@@ -209,7 +211,7 @@ def read_json(path: Path) -> dict[str, Any]:
         content = json.loads(path.read_text(encoding="utf-8"))
     except RecursionError:
         raise InvalidInput(
-            path.name, found="lists in lists without end", expected="a JSON file"
+            path.name, found="too deeply nested lists", expected="a JSON file"
         ) from None
     except (OSError, ValueError) as problem:
         raise InvalidInput(path.name, found=str(problem), expected="a JSON file") from None
@@ -256,7 +258,7 @@ def refuse_repeated(names: Iterable[str], source: str, column: str) -> None:
             raise InvalidInput(
                 f"{source}, row {row + 1}, column {column}",
                 found=f"{name!r} again",
-                expected="every name once",
+                expected="each name once",
             )
         seen.add(name)
 
@@ -281,7 +283,7 @@ def rows_of(
             raise InvalidInput(
                 f"{listing}, row {row + 1}",
                 found=f"{name}, of which {source} has {len(rows.get(name, ()))} rows",
-                expected=f"{least} or more readings of everything that is listed",
+                expected=f"at least {least} readings of every listed name",
             )
     return rows
 

@@ -51,4 +51,4 @@ def _hint(source: Path) -> str:
     """Hint that names subfolders with known data, or else the option to name an importer."""
     inside = sorted(path for path in source.iterdir() if path.is_dir()) if source.is_dir() else []
     found = [path.name for path in inside if any(x.recognised(path) for x in _ALL)]
-    return f"look inside: {', '.join(found)}" if found else "name the importer to use"
+    return f"data found in: {', '.join(found)}" if found else "choose the importer"

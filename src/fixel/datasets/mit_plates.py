@@ -88,4 +88,6 @@ def known_doubts(surface: str, shape: str, speed: float) -> Iterator[Flag]:
     if (surface, shape) in SYSTEMATIC:
         yield remark("systematic-offset", f"{shape} on {surface} is registered 1 to 3 mm off")
     if (surface, shape) == UNEXPLAINED[:2] and abs(speed - UNEXPLAINED[2]) < 1e-6:
-        yield remark("unexplained-error", "published models miss these by twice the usual error")
+        yield remark(
+            "unexplained-error", "the errors of published models are twice the usual error"
+        )

@@ -118,13 +118,13 @@ def _plan_of_table(folder: Path) -> ImportPlan:
             f"Scenes: plates of known mass with even pressure, a round tip of"
             f" {TIP.radius / MM:g} mm on its measured line, nominal friction"
             f" {MU_PUSHER:g} at the tip and {MU_SUPPORT:g} on the plane.",
-            f"{corrected} pushes start with the tip inside the object by their measurement:"
-            f" {corrected - hopeless} tips are moved to contact in the scene"
-            f" (pusher-moved-to-contact), {hopeless} by more than"
-            f" {MAX_CORRECTION / MM:g} mm have no scene (no-scene).",
+            f"{corrected} pushes start with the tip inside the object by their measurement: "
+            f"{corrected - hopeless} tips are moved to contact in the scene "
+            f"(pusher-moved-to-contact); {hopeless} with overlaps of more than "
+            f"{MAX_CORRECTION / MM:g} mm have no scene (no-scene).",
             f"{int(pushes.misregistered.sum())} pushes do not fit their own geometry"
             " (misregistered).",
-            "Poses on the way and the predictions of the published simulator are left out.",
+            "Intermediate poses and predictions of the published simulator are not imported.",
         ),
         n,
         lambda: (_push(pushes, row, origin.of(path)) for row in range(n)),
@@ -143,7 +143,7 @@ def _read(folder: Path) -> _Pushes:
             raise InvalidInput(
                 table.source,
                 found=f"the shape {name}",
-                expected=f"one of those in {SHAPES}: {', '.join(shapes)}",
+                expected=f"a shape in {SHAPES}: {', '.join(shapes)}",
             )
     speed = table.numbers("speed_mm_s") * MM
     if (speed <= 0.0).any():

@@ -205,7 +205,7 @@ def _h5py(path: Path) -> Any:
         raise InvalidInput(
             path.name,
             found="an HDF5 file, and no h5py to read it with",
-            expected="h5py to be installed",
+            expected="an installed h5py",
             hint="pip install h5py, or convert the file to JSON with the same keys",
         ) from None
     return h5py
@@ -224,7 +224,9 @@ def _rows(path: Path, key: str, given: Any) -> FloatArray:
             expected=f"rows of {width} numbers, time first",
         )
     if not np.isfinite(rows).all() or np.abs(rows).max() > LARGEST_NUMBER:
-        raise InvalidInput(f"{path.name}: {key}", found="wild numbers", expected="finite readings")
+        raise InvalidInput(
+            f"{path.name}: {key}", found="implausible numbers", expected="finite readings"
+        )
     return rows
 
 

@@ -104,7 +104,7 @@ def with_scene(
             expected="columns pusher_x and pusher_y, or a drive",
         )
     elif pushers:
-        sentences.append(f"No pusher was measured: {pushers[0].name!r} moves as the scene has it.")
+        sentences.append(f"The table has no pusher: {pushers[0].name!r} moves as in the scene.")
     completed = replace(
         scene,
         bodies=tuple(
@@ -214,8 +214,8 @@ def _pusher_of(scene: Scene, source: str) -> Pusher:
     if len(scene.pushers) != 1:
         raise InvalidInput(
             f"{source}: pushers",
-            found=f"{len(scene.pushers)} of them",
-            expected="one, as the table holds the path of one pusher",
+            found=f"{len(scene.pushers)} pushers",
+            expected="one pusher, since the table has the path of one",
         )
     return scene.pushers[0]
 
@@ -242,7 +242,10 @@ def _driven(
         )
         if (deep := -float(np.quantile(gaps, OFTEN))) > MAX_CORRECTION:
             flags = (*flags, Flag("pusher-inside-object", f"often by {1e3 * deep:.3g} mm or more"))
-            sentence += " It is often deep inside the object: listings leave the experiment out."
+            sentence += (
+                " It is often deep inside the object, so the experiment is flagged and "
+                "not listed by default."
+            )
     else:
         sentence += "."
     limit = None if pusher.is_template else pusher.drive.force_limit
@@ -270,7 +273,7 @@ def _refuse_other_angles(shape: Shape, radius: float, track: Trajectory, tip: Tr
             raise InvalidInput(
                 "angles of the object",
                 found=f"a pusher {1e3 * own:.3g} mm inside the object for a tenth of the time",
-                expected=f"one outside, as it would be with angles in {WORDS[other]}",
+                expected=f"a pusher outside, as with angles in {WORDS[other]}",
                 hint=hint_of(other, unit),
             )
 
@@ -286,14 +289,14 @@ def _refuse_strangers(
     gaps = _gaps(shape, radius, track, tip)
     size = _radius(shape)
     hint = (
-        "are the units of the table those of its header, are its poses those of the frame in which"
-        " the outline is drawn, and are outline and tip in metres?"
+        "check the units of the table, the frame of its poses, which is that of the outline, and "
+        "that outline and tip are in metres"
     )
     if gaps[0] < -MAX_CORRECTION:
         raise InvalidInput(
             f"{source} and the table",
             found=f"a pusher {-1e3 * float(gaps[0]):.3g} mm inside the object at the start",
-            expected="one that touches it at most",
+            expected="a pusher that touches it at most",
             hint=hint,
         )
     if float(gaps.min()) > FARTHEST * size:
@@ -301,6 +304,6 @@ def _refuse_strangers(
             f"{source} and the table",
             found=f"a pusher that stays {1e3 * float(gaps.min()):.3g} mm from an object of radius"
             f" {1e3 * size:.3g} mm",
-            expected="one that comes near it",
+            expected="a pusher close to the object",
             hint=hint,
         )

@@ -110,7 +110,7 @@ def _refuse_lengths(track: Trajectory, source: str) -> None:
             f"{source}, positions of the object",
             found=found,
             expected=f"at most {WIDEST:g} m and {FASTEST:g} m/s on a plate, within {FARTHEST:g} m",
-            hint="are positions in the unit that the header says? x_mm is in millimetres",
+            hint="check the unit of positions in the header: x_mm is in millimetres",
         )
 
 

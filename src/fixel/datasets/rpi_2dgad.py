@@ -74,7 +74,7 @@ class Rpi2dgad(Importer):
 
     name = DATASET
     title = "RPI 2dgad: grasp acquisition against three fixels (2011)"
-    licence = "none stated; reference data, not to be passed on"
+    licence = "none stated; reference data, not for redistribution"
     citation = (
         "L. Zhang, J. Betz, J. Trinkle, Comparison of simulated and experimental grasping actions"
         " in the plane, 2010"
@@ -127,7 +127,7 @@ def _understood(n: int, n_frames: int, whole: list[int]) -> tuple[str, ...]:
         " (actuator-filter-runs-on) and is a channel.",
         f"Scenes: the authors' calibrated parameters as nominal friction, force limit"
         f" {FORCE_LIMIT:g} N.",
-        "Simulated and filtered trajectories of the authors are no experiments and are left out.",
+        "Simulated and filtered trajectories of the authors are not imported.",
     )
 
 
@@ -259,8 +259,8 @@ def _track(
         conditions={"object_id": float(object_id)},
         flags=(
             *flags,
-            remark("no-actuator", "the path of the actuator was not kept"),
-            remark("no-fixels", "where the fixels stood was not kept"),
+            remark("no-actuator", "the path of the actuator was not recorded"),
+            remark("no-fixels", "the positions of the fixels were not recorded"),
         ),
     )
 
@@ -349,7 +349,7 @@ def _mode(mode: int) -> tuple[str, tuple[Flag, ...]]:
     """Digits of fixels 1 to 3 from the authors' number, or a flag if it is invalid."""
     if mode < INVALID_MODE:
         return f"{mode:03b}", ()
-    return "", (remark("contact-mode-invalid", f"the record says {mode}"),)
+    return "", (remark("contact-mode-invalid", f"the record has {mode}"),)
 
 
 def _time(frame: NDArray[np.int64], first: int) -> FloatArray:

@@ -84,13 +84,13 @@ _SETTABLE = ("length", "angle", "speed", "turning", "ratio", "count")
 _GROUPS = {"force": "force", "torque": "force", "bool": "tactile"}
 
 _OPTIONS: Final = {
-    "name": "of the experiment; the file's where left out",
-    "object_name": "what was pushed",
-    "simulated_by": "what made the table, where it was not measured",
-    "time_unit": "of a time without unit: s, ms or us",
-    "length_unit": "of positions without unit: m, mm, cm or um",
-    "angle_unit": "of angles, whatever the header has: rad or deg",
-    "scene": "scene file with the object, the pusher and the pegs",
+    "name": "name of the experiment; by default that of the file",
+    "object_name": "name of the object",
+    "simulated_by": "simulator that wrote the table, if it was not measured",
+    "time_unit": "unit of times without a unit: s, ms or us",
+    "length_unit": "unit of positions without a unit: m, mm, cm or um",
+    "angle_unit": "unit of angles, which overrides the header: rad or deg",
+    "scene": "scene file with object, pusher and fixels",
     "split_by": "column whose values separate the experiments of a table",
 }
 
@@ -204,7 +204,7 @@ def _on_plate(
 ) -> tuple[Experiment, tuple[str, ...]]:
     """Complete an experiment with a scene, if there is one."""
     if scene is None:
-        return experiment, ("There is no scene, so it can be shown but not simulated.",)
+        return experiment, ("Without a scene, it can be shown but not simulated.",)
     sure = "angle_unit" in options
     return with_scene(experiment, scene, options.get("object_name"), sure_of_angles=sure)
 
@@ -318,7 +318,7 @@ def _columns(
             f"{table.source}, header",
             found="semicolons",
             expected="columns separated by commas",
-            hint="save the table with commas between the columns, and points in the numbers",
+            hint="save the table with commas between the columns and decimal points",
         )
     parsed = [_parsed(title, chosen.get(title), {*chosen.values()}) for title in table.columns]
     named = {column.role for column in parsed if column.role and not column.unknown}
@@ -385,8 +385,8 @@ def _refuse_incomplete(reading: _TableReading) -> None:
             reading.table.source,
             found="the columns " + ", ".join(reading.table.columns)[:200],
             expected="a column for " + " and ".join(missing),
-            hint="name columns for what they are and their unit: time_s, x_mm, y_mm, theta_deg,"
-            " pusher_x_mm, pusher_y_mm; in Python, columns={'time': TITLE} chooses one",
+            hint="name columns by quantity and unit: time_s, x_mm, y_mm, theta_deg, pusher_x_mm, "
+            "pusher_y_mm; in Python, columns={'time': TITLE} chooses one",
         )
 
 
@@ -408,13 +408,13 @@ def _settle_unit(reading: _TableReading, role: str) -> None:
             known = (name for name, unit in UNITS.items() if unit.kind == kind)
             raise unknown_name(f"option {kind}_unit", given, known)
         column.unit = UNITS[given]
-        reading.remarks.append(f"{column.title} has {lack}: taken as {given}, as asked.")
+        reading.remarks.append(f"{column.title} has {lack}; the given unit {given} is used.")
         return
     name, why = _guess(reading, kind, column)
     column.unit = UNITS[name]
     words = {"deg": "degrees", "rad": "radians"}
     reading.guesses.append(
-        f"{column.title} has {lack} and {why}: taken as {words.get(name, name)}."
+        f"{column.title} has {lack} and {why}; {words.get(name, name)} is assumed."
     )
 
 
@@ -468,8 +468,8 @@ def _poses(
         columns.append(reading.si(f"{whose}theta"))
     else:
         columns.append(np.zeros(len(time)))
-        reading.remarks.append(f"No angle of the {what}: taken as 0 throughout.")
-        flags = () if whose else (remark("no-angle", "the table has none: 0 throughout"),)
+        reading.remarks.append(f"There is no angle of the {what}; 0 is used throughout.")
+        flags = () if whose else (remark("no-angle", "the table has none; 0 is used throughout"),)
     pose = np.column_stack(columns)
     there = np.asarray(~np.isnan(pose).any(axis=1))
     if not there.any():
@@ -479,7 +479,7 @@ def _poses(
     missing = int((~there).sum())
     if missing:
         found = f"{missing} of {len(time)} rows lack the pose of the {what}"
-        reading.remarks.append(f"{found}: left out of its trajectory.")
+        reading.remarks.append(f"{found}; they are not part of its trajectory.")
         flags = (*flags, remark("missing-poses", found))
     kept = pose[there]
     kept[:, 2] = np.unwrap(kept[:, 2])
@@ -507,7 +507,7 @@ def _channels(reading: _TableReading, time: FloatArray) -> tuple[Channel, ...]:
         name = f"{column.stem}_{column.unit.si}"
         if name in group:
             raise InvalidInput(
-                f"{reading.table.source}, header", found=f"{name} twice", expected="it once"
+                f"{reading.table.source}, header", found=f"{name} twice", expected="one column"
             )
         group[name] = _values(reading, column, column.unit)
     return tuple(
@@ -556,7 +556,7 @@ def _conditions(reading: _TableReading) -> dict[str, str | float]:
         if len(cells) == 1 and column.stem and (cell := cells.pop().strip()):
             conditions[column.stem] = cell
         else:
-            reading.remarks.append(f"{column.title!r} has no unit: left out.")
+            reading.remarks.append(f"{column.title!r} has no unit and is skipped.")
     return conditions
 
 
@@ -580,6 +580,6 @@ def _understood(
             yield f"Channel {channel.name}: {', '.join(channel.columns)}."
         yield from (f"Guess: {guess}" for guess in reading.guesses)
         yield from reading.remarks
-        yield "Positions are taken as those of the object's own frame."
+        yield "Positions are those of the frame of the object."
 
     return tuple(lines())

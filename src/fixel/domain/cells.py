@@ -125,7 +125,7 @@ def axis_of(name: str, values: Sequence[Value], step: float | None = None) -> Ce
     """
     known = [value for value in values if value is not None]
     if not known:
-        raise InvalidInput(f"axis {name}", found="no values", expected="one at least")
+        raise InvalidInput(f"axis {name}", found="no values", expected="at least one")
     if any(isinstance(value, str) for value in known):
         return CellAxis(name=name, labels=tuple(sorted({str(value) for value in known})))
     numbers = np.unique(np.array(known, np.float64))
@@ -142,11 +142,13 @@ def axis_of(name: str, values: Sequence[Value], step: float | None = None) -> Ce
 
 def _regular(name: str, numbers: FloatArray, step: float) -> CellAxis:
     if not (math.isfinite(step) and step > 0.0):
-        raise InvalidInput(f"axis {name}", found=f"a step of {step}", expected="a positive one")
+        raise InvalidInput(f"axis {name}", found=f"a step of {step}", expected="a positive step")
     first = math.floor(float(numbers[0]) / step + 0.5)
     last = math.floor(float(numbers[-1]) / step + 0.5)
     if last - first >= MAX_CELLS:
-        raise InvalidInput(f"axis {name}", found=f"{last - first + 1} cells", expected="a few")
+        raise InvalidInput(
+            f"axis {name}", found=f"{last - first + 1} cells", expected="fewer cells"
+        )
     return _ranges(name, np.asarray((np.arange(first, last + 2) - 0.5) * step, np.float64))
 
 
@@ -275,8 +277,8 @@ def cells_of(
     else:
         index = list(product(*(range(len(axis)) for axis in made)))
     if len(index) > MAX_CELLS:
-        hint = "choose wider steps: --step NAME=WIDTH"
-        raise InvalidInput("cells", found=len(index), expected=f"{MAX_CELLS} at most", hint=hint)
+        hint = "use wider cells: --step NAME=WIDTH"
+        raise InvalidInput("cells", found=len(index), expected=f"at most {MAX_CELLS}", hint=hint)
     return Cells(axes=made, index=tuple(index), nominal=index.index(centre), arms=arms)
 
 

@@ -118,7 +118,7 @@ class PushedContacts:
     def _one(self, asked: TouchedPlaces, part: Hashable) -> tuple[str, str]:
         known = self._known.get(part)
         if known is None:
-            return PART, "no push of this part"
+            return PART, "no experiment with this part"
         turn = np.abs(wrapped(known.normal - asked.normal))
         away = np.linalg.norm(known.place - asked.place, axis=1)
         speed = float(asked.speed[0])
@@ -131,11 +131,14 @@ class PushedContacts:
         if not on_side.any():
             apart = np.degrees(turn.min())
             said.append(
-                f"side never pushed: its normal is {apart:.0f} degrees from all pushed ones"
+                f"side never pushed: its normal is {apart:.0f} degrees from those of all pushed "
+                "sides"
             )
         elif not near.any():
             apart = away[on_side].min()
-            said.append(f"place never pushed: {apart:.2g} part radii from all pushes of the side")
+            said.append(
+                f"contact point never pushed: {apart:.2g} part radii from all pushes on this side"
+            )
         at_speed = f"{1e3 * speed:.3g} mm/s"
         if not fast.any():
             nearest = 1e3 * known.speed[np.abs(np.log(known.speed / speed)).argmin()]

@@ -92,7 +92,7 @@ class Claim:
         value = self.threshold if threshold is None else threshold
         if self.measure == "absolute":
             return f"{value:.3g} mm"
-        return f"{100.0 * value:.3g} % above the own best"
+        return f"{100.0 * value:.3g} % above the smallest error of the experiment"
 
 
 class CellVerdict(NamedTuple):
@@ -369,17 +369,17 @@ class DomainMap(Result):
         said = f"{n} member{'s' if n > 1 else ''}, {claim.text(seen)}"
         below = seen <= claim.threshold
         if below and sure >= claim.confidence:
-            return CellVerdict(TRUSTED, sure, f"{said}; {100.0 * sure:.0f} % sure")
+            return CellVerdict(TRUSTED, sure, f"{said}; probability {100.0 * sure:.0f} %")
         if not below and sure <= 1.0 - claim.confidence:
             return CellVerdict(
-                NOT_TRUSTED, sure, f"{said}; {100.0 * (1.0 - sure):.0f} % sure of that"
+                NOT_TRUSTED, sure, f"{said}; probability {100.0 * (1.0 - sure):.0f} %"
             )
         if below and sure <= 1.0 - claim.confidence:
-            why = "its neighbours disagree"
+            why = "neighbouring cells disagree"
         elif below:
-            why = f"too little evidence, {100.0 * sure:.0f} % sure"
+            why = f"too few experiments, probability {100.0 * sure:.0f} %"
         else:
-            why = "above the threshold, but not surely so"
+            why = "above the threshold, with insufficient probability"
         return CellVerdict(DOUBTFUL, sure, f"{said}; {why}")
 
     def _without_data(self, claim: Claim, g: int, c: int) -> CellVerdict:
@@ -387,7 +387,7 @@ class DomainMap(Result):
         if bound <= claim.threshold:
             return CellVerdict(PREDICTED, np.nan, f"no experiment; error bound {claim.text(bound)}")
         return CellVerdict(
-            NO_DATA, np.nan, self._untried[self.groups[g]][c] or "no experiment here"
+            NO_DATA, np.nan, self._untried[self.groups[g]][c] or "no experiment in this cell"
         )
 
     @cached_property
@@ -471,7 +471,7 @@ def default_threshold(evidence: HeldOutErrors, measure: Measure = "absolute") ->
     scores = evidence.scores(measure)
     good = scores[np.isfinite(scores)]
     if not len(good):
-        raise InvalidInput("evidence", found="no error at all", expected="one at least")
+        raise InvalidInput("evidence", found="no error", expected="at least one error")
     middle = value_of(float(np.median(good)), measure)
     return float(f"{2.0 * max(middle, 1e-3):.2g}")
 
@@ -514,8 +514,8 @@ def domain_map(
             "experiments",
             found=f"{int(usable.sum())} with held-out errors in the map"
             + (f" ({notes})" if notes else ""),
-            expected=f"{MIN_EXPERIMENTS} at least for any claim",
-            hint="make more, or leave out --where",
+            expected=f"at least {MIN_EXPERIMENTS} for a domain map",
+            hint="add experiments, or leave out --where",
         )
     if surface is None:
         seen = _seen(place, group, scores, usable)

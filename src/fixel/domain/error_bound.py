@@ -35,7 +35,7 @@ BORROWED: Final = 40.0
 # Largest distance to the evidence of a bound, over what is a large distance within the evidence.
 FAR_RATIO: Final = 2.0
 FAR_SHARE: Final = 0.99
-FAR_AWAY: Final = "far from all experiments in its features"
+FAR_AWAY: Final = "its features are far from those of all experiments"
 
 TRUSTED: Final = "trusted"
 DOUBTFUL: Final = "doubtful"
@@ -136,7 +136,7 @@ class ConformalBound:
         if unit is not None:
             n_unit = int(unit.max()) + 1
             _check_number(level, n_unit, "units", f"{n_unit} sides or speeds left out",
-                          "leave out more", " on a new one")  # fmt: skip
+                          "leave out more of them", "for a new one")  # fmt: skip
         whole = unit if len(known) == 1 else group
         fold = _folds(group, seed) if unit is None or whole is None else _whole_folds(whole, seed)
         name = model or default_model(len(off))
@@ -172,7 +172,7 @@ class ConformalBound:
         """
         if beyond is not None and beyond._unit is None:
             raise InvalidInput("beyond", found="bounds fitted without units",
-                               expected="units=, with sides or speeds left out whole")  # fmt: skip
+                               expected="units=, with whole sides or speeds left out")  # fmt: skip
         pushed = PushedContacts(contacts, _labels(groups, len(contacts.normal)))
         return replace(self, _pushed=pushed, _beyond=beyond)
 
@@ -466,7 +466,9 @@ def _checked(features: ArrayLike, errors: ArrayLike) -> tuple[FloatArray, FloatA
         raise InvalidInput("errors", found=f"shape {off.shape}", expected=f"({len(table)},)")
     if np.isnan(off).any() or (off < 0.0).any():
         raise InvalidInput(
-            "errors", found="negative numbers, or none", expected="0 or more; inf where it failed"
+            "errors",
+            found="negative numbers, or none",
+            expected="errors of 0 or more; inf for failed simulations",
         )
     return table, off
 
@@ -496,8 +498,8 @@ def _check_number(level: float, n: int, where: str, found: str, more: str, on: s
         raise InvalidInput(
             where,
             found=found,
-            expected=f"{least} or more for bounds that hold with {100.0 * level:g} %{on}",
-            hint=f"{more}, or ask for a lower level",
+            expected=f"at least {least} for bounds with {100.0 * level:g} %{on}",
+            hint=f"{more}, or use a lower level",
         )
 
 

@@ -85,10 +85,10 @@ class HeldOutErrors(Comparable):
             raise InvalidInput(
                 "evidence",
                 found=f"{n} experiments and columns of other lengths: {', '.join(wrong)}",
-                expected="one row an experiment, one at least",
+                expected="one row per experiment, and at least one",
             )
         if (self.error_mm2 < 0.0).any() or (self.own_mm2 < 0.0).any():
-            raise InvalidInput("evidence.error_mm2", found="a negative one", expected="errors")
+            raise InvalidInput("evidence.error_mm2", found="a negative value", expected="errors")
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -185,13 +185,13 @@ def folds_of(blocks: Sequence[str], strata: Sequence[str], folds: int, seed: int
     """
     first = dict(zip(reversed(blocks), reversed(strata), strict=True))
     if folds < 2:
-        raise InvalidInput("--folds", found=folds, expected="2 at least")
+        raise InvalidInput("--folds", found=folds, expected="at least 2")
     if len(first) < folds:
         raise InvalidInput(
             "experiments",
             found=f"{len(first)} configurations",
-            expected=f"{folds} at least, as many as there are folds",
-            hint="make more experiments, or ask for fewer folds: --folds 2",
+            expected=f"at least {folds}, the number of folds",
+            hint="add experiments, or use fewer folds: --folds 2",
         )
     rng = np.random.default_rng(seed)
     place: dict[str, int] = {}

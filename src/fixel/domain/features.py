@@ -210,7 +210,7 @@ def neighbour_features(
         raise InvalidInput(
             "neighbours",
             found=f"{len(known_place)} places and {len(known_residual)} residuals",
-            expected="as many of each, two at least",
+            expected="equal numbers of both, at least two",
         )
     away = np.linalg.norm(place[:, None] - known_place[None], axis=2)
     if itself is not None:

@@ -95,7 +95,7 @@ def interval(axis: str, size: int) -> tuple[int, int]:
     if axis not in AXES:
         raise InvalidInput("axis", found=repr(axis), expected="x, y or theta")
     if size < 2:
-        raise InvalidInput(f"size of {axis}", found=size, expected="2 samples at least")
+        raise InvalidInput(f"size of {axis}", found=size, expected="at least 2 samples")
     low = -((size - 1) // 2) if axis == "y" else 0
     return low, low + size - 1
 
@@ -127,8 +127,8 @@ class ExperimentGroup:
             raise InvalidInput(
                 f"group {self.name}",
                 found="no nominal experiment",
-                expected="the one that all others are offset from",
-                hint="perform it, or leave the group out: --shape",
+                expected="the experiment from which all others are offset",
+                hint="perform it, or select other shapes: --shape",
             )
 
     @property
@@ -180,7 +180,7 @@ class SingleCalibrations:
             raise InvalidInput(
                 "singles",
                 found=f"points of shape {self.points.shape}, errors of {self.errors.shape}",
-                expected="a row of parameters and an error an experiment",
+                expected="a row of parameters and an error for each experiment",
             )
         settle(self, joint=MappingProxyType(dict(self.joint)))
 
@@ -329,8 +329,8 @@ def n_steps_of(groups: Sequence[ExperimentGroup], index: Index) -> int:
             "steps",
             found=f"no group with all of x1, y1, y-1 and theta1 ({groups[0].name} lacks "
             + ", ".join(place.name for place in lacking) + ")",
-            expected="one step about the nominal experiment at least",
-            hint="perform the thesis's plan: fixel sample --thesis",
+            expected="at least one step about the nominal experiment",
+            hint="perform the plan of the thesis: fixel sample --thesis",
         )  # fmt: skip
     return max(group.reach for group in groups)
 

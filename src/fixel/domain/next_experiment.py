@@ -124,6 +124,10 @@ def _entropy(chance: FloatArray) -> FloatArray:
 def _reason(domain: DomainMap, verdict: CellVerdict, inside: list[int], c: int) -> str:
     if verdict.colour != DOUBTFUL:
         nominal = c == domain.cells.nominal
-        return "no experiment at the nominal" if nominal else "no experiment there; it touches D"
+        return (
+            "no experiment at the nominal"
+            if nominal
+            else ("no experiment in this cell, which touches D")
+        )
     touches = any(c in edge and (set(edge) & set(inside)) for edge in domain.cells.edges)
     return f"doubtful{' and next to D' if touches else ''}: {verdict.reason}"

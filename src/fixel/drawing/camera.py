@@ -77,7 +77,7 @@ class CameraErrorChart(AbstractChart):
         )
         axes.set_aspect("equal")
         axes.set(xlabel="x on the plate [mm]", ylabel="y on the plate [mm]")
-        axes.set_title(f"95 % of places lie within, {1e3 * e.height:g} mm above the plate",
+        axes.set_title(f"95 % of position errors are below, {1e3 * e.height:g} mm above the plate",
                        loc="left")  # fmt: skip
         axes.spines[["top", "right"]].set_visible(False)
         _bar(figure, shades, axes, "error [mm]")
@@ -88,13 +88,13 @@ class CameraErrorChart(AbstractChart):
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="u [px]",
                  ylabel="v [px]")  # fmt: skip
         if not self.seen.size:
-            axes.set_title("where boards were seen: not known", loc="left")
+            axes.set_title("positions of the boards: unknown", loc="left")
             return
         shown = np.ma.masked_equal(self.seen, 0.0)
         cells = axes.imshow(
             shown, extent=(-0.5, width - 0.5, height - 0.5, -0.5), cmap="Greens", vmin=0.0
         )
-        axes.set_title("where boards were seen; white: nowhere", loc="left")
+        axes.set_title("positions of the boards; white: none", loc="left")
         _bar(figure, cells, axes, "corners")
 
 

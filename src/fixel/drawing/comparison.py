@@ -75,7 +75,7 @@ def plot_motion(
         raise InvalidInput(
             "experiment" if rows else "model",
             found=repr(experiment if rows else model),
-            expected="one that was compared",
+            expected="a compared experiment",
         )
     run = chosen[0].run
     return plot_axes(lambda: comparison_figure(run.experiment, run.simulated, run.contacts), ax)

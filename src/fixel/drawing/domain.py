@@ -251,12 +251,12 @@ class SizeChart(AbstractChart):
         if not single:
             axes.step([], [], color=palette.TRAIL, linewidth=0.7, label=f"{len(sizes)} maps")
             axes.step(thresholds, sizes.mean(axis=0), where="post", linewidth=1.6,
-                      color=palette.BODY, label="their mean")  # fmt: skip
+                      color=palette.BODY, label="mean")  # fmt: skip
         axes.axvline(self.claim.threshold, color=palette.INK, linewidth=0.8, linestyle=(0, (4, 2)),
-                     label="τ asked for")  # fmt: skip
+                     label="requested τ")  # fmt: skip
         log_scale(axes, "x", thresholds)
         axes.set_ylim(-0.02 * cells, 1.04 * max(float(sizes.max()), 1.0))
-        unit = " [mm]" if self.claim.measure == "absolute" else ", share above the own best"
+        unit = " [mm]" if self.claim.measure == "absolute" else (", share above the smallest error")
         axes.set(xlabel=f"threshold τ{unit}", ylabel=f"cells in D(τ), of {cells}")
         axes.locator_params(axis="y", integer=True)
         axes.legend(frameon=False, loc="upper left")

@@ -188,7 +188,7 @@ def _common_time(experiment: Experiment, simulated: Trajectory) -> Trajectory:
         raise InvalidInput(
             "simulated.time",
             found=f"{simulated.time[0]:g} to {simulated.time[-1]:g} s",
-            expected=f"some of what was measured, {time[0]:g} to {time[-1]:g} s",
+            expected=f"a part of the measured time, {time[0]:g} to {time[-1]:g} s",
         )
     return Trajectory(time=time[both], pose=experiment.trajectory.pose[both])
 

@@ -95,7 +95,7 @@ def filter_figure(experiment: Experiment, estimates: FilterRun) -> Figure:
     _set_time(page.against_time, estimates)
     handles.append(Patch(facecolor=palette.TRAIL, alpha=0.4, label="90 %"))
     if n_fixel:
-        handles.append(Patch(facecolor=palette.INK, label="fixel feels contact"))
+        handles.append(Patch(facecolor=palette.INK, label="fixel in contact"))
         handles.append(Patch(facecolor=palette.TOUCHED, label="contact, estimated"))
     return finish_page(page, handles, f"{experiment.key}, filtered", experiment)
 
@@ -131,7 +131,7 @@ def _draw_view(axes: Axes, experiment: Experiment, estimates: FilterRun) -> list
         *(measured.pose[:, :2].T * MM.factor),
         color=palette.INK,
         linewidth=1.0,
-        label=f"{what}, path",
+        label=f"{what}, trajectory",
         zorder=3.4,
     )
     return [*handles, line, *_estimated_path(axes, estimates)]
@@ -163,7 +163,7 @@ def _outlines(
 def _estimated_path(axes: Axes, estimates: FilterRun) -> list[Artist]:
     way = estimates.pose[:, :2] * MM.factor
     (seen,) = axes.plot(
-        *way.T, color=palette.BODY, linewidth=1.0, label="estimated, path", zorder=3.5
+        *way.T, color=palette.BODY, linewidth=1.0, label="estimated trajectory", zorder=3.5
     )
     hidden = estimates.hidden
     if not hidden.any():

@@ -87,7 +87,7 @@ class GrowthMatrix(AbstractChart):
                       color="white" if dark else palette.INK)  # fmt: skip
         axes.set_yticks(range(n), [group.name for group in self.growth.groups])
         axes.set_xticks(range(m), ["0\nnominal", *(f"{k}" for k in range(1, m))])
-        axes.set_xlabel("step: so many from the nominal pose along x, y both ways, and θ")
+        axes.set_xlabel("step: number of offsets from the nominal pose along x, ±y and θ")
         axes.tick_params(length=0.0)
         return figure
 
@@ -206,7 +206,7 @@ class AxisChart(AbstractChart):
             if edge is not None and not is_open:
                 axes.plot([edge], [self.threshold], marker="D", markersize=4.0, linestyle="none",
                           color=palette.FORCE, zorder=5, label="edge of the domain")  # fmt: skip
-        axes.set_title(f"set found on {study.size} samples, {low} to {high}")
+        axes.set_title(f"set calibrated on {study.size} samples, {low} to {high}")
 
     def _draw_relative(self, axes: Axes, study: AxisStudy) -> None:
         clean(axes)
@@ -214,7 +214,7 @@ class AxisChart(AbstractChart):
         average, own = positive(study.average), positive(study.own_average)
         axes.fill_between(study.steps, own, average, color=palette.FAINT, linewidth=0.0, zorder=1)
         axes.plot(study.steps, average, **AVERAGE)
-        axes.plot(study.steps, own, label="average of own best", **OPTIMAL)
+        axes.plot(study.steps, own, label="average of smallest errors", **OPTIMAL)
 
     def table(self) -> Table:
         unit = column_unit(self.unit)

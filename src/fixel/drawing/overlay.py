@@ -172,7 +172,7 @@ def _draw_differences(panels: Sequence[Axes], chart: OverlayChart) -> None:
         axes.axhline(0.0, color=palette.INK, linewidth=0.5, zorder=1)
         axes.set_ylabel(label, labelpad=1.0)
     panels[0].set_title(
-        f"simulated less {chart.tracks[0][0]}", loc="right", fontsize=palette.FONT_SIZE, pad=3.0
+        f"simulated - {chart.tracks[0][0]}", loc="right", fontsize=palette.FONT_SIZE, pad=3.0
     )
 
 

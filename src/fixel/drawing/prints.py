@@ -106,7 +106,10 @@ def save_sheets(sheets: Sequence[PrintSheet], path: str | Path) -> None:
         return
     if len(images) > 1:
         raise InvalidInput(
-            str(path), found=f"{len(images)} sheets", expected="one, for a PNG", hint="write a .pdf"
+            str(path),
+            found=f"{len(images)} sheets",
+            expected="one sheet, for a PNG",
+            hint="write a .pdf",
         )
     images[0].save(path, "PNG", dpi=(dots, dots))
 
@@ -206,7 +209,7 @@ def _with_foot(
             for k in range(11)
         ),
     ]
-    text = f"100 mm: measure it, print at 100 %.  {title}"
+    text = f"100 mm: check with a ruler, print at 100 %.  {title}"
     return PrintSheet(
         page,
         np.concatenate([black, np.array(ruler)]),

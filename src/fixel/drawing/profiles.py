@@ -91,11 +91,11 @@ class ParametersChart(AbstractChart):
 
         entries: list[Any] = [Line2D([], [], label="value", **_dot(palette.BODY, "o"))]
         if any(row.is_assessed for row in self.rows):
-            label = f"{100 * self.level:g} % interval; an arrow: no end in the data"
+            label = f"{100 * self.level:g} % interval; an arrow: unbounded by the data"
             entries.append(Line2D([], [], color=palette.BODY, linewidth=3.0, alpha=0.4,
                                   label=label))  # fmt: skip
         if any(row.best_fit is not None for row in self.rows):
-            entries.append(Line2D([], [], label="best fit for prediction, where it is another",
+            entries.append(Line2D([], [], label="best fit for prediction, if different",
                                   **_dot(palette.BODY, "o", hollow=True)))  # fmt: skip
         entries.append(
             Line2D([], [], linestyle="none", marker="|", markersize=7, color=palette.INK,
@@ -183,7 +183,7 @@ def _write_row(axes: Axes, k: int, row: Estimate) -> None:
     if not row.is_assessed:
         return
     ends = ["?" if end is None else unit.text(end) for end in (row.low, row.high)]
-    interval = "no end known" if ends == ["?", "?"] else f"{ends[0]} … {ends[1]}"
+    interval = "unbounded" if ends == ["?", "?"] else f"{ends[0]} … {ends[1]}"
     axes.text(0.18, k, interval, va="center")
     axes.text(0.42, k, _wrapped(row.verdict), va="center", color=_colour(row.verdict))
 
@@ -216,7 +216,7 @@ class ProfilesChart(AbstractChart):
 
     @property
     def _interval(self) -> str:
-        return f"{100 * self.level:g} % interval" + (", misfit left out" if self.misfits else "")
+        return f"{100 * self.level:g} % interval" + (", without misfit" if self.misfits else "")
 
     def figure(self) -> Figure:
         n = len(self.profiles)
@@ -230,7 +230,7 @@ class ProfilesChart(AbstractChart):
         for axes in grid.flat[n:]:
             axes.axis("off")
         for row in grid:
-            row[0].set_ylabel("rise of the deviance\nover its threshold")
+            row[0].set_ylabel("increase of the deviance\nover its threshold")
         legend_below(figure, grid[0, :1], 4 if columns > 2 else 2)
         return figure
 
@@ -278,14 +278,14 @@ _SLICE: Final[Style] = {
     "color": palette.PUSHER,
     "linewidth": 1.0,
     "linestyle": (0, (4, 2)),
-    "label": "the others held",
+    "label": "others fixed",
 }
 _PROFILE: Final[Style] = {
     "color": palette.BODY,
     "linewidth": 1.2,
     "marker": "o",
     "markersize": 2.0,
-    "label": "profile, the others fitted",
+    "label": "profile, others fitted",
 }
 
 

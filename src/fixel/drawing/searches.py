@@ -224,11 +224,13 @@ def _draw_waterfall(axes: Axes, chart: StartsChart) -> None:
             axes.plot(rank[which], shown[which], linestyle="none", markersize=4 if few else 2.5,
                       **style)  # fmt: skip
     none = ~np.isfinite(ordered)
-    mark_missing(axes, rank[none], 0.96, label="found nothing")
+    mark_missing(axes, rank[none], 0.96, label="without result")
     log_scale(axes, "y", shown)
     room_above(axes, bool(none.any()))
     axes.set_xlim(0.4, len(rank) + 0.6)
-    axes.set(xlabel="start, best first", ylabel=f"final {chart.what} [{unit_text(chart.unit)}]")
+    axes.set(
+        xlabel="start, sorted by error", ylabel=f"final {chart.what} [{unit_text(chart.unit)}]"
+    )
     whole_numbers(axes)
     clean(axes)
 
@@ -237,12 +239,12 @@ def _good(chart: StartsChart) -> Style:
     return {
         "marker": "o",
         "color": palette.BODY,
-        "label": f"the best, or within {100 * chart.nearly:g} % of it",
+        "label": f"smallest error, or within {100 * chart.nearly:g} % of it",
     }
 
 
 def _other() -> Style:
-    return {"marker": "D", "color": palette.PUSHER, "label": "a worse end"}
+    return {"marker": "D", "color": palette.PUSHER, "label": "larger error"}
 
 
 def _draw_ends(axes: Axes, chart: StartsChart) -> None:
@@ -267,5 +269,5 @@ def _draw_ends(axes: Axes, chart: StartsChart) -> None:
         axes.tick_params(axis="x", rotation=60, labelsize=palette.FONT_SIZE - 1.5)
     axes.set_xlim(-0.4, len(place) - 0.6)
     axes.set_ylim(-0.04, 1.04)
-    axes.set_ylabel("place between the bounds")
+    axes.set_ylabel("position between the bounds")
     clean(axes)

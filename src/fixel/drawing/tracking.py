@@ -130,7 +130,7 @@ class SideBySide(AbstractChart):
     def figure(self) -> Figure:
         figure = sheet(WIDE, ROW * len(self.runs))
         grid = figure.subplots(len(self.runs), 3, squeeze=False, width_ratios=(1.0, 1.0, 1.15))
-        for axes, title in zip(grid[0], ("true", "tracked", "tracked less true"), strict=True):
+        for axes, title in zip(grid[0], ("true", "tracked", "tracked - true"), strict=True):
             axes.set_title(title)
         for axes, run in zip(grid, self.runs, strict=True):
             _from_above(axes[0], run, run.true, palette.INK)

@@ -210,7 +210,7 @@ class BandsChart(AbstractChart):
             self._path(panels[0, k], k, factor, np.zeros(len(self.time)))
             self._path(panels[1, k], k, factor, self.best[:, k])
             panels[0, k].set_ylabel(label)
-            panels[1, k].set_ylabel(f"{label}, less likeliest")
+            panels[1, k].set_ylabel(f"{label} - most likely")
             panels[1, k].set_xlabel("time [s]")
         figure.align_ylabels()
         legend_below(figure, panels[0, :1])
@@ -359,7 +359,7 @@ class CoverageChart(AbstractChart):
             _draw_coverage(axes, curve, self._groups.get(name, ()))
             title = f"{name}, {curve.outcomes} outcomes"
             axes.set_title(title, fontsize=palette.FONT_SIZE)
-        row[0].set_ylabel("outcomes held [%]")
+        row[0].set_ylabel("outcomes within bounds [%]")
         legend_below(figure, row[:1], 2)
         return figure
 
@@ -376,15 +376,15 @@ class CoverageChart(AbstractChart):
 def _draw_coverage(axes: Axes, curve: CoverageCurve, groups: Sequence[FloatArray]) -> None:
     levels = 100.0 * curve.levels
     axes.plot((0, 100), (0, 100), color=palette.INK, linewidth=0.7, linestyle=(0, (4, 2)),
-              label="as promised")  # fmt: skip
+              label="exact coverage")  # fmt: skip
     axes.fill_between(levels, 100.0 * curve.low, 100.0 * curve.high, color=palette.TRAIL,
-                      alpha=0.35, linewidth=0.0, label="chance alone, 95 %")  # fmt: skip
+                      alpha=0.35, linewidth=0.0, label="95 % range of exact coverage")  # fmt: skip
     for k, own in enumerate(groups):
         axes.plot(levels, 100.0 * own, color=palette.FIXEL, linewidth=0.5, alpha=0.6,
                   label="single groups" if k == 0 else None)  # fmt: skip
     axes.plot(levels, 100.0 * curve.held, color=palette.FORCE, linewidth=1.2, marker="o",
               markersize=2.5, label="held")  # fmt: skip
-    axes.set(xlim=(0, 100), ylim=(0, 100), xlabel="level promised [%]")
+    axes.set(xlim=(0, 100), ylim=(0, 100), xlabel="stated level [%]")
     axes.set_aspect("equal")
     clean(axes)
 

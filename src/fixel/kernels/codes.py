@@ -31,18 +31,17 @@ STATUS_NAMES: Final = (
 
 STATUS_ADVICE: Final = (
     "",
-    "A rigid drive pushes against bodies that cannot move. Give the pusher a force_limit "
-    "(the thesis's actuator stalls at 34.3 N), or shorten its travel.",
-    "No solver of the chain met the tolerance in this step. "
-    "Make the step smaller, or choose another solver.",
-    "A number overflowed. Check masses, sizes and speeds for a wrong unit.",
-    "More contacts than the rollout was given room for. Raise max_contacts.",
-    "The stepper could not meet its tolerance at the smallest step. "
-    "Loosen the tolerance, or use a fixed step.",
-    "The stepper used up its steps. Raise max_steps, or loosen the tolerance.",
-    "A body was squeezed out and carried further in one step than the step can tell. "
-    "Look for a deep overlap at the start, or make the step smaller.",
-    "The run was interrupted. Run it again to see its end.",
+    "A rigid drive pushes against bodies that cannot move. Give the pusher a force_limit (the "
+    "actuator of the thesis stalls at 34.3 N), or shorten its travel.",
+    "No solver of the chain met the tolerance in this step. Use a smaller step or another solver.",
+    "A number overflowed. Check the units of masses, sizes and speeds.",
+    "There are more contacts than max_contacts. Increase max_contacts.",
+    "The stepper could not meet its tolerance at the smallest step. Increase the tolerance, or "
+    "use a fixed step.",
+    "The stepper reached max_steps. Increase max_steps or the tolerance.",
+    "A body was pushed out of an overlap and moved further in one step than the step resolves. "
+    "Check for a deep overlap at the start, or use a smaller step.",
+    "The run was interrupted. Run it again to complete it.",
 )
 
 # A motion model or solver of a plug-in, which only the plain Python loop can run.

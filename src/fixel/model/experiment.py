@@ -228,13 +228,15 @@ class Experiment(Comparable, Result):
             raise InvalidInput(
                 f"{where}.simulated_by",
                 found=repr(self.simulated_by),
-                expected="nothing for a real experiment, what made it for another",
+                expected="no text for a real experiment, the simulator for a simulated one",
             )
         for label in ("height", "pusher_height", "fixel_height"):
             settle(self, **{label: optional_positive(getattr(self, label), label, "m")})
         if not re.fullmatch(r"[01]*", self.contact_mode):
             raise InvalidInput(
-                f"{where}.contact_mode", found=repr(self.contact_mode), expected="a 0 or 1 a fixel"
+                f"{where}.contact_mode",
+                found=repr(self.contact_mode),
+                expected="a digit 0 or 1 for each fixel",
             )
         if self.scene is not None:
             self._check_scene(where, self.scene)
@@ -242,7 +244,7 @@ class Experiment(Comparable, Result):
             first, last = (float(instant) for instant in self.effective)
             if not first <= last:
                 raise InvalidInput(
-                    f"{where}.effective", found=(first, last), expected="the first instant first"
+                    f"{where}.effective", found=(first, last), expected="the earlier time first"
                 )
             settle(self, effective=(first, last))
         settle(
@@ -263,7 +265,7 @@ class Experiment(Comparable, Result):
             raise InvalidInput(
                 f"{where}.contact_mode",
                 found=f"{len(self.contact_mode)} digits",
-                expected=f"{len(scene.fixels)}, one a fixel",
+                expected=f"{len(scene.fixels)}, one per fixel",
             )
 
     @property

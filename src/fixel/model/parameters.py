@@ -27,7 +27,7 @@ class ParameterInfo(NamedTuple):
 
 
 _ANY = -math.inf
-_LOADS = "how the load is spread under the body"
+_LOADS = "the distribution of the load under the body"
 _CENTRE = "the centre of pressure and the unevenness of the plane"
 
 KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
@@ -36,7 +36,7 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
         "mu_support": ParameterInfo(
             "-",
             "friction of every support against the plane",
-            stands_for="what happens where the drive stalls or the body coasts",
+            stands_for="the motion while the drive stalls or the body coasts",
         ),
         "mu_fixel": ParameterInfo(
             "-", "friction of every free body against every fixel", contact="fixel"
@@ -68,8 +68,8 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
         ),
         "pressure_spread": ParameterInfo(
             "-",
-            "pressure under the whole body instead of the scene's support: even at 0, more of it"
-            " towards the rim above 0, towards the middle below 0",
+            "pressure under the whole body instead of the support of the scene: uniform at 0, "
+            "larger towards the rim above 0, towards the middle below 0",
             _ANY,
             stands_for=_LOADS,
         ),
@@ -83,7 +83,10 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
             "-", "friction of the plane along world x above its mean, and along y below it", -0.9
         ),
         "anisotropy_diagonal": ParameterInfo(
-            "-", "the same along the diagonals of world x and y", -0.9
+            "-",
+            "friction of the plane along one diagonal of world x and y above its mean, and "
+            "along the other below it",
+            -0.9,
         ),
         "table_bend": ParameterInfo(
             "-",
@@ -93,33 +96,40 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
         ),
         "table_bend_xy": ParameterInfo(
             "-",
-            "extra load far along world x, and less far along y, on such a table",
+            "extra load far along world x and reduced load far along y, on a table that is not "
+            "flat",
             _ANY,
             stands_for=_LOADS,
         ),
         "table_bend_diagonal": ParameterInfo(
-            "-", "the same between the diagonals of world x and y", _ANY, stands_for=_LOADS
+            "-",
+            "extra load far along the diagonals of world x and y, on a table that is not flat",
+            _ANY,
+            stands_for=_LOADS,
         ),
         "table_slope_x": ParameterInfo(
-            "-", "extra load towards larger world x, on such a table", _ANY, stands_for=_LOADS
+            "-",
+            "extra load towards larger world x, on a table that is not flat",
+            _ANY,
+            stands_for=_LOADS,
         ),
         "table_slope_y": ParameterInfo("-", "the same along world y", _ANY, stands_for=_LOADS),
         "registration_x": ParameterInfo(
-            "m", "shift along world x from where the pusher was recorded to where it was", _ANY
+            "m", "shift along world x from the recorded to the true position of the pusher", _ANY
         ),
         "registration_y": ParameterInfo("m", "the same along world y", _ANY),
         "registration_theta": ParameterInfo(
-            "rad", "turn of the recorded path of the pusher about the world's origin", _ANY
+            "rad", "rotation of the recorded path of the pusher about the origin of the world", _ANY
         ),
-        "start_x": ParameterInfo("m", "error of the measured first pose along world x", _ANY),
+        "start_x": ParameterInfo("m", "error of the measured start pose along world x", _ANY),
         "start_y": ParameterInfo("m", "the same along world y", _ANY),
-        "start_theta": ParameterInfo("rad", "error of the measured first angle", _ANY),
+        "start_theta": ParameterInfo("rad", "error of the measured start angle", _ANY),
         "outline_x": ParameterInfo(
             "m", "x of the outline in the frame whose pose was measured", _ANY
         ),
         "outline_y": ParameterInfo("m", "y of the outline in that frame", _ANY),
         "outline_theta": ParameterInfo("rad", "angle of the outline in that frame", _ANY),
-        "contact_offset": ParameterInfo("m", "how much larger a round pusher is than drawn", _ANY),
+        "contact_offset": ParameterInfo("m", "increase of the radius of a round pusher", _ANY),
     }
 )
 
@@ -164,9 +174,9 @@ def check_supports(names: Iterable[str]) -> None:
     if "pressure_spread" in known and replaced:
         raise InvalidInput(
             "parameters.pressure_spread",
-            found=f"{', '.join(replaced)} beside it",
+            found=f"{', '.join(replaced)} in addition to it",
             expected="one of them: it replaces the support that they describe",
-            hint="leave out pressure_spread, or " + ", ".join(replaced),
+            hint="remove pressure_spread, or " + ", ".join(replaced),
         )
 
 

@@ -51,7 +51,7 @@ class Probability(NamedTuple):
         if not 0.0 < level < 1.0:
             raise InvalidInput("level", found=level, expected="a number between 0 and 1")
         if not 0 <= good <= n or n < 1:
-            raise InvalidInput("cases", found=f"{good} of {n}", expected="one case at least")
+            raise InvalidInput("cases", found=f"{good} of {n}", expected="at least one case")
         tail = 0.5 * (1.0 - level)
         low = float(betaincinv(good, n - good + 1, tail)) if good else 0.0
         high = float(betaincinv(good + 1, n - good, 1.0 - tail)) if good < n else 1.0

@@ -84,7 +84,7 @@ class Evaluations(Comparable):
             raise InvalidInput(
                 "evaluations",
                 found=f"values of shape {values.shape} for {len(error)} errors",
-                expected=f"a row of {len(self.names)} values and a reason an error",
+                expected=f"a row of {len(self.names)} values and a reason for each error",
             )
         settle(self, names=tuple(self.names), values=values, error=error, reasons=reasons)
 
@@ -264,7 +264,7 @@ class CalibrationRecord(Comparable):
         name_of(self.name, "calibration.name")
         if not self.members:
             raise InvalidInput(
-                f"calibration {self.name!r}", found="no members", expected="an experiment at least"
+                f"calibration {self.name!r}", found="no members", expected="at least one experiment"
             )
         settle(
             self,

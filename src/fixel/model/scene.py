@@ -269,7 +269,7 @@ def _check_directions(value: Any) -> None:
         raise InvalidInput(
             "support_directions",
             found=value,
-            expected="a whole number of at least 4, or nothing for the exact disc",
+            expected="a whole number of at least 4, or None for the exact disc",
         )
 
 
@@ -302,7 +302,7 @@ def _check_friction(scene: Scene) -> None:
         raise InvalidInput(
             "contact_friction",
             found=f"no entry for the free bodies {a!r} and {b!r}",
-            expected="one for every pair of free bodies",
+            expected="an entry for every pair of free bodies",
             hint=f"add {{pair: [{a}, {b}], friction: 0.3}}, or pair: ['*', '*'] for all at once",
         )
 
@@ -319,7 +319,7 @@ def _check_overlaps(scene: Scene) -> None:
             raise InvalidInput(
                 f"{a.name!r} and {b.name!r}",
                 found=f"an overlap of {depth * 1e3:.4g} mm at the start",
-                expected="bodies that are apart or touch",
+                expected="bodies that do not overlap",
                 hint="move one of them",
             )
 

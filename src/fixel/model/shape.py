@@ -234,8 +234,8 @@ def _simple_outline(given: FloatArray) -> FloatArray:
     if shapely.MultiPoint(scaled).convex_hull.area <= COINCIDENT:
         raise InvalidInput(
             "polygon",
-            found="zero area: all vertices on one line",
-            expected="a polygon with an inside",
+            found="no area, since all vertices are on one line",
+            expected="a polygon with an area",
         )
     _check_pairs(scaled, vertices)
     vertices = _without_straight_corners(vertices, size)
@@ -244,7 +244,7 @@ def _simple_outline(given: FloatArray) -> FloatArray:
         raise InvalidInput(
             "polygon",
             found=f"an area of {abs(doubled) / 2:g} m^2",
-            expected="a polygon with an inside",
+            expected="a polygon with an area",
         )
     return frozen(vertices if doubled > 0.0 else vertices[::-1])
 
@@ -300,7 +300,7 @@ def _check_pairs(scaled: FloatArray, vertices: FloatArray) -> None:
         "polygon",
         found=found,
         expected="a simple polygon",
-        hint="list the corners in the order one walks round the outline",
+        hint="list the corners in order along the outline",
     )
 
 

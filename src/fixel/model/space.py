@@ -70,7 +70,7 @@ class Parameter:
             raise InvalidInput(
                 "parameter",
                 found=f"bounds {low:g} to {high:g}",
-                expected="the lower one first",
+                expected="the lower bound first",
             )
         start = None if self.start is None else finite(self.start, "parameter.start")
         prior = self.prior
@@ -81,7 +81,7 @@ class Parameter:
                 raise InvalidInput(
                     "parameter.start",
                     found=f"{start:g}, and a prior about {mean:g}",
-                    expected="one of them: the search starts at the mean of the prior",
+                    expected="one of them, since the search starts at the mean of the prior",
                 )
             start = prior[0]
         settle(
@@ -136,7 +136,9 @@ class Unknown(Comparable):
         nominal = finite(self.nominal, f"{self.name}.nominal", unit)
         if not low < high:
             raise InvalidInput(
-                f"{self.name}", found=f"bounds {low:g} to {high:g}", expected="the lower one first"
+                f"{self.name}",
+                found=f"bounds {low:g} to {high:g}",
+                expected="the lower bound first",
             )
         if not low <= nominal <= high:
             raise InvalidInput(
@@ -224,13 +226,13 @@ class ParameterSpace(Comparable):
         labels = [unknown.label for unknown in self.unknowns]
         for label in labels:
             if labels.count(label) > 1:
-                raise InvalidInput("space", found=f"{label} twice", expected="each unknown once")
+                raise InvalidInput("space", found=f"{label} twice", expected="each parameter once")
         check_supports(u.name for u in self.unknowns if not u.where)
         if not self.free:
             raise InvalidInput(
                 "space",
-                found="no unknown that is free" if labels else "no unknown",
-                expected="one at least to calibrate",
+                found="no parameter that is free" if labels else "no parameter",
+                expected="at least one free parameter",
             )
 
     @property
@@ -292,7 +294,7 @@ class ParameterSpace(Comparable):
         if strangers:
             raise InvalidInput(
                 "space",
-                found=f"no unknown {', '.join(sorted(strangers))}",
+                found=f"no parameter {', '.join(sorted(strangers))}",
                 expected="one of " + ", ".join(unknown.label for unknown in self.unknowns),
             )
         return ParameterSpace(

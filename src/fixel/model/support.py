@@ -313,7 +313,7 @@ def _tilted(share: FloatArray, points: FloatArray, com: FloatArray) -> FloatArra
             "support.uniform",
             found=f"a centre of mass at ({com[0]:g}, {com[1]:g}),"
             f" ({x:g}, {y:g}) m from the centroid: the pressure would be negative at one end",
-            expected="a centre of mass nearer to the centroid",
+            expected="a centre of mass closer to the centroid",
             hint="give support points instead",
         )
     return np.maximum(tilted, 0.0)
@@ -351,8 +351,8 @@ def _check_loads(loads: FloatArray) -> None:
         raise InvalidInput(
             "points.loads",
             found="loads for three points",
-            expected="nothing: the balance out of the plane gives them",
-            hint="leave loads out, or split one point into two",
+            expected="no loads, since equilibrium determines them",
+            hint="remove the loads, or split one point into two",
         )
     if loads.sum() <= 0.0:
         raise InvalidInput("points.loads", found="only zeros", expected="at least one load above 0")

@@ -66,14 +66,14 @@ class Trajectory(Comparable):
             raise InvalidInput(
                 "trajectory.time",
                 found=f"an array of shape {time.shape}",
-                expected=f"one instant for each of the {len(pose)} poses",
+                expected=f"one time for each of the {len(pose)} poses",
             )
         time = frozen(time)
         if not (np.isfinite(time).all() and (np.diff(time) > 0.0).all()):
             raise InvalidInput(
                 "trajectory.time",
-                found="instants that do not increase",
-                expected="finite, increasing instants [s]",
+                found="times that do not increase",
+                expected="finite, increasing times [s]",
             )
         settle(self, time=time, pose=pose)
 

@@ -99,7 +99,7 @@ def read_mit_pushes(folder: Path) -> MitPushes:
             raise InvalidInput(
                 f"{folder.name}: {name}",
                 found="no push that starts outside the plate",
-                expected="one at least",
+                expected="at least one",
             )
     poses = np.array([experiment.trajectory.pose for experiment in experiments])
     tips = np.array([e.pusher.pose[:, :2] for e in experiments if e.pusher is not None])

@@ -166,12 +166,12 @@ class PushReplay(AbstractReplay):
         ]
 
     def _notes(self) -> list[str]:
-        notes = ["Errors are mean / median, on the pushes that every model has an answer to."]
+        notes = ["Errors are mean / median, over the pushes that all models simulate."]
         if self.left_out:
             reasons = "; ".join(f"{n} with {reason}" for reason, n in self.left_out.items())
-            notes.append(f"Left out: {reasons} (--all keeps them).")
+            notes.append(f"Skipped: {reasons} (--all includes them).")
         if self.everything:
-            notes.append("Nothing was left out, pushes of doubtful quality included.")
+            notes.append("All pushes are included, also those of doubtful quality.")
         gap = self.data.gap_start[self.chosen]
         notes.append(
             f"{int((gap < 0.0).sum())} pushes start with tip and object overlapping in the"

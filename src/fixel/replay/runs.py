@@ -287,11 +287,14 @@ def _notes(runs: list[Experiment], left_out: Counter[str]) -> list[str]:
         int(run.conditions.get("raw_readings", n)) for run, n in zip(runs, used, strict=True)
     )
     return [
-        f"Pusher paths: {sum(used)} of {readings} rows say something new; repeated readings were"
-        " dropped, nothing was smoothed.",
+        f"Pusher paths: {sum(used)} of {readings} rows are new readings; repeated readings were "
+        "dropped, nothing was smoothed.",
         "A run ends with the last new reading of the object; the tracker stops before the pusher.",
         "Each window starts at the measured pose, at rest.",
-        *(f"Left out: {n} windows, {reason} (--all keeps them)." for reason, n in left_out.items()),
+        *(
+            f"Skipped: {n} windows, {reason} (--all includes them)."
+            for reason, n in left_out.items()
+        ),
     ]
 
 

@@ -71,7 +71,7 @@ class TrialReplay(AbstractReplay):
             raise InvalidInput(
                 "--select experiment_id",
                 found="a trial without actuator path and fixel positions",
-                expected="a complete one: " + ", ".join(names[:n]),
+                expected="a complete trial: " + ", ".join(names[:n]),
             )
         self.left_out = int(fits[n:].sum())
         chosen = [chosen[k] for k in spread(len(chosen), request.limit)]
@@ -125,12 +125,13 @@ class TrialReplay(AbstractReplay):
         rows = [row for outcome in outcomes for row in outcome.rows]
         first = outcomes[0]
         notes = [
-            "weighted: angles count by 35 mm/rad; E is its mean square, as in the thesis (5.1).",
+            "weighted: with angles weighted by 35 mm/rad; E is its mean square, as in the thesis "
+            "(5.1).",
             "fixel, laboratory's slips: gravity 9.810 mm/s^2, 16 friction directions, steps of 1/30"
             " s with the driver one step ahead; compared with the laboratory's stored simulation.",
         ]
         if self.left_out:
-            notes.append(f"{self.left_out} trials have {INCOMPLETE}: left out.")
+            notes.append(f"{self.left_out} trials were skipped: {INCOMPLETE}.")
         settings = {f"experiment_{o.trial.name}": self._settings(o.trial) for o in outcomes}
         gravity = [own.pop("gravity") for own in settings.values()]
         return Replay(

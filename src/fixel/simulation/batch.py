@@ -151,7 +151,7 @@ def simulate_batch(  # type: ignore[misc]
         rollout_in_threads(packed.batch, method, record, threads)
     except KeyboardInterrupt:
         partial = _unpack(scene, packed, record, instants, variation.parameters)
-        raise Interrupted(partial, "its result has the runs that ended") from None
+        raise Interrupted(partial, "its result has the finished runs") from None
     return _unpack(scene, packed, record, instants, variation.parameters)
 
 
@@ -184,7 +184,7 @@ def check_compiled(
             raise InvalidInput(
                 role,
                 found=type(part).__name__,
-                expected="one that the compiled loop knows: batches run in it alone",
+                expected="a part of the compiled loop, since batches run only in it",
                 hint="call simulate for each rollout",
             )
 
@@ -225,12 +225,16 @@ def _variation(
         path = np.asarray(waypoints, np.float64)
         if len(scene.pushers) != 1:
             raise InvalidInput(
-                "waypoints", found=f"{len(scene.pushers)} pushers", expected="a scene with one"
+                "waypoints",
+                found=f"{len(scene.pushers)} pushers",
+                expected="a scene with one pusher",
             )
         _check_shape("waypoints", path, (path.shape[1] if path.ndim == 3 else 0, 4))
         if np.any(np.diff(path[:, :, 0], axis=1) <= 0.0):
             raise InvalidInput(
-                "waypoints", found="a time that does not grow", expected="times in increasing order"
+                "waypoints",
+                found="a time that does not increase",
+                expected="times in increasing order",
             )
         lengths["waypoints"] = len(path)
     if len(set(lengths.values())) > 1:

@@ -92,7 +92,7 @@ class Ensemble:
         self.solver = solver or Newton()
         check_compiled(self.motion, self.stepper, self.solver)
         if not cases:
-            raise InvalidInput("cases", found="none", expected="one at least")
+            raise InvalidInput("cases", found="none", expected="at least one")
         for case in cases:
             _check_case(case)
         self.cases = tuple(cases)

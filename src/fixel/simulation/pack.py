@@ -510,7 +510,7 @@ class Template:
                 raise InvalidInput(
                     "parameters.registration_x",
                     found=f"{len(waypoints)} pushers",
-                    expected="a scene with one",
+                    expected="a scene with one pusher",
                 )
             path = waypoints[0][None]
         of = variation.path_of

@@ -180,8 +180,8 @@ def check_method(scene: Scene, solver: AbstractSolver) -> None:
     if isinstance(solver, Lemke) and not scene.support_directions:
         raise InvalidInput(
             "solver",
-            found="Lemke on exact friction discs",
-            expected="the linear form",
+            found="the solver lemke with exact friction discs",
+            expected="linearised friction",
             hint="set support_directions to 4 or more (16 in the thesis), or choose Newton",
         )
 
@@ -241,7 +241,7 @@ def sample_times(duration: float, interval: float) -> FloatArray:
             "output_interval",
             found=f"{n} samples",
             expected=f"at most {MAX_SAMPLES}",
-            hint=f"make it at least {duration / MAX_SAMPLES:.3g} s",
+            hint=f"use at least {duration / MAX_SAMPLES:.3g} s",
         )
     times = interval * np.arange(n + 1)
     if times[-1] < duration * (1.0 - 1e-9):
@@ -272,7 +272,7 @@ def _roll_compiled(
                 "output_interval",
                 found=f"none, with {room} steps",
                 expected=f"at most {MAX_SAMPLES} samples",
-                hint=f"give an output_interval of {duration / 1000:.3g} s, say",
+                hint=f"set output_interval, for example to {duration / 1000:.3g} s",
             )
         record = empty_record(packed, room, per_sample * room)
         _roll_one(packed, method, record, every_step=True)

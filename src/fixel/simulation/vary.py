@@ -159,7 +159,7 @@ def _under_pressure(scene: Scene, elements: Elements, spread: FloatArray) -> Ele
         raise InvalidInput(
             "parameters.pressure_spread",
             found="pressure that would be negative at one end",
-            expected="a centre of mass nearer to the centroid",
+            expected="a centre of mass closer to the centroid",
         )
     weight = scene.bodies[0].mass * scene.gravity
     force = float(elements.load @ elements.friction)
@@ -184,7 +184,7 @@ def three_points(scene: Scene, values: Values) -> tuple[FloatArray, FloatArray]:
         raise InvalidInput(
             "parameters.support_1_x",
             found="no body on three support points",
-            expected="one body that rests on three points, to move them",
+            expected="a body on three support points",
         )
     n = next(len(values[name]) for name in _CORNERS if name in values)
     points = np.array(np.broadcast_to(support.points, (n, 3, 2)))
@@ -200,7 +200,7 @@ def _on_three_points(scene: Scene, elements: Elements, values: Values) -> Elemen
         raise InvalidInput(
             "parameters.support_1_x",
             found="support points with the centre of mass outside their triangle",
-            expected="points that carry the body",
+            expected="points whose triangle contains the centre of mass",
         )
     body = scene.bodies[0]
     return elements._replace(
@@ -214,9 +214,9 @@ def _under_loads(scene: Scene, elements: Elements, values: Values) -> Elements:
     if len(scene.bodies) != 1 or not isinstance(support, SupportPoints) or len(support.points) < 4:
         raise InvalidInput(
             "parameters.load_1",
-            found="no body on a net of support points",
-            expected="one body that rests on four points or more",
-            hint="the loads on three points follow from their places",
+            found="no body on four or more support points",
+            expected="a body on four or more support points",
+            hint="the loads of three points follow from their positions",
         )
     given = {int(name[5:]): v for name, v in values.items() if name.startswith("load_")}
     if max(given) > len(support.points):
@@ -232,7 +232,9 @@ def _under_loads(scene: Scene, elements: Elements, values: Values) -> Elements:
         load[:, k - 1] = value
     total = load.sum(axis=1, keepdims=True)
     if not (total > 0.0).all():
-        raise InvalidInput("parameters.load_1", found="only zeros", expected="one load above 0")
+        raise InvalidInput(
+            "parameters.load_1", found="only zeros", expected="at least one load above 0"
+        )
     return elements._replace(load=body.mass * scene.gravity * load / total)
 
 
@@ -261,9 +263,9 @@ def _check_support_grid(scene: Scene, elements: Elements) -> None:
     if len(scene.bodies) != 1 or not known:
         raise InvalidInput(
             "parameters.table_bend",
-            found="no body on a net of support points",
-            expected="one body that rests on four points or more, or with even pressure",
-            hint="the loads on three points are the same on any table",
+            found="no body on four or more support points",
+            expected="a body on four or more support points, or with uniform pressure",
+            hint="the loads of three points are the same on every table",
         )
 
 
@@ -273,7 +275,7 @@ def _at_radius(elements: Elements, radius: FloatArray) -> Elements:
         raise InvalidInput(
             "parameters.tripod_radius",
             found="no body on a tripod",
-            expected="a tripod support to change the radius of",
+            expected="a tripod support, whose radius is changed",
         )
     moved = radius[:, None, None] * elements.unit
     return elements._replace(point=np.where(tripod[:, None], moved, elements.point))
@@ -284,7 +286,7 @@ def _of_ellipsoid(elements: Elements, values: Values) -> Elements:
         raise InvalidInput(
             "parameters.ellipsoid_force",
             found="no body on an ellipsoidal limit surface",
-            expected="an ellipsoid to change the axes of",
+            expected="an ellipsoid, whose axes are changed",
         )
     n = next(len(v) for name, v in values.items() if name.startswith("ellipsoid_"))
     curved = elements.kind == codes.ELLIPSOID
@@ -392,7 +394,7 @@ def grown_by(scene: Scene, values: Values) -> FloatArray | None:
         raise InvalidInput(
             "parameters.contact_offset",
             found=float(values["contact_offset"].min()),
-            expected="less than the pusher's radius taken away",
+            expected="a decrease smaller than the radius of the pusher",
         )
     return values["contact_offset"]
 
@@ -442,7 +444,7 @@ def infeasible(scene: Scene, values: Values) -> list[str]:
     for name, value in values.items():
         info = info_of(name)
         low = value <= info.lowest if info.above else value < info.lowest
-        _note(reasons, np.asarray(low), f"{name} below what it can be")
+        _note(reasons, np.asarray(low), f"{name} below its smallest value")
     if any(name in values for name in _CORNERS):
         points, share = three_points(scene, values)
         outline = shapely.Polygon(scene.bodies[0].shape.outline)
@@ -453,7 +455,11 @@ def infeasible(scene: Scene, values: Values) -> list[str]:
     if "pressure_spread" in values:
         _, share = pressure_shares(scene, values["pressure_spread"])
         tipped = np.any(share < -LOAD_ROUNDING, axis=1)
-        _note(reasons, tipped, "the centre of mass too far from the centroid for pressure all over")
+        _note(
+            reasons,
+            tipped,
+            "the centre of mass too far from the centroid for positive pressure everywhere",
+        )
     loads = [v for name, v in values.items() if name.startswith("load_")]
     if loads:
         _note(reasons, np.asarray(np.sum(loads, axis=0) <= 0.0), "no load on any support point")
@@ -462,7 +468,7 @@ def infeasible(scene: Scene, values: Values) -> list[str]:
         _note(reasons, gone, "a pusher without extent")
     if "anisotropy_xy" in values or "anisotropy_diagonal" in values:
         slippery = varied_plane(scene, values)[:, 1] <= MIN_FACTOR
-        _note(reasons, slippery, "a plane without friction one way")
+        _note(reasons, slippery, "a plane without friction along one axis")
     return reasons
 
 

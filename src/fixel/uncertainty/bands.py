@@ -118,7 +118,7 @@ def coverage_curve(found: FloatArray, levels: tuple[float, ...] = CURVE_LEVELS) 
 
     own = np.asarray(found, np.float64)
     if own.ndim != 1 or not len(own) or not np.isfinite(own).all():
-        raise InvalidInput("coverage", found="no outcomes", expected="one level an outcome")
+        raise InvalidInput("coverage", found="no outcomes", expected="one level for each outcome")
     wanted = np.array(levels)
     held = np.array([float(np.mean(own <= level)) for level in levels])
     n = len(own)

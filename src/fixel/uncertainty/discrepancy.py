@@ -26,7 +26,7 @@ from fixel.model.fields import positive, settle
 from fixel.typing import FloatArray
 
 LABEL: Final = "model_error"
-MEANING: Final = "standard deviation of the model's own error at the end of the way"
+MEANING: Final = "standard deviation of model error at the end of the motion"
 
 # Range of its standard deviation: from below the camera's resolution to a useless model.
 MIN_DISCREPANCY: Final = 5e-5  # [m]
@@ -57,7 +57,7 @@ class ModelError:
             settle(self, **{name: positive(getattr(self, name), f"model_error.{name}", unit)})
         if not self.low < self.high:
             found = f"{self.low:g} to {self.high:g} m"
-            raise InvalidInput("model_error", found=found, expected="the lower one first")
+            raise InvalidInput("model_error", found=found, expected="the lower bound first")
 
     def transform(self, unit: FloatArray) -> FloatArray:
         """Return the standard deviations at probabilities (k,) in [0, 1] [m]."""

@@ -283,14 +283,14 @@ def _ranged(name: str, low: float, high: float) -> Factor:
             f"vary.{name}",
             found="an error of the start",
             expected="a parameter",
-            hint="the start error has it",
+            hint="it is already in the start error",
         )
     return Factor(name, low, high)
 
 
 def _check(factors: Sequence[Factor], n: int) -> None:
     if not factors:
-        raise InvalidInput("factors", found="none", expected="one at least")
+        raise InvalidInput("factors", found="none", expected="at least one")
     if isinstance(n, bool) or n < 2 or n & (n - 1):
         raise InvalidInput("n", found=n, expected="a power of two, from 2")
 
@@ -303,7 +303,7 @@ def _filled(found: FloatArray) -> tuple[FloatArray, int]:
             "indices",
             found=f"{missing.mean():.1%} of the rollouts without an outcome",
             expected=f"at most {MAX_FAILED:.0%}",
-            hint="make the ranges or the start error smaller",
+            hint="reduce the ranges or the start error",
         )
     filled = np.array(found)
     filled[missing] = found[~missing].mean(axis=0)
@@ -320,7 +320,7 @@ def _salib() -> tuple[Callable[..., Any], Callable[..., Any]]:
         raise InvalidInput(
             "Sobol indices",
             found="no SALib",
-            expected="the extra with it",
-            hint="pip install 'fixel[infer]', or leave the indices out",
+            expected="the extra infer",
+            hint="pip install 'fixel[infer]', or do not compute indices",
         ) from None
     return sampling.sample, analysis.analyze

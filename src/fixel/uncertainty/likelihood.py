@@ -75,7 +75,7 @@ class LogLikelihood:
         self.comparer = comparer
         self.members = np.asarray(members, np.int64)
         if not len(self.members):
-            raise InvalidInput("experiments", found="none", expected="one at least")
+            raise InvalidInput("experiments", found="none", expected="at least one")
         self.noise = noise
         self.prior = ParameterPrior(comparer.space, model_error)
         self.evaluations = self.failed = 0
@@ -183,7 +183,7 @@ def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) 
         raise InvalidInput(
             "noise",
             found="no experiment of three frames that could be simulated",
-            expected="one to find the camera's noise from",
+            expected="an experiment from which the camera noise can be estimated",
             hint="state the noise: --noise-mm and --noise-mrad",
         )
     table = np.concatenate(rows)

@@ -78,7 +78,9 @@ def near_optimal(
     """
     good = np.isfinite(errors)
     if not good.any():
-        raise InvalidInput("evaluations", found="none with an error", expected="one at least")
+        raise InvalidInput(
+            "evaluations", found="no evaluation with an error", expected="at least one"
+        )
     least = float(errors[good].min())
     near = good & (errors <= least + non_negative(rise, "rise"))
     span = np.ptp(points[good], axis=0)

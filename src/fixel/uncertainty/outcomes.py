@@ -37,10 +37,10 @@ TORN_MORE: Final = 5.0
 
 FLAGS: Final = ("bifurcates", "nearly bifurcates", "sensitive", "insensitive")
 MEANING: Final[Mapping[str, str]] = {
-    FLAGS[0]: "its outcomes fall apart into groups",
-    FLAGS[1]: "some starts that lie side by side end far apart",
-    FLAGS[2]: "an error of the start at least doubles",
-    FLAGS[3]: "an error of the start stays about as it is, or shrinks",
+    FLAGS[0]: "its outcomes form separate groups",
+    FLAGS[1]: "some neighbouring starts end far from each other",
+    FLAGS[2]: "start errors at least double",
+    FLAGS[3]: "start errors do not grow much, or shrink",
 }
 
 
@@ -177,7 +177,7 @@ class Sensitivity(Result):
             shares = ", ".join(f"{share:.0%}" for share in self.share)
             notes.append(f"{len(self.share)} separate outcomes: {shares}")
         if self.failed:
-            notes.append(f"{sum(self.failed.values())} starts without an outcome are left out")
+            notes.append(f"{sum(self.failed.values())} starts without an outcome are not included")
         starts = "" if own.error is None else f" Starts {own.error.written()}."
         return Summary(
             f"Sensitivity: {self.flag}: {MEANING[self.flag]}.{starts}",
@@ -207,7 +207,7 @@ def sensitivity_of(ensemble: Prediction, indices: Indices | None = None) -> Sens
         raise InvalidInput(
             "samples",
             found=f"{len(end)} starts with an outcome" + (f" ({why})" if why else ""),
-            expected=f"{MIN_OUTCOMES} at least",
+            expected=f"at least {MIN_OUTCOMES}",
         )
     weight = np.array([1.0, 1.0, arm])
     start, after = ensemble.drawn[ensemble.ended] * weight, (end - end.mean(axis=0)) * weight

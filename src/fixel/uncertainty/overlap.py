@@ -69,7 +69,7 @@ def remove_overlap(
     far = np.hypot(*(moved - poses)[:, :2].T) > most
     for k in np.flatnonzero(far | (inside >= 0)).tolist():
         name = neighbours[inside[k]].name if inside[k] >= 0 else "a neighbour"
-        reasons[k] = f"starts inside {name}, and has no room beside it"
+        reasons[k] = f"starts inside {name}, and no free space is next to it"
     return moved, reasons
 
 

@@ -228,7 +228,7 @@ class Posterior(Result):
     def searched(self) -> ParameterSpace:
         """Parameters with their bounds; raises where there are none."""
         if self.space is None:
-            expected = "one that fixel.posterior has made"
+            expected = "a result of fixel.posterior"
             raise InvalidInput("model", found="a posterior without parameters", expected=expected)
         return self.space
 
@@ -353,8 +353,12 @@ class NestedSampling:
         return max(MIN_LIVE, 25 * n, wanted) if self.live is None else self.live
 
     def _method(self, n: int, runs: int) -> str:
-        how = "random walks" if self._walks(n) else "uniform draws (walks where these are dear)"
-        several = "" if runs == 1 else f", {runs} runs put together"
+        how = (
+            "random walks"
+            if self._walks(n)
+            else "uniform draws (random walks where these are expensive)"
+        )
+        several = "" if runs == 1 else f", {runs} runs combined"
         return f"nested sampling, {self._live(n)} live points, {how} in several ellipsoids{several}"
 
     def _run(
@@ -501,7 +505,7 @@ def _nested_sampler() -> Any:
         raise InvalidInput(
             "posterior",
             found="no dynesty",
-            expected="the package that samples",
+            expected="dynesty, which samples the posterior",
             hint="pip install 'fixel[infer]'",
         ) from None
     return NestedSampler
@@ -525,6 +529,6 @@ def _check_any_likelihood(values: FloatArray) -> None:
         raise InvalidInput(
             "posterior",
             found="no point of the prior that could be simulated",
-            expected="one at least",
-            hint="narrow the bounds to values under which the experiment can happen",
+            expected="at least one point",
+            hint="narrow the bounds to values with which the experiments can be simulated",
         )

@@ -211,9 +211,11 @@ class Prediction(Result):
             for k, (name, unit, factor) in enumerate(units)
         ]
         starts = "" if self.error is None else f" from starts {self.error.written()}"
-        notes = [] if not self.failed else [f"{self.failed} runs without an end are left out"]
+        notes = (
+            [] if not self.failed else [f"{self.failed} runs without an end pose are not included"]
+        )
         if self.drift is not None:
-            notes.append("ends include the error of the model; contacts are simulated ones")
+            notes.append("end poses include model error; contacts do not")
         return Summary(
             f"Prediction: {n} runs{starts} ({self.motion})",
             [Table(head, rows), *self._mode_table()],
@@ -231,7 +233,7 @@ class Prediction(Result):
             for mode, own in self.modes.items()
         ]  # fmt: skip
         numbers = (Column(c, format=".3f") for c in ("probability", "low", "high"))
-        return [Table(("touches at the end", *numbers), rows)]
+        return [Table(("contacts at the end", *numbers), rows)]
 
     def _data(self) -> Table:
         """Start error, end and contact mode of each run that ended."""

@@ -52,8 +52,8 @@ def predict_repetition(
     """
     noise, error = posterior.noise, posterior.model_error
     if noise is None:
-        expected = "one that fixel.posterior has made"
-        raise InvalidInput("posterior", found="one without the camera's noise", expected=expected)
+        expected = "a result of fixel.posterior"
+        raise InvalidInput("posterior", found="a posterior without camera noise", expected=expected)
     rng = np.random.default_rng([seed, member])
     rows = rng.permutation(len(posterior.points))[: max(2, draws)]
     points, k = posterior.points[rows], len(rows)
@@ -66,7 +66,7 @@ def predict_repetition(
     best = np.repeat(posterior.best[None], k, axis=0)
     middle, fine, _ = _simulated(comparer, member, best[:1, :n_free], still[:1])
     if not fine[0]:
-        raise SolveFailed("the likeliest sample cannot be simulated")
+        raise SolveFailed("the sample of largest likelihood cannot be simulated")
     centre = middle[0]
     both, good, reasons = _simulated(comparer, member, points[:, :n_free], errors)
     only, good_only, _ = _simulated(comparer, member, points[:, :n_free], still)

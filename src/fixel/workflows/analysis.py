@@ -128,7 +128,7 @@ class StoredAnalysis(NamedTuple):
         path = self.folder / ARRAYS
         if not path.is_file():
             return {}
-        with readable(path, f"make it again with: {self.analysis.command}"):
+        with readable(path, f"run it again: {self.analysis.command}"):
             return arrays_of(path.read_bytes())
 
     def picture(self, name: str, ending: str = "png") -> Path:
@@ -204,7 +204,7 @@ def load_with_errors(
 
 
 def _kept(path: Path) -> StoredAnalysis:
-    with readable(path, f"delete the folder {path.parent}, and make the analysis again"):
+    with readable(path, f"delete the folder {path.parent} and run the analysis again"):
         return StoredAnalysis(path.parent, Analysis.model_validate_json(path.read_bytes()))
 
 

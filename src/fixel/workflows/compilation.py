@@ -10,8 +10,10 @@ from fixel.simulation import AbstractSolver, Newton, simulate
 from fixel.simulation.simulate import is_compiled
 from fixel.typing import Notify
 
-COMPILING = "Compiling the engine, once; this takes about a minute."
-COMPILING_PARTS = "Compiling its parts for the plain loop, once; this takes about half a minute."
+COMPILING = "Compiling the simulator (only once); this takes about a minute."
+COMPILING_PARTS = (
+    "Compiling the parts of the plain loop (only once); this takes about half a minute."
+)
 # Duration of the start-up simulation [s]: one step of any stepper.
 INSTANT = 1e-6
 

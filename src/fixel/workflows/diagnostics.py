@@ -116,7 +116,7 @@ def machine() -> dict[str, Any]:
 
 
 def _cache_check() -> SelfCheck:
-    name = "compiled kernels can be kept"
+    name = "compiled kernels can be stored"
     folder = Path(cache_folder())
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -124,7 +124,7 @@ def _cache_check() -> SelfCheck:
             pass
     except OSError as problem:
         reason = os_reason(problem)
-        hint = "set FIXEL_CACHE_DIR to a folder one may write to"
+        hint = "set FIXEL_CACHE_DIR to a folder with write permission"
         return SelfCheck(name, False, f"{folder}: {reason}; {hint}")
     return SelfCheck(name, True, "the cache folder can be written to")
 
@@ -149,7 +149,7 @@ def _bench_check() -> SelfCheck:
     """Report cameras and serial ports; having none is no failure."""
     name = "cameras and serial ports"
     found = _cameras() + _serial_ports()
-    return SelfCheck(name, True, ", ".join(found) if found else "none, fine")
+    return SelfCheck(name, True, ", ".join(found) if found else "none; optional")
 
 
 def _cameras() -> list[str]:
@@ -268,7 +268,7 @@ def _same_bits() -> Found:
 
 _CHECKS: dict[str, Callable[[], Found]] = {
     "grasp seats, drive stalls at 34.3 N": _seats,
-    "rigid drive jams, and says so": _jams,
+    "rigid drive jams, with status jammed": _jams,
     "block stops after v^2 / 2 mu g": _slides,
     "disk stops spinning after 3 R w / 4 mu g": _spins,
     "push of a 1.6 mm part, without inertia": _micro,

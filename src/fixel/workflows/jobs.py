@@ -65,12 +65,14 @@ class JobStatus(JobProgress):
     folder: str = Field(exclude=True)
     name: str
     state: str = Field(
-        description="queued, preparing, running, collecting, done, failed, stopped, cancelled; "
-        "lost where the process that ran it has died; unreadable"
+        description="status: queued, preparing, running, collecting, done, failed, stopped, "
+        "cancelled; lost if its process has died; unreadable"
     )
-    maker: str = Field(default="", description="the function that made the work")
+    maker: str = Field(default="", description="function that created the work")
     made_utc: str = ""
-    kept: int = Field(default=0, description="answers in the journal, which no accident takes away")
+    kept: int = Field(
+        default=0, description="number of answers in the journal, which survive a crash"
+    )
 
     @property
     def ended(self) -> bool:
@@ -89,7 +91,7 @@ class JobStatus(JobProgress):
         """Whether the job can be resumed."""
         return self.state in ("queued", "stopped", "cancelled", "failed", LOST)
 
-    @computed_field(description="what to type to go on with it, or to watch it")  # type: ignore[prop-decorator]
+    @computed_field(description="command that resumes the job or shows its log")  # type: ignore[prop-decorator]
     @property
     def command(self) -> str:
         """Command that resumes or watches the job."""
@@ -216,7 +218,7 @@ def run_on_slurm(folder: Path) -> str:
     try:
         number = submit(script)
     except SlurmError as trouble:
-        raise JobRefused(f"sbatch refuses the coordinator: {trouble}") from None
+        raise JobRefused(f"sbatch rejects the coordinator: {trouble}") from None
     files.write_status(folder, JobState(reason=f"the coordinator waits in the queue as {number}"))
     files.log(folder, f"submitted the coordinator as {number}")
     return number
@@ -354,7 +356,7 @@ def _check_idle(folder: Path) -> None:
     if owner is not None:
         raise JobRefused(
             f"{folder} is being run by {owner}",
-            hint="look with: fixel jobs status, or end it with: fixel jobs cancel",
+            hint="show it with fixel jobs status, or stop it with fixel jobs cancel",
         )
 
 
@@ -375,9 +377,7 @@ def _wait_for_end(folder: Path) -> None:
     deadline = time.monotonic() + END_S
     while files.coordinator_of(folder) is not None:
         if time.monotonic() > deadline:
-            raise JobRefused(
-                f"{folder} was asked to end and has not yet", hint="it ends after its chunk"
-            )
+            raise JobRefused(f"{folder} has not stopped yet", hint="it stops after its chunk")
         time.sleep(0.1)
 
 

@@ -142,7 +142,7 @@ def test_an_analysis_takes_its_place_and_its_warnings(project, tmp_path):
 def test_an_analysis_of_another_calibration_has_no_place(project, tmp_path):
     _kept(project, question={"of": "another"}, calibrations=(999,), experiments=(998,), title="No")
     titles = [s.title for s in project.report(tmp_path / "r").content.sections]
-    assert titles.count("Where the calibrated simulator can be trusted") <= 1
+    assert titles.count("Domain of applicability") <= 1
 
 
 def test_figures_are_there_as_pdf(report):

@@ -106,20 +106,19 @@ def _data(fit: Calibration) -> CalibrationReportData:
 
 # Captions, by the beginning of the charts' names.
 CAPTIONS: Final = {
-    "search_alone": "Error against evaluation in three single calibrations: the best of the"
-    " experiments, the one in the middle, the worst.",
-    "search": "Error against evaluation while the search went on; the line is the best so far.",
-    "starts": "Where the searches from several starts ended: their errors in order, and the values"
-    " they found.",
-    "seconds": "How long the single calibrations took.",
-    "parameters_by_offset": "Values that each experiment by itself asks for, against where its"
-    " object started.",
+    "search_alone": "Error against evaluation in three single calibrations: those of the "
+    "experiments with the smallest, the median and the largest error.",
+    "search": "Error against evaluation during the search; the line is the smallest error so far.",
+    "starts": "Results of the searches from several starts: sorted errors, and parameter values.",
+    "seconds": "Computing times of the single calibrations.",
+    "parameters_by_offset": "Parameter values of the single calibrations against the start pose "
+    "of the object.",
     "parameters": "Values before and after, with their intervals and verdicts, between the bounds"
     " of the search.",
-    "profiles": "Profile likelihoods: how much worse the best fit becomes when one value is held"
-    " elsewhere. A flat line says that the data do not determine it.",
-    "errors_by_offset": "Error against where the object started.",
-    "errors": "Error of every experiment before and after.",
+    "profiles": "Profile likelihoods: increase of the deviance when one parameter is fixed at "
+    "another value. A flat line means that the data do not determine the parameter.",
+    "errors_by_offset": "Error against the start pose of the object.",
+    "errors": "Errors of all experiments before and after calibration.",
     "overlay": "Measured and simulated motion, before and after calibration.",
 }
 

@@ -589,7 +589,7 @@ def _with_verdicts(
                 members=np.array(one.members, np.int64),
             )
             if state.is_over:
-                more = "give a larger --budget, or fewer experiments: --sample"
+                more = "use a larger --budget, or fewer experiments: --sample"
                 return dataclasses.replace(one, note=f"no verdicts: {OUT_OF_BUDGET}; {more}")
             ask = running.send(told)
     except StopIteration as end:
@@ -674,10 +674,12 @@ def _noise_text(noise: Noise) -> str:
     how = {
         "stated": "as stated",
         "repetitions": "from the scatter of repetitions",
-        "residuals": "what the fit leaves, model errors included",
+        "residuals": "residuals of the fit, including model error",
         "differences": "second differences of the poses",
     }[noise.source]
-    together = f", {noise.correlation:.0f} frames say as much as one" * (noise.correlation > 1.5)
+    together = f", {noise.correlation:.0f} frames have the information of one" * (
+        noise.correlation > 1.5
+    )
     return (
         f"noise {1e3 * noise.position_m:.3g} mm, {1e3 * noise.angle_rad:.3g} mrad ({how}{together})"
     )

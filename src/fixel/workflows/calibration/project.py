@@ -93,7 +93,7 @@ def select_experiments(
         if not ids:
             check_known_names(store, query)
     found = comparable(store, ids, strict=bool(keys))
-    found.check_some("with a scene and measured poses", "see what there is: fixel list")
+    found.check_some("with a scene and measured poses", "fixel list shows all experiments")
     return found
 
 

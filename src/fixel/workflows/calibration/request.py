@@ -167,7 +167,7 @@ class CalibrationRequest(_RequestLevel):
     def check(self) -> None:
         """Refuse what cannot be, before any work starts."""
         if self.name.startswith(".") or set(self.name) & set("/\\"):
-            expected = "one that a folder can have, without / and no dot in front"
+            expected = "a name for a folder, without / and without a leading dot"
             raise InvalidInput("--name", found=repr(self.name), expected=expected)
         name_of(self.name, "--name")
         if not 0.0 < self.level < 1.0:
@@ -176,7 +176,7 @@ class CalibrationRequest(_RequestLevel):
             raise InvalidInput(
                 "--mode stored",
                 found="no stored calibration with values of all these parameters",
-                expected="one at least",
+                expected="at least one",
                 hint="calibrate with --mode each first",
             )
         if (self.noise_position is None) != (self.noise_angle is None):

@@ -24,11 +24,11 @@ class FitKind(StrEnum):
     """Way in which a set of parameters was found, stored in `CalibrationRecord.method["how"]`."""
 
     ALONE = "alone"  # for a single experiment
-    NEIGHBOUR = "a neighbour's"
+    NEIGHBOUR = "of a neighbour"
     WEIGHTED = "weighted mean"
     SUBSET = "weighted mean of a subset"
     DIRECT = "direct minimisation"
-    STORED = "best of those stored"
+    STORED = "best of the stored sets"
     GROWTH = "domain growth"  # a weighted mean computed by `workflows/growth`
 
     @property

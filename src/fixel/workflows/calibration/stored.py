@@ -105,7 +105,7 @@ def load_values(
         raise InvalidInput(
             "calibration",
             found="none stored" + ("" if experiment is None else " for this experiment"),
-            expected="one at least",
+            expected="at least one",
             hint="calibrate first: fixel calibrate",
         )
     return CalibratedValues(own, store.calibration(own))
@@ -182,7 +182,7 @@ def _usual_space(
         if where:
             raise InvalidInput(
                 f"calibration {one.id}",
-                found=f"a job folder that is gone, and {label}, shared by some experiments only",
+                found=f"no job folder, and {label}, which only some experiments share",
                 expected="the job folder, which has the conditions and bounds",
                 hint="calibrate again, or name the parameters with --fit",
             )

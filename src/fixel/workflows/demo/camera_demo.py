@@ -186,13 +186,9 @@ def _begun(folder: Path, asked: dict[str, object]) -> Project:
         folder.mkdir(parents=True)
         mark.write_text(json.dumps(asked), encoding="utf-8")
     elif not mark.is_file():
-        raise InvalidInput(
-            str(folder), found="something there already", expected="a folder to be made"
-        )
+        raise InvalidInput(str(folder), found="an existing file or folder", expected="a new folder")
     elif json.loads(mark.read_text(encoding="utf-8")) != asked:
-        raise InvalidInput(
-            str(folder), found="a tour of other pushes", expected="a folder to be made"
-        )
+        raise InvalidInput(str(folder), found="a tour of other pushes", expected="a new folder")
     return Project(lab) if (lab / SETTINGS).is_file() else Project.create(lab)
 
 
@@ -211,7 +207,8 @@ def _tracked(folder: Path, made: Path, firmware: Path | None, notify: Notify) ->
             shutil.rmtree(out, ignore_errors=True)
             again = f" again: {why_not}" if why_not else ""
             notify(
-                f"recording {name} off a network camera, fixels and drive on serial ports{again}"
+                f"recording {name} from a network camera, with tactile board and drive on serial "
+                f"ports{again}"
             )
             scene = load_scene(made / "scene.yaml").scene
             _, position = record_film(made, out, scene, LEAD, firmware)
@@ -233,7 +230,7 @@ def _tracked(folder: Path, made: Path, firmware: Path | None, notify: Notify) ->
         f"recording {name}",
         found=why_not or "no scene",
         expected="an object that is tracked from its start",
-        hint="the computer may be too busy to record: the same command goes on with this run",
+        hint="the computer may be too busy to record; repeat the command to continue with this run",
     )
 
 
@@ -317,12 +314,16 @@ def _filmed(
     missing = [one.name for one in planned if not _is_film(films / one.name)]
     if not missing:
         return [films / one.name for one in planned]
-    compiling = "; the engine is compiled first, once: about a minute" if engine_is_cold() else ""
+    compiling = (
+        "; the simulator is compiled first (only once), which takes about a minute"
+        if engine_is_cold()
+        else ""
+    )
     notify(f"simulating {len(pushes)} pushes{compiling}")
     with project.store() as store:
         for experiment in SimulatedTestbed(seed=SEED).run(planned):
             store.add_experiment(experiment)
-    notify(f"filming {len(pushes)} pushes of a simulated laboratory, as its camera would see them")
+    notify(f"filming {len(pushes)} pushes of a simulated laboratory with a virtual camera")
     settings = FilmSettings(seed=SEED, lead=LEAD, frames=frames)
     films.mkdir(exist_ok=True)
     for name in missing:
@@ -342,9 +343,9 @@ def _firmware(folder: Path, notify: Notify) -> Path | None:
     """Build the firmware of the fixels and its emulator; None if that is not possible."""
     missing = mega.why_not()
     if missing:
-        notify(f"fixels are read from the film, not from an emulated board: {missing}")
+        notify(f"contacts are read from the film, not from an emulated board: {missing}")
         return None
-    notify("building the firmware of the fixels and its emulator")
+    notify("building the firmware of the tactile board and its emulator")
     return mega.built(folder / "firmware")
 
 
@@ -365,13 +366,13 @@ def _keep(
             f"Tracked poses are {1e3 * errors.position:.3f} mm and"
             f" {math.degrees(errors.angle):.3f} deg from the true ones (root mean square over"
             f" {sum(len(run.time) for run in runs)} frames).",
-            f"The values that true poses give lie within the intervals that the film gives for"
-            f" {within} of {len(estimates)} parameters.",
+            f"For {within} of {len(estimates)} parameters, the value estimated from true poses is "
+            "within the interval estimated from the film.",
         ),
         tables=(_run_table(runs), estimate_table(estimates)),
         methods=(
-            "The motion of a simulated laboratory was rendered as its camera would see it, recorded"
-            " and tracked; the truth was kept apart.",
+            "The motion of a simulated laboratory was rendered for its camera, recorded and "
+            "tracked without use of the true poses.",
         ),
         numbers={
             "position_rms_m": errors.position,
@@ -387,8 +388,8 @@ def _keep(
     picture = Picture(
         name="side_by_side",
         chart=SideBySide(runs=runs),
-        banner="SIMULATED: no camera has seen this",
-        caption="True and tracked paths of the object, and how far apart they are.",
+        banner="SIMULATED: these are not pictures of a real camera",
+        caption="True and tracked trajectories of the object, and their difference.",
     )
     store_analysis(project, analysis, (picture,))
 
@@ -408,7 +409,7 @@ def _run_table(runs: tuple[TrackedRun, ...]) -> Table:
             )
         )
     head = ("run", "frames", "RMS [mm]", "largest [mm]", "RMS [deg]", "largest [deg]")
-    return Table(head, rows, title="Tracked less true")
+    return Table(head, rows, title="Difference of tracked and true poses")
 
 
 def estimate_table(estimates: tuple[tuple[Estimate, Estimate], ...]) -> Table:
@@ -423,7 +424,7 @@ def estimate_table(estimates: tuple[tuple[Estimate, Estimate], ...]) -> Table:
         for tracked, true in estimates
     )
     head = ("parameter", "from the film", "from true poses", "within")
-    return Table(head, rows, title="Parameters, with their intervals and verdicts", left=4)
+    return Table(head, rows, title="Parameters with intervals and verdicts", left=4)
 
 
 def written_estimate(estimate: Estimate) -> str:

@@ -79,18 +79,18 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     notify(f"performing {EXPERIMENTS} experiments on a simulated testbed")
     with project.store() as store:
         _perform(store)
-    notify("calibrating friction and support to all of them, with verdicts")
+    notify("calibrating friction and support, with verdicts")
     command = f"fixel calibrate --optimiser {LEAST_SQUARES} {at}"
     number = calibrate_jointly(project, command, ExperimentQuery())
-    notify("mapping where the calibrated simulator can be trusted")
+    notify("mapping the domain of applicability")
     map_stored(project, DomainRequest(calibration=number), command=f"fixel domain {at}")
-    notify("asking how far the start decides the outcome")
+    notify("computing the sensitivity to the start pose")
     _ask_starts(project, number, at)
-    notify("asking what is not known, and what follows from it")
+    notify("computing the posterior and predictions")
     try:
         _ask_posterior(project, number, at)
     except InvalidInput as missing:  # the package that samples posteriors
-        notify(f"left out: {missing}")
+        notify(f"skipped: {missing}")
     notify("writing the report")
     report = project.report(
         folder.parent / "report", calibration=number, command=f"fixel report {at}"
@@ -129,10 +129,10 @@ def _beside_truth(project: Project, number: int) -> Table:
                      (estimate.low, estimate.high))  # fmt: skip
         rows.append((
             estimate.label, f"{factor * estimate.value:.3g} {unit}".rstrip(), f"{low} to {high}",
-            "none in this world" if true is None else f"{true:.3g}", estimate.verdict,
+            "none" if true is None else f"{true:.3g}", estimate.verdict,
         ))  # fmt: skip
     head = ("parameter", "value", "interval", "truth", "verdict")
-    return Table(head, rows, title="Found, and true")
+    return Table(head, rows, title="Estimated and true values")
 
 
 def _true_mean(label: str, experiments: Sequence[Experiment]) -> float | None:

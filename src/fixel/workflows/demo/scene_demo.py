@@ -166,7 +166,7 @@ def _meets_fixels(simulation: Simulation, body: str) -> list[MotionEvent]:
         )
         slip = _slip(simulation, body, rows)
         how = (
-            f"having slid along {fixel.name} by {1e3 * slip.way:.2f} mm, {body} sticks to it"
+            f"{body} sticks to {fixel.name} after sliding along it by {1e3 * slip.way:.2f} mm"
             if slip.until > first
             else f"{body} sticks to {fixel.name} from the first touch on"
         )
@@ -207,7 +207,7 @@ def _stalls(simulation: Simulation, body: str) -> list[MotionEvent]:
         if not trace.stalled[-1]:
             if isinstance(pusher.drive, LineDrive) and trace.travel >= pusher.drive.travel:
                 way = f"{1e3 * trace.travel:.1f} mm"
-                events.append(MotionEvent(end, f"{pusher.name} has covered its way of {way}"))
+                events.append(MotionEvent(end, f"{pusher.name} has reached its travel of {way}"))
             continue
         moving = np.nonzero(~trace.stalled)[0]
         since = int(moving[-1]) + 1 if len(moving) else 0

@@ -72,7 +72,10 @@ def gather(
         summaries = store.experiments(asked.query).rows
         if not summaries:
             raise InvalidInput(
-                "experiments", found="none", expected="some", hint="see what there is: fixel list"
+                "experiments",
+                found="none",
+                expected="some",
+                hint="fixel list shows all experiments",
             )
         mark = _mark(asked, [summary.id for summary in summaries], _newest(store, asked))
         folder = project.folder / ANALYSES / FOLDER / mark
@@ -117,7 +120,7 @@ def gathered_before(
     content = _read(path) if mark else None
     if content is None:
         return None
-    with readable(path, f"delete the folder {path.parent}, and make the map again"):
+    with readable(path, f"delete the folder {path.parent} and compute the map again"):
         gathered = gathered_from(content, asked)
     if asked.measure == "relative":
         gathered = _with_own(project, store, asked, gathered)

@@ -78,7 +78,7 @@ class CalibrationModel:
             raise InvalidInput(
                 "calibration",
                 found=f"calibrated with the error {self.error.name} [{self.error.unit}]",
-                expected="mean-square or end-pose [mm^2], which a map counts in",
+                expected="mean-square or end-pose [mm^2], the errors of a map",
                 hint="calibrate again with --error mean-square",
             )
 

@@ -87,9 +87,9 @@ def tables(
     )
     first = Table(head, rows, title=f"D(tau) at {claim.text()}")
     second = Table(
-        ("map", "experiment", "expected to settle [bit]", "why"),
+        ("map", "experiment", "expected information [bit]", "why"),
         ((p.group or "all", p.where, f"{p.bits:.2f}", p.reason) for p in found),
-        title="What to try next",
+        title="Suggested experiments",
         left=4,
     )
     return (first, *bound_table(domain, claim), *([second] if found else []))
@@ -111,7 +111,7 @@ def numbers(
                       domain.surface.values.tolist(), strict=True))  # fmt: skip
     return {
         "threshold": claim.threshold,
-        "threshold_unit": "mm" if claim.measure == "absolute" else "share above the own best E",
+        "threshold_unit": "mm" if claim.measure == "absolute" else "share above the smallest E",
         "level": claim.level,
         "confidence": claim.confidence,
         "needed_by_counting": claim.needed,
@@ -154,7 +154,7 @@ def bound_table(domain: DomainMap, claim: Claim) -> list[Table]:
         few = len(bound) == 0
         shown = [f"{x:.3g}" for x in ([] if few else [bound.min(), np.median(bound), bound.max()])]
         rows.append((group or "all", f"{np.median(own):.3g}", *(shown or ["nothing"] * 3)))
-    head = ("map", "median error [mm]", "least bound [mm]", "median bound [mm]", "most [mm]")
+    head = ("map", "median error [mm]", "smallest bound [mm]", "median bound [mm]", "largest [mm]")
     likely = f"{100.0 * claim.level:g} %"
     title = f"Error bounds of new experiments in these cells, each with a probability of {likely}"
     return [Table(head, rows, title=title)]

@@ -182,8 +182,8 @@ def own_best(
     if np.isnan(best).all():
         raise InvalidInput(
             "--relative",
-            found=f"no experiment with a best of its own ({notes[0]})",
-            expected="experiments that were calibrated one by one, under the same model",
+            found=f"no experiment with its own smallest error ({notes[0]})",
+            expected="experiments that were calibrated in mode each with the same model",
             hint="calibrate them first: fixel calibrate --mode each",
         )
     return best, notes

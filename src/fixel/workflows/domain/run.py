@@ -142,7 +142,7 @@ def _stored(
     pictures = pictures_of(domain, claim, verdicts, "" if gathered.is_real else "SIMULATED")
     analysis = Analysis(
         kind="domain",
-        title=f"Where one parameter set stays within {claim.text()}",
+        title=f"Domain in which one parameter set stays within {claim.text()}",
         question=asked.question(),
         headline=headline(domain, claim, verdicts, found),
         warnings=warnings,
@@ -284,7 +284,7 @@ def _claim(asked: DomainRequest, gathered: DomainEvidence, evidence: HeldOutErro
         raise InvalidInput(
             "--threshold-mm",
             found=f"{threshold:.3g}, below the error that measurement noise alone causes",
-            expected=f"{floor:.3g} at least ({gathered.floor_from})",
+            expected=f"at least {floor:.3g} ({gathered.floor_from})",
             hint="no simulator can be more accurate than the measurement",
         )
     return Claim(
@@ -303,5 +303,5 @@ def _refuse_empty_nominal(domain: DomainMap) -> None:
         raise InvalidInput(
             "--nominal",
             found=f"no experiment at {cells.text(cells.nominal)}",
-            expected=f"a cell with evidence, like {names}",
+            expected=f"a cell with experiments, such as {names}",
         )

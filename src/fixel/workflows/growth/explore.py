@@ -280,7 +280,7 @@ def _changed(growth: Growth, singles: SingleCalibrations) -> list[str]:
         return []
     more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
     return [
-        "Stored errors of nominal experiments are not met when simulated again: "
+        "Simulating nominal experiments again does not reproduce their stored errors: "
         + ", ".join(changed[:3]) + more
         + ". The calibrations are of another version or of other data; calibrate again."
     ]  # fmt: skip
@@ -311,12 +311,12 @@ def _empty(growth: Growth) -> list[str]:
         return []
     name, step = lacking[0]
     return [
-        f"{len(lacking)} steps have no largest error; the first: {name}, step {step.step},"
-        f" {step.reason}."
+        f"{len(lacking)} steps have no largest error, such as {name}, step {step.step}: "
+        f"{step.reason}."
     ]
 
 
 def _failed(answer: Evaluation) -> list[str]:
     n = int(np.isinf(answer.error).sum())
-    return [f"{n} of {len(answer.error)} simulations failed; they count as beyond any threshold."] \
+    return [f"{n} of {len(answer.error)} simulations failed and count as above every threshold."] \
         if n else []  # fmt: skip

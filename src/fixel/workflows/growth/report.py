@@ -167,7 +167,8 @@ def pictures(found: Exploration) -> Iterator[Picture]:
         "growth_steps",
         GrowthSteps(growth=found.growth, threshold=found.threshold, unit=unit),
         banner,
-        "The same against the step, with the average over layouts and the threshold.",
+        "Largest error against the step of the growth, with the average over layouts and the "
+        "threshold.",
     )
     by_axis: dict[tuple[str, str], list[AxisStudy]] = {}
     for study in found.studies:
@@ -183,9 +184,9 @@ def pictures(found: Exploration) -> Iterator[Picture]:
             f"axis_{shape}_{axis}",
             chart,
             banner,
-            f"{shape}, along {axis}: error under one set of parameters, found on the samples in"
-            " green, of every layout and on average; below, beside what each experiment's own set"
-            " leaves.",
+            f"{shape}, along {axis}: error of every layout and its average with one parameter "
+            "set, calibrated on the samples in green. Below: the same next to the error with the "
+            "own set of each experiment.",
         )
 
 

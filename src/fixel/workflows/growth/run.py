@@ -76,7 +76,7 @@ def run_growth(
         )
     analysis = Analysis(
         kind="growth",
-        title="The domain of applicability, as the thesis grew it",
+        title="Domain of applicability, grown as in the thesis",
         question={
             "shape": asked.shape,
             "dataset": asked.dataset,
@@ -99,12 +99,12 @@ def run_growth(
     )
     shown = list(report.pictures(found))
     if notify is not None:
-        notify(f"Drawing {len(shown)} pictures.")
+        notify(f"Drawing {len(shown)} charts.")
     kept = store_analysis(project, analysis, shown, {"largest_error": error_matrix(found.growth)})
     return found, kept
 
 
 def _warnings(found: Exploration) -> list[str]:
     banner = found.samples.banner
-    simulated = [f"{banner}: no camera has seen these experiments."] if banner else []
+    simulated = [f"{banner}: these experiments were simulated, not recorded."] if banner else []
     return [*simulated, *found.warnings]

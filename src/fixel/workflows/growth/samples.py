@@ -89,10 +89,10 @@ def read_samples(
     _refuse_datasets(seated)
     warnings = []
     if listing.left_out:
-        warnings.append(f"{listing.left_out} experiments left out for flags on their data.")
+        warnings.append(f"{listing.left_out} experiments skipped because their data have faults.")
     repeated = sum(len(found) - 1 for found in seated.values())
     if repeated:
-        warnings.append(f"{repeated} repetitions left out: the first at each place counts.")
+        warnings.append(f"{repeated} repetitions skipped; the first at each offset counts.")
     first = {seat: min(found, key=_repetition) for seat, found in seated.items()}
     return _read(store, first, warnings)
 
@@ -122,8 +122,8 @@ def _refuse_none(seated: dict[_Seat, list[ExperimentRow]], shape: str | None) ->
             "experiments",
             found="none" + ("" if shape is None else f" of shape {shape}")
             + " with a shape, a layout and steps along x, y or theta among their conditions",
-            expected="experiments of a plan such as the thesis's",
-            hint="see what there is: fixel list; make some: fixel testbed run",
+            expected="experiments of a plan like that of the thesis",
+            hint="fixel list shows all experiments; perform a plan: fixel testbed run",
         )  # fmt: skip
 
 
@@ -159,8 +159,8 @@ def _read(store: Store, first: dict[_Seat, ExperimentRow], warnings: list[str]) 
         targets.append(target)
         makers.append("" if experiment.real else experiment.simulated_by or "an unknown program")
     if unusable:
-        warnings.append(f"{len(unusable)} experiments left out that cannot be compared with a"
-                        f" simulation: {_some(unusable)}.")  # fmt: skip
+        warnings.append(f"skipped {len(unusable)} experiments that cannot be compared with a "
+                        f"simulation: {_some(unusable)}.")  # fmt: skip
     return GrowthSamples(
         ids=ids,
         targets=targets,

@@ -151,8 +151,8 @@ def _chosen(
         return whole[0], []
     others = "; ".join(str(method) for method in whole[:-1])
     return whole[-1], [
-        f"Calibrations of {len(whole)} methods are stored; used are the newest, {whole[-1]}. Not"
-        f" used: {others}. Choose with --motion and --error."
+        f"Calibrations of {len(whole)} methods are stored. The newest are used: {whole[-1]}. Not "
+        f"used: {others}. Choose others with --motion and --error."
     ]
 
 
@@ -166,9 +166,9 @@ def _refuse(
         few = lacking[:3]
         raise InvalidInput(
             "calibrations",
-            found=f"none by itself for {len(lacking)} of {n} experiments: {', '.join(few)}"
+            found=f"no single calibration of {len(lacking)} of {n} experiments: {', '.join(few)}"
             + (" and others" if len(lacking) > len(few) else ""),
-            expected="one of every experiment",
+            expected="a single calibration of every experiment",
             hint=f"fixel calibrate --mode each --no-verdicts{project}",
         )
     parts = []

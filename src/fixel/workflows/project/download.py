@@ -53,7 +53,7 @@ def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
         import pooch
     except ImportError:
         raise StoreRefused(
-            "fetching needs the package pooch", hint="run: pip install 'fixel[download]'"
+            "downloads need the package pooch", hint="run: pip install 'fixel[download]'"
         ) from None
     name = _name(url)
     if sha256 is not None and not re.fullmatch(r"[0-9a-fA-F]{64}", sha256):
@@ -64,14 +64,15 @@ def fetch(url: str, folder: Path, sha256: str | None = None) -> DownloadedFile:
         path = Path(pooch.retrieve(url, wanted, fname=name, path=folder))
     except ValueError as problem:
         raise StoreRefused(
-            f"{url} is another file than the one asked for: {_one_line(problem)}",
-            hint="check the address and the checksum; nothing was kept",
+            f"{url} is not the requested file: {_one_line(problem)}",
+            hint="check the URL and the checksum; nothing was stored",
         ) from None
     except Exception as problem:  # whatever the network library under pooch raises
         if (answer := getattr(problem, "response", None)) is not None:
             answer.close()  # pooch leaves the connection of a failed request open
         raise StoreRefused(
-            f"{url} could not be fetched: {_one_line(problem)}", hint="check address and network"
+            f"{url} could not be downloaded: {_one_line(problem)}",
+            hint="check the URL and the network",
         ) from None
     with path.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()

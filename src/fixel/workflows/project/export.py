@@ -187,7 +187,7 @@ def _exported(
 def _refuse_none(n: int, dataset: str | None) -> None:
     if not n:
         what = "experiments" if dataset is None else f"experiments of dataset {dataset!r}"
-        raise NotStored(what, hint="see what there is with: fixel list")
+        raise NotStored(what, hint="fixel list shows all experiments")
 
 
 def _written(

@@ -37,7 +37,7 @@ OWNERS: Final = {
 # Records that are incomplete without the motion of the object.
 MOVING: Final = ("experiment", "simulation", "filter_run")
 RESTORE_MEDIA: Final = "restore it from a backup of the media folder"
-SEE: Final = "see what is wrong with: fixel db check"
+SEE: Final = "list the errors: fixel db check"
 
 
 class SchemaVersions(NamedTuple):
@@ -132,15 +132,15 @@ def _database_file(project: Project, target: Path | None = None) -> Path:
     url = sa.make_url(project.url)
     if url.get_backend_name() != "sqlite":
         raise StoreRefused(
-            f"{url.render_as_string(hide_password=True)} lies on a server, which makes its own"
-            " backups",
+            f"{url.render_as_string(hide_password=True)} is on a server, which makes its own "
+            "backups",
             hint=f"run: {_dump_command(url, target or Path('backup.dump'))}",
         )
     file = Path(url.database or "")
     if not file.is_file():
         raise StoreRefused(
             f"there is no database {file}",
-            hint=f"{RESTORE}; or begin an empty one with: {project.upgrade_command}",
+            hint=f"{RESTORE}; or create an empty one: {project.upgrade_command}",
         )
     return file
 
@@ -166,7 +166,7 @@ def _copy(database: Path, path: Path) -> None:
         full = "is full" in str(problem)
         raise StoreRefused(
             f"{database} cannot be copied: {problem}",
-            hint="make room, then repeat the command" if full else SEE,
+            hint="free disk space, then repeat the command" if full else SEE,
         ) from None
     if said != ["ok"]:
         raise StoreRefused(f"{database} is damaged: {said[0]}", hint=SEE)
@@ -203,7 +203,7 @@ def _checked(engine: sa.Engine, project: Project) -> CheckResult:
             lacking = list(schema_troubles(connection))
             troubles += lacking
             if any("missing" in one.sentence and one.hint == RESTORE for one in lacking):
-                raise StoreRefused("what it holds cannot be read without them", RESTORE)
+                raise StoreRefused("its content cannot be read without them", RESTORE)
             counts = _counts(connection)
             troubles += _broken_references(connection)
             troubles += _bad_series(connection, media)
@@ -291,7 +291,7 @@ def _owner_gone(connection: sa.Connection, row: sa.Row[Any]) -> tuple[str, str] 
         sa.select(owner.c.id).where(owner.c.id == row.owner_id)
     ):
         return None
-    return "its record is gone", RESTORE
+    return "its record is missing", RESTORE
 
 
 def _unreadable(row: sa.Row[Any], media: Path) -> tuple[str, str] | None:
@@ -301,7 +301,7 @@ def _unreadable(row: sa.Row[Any], media: Path) -> tuple[str, str] | None:
         return refused.reason, refused.hint or RESTORE_MEDIA
     expected = 8 * row.n_row * len(row.columns)
     if len(data) != expected:
-        return f"has {len(data)} bytes in place of {expected}", RESTORE
+        return f"has {len(data)} bytes instead of {expected}", RESTORE
     return None
 
 
@@ -316,7 +316,7 @@ def _without_motion(connection: sa.Connection) -> Iterator[Trouble]:
         if name == "experiment":
             path = path.where(series.c.n_row == owner.c.n_frame)
         for number in connection.scalars(sa.select(owner.c.id).where(~path)):
-            yield Trouble(f"{name} {number}", "the path of its object is not whole", RESTORE)
+            yield Trouble(f"{name} {number}", "the trajectory of its object is incomplete", RESTORE)
 
 
 def _missing_videos(connection: sa.Connection, media: Path) -> Iterator[Trouble]:
@@ -356,7 +356,7 @@ def _file_trouble(path: Path) -> str | None:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as problem:
         return f"cannot be read: {os_reason(problem)}"
-    return None if digest == path.name else "has changed: its checksum is not its name"
+    return None if digest == path.name else "has changed: its checksum differs from its name"
 
 
 def _rows(n: int) -> str:

@@ -57,7 +57,7 @@ def errors_section(
     rows = [] if nominal is None else [("nominal", *_spread(rms(one, nominal)))]
     rows.append(("calibrated", *_spread(rms(one, after))))
     head = ("parameters", "mean [mm]", "median [mm]", "largest [mm]")
-    tables = [Table(head, rows, title="Root mean square error of the path")]
+    tables = [Table(head, rows, title="Root mean square error of the trajectory")]
     worst = _worst(one, after, keys)
     if worst:
         tables.append(worst)
@@ -82,7 +82,7 @@ def parameters_section(one: CalibratedValues, figures: list[Figure]) -> Section:
     ]
     reasons = [f"{e.label}: {e.reason}" for e in estimates if e.reason]
     return Section(
-        title="Parameters, and what the data say about them",
+        title="Estimates of the parameters",
         anchor="parameters",
         lead=sentences(
             "calibration", "parameters", estimates=estimates, misfit=misfit_of(one.record)
@@ -174,7 +174,7 @@ def _spread(values: FloatArray) -> tuple[str, str, str]:
 def _middle(values: FloatArray) -> str:
     good = _finite(values)
     if len(good) == 0:
-        return "nowhere near"
+        return "without result"
     return f"{np.median(good):.3g} mm RMS{' (median)' * (len(values) > 1)}"
 
 
@@ -200,7 +200,7 @@ def _worst(one: CalibratedValues, errors: FloatArray, keys: Mapping[int, str]) -
     order = np.argsort(-np.where(np.isfinite(values), values, -1.0), kind="stable")[:MAX_NAMED]
     members = one.record.members
     rows = tuple((keys.get(members[k].experiment_id, "?"), f"{values[k]:.3g}") for k in order)
-    return Table(("experiment", "error [mm]"), rows, title="The worst of them")
+    return Table(("experiment", "error [mm]"), rows, title="Largest errors")
 
 
 def _named(names: list[str]) -> str:

@@ -51,7 +51,7 @@ class ReportData:
         if not self.simulated:
             return ""
         if self.simulated == len(self.summaries):
-            return "SIMULATED experiments: no camera has seen any of this"
+            return "All experiments are SIMULATED; none was recorded"
         return f"{self.simulated} of {len(self.summaries)} experiments are SIMULATED"
 
     @cached_property
@@ -98,7 +98,7 @@ def data_section(data: ReportData) -> Section:
         title = "Flags on the data of this project"
         tables.append(Table(("flag", "experiments"), sorted(data.flags.items()), title=title))
     return Section(
-        title="What was measured",
+        title="Measurements",
         anchor="data",
         lead=sentences(
             "data", "counted", n=len(summaries), simulated=data.simulated, sets=sorted(sets.items())

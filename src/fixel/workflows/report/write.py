@@ -47,11 +47,11 @@ WIDEST: Final = 1500  # largest width of a picture on the page [pixel]; its PDF 
 
 # Kinds of analyses in the order of a report, with the titles of their sections.
 WANTED: Final[dict[Kind, str]] = {
-    "tracking": "What the camera saw beside what really happened",
-    "domain": "Where the calibrated simulator can be trusted",
-    "growth": "The domain of applicability, as the thesis grew it",
-    "sensitivity": "How far the start decides the outcome",
-    "uncertainty": "What is not known, and what follows from it",
+    "tracking": "Tracked poses and true poses",
+    "domain": "Domain of applicability",
+    "growth": "Domain of applicability, grown as in the thesis",
+    "sensitivity": "Sensitivity to the start pose",
+    "uncertainty": "Parameter uncertainty and predictions",
 }
 
 
@@ -157,7 +157,7 @@ def report(
             str(page),
             found=f"{len(data) / 1e6:.1f} MB",
             expected=f"at most {MAX_PAGE_BYTES / 1e6:.0f} MB",
-            hint="report fewer analyses: remove some from the project's folder analyses",
+            hint="report fewer analyses: remove some from the folder analyses of the project",
         )
     with written_whole(folder / BIBLIOGRAPHY) as file:
         file.write_text(bibtex(cited), encoding="utf-8")
@@ -209,7 +209,7 @@ def gather(
         *(_section(answer, folder) for answer in analyses),
     ]
     return Content(
-        title=title or f"How far to believe the simulator of {project.settings.name}",
+        title=title or f"Accuracy of the simulator of {project.settings.name}",
         banner=data.banner,
         facts=_facts(project, one, data, checksum),
         warnings=tuple(_warnings(one, data, keys, analyses)),
@@ -299,13 +299,13 @@ def _facts(
     facts = (
         ("project", project.settings.name),
         ("calibration", f"{one.id}: {one.record.name}"),
-        ("made on", made.created[:19].replace("T", " ")),
-        ("made by", made.command),
+        ("created", made.created[:19].replace("T", " ")),
+        ("fixel version", made.command),
         ("seed", seed),
         ("experiments", str(len(data.summaries))),
-        ("checksum of their data", checksum[:16]),
+        ("checksum of the data", checksum[:16]),
         ("fixel", version("fixel")),
-        ("calibrated with fixel", made.version),
+        ("fixel version of the calibration", made.version),
         ("Python", platform.python_version()),
         ("machine", f"{platform.system()}, {platform.machine()}"),
     )

@@ -112,7 +112,7 @@ def _tables(found: Sequence[Finding]) -> list[Table]:
         (f.subject.key, f.sensitivity.indices) for f in found if f.sensitivity.indices is not None
     ]
     return [
-        Table(head, rows, title="Pushes, to avoid first", left=2),
+        Table(head, rows, title="Pushes, the most sensitive first", left=2),
         *(indices.table(f"Sobol indices of {key}") for key, indices in some),
     ]
 
@@ -143,7 +143,7 @@ def pictures_of(found: Sequence[Finding]) -> list[Picture]:
         (caption,) = sentences("sensitivity", "ensemble_caption", **known)
         pictures.append(Picture(f"{stem}-ensemble", chart, subject.banner, caption))
         if own.indices is not None:
-            title = f"{subject.key}: where the spread comes from"
+            title = f"{subject.key}: sources of the spread"
             bars = IndicesChart(title=title, indices=own.indices)
             (caption,) = sentences("sensitivity", "indices_caption", key=subject.key)
             pictures.append(Picture(f"{stem}-indices", bars, subject.banner, caption))

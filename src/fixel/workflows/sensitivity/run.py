@@ -183,7 +183,9 @@ def analyse_sensitivity(
     subjects, skipped = _subjects(things, request, opened)
     if not subjects:
         why = "; ".join(f"{key}: {reason}" for key, reason in list(skipped.items())[:3])
-        raise InvalidInput("experiments", found=why or "none", expected="one that can be simulated")
+        raise InvalidInput(
+            "experiments", found=why or "none", expected="a push that can be simulated"
+        )
     if ready is not None:
         ready(subjects[0].scene)
     found = []

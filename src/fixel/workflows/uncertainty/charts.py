@@ -30,7 +30,7 @@ MIN_FOR_CURVE: Final = 5
 
 def pictures_of(found: Uncertainty) -> Iterator[Picture]:
     """Yield charts of the posterior, of the first predictions, and of their coverage."""
-    corner = CornerChart(posterior=found.posterior, title=f"What {what_of(found)} leaves open")
+    corner = CornerChart(posterior=found.posterior, title=f"Posterior of {what_of(found)}")
     yield Picture("corner", corner, _banner(found.predicted),
                   f"Samples of the posterior. The prior was uniform: {_priors(found.posterior)}."
                   )  # fmt: skip
@@ -64,7 +64,7 @@ def _of_experiment(one: ExperimentPrediction, number: int) -> Iterator[Picture]:
     path = BandsChart(time=prediction.time, measured=measured, best=prediction.nominal,
                       bands=[prediction.bands(level) for level in LEVELS], title=what)  # fmt: skip
     yield Picture(f"bands-{number}", path, banner,
-                  f"Path of {what} with bands of 50 and 90 %, frame by frame.")  # fmt: skip
+                  f"Trajectory of {what} with bands of 50 and 90 %, frame by frame.")  # fmt: skip
     final = FinalPoseChart(
         outline=_outline(one),
         start=one.target.case.scene.bodies[0].pose,
@@ -87,9 +87,9 @@ def _outline(one: ExperimentPrediction) -> FloatArray:
 
 def _curve_picture(found: Uncertainty, both: tuple[CoverageCurve, CoverageCurve]) -> Picture:
     curves = dict(zip(("final position", "final angle"), both, strict=True))
-    chart = CoverageChart(curves, "What bounds hold of held-out experiments")
+    chart = CoverageChart(curves, "Coverage of the bounds by held-out experiments")
     return Picture("coverage", chart, _banner(found.held_out),
-                   "Share of held-out final poses within bounds of each level.")  # fmt: skip
+                   "Share of held-out final poses within the bounds of each level.")  # fmt: skip
 
 
 def _banner(predicted: tuple[ExperimentPrediction, ...]) -> str:

@@ -166,8 +166,8 @@ def _repetition(
 def _no_model_error() -> InvalidInput:
     return InvalidInput(
         "model_error",
-        found="True, without a posterior that has estimated it",
-        expected="its standard deviation at the end of the way [m]",
+        found="True, without a posterior with model error",
+        expected="its standard deviation at the end of the motion [m]",
     )
 
 

@@ -285,7 +285,9 @@ def _bounds_table(found: Uncertainty) -> Table:
         *("experiment", "", "centre [mm]", "half axes [mm]", "theta [deg]"),
         *(Column(f"{name} at", "%", ".0f") for name in ("position", "theta")),
     )
-    title = "Bounds of 90 % on the final pose; levels that just hold the measured one"
+    title = (
+        "Bounds of 90 % on the final pose, and the smallest levels that contain the measured pose"
+    )
     return Table(head, rows, title=title)
 
 

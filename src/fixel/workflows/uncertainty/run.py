@@ -248,7 +248,7 @@ def find_uncertainty(
         if set(ids) & set(held):
             raise InvalidInput(
                 "--held-out",
-                found="an experiment that the posterior is found from",
+                found="an experiment from which the posterior is computed",
                 expected="others",
             )
         experiments = [store.experiment(number) for number in (*ids, *held)]
@@ -328,9 +328,9 @@ def _ids(store: Store, request: UncertaintyRequest, one: CalibratedValues | None
         return [listed[0].id]
     raise InvalidInput(
         "experiments",
-        found="none named",
-        expected="one at least, or a calibration whose experiments are taken",
-        hint="see what there is: fixel list",
+        found="none",
+        expected="at least one, or a calibration whose experiments are used",
+        hint="fixel list shows all experiments",
     )
 
 
@@ -410,7 +410,7 @@ def _left(comparer: Comparer, members: np.ndarray, point: FloatArray) -> Noise:
         raise InvalidInput(
             "noise",
             found="no experiment that could be simulated",
-            expected="one to find the noise from",
+            expected="an experiment from which the noise can be estimated",
             hint="state the noise: --noise-mm and --noise-mrad",
         )
     return noise_from_residuals(series, len(point))
