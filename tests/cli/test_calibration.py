@@ -132,7 +132,7 @@ def test_a_job_to_submit_elsewhere(capsys, project):
         (("--noise-mm", "-1", "--noise-mrad", "1"), "noise.position_m: found -0.001"),
         (("--name", "../mine"), "--name: found '../mine'"),
         (("--optimiser", "least-square"), "did you mean 'least-squares'"),
-        (("1", "--where", "shape=none"), "--where: found experiments by name too"),
+        (("1", "--where", "shape=none"), "--where: found names of experiments"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(capsys, project, arguments, said):

@@ -56,7 +56,7 @@ def test_the_answer_for_people(folder, tmp_path):
 
     assert out.startswith("testbed/push: SIMULATED by")
     for words in (
-        "frames from 0 to 3 s, hidden from 1 to 2 s, with the fixels' readings",
+        "frames from 0 to 3 s, hidden from 1 to 2 s, with tactile readings",
         "while seen",
         "while hidden",
         "tripod_radius [mm]",
@@ -64,7 +64,7 @@ def test_the_answer_for_people(folder, tmp_path):
         "contact mode, recorded 000, estimated 000, the same",
         "40 particles",
         "times real time",
-        "kept as filter run",
+        "stored as filter run",
         f"wrote {picture}",
     ):
         assert words in out
@@ -78,7 +78,7 @@ def test_doubts_come_first_and_calibrations_stand_beside(folder):
 
     assert out.index("model misfit: residuals of") < out.index("at the end")
     (believed,) = [line for line in out.splitlines() if line.startswith("mu_pusher")]
-    assert "at the bound of its prior: choose a wider one with --prior" in believed
+    assert "at the bound of its prior: use a wider one with --prior" in believed
     (calibrated,) = [line for line in out.splitlines() if line.startswith("calibration 1")]
     assert calibrated.split()[2:] == ["mu_pusher", "0.35", "0.31", "open", "at", "least"]
 
@@ -88,9 +88,9 @@ def test_more_noise_than_believed_is_reported(folder):
     with Project(folder).store() as store:
         store.add_experiment(noisy)
 
-    words = "times what the filter believes: its intervals are too small"
+    words = "times the value that the filter assumes, so its intervals are too narrow"
     assert words in good(folder, "noisy", "--no-save")
-    assert "its intervals are too small" not in good(folder, "push", "--no-save")
+    assert "its intervals are too narrow" not in good(folder, "push", "--no-save")
 
 
 def test_the_answer_for_programs(folder):
@@ -142,7 +142,7 @@ def test_the_next_command_works_until_there_is_a_picture(folder, tmp_path, monke
     [
         (["bare"], "no scene: nobody knows where"),
         (["push", "--occlude", "2"], "such as 2:4"),
-        (["push", "--occlude", "8:9"], "within what was recorded, 0 to 3 s"),
+        (["push", "--occlude", "8:9"], "within the recording, 0 to 3 s"),
         (["push", "--particles", "1"], "at least 2"),
         (["push", "--prior", "mu_pushr=0.1:1"], "did you mean 'mu_pusher'"),
         (["push", "--prior", "mu_pusher"], "--prior mu_pusher"),

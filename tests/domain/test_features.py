@@ -106,5 +106,5 @@ def test_nobody_is_a_neighbour_of_itself() -> None:
     )
     np.testing.assert_allclose(found[0], [1.0, 1e-3])
     np.testing.assert_allclose(found[1], [0.0, 1e-3])
-    with pytest.raises(InvalidInput, match="two at least"):
+    with pytest.raises(InvalidInput, match="at least two"):
         neighbour_features(place, place[:1], residual[:1])

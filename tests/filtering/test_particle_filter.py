@@ -186,13 +186,13 @@ def test_first_order_motion_and_rigid_drives():
         ({"n_particles": 2.5}, "n_particles"),
         ({"threads": 0}, "threads"),
         ({"priors": {"mu_pushr": (0.1, 1.0)}}, "did you mean 'mu_pusher'"),
-        ({"priors": {"start_x": (0.1, 1.0)}}, "particles cannot differ in"),
-        ({"priors": {"mu_pusher": (1.0, 0.1)}}, "the lower first"),
+        ({"priors": {"start_x": (0.1, 1.0)}}, "particles cannot have"),
+        ({"priors": {"mu_pusher": (1.0, 0.1)}}, "the lower one first"),
         ({"priors": {"mu_pusher": (0.1,)}}, "two numbers"),
         ({"priors": {"mu_pusher": (-0.1, 1.0)}}, "at least 0"),
         ({"position_deviation": 0.0}, "position_deviation"),
         ({"contact_reliability": 1.0}, "between 0 and 1"),
-        ({"motion": Dynamic()}, "particles carry no velocities"),
+        ({"motion": Dynamic()}, "particles have no velocities"),
         ({"force_limit": -1.0}, "force_limit"),
     ],
 )
@@ -230,12 +230,12 @@ def test_scenes_that_do_not_fit_are_refused(scene, options, sentence):
 @pytest.mark.parametrize(
     ("frame", "sentence"),
     [
-        (FilterFrame(0.0, HEAD), "an instant after 0 s"),
-        (FilterFrame(np.nan, HEAD), "an instant after"),
+        (FilterFrame(0.0, HEAD), "a time after 0 s"),
+        (FilterFrame(np.nan, HEAD), "a time after"),
         (FilterFrame(0.1, HEAD[:2]), "frame.pusher"),
         (FilterFrame(0.1, HEAD * np.nan), "frame.pusher"),
         (FilterFrame(0.1, HEAD, START * np.inf), "frame.seen"),
-        (FilterFrame(0.1, HEAD, None, [1.0]), "3 readings, one a fixel"),
+        (FilterFrame(0.1, HEAD, None, [1.0]), "3 readings, one per fixel"),
         (FilterFrame(0.1, HEAD, None, [1.0, 0.5, 0.0]), "each 0, 1 or NaN"),
     ],
 )

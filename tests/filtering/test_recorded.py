@@ -124,10 +124,10 @@ def test_without_readings_the_camera_is_enough(experiment):
     [
         ({"scene": None, "contact_mode": ""}, None, "no scene"),
         ({"pusher": None}, None, "no measured path of the pusher"),
-        ({}, (8.0, 9.0), "within what was recorded, 0 to 7 s"),
-        ({}, (-1.0, 2.0), "within what was recorded"),
+        ({}, (8.0, 9.0), "within the recording, 0 to 7 s"),
+        ({}, (-1.0, 2.0), "within the recording"),
         ({}, (3.0, 2.0), "found 3 to 2 s"),
-        ({}, (2.0, float("nan")), "within what was recorded"),
+        ({}, (2.0, float("nan")), "within the recording"),
         ({"effective": (50.0, 60.0)}, None, "0 measured instants"),
     ],
 )

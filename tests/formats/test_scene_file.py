@@ -303,7 +303,7 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         (
             {"pushers.0.drive": {"waypoints": [[0, 0, 0, 0], [2, 0, 0, 0], [1, 0, 0, 0]]}},
             "pushers[0].drive.waypoints[2]",
-            "goes back in time",
+            "has decreasing times",
         ),
         ({"pushers.0.friction": -1}, "pushers[0].friction", "at least 0"),
         ({"fixels.0.restitution": 1.5}, "fixels[0].restitution", "at most 1"),

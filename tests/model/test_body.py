@@ -131,8 +131,8 @@ def test_a_path_says_where_the_pusher_starts():
 @pytest.mark.parametrize(
     ("waypoints", "where", "words"),
     [
-        ([[0, 0, 0, 0], [2, 1, 0, 0], [1, 2, 0, 0]], "drive.waypoints[2]", "goes back in time"),
-        ([[0, 0, 0, 0], [0, 1, 0, 0]], "drive.waypoints[1]", "stands still in time"),
+        ([[0, 0, 0, 0], [2, 1, 0, 0], [1, 2, 0, 0]], "drive.waypoints[2]", "has decreasing times"),
+        ([[0, 0, 0, 0], [0, 1, 0, 0]], "drive.waypoints[1]", "has repeated times"),
         ([[0, 0, 0, 3.1], [1, 0, 0, -3.1]], "drive.waypoints[1]", "unwrap"),
         ([[0, 0, 0, 0], [1, 0, float("nan"), 0]], "drive.waypoints[1]", "finite"),
         ([], "drive.waypoints", "empty"),

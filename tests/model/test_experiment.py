@@ -58,7 +58,7 @@ def test_columns_carry_units(column, unit):
 
 @pytest.mark.parametrize("column", ["fx", "n", "force_mm", "_n_"])
 def test_columns_without_units_are_refused(column):
-    with pytest.raises(InvalidInput, match="ends with its unit"):
+    with pytest.raises(InvalidInput, match="with its unit as suffix"):
         unit_of(column)
 
 
@@ -79,7 +79,7 @@ def test_scene_and_contact_mode_agree():
     scene = grasp("seated")
     good = experiment(scene=scene, object_name=scene.bodies[0].name, contact_mode="010")
     assert good.contact_mode == "010"
-    with pytest.raises(InvalidInput, match="one a fixel"):
+    with pytest.raises(InvalidInput, match="one per fixel"):
         experiment(scene=scene, object_name=scene.bodies[0].name, contact_mode="01")
     with pytest.raises(InvalidInput, match="a body of the scene"):
         experiment(scene=scene, object_name="nothing")

@@ -176,7 +176,7 @@ def test_an_overlap_is_reported_and_left_out():
 
 def test_a_head_that_passes_beside_the_object():
     assert sentences(schemes=(OffsetList(((0.0, 0.2, 0.0),)),)) == [
-        "the head passes beside the object"
+        "the head passes the object without contact"
     ]
 
 

@@ -40,18 +40,20 @@ class SearchOptions:
 
     mode: str | None = option(
         None,
-        "each: every experiment alone; joint: one set for all; campaign: each, then joint, with"
-        " the intermediate steps of the thesis; stored: the best of the sets found before.",
+        "Kind of calibration. each: one set per experiment; joint: one set for all; campaign: "
+        "each, then joint, with the intermediate steps of the thesis; stored: the best of the "
+        "stored sets.",
         metavar="MODE",
         show_default="each for one experiment, else joint",
     )
     fit: list[str] | None = option(
         None,
-        "Parameter to find, in SI units or with _mm, _deg, _mrad after the name; may be repeated.",
+        "Parameter to calibrate, in SI units or with the suffix _mm, _deg or _mrad; may be "
+        "repeated.",
         metavar="NAME[=LOW:HIGH[:START]]",
     )
     hold: list[str] | None = option(
-        None, "Parameter that stays; may be repeated.", "--set", metavar="NAME=VALUE"
+        None, "Parameter with a fixed value; may be repeated.", "--set", metavar="NAME=VALUE"
     )
     space: Path | None = option(None, "File with the parameters, instead of --fit.")
     dakota: Path | None = option(
@@ -59,24 +61,26 @@ class SearchOptions:
     )
     error: str = option(
         "mean-square",
-        "mean-square (the thesis's E), root-mean-square (the ASME paper's), end-pose or robust.",
+        "Error to minimise: mean-square (E of the thesis), root-mean-square (of the ASME paper), "
+        "end-pose or robust.",
         metavar="NAME",
     )
-    angle_scale_mm: float = option(35.0, "Length that one radian counts as [mm].", metavar="MM")
+    angle_scale_mm: float = option(35.0, "Weight of angles in the error [mm/rad].", metavar="MM")
     combine: str = option(
-        "sum", "How errors of experiments are combined: sum, mean or largest.", metavar="HOW"
+        "sum", "Combination of the errors of experiments: sum, mean or largest.", metavar="HOW"
     )
-    motion: str = option("dynamic", "dynamic, quasistatic or first-order.", metavar="MODEL")
+    motion: str = option(
+        "dynamic", "Motion model: dynamic, quasistatic or first-order.", metavar="MODEL"
+    )
     optimiser: str | None = option(
         None,
-        "pattern-search, fixed-step, nelder-mead, cma-es, mads or least-squares.",
+        "Optimiser: pattern-search, fixed-step, nelder-mead, cma-es, mads or least-squares.",
         metavar="NAME",
-        show_default="least-squares for one set of parameters and an error that is a sum of"
-        " squares, else pattern-search",
+        show_default="least-squares for mode joint and a sum of squares, else pattern-search",
     )
     budget: float | None = option(
         None,
-        "Computing time for the search and the verdicts [s], half of it for each.",
+        "Computing time [s], half of it for the search and half for the verdicts.",
         metavar="SECONDS",
         min=0.0,
     )
@@ -87,9 +91,9 @@ class SearchOptions:
         min=1,
     )
     settings: list[str] | None = option(
-        None, "Setting of the optimiser; may be repeated.", "--option", metavar="NAME=VALUE"
+        None, "Option of the optimiser; may be repeated.", "--option", metavar="NAME=VALUE"
     )
-    starts: int = option(1, "Searches, all but the first from random places.", min=1)
+    starts: int = option(1, "Number of searches; all but the first start at random points.", min=1)
     seed: Seed = 0
     noise: MeasurementNoise
     level: float = option(0.95, "Confidence level of the intervals.")
@@ -165,7 +169,7 @@ def calibrate(
     *,
     experiments: list[str] | None = argument(
         None,
-        "Ids or names; without any, all that the options below leave.",
+        "Ids or names of experiments; by default all that match the options.",
         metavar="[EXPERIMENT]...",
     ),
     folder: ProjectFolder = Path(),
@@ -173,7 +177,7 @@ def calibrate(
     search: SearchOptions,
     workers: Workers = None,
     site: SiteFile = None,
-    prepare_only: bool = option(False, "Make the job only, for fixel jobs submit.", "--prepare"),
+    prepare_only: bool = option(False, "Only prepare the job, for fixel jobs submit.", "--prepare"),
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
@@ -183,7 +187,7 @@ def calibrate(
     """
     if experiments and (selection.dataset or selection.where):
         given = "--dataset" if selection.dataset else "--where"
-        raise InvalidInput(given, found="experiments by name too", expected="one of them")
+        raise InvalidInput(given, found="--sample and names of experiments", expected="one of them")
     from dataclasses import replace
 
     from fixel.database.project import Project

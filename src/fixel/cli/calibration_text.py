@@ -20,8 +20,8 @@ MAX_ROWS = 20
 ENDS = ("at least", "at most")
 MAX_OUTLIERS = 5
 BEST_FIT = (
-    "Quote the values; the best fit is for prediction: with a wrong model the parameters that"
-    " predict best are not the true ones."
+    "Quote the values; use the best fit for predictions. With a wrong model, the parameters that "
+    "predict best differ from the true ones."
 )
 
 
@@ -30,7 +30,9 @@ def lines_of(done: Calibrations, folder: Path, pictures: list[Path]) -> list[str
     outcome = done.outcome
     lines = []
     if done.left_out:
-        lines.append(f"{len(done.left_out)} experiments left out, which cannot be compared")
+        lines.append(
+            f"skipped {len(done.left_out)} experiments that cannot be compared with a simulation"
+        )
     if done.request.sample_of is not None:
         lines.append(
             f"a random sample of {len(outcome.keys)} of {done.request.sample_of} experiments"
@@ -120,7 +122,7 @@ def _together_lines(done: Calibrations, one: Any) -> list[str]:
     lines += [sentence for sentence in (one.note, one.noise) if sentence]
     lines += _outlier_lines(done, one)
     if len(one.solutions) > 1:
-        lines.append(f"{len(one.solutions)} places apart from one another are nearly as good")
+        lines.append(f"{len(one.solutions)} distinct parameter sets fit almost equally well")
     free = done.request.space.free
     pairs = zip(free, one.values(done.request.space.labels).tolist(), one.point, strict=True)
     rows = [_row(u, value, best, one) for u, value, best in pairs]
@@ -132,9 +134,9 @@ def _together_lines(done: Calibrations, one: Any) -> list[str]:
     larger = enlarged_command(done.command, done.request) if one.misfit_ratio >= WARNED else ""
     if not larger:
         return lines
-    what = "let the centre of pressure free"
+    what = "calibrate the centre of pressure, too"
     if PRESSURE in larger:
-        what = "with pressure under the whole body and its centre free"
+        what = "calibrate with uniform pressure and a free centre of pressure"
     return [*lines, f"Next, {what}:", f"  {larger}"]
 
 
@@ -152,11 +154,11 @@ def _outlier_lines(done: Calibrations, one: ParameterSet) -> list[str]:
     known = one.errors[np.isfinite(one.errors)]
     share = float(one.errors[found].sum() / known.sum())
     lines = [
-        f"{len(found)} of {len(one.errors)} experiments stand out, with {100 * share:.0f} % of the"
-        f" summed error: {named}{more}"
+        f"{len(found)} of {len(one.errors)} experiments are outliers, with {100 * share:.0f} % of "
+        f"the summed error: {named}{more}"
     ]
     if done.request.error.name != Robust.name:
-        lines.append(f"To count them for less, add: --error {Robust.name}")
+        lines.append(f"To reduce their weight, add: --error {Robust.name}")
     return lines
 
 

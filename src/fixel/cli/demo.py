@@ -16,7 +16,12 @@ if TYPE_CHECKING:
     from fixel.workflows.demo.laboratory_demo import Tour
     from fixel.workflows.demo.scene_demo import Demo
 
-_WHAT = {"scene": "the scene", "plot": "picture", "animate": "film", "trajectory": "numbers"}
+_WHAT = {
+    "scene": "the scene",
+    "plot": "picture",
+    "animate": "film",
+    "trajectory": "numbers",
+}
 LAB = "lab"
 CAMERA = "camera"
 NOT_SOLVED = 3
@@ -26,18 +31,20 @@ NOT_SOLVED = 3
 def demo(
     *,
     out: Path = option(
-        Path("fixel-demo"), "Folder for the figures; made when missing.", metavar="FOLDER"
+        Path("fixel-demo"), "Folder for the figures; created if missing.", metavar="FOLDER"
     ),
-    quick: bool = option(False, "The grasp only: no experiments, no report.", "--quick"),
+    quick: bool = option(
+        False, "Simulate the grasp only, without experiments and report.", "--quick"
+    ),
     camera: bool = option(
         False,
-        "Instead: film simulated pushes, record the films off a network camera, track,"
-        " calibrate, and compare with the truth. Takes minutes; the same command resumes it.",
+        "Film simulated pushes instead, record the films from a network camera, track, "
+        "calibrate, and compare with the truth. This takes minutes; the same command resumes it.",
         "--camera",
     ),
 ) -> None:
-    """Simulate and film a grasp; then calibrate simulated experiments and report how far to
-    believe the simulator."""
+    """Simulate and film a grasp, then calibrate simulated experiments and report the accuracy of
+    the simulator."""
     if camera:
         from fixel.workflows.demo.camera_demo import run_camera_tour
 
@@ -57,7 +64,7 @@ def demo(
     if not quick:
         from fixel.workflows.demo.laboratory_demo import run_tour
 
-        typer.echo("\nHow far is such a simulation to be believed? A laboratory finds out:\n")
+        typer.echo("\nHow accurate is such a simulation? Assess it on a simulated laboratory:\n")
         laboratory = run_tour(out / LAB, notify=lambda what: notify(f"  {what} ..."))
         typer.echo("\n".join(_laboratory_lines(laboratory)))
 
@@ -77,9 +84,9 @@ def _camera_lines(tour: "CameraTour") -> list[str]:
         "",
         *(f"  overlay    {path}" for path in tour.overlays if path.suffix == ".png"),
         "",
-        "True and tracked paths stand side by side in the report:",
+        "The report compares true and tracked trajectories:",
         f"  {next_command(tour.report)}",
-        "Next, look at a tracked experiment, or do the same with a camera of yours:",
+        "Next, look at a tracked experiment, or use your own camera:",
         f"  fixel show tracked/{tour.runs[0].name} --project {lab}",
         "  fixel camera board --help",
     ]
@@ -94,13 +101,14 @@ def _laboratory_lines(tour: "Tour") -> list[str]:
         "",
         *content.findings,
         "",
-        "This laboratory is simulated, so the truth is known; the intervals were found without it:",
+        "This laboratory is simulated, so the true values are known; the intervals were computed "
+        "without them:",
         *tour.truth.lines(),
         "",
-        f"{len(content.warnings)} warnings stand first in the report, with figures, methods and"
-        " references:",
+        f"{len(content.warnings)} warnings are at the top of the report, which has figures, "
+        "methods and references:",
         f"  {next_command(tour.report)}",
-        "Next, ask for more or less than 5 mm, or look at one experiment:",
+        "Next, use a threshold other than 5 mm, or look at one experiment:",
         f"  fixel domain --threshold-mm 8 --project {lab}",
         f"  fixel show 8 --project {lab}",
     ]
@@ -110,7 +118,7 @@ def _scene_lines(result: "Demo") -> list[str]:
     run, files = result.simulation, result.files
     scene = shlex.quote(str(files["scene"]))
     return [
-        "A flat head pushes a square against three fixels, which stand still.",
+        "A flat head pushes a square against three fixed pegs (fixels).",
         "",
         *(f"  t = {event.time:6.3f} s  {event.text}" for event in result.events),
         "",
@@ -119,9 +127,9 @@ def _scene_lines(result: "Demo") -> list[str]:
         "",
         *(f"  {_WHAT[kind]:10} {path}" for kind, path in files.items()),
         "",
-        "Next, take the force limit away; a rigid drive jams, and fixel says so:",
+        "Next, remove the force limit: a rigid drive jams, and fixel reports it:",
         f"  fixel simulate {scene} --set pushers.0.drive.force_limit=null",
-        "or make the object slippery, and draw where it goes:",
+        "or reduce the friction, and draw the motion:",
         f"  fixel simulate {scene} --set fixels.0.friction=0.02 --plot slippery.png",
         "or change the scene file and simulate it again. fixel simulate --help lists the options.",
     ]

@@ -52,30 +52,32 @@ class DomainOptions:
     )
     fit: list[str] | None = option(
         None,
-        "Parameter to find, instead of the calibration's; may be repeated.",
+        "Parameter to calibrate, instead of those of the calibration; may be repeated.",
         metavar="NAME[=LOW:HIGH[:START]]",
     )
     selection: Selection
     axes: str | None = option(
         None,
-        "Conditions the map goes over: offset_y_m,offset_theta_rad.",
+        "Conditions that are the axes of the map, such as offset_y_m,offset_theta_rad.",
         metavar="NAME[,NAME]",
         show_default="the offsets that vary",
     )
     by: str | None = option(
-        None, "Conditions with a map for each of their values: shape,layout.", metavar="NAME[,NAME]"
+        None,
+        "Conditions with a map for each of their values, such as shape,layout.",
+        metavar="NAME[,NAME]",
     )
     apart: str | None = option(
         None,
-        "Conditions with parameters for each of their values: surface,shape.",
+        "Conditions with a parameter set for each of their values, such as surface,shape.",
         metavar="NAME[,NAME]",
     )
     leave_out: str | None = option(
-        None, "Condition whose values are held out whole: layout.", metavar="CONDITION"
+        None, "Condition whose values are held out as a whole, such as layout.", metavar="CONDITION"
     )
     nominal: str | None = option(
         None,
-        "Nominal conditions that the domain grows from, in SI units.",
+        "Nominal conditions from which the domain grows, in SI units.",
         metavar="AXIS=VALUE[,AXIS=VALUE]",
     )
     step: list[str] | None = option(
@@ -85,17 +87,17 @@ class DomainOptions:
     )
     threshold_mm: float | None = option(
         None,
-        "Root mean square error that must not be exceeded [mm].",
+        "Threshold of the root mean square error [mm].",
         show_default="twice the median",
     )
     relative: float | None = option(
         None,
-        "Instead of --threshold-mm: how much larger E may be than an experiment's own best,"
-        " as a share of that.",
+        "Threshold relative to the smallest E of each experiment, as a share above it; instead "
+        "of --threshold-mm.",
         metavar="SHARE",
     )
-    level: float = option(0.9, "Share of new experiments that have to stay below the threshold.")
-    confidence: float = option(0.95, "Confidence with which a cell is called trusted.")
+    level: float = option(0.9, "Share of new experiments that must stay below the threshold.")
+    confidence: float = option(0.95, "Confidence required for a trusted cell.")
     folds: int | None = option(
         None,
         "Number of folds of the cross-validation.",
@@ -110,7 +112,9 @@ class DomainOptions:
         from fixel.workflows.domain.request import DomainRequest
 
         if self.threshold_mm is not None and self.relative is not None:
-            raise InvalidInput("--relative", found="--threshold-mm too", expected="one of them")
+            raise InvalidInput(
+                "--relative", found="--relative and --threshold-mm", expected="one of them"
+            )
         return DomainRequest(
             query=self.selection.query,
             calibration=self.calibration,
@@ -140,7 +144,7 @@ def domain(
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Map where one parameter set can be trusted, on experiments it was found without.
+    """Map the domain in which one parameter set predicts held-out experiments.
 
     The fits are kept: other axes, thresholds and nominals cost nothing.
     """
@@ -208,7 +212,7 @@ def _lines(done: "DomainResult", folder: Path, request: "DomainRequest") -> list
     return [
         *lines,
         *wrote(done.files),
-        f"kept in {done.kept.folder}",
+        f"stored in {done.kept.folder}",
         f"Next: {_next(done, folder, request)}",
     ]
 
@@ -231,30 +235,31 @@ def _next(done: "DomainResult", folder: Path, request: "DomainRequest") -> str:
 def growth(
     *,
     folder: ProjectFolder = Path(),
-    shape: str | None = option(None, "Only this shape.", metavar="NAME"),
+    shape: str | None = option(None, "Select experiments with this shape only.", metavar="NAME"),
     dataset: DatasetName = None,
     index: str = option(
         "corrected",
-        "corrected, or printed: the rows of the thesis's code, theta one too early.",
+        "Order of the rows: corrected, or printed as in the code of the thesis, with theta one "
+        "row too early.",
         metavar="WHICH",
     ),
     threshold: str | None = option(
         None,
-        "Threshold of the error, in its unit, or as a distance: 5, or 2.2mm.",
+        "Threshold of the error, as a number in its unit or as a distance: 5 or 2.2mm.",
         metavar="E",
-        show_default="the thesis's 5 mm²",
+        show_default="5 mm² as in the thesis",
     ),
     sizes: list[str] | None = option(
         None,
-        "Samples of the intervals, 2 to 5; for one axis or for all; may be repeated.",
+        "Numbers of samples of the intervals, 2 to 5, for one axis or for all; may be repeated.",
         metavar="[AXIS=]N[,N]",
         show_default="x=2,4 y=3,5 theta=2,4",
     ),
-    motion: str | None = option(None, "Only calibrations with this motion model.", metavar="MODEL"),
-    error: str | None = option(None, "Only calibrations with this error.", metavar="NAME"),
-    plot: Path | None = option(
-        None, "Folder for the pictures, beside the project's own.", metavar="FOLDER"
+    motion: str | None = option(
+        None, "Use only calibrations with this motion model.", metavar="MODEL"
     ),
+    error: str | None = option(None, "Use only calibrations with this error.", metavar="NAME"),
+    plot: Path | None = option(None, "Folder for copies of the charts.", metavar="FOLDER"),
     as_json: AsJson = False,
 ) -> None:
     """Grow the domain of applicability from stored calibrations, as the thesis did.
@@ -332,14 +337,14 @@ def _growth_lines(
     lines = []
     for one in analysis.tables:
         lines += [one.title, *one.lines(), ""]
-    new = f", {n} sets of parameters stored as calibrations" if n else ""
+    new = f", {n} parameter sets stored as calibrations" if n else ""
     return [
         *lines,
         *analysis.headline,
         "",
         *(f"Warning: {sentence}" for sentence in analysis.warnings),
         *wrote(path for path in copied if path.suffix == ".png"),
-        f"{found.rollouts} simulations, {seconds(analysis.seconds)}{new}; kept with its pictures in"
-        f" {kept.folder}",
+        f"{found.rollouts} simulations, {seconds(analysis.seconds)}{new}; stored with its charts "
+        f"in {kept.folder}",
         f"Next: {report}",
     ]

@@ -41,17 +41,17 @@ class FilterOptions:
     """Options of `fixel filter`."""
 
     occlude: str | None = option(
-        None, "Hide the object from the filter in this interval [s].", metavar="FROM:TO"
+        None, "Hide the object from the filter during this interval [s].", metavar="FROM:TO"
     )
-    tactile: bool = option(True, "Use the tactile readings.", "--tactile/--no-tactile")
+    tactile: bool = option(True, "Whether to use the tactile readings.", "--tactile/--no-tactile")
     particles: int = option(N_PARTICLES, "Number of particles.")
     prior: list[str] | None = option(
         None,
-        "Uniform belief about a parameter, e.g. mu_pusher=0.1:1; may be repeated.",
+        "Uniform prior of a parameter, such as mu_pusher=0.1:1; may be repeated.",
         metavar="NAME=LOW:HIGH",
     )
     seed: AnySeed = 0
-    threads: int = option(1, "Threads of the simulation.", min=1)
+    threads: int = option(1, "Number of threads.", min=1)
     plot: Path | None = option(None, "Draw the run: .png, .svg or .pdf.")
     save: bool = option(True, "Store the run.", "--save/--no-save")
 
@@ -79,7 +79,7 @@ def filter_(
     options: FilterOptions,
     as_json: AsJson = False,
 ) -> None:
-    """Estimate pose and friction while an experiment goes on, with a particle filter."""
+    """Estimate pose and friction frame by frame with a particle filter."""
     from fixel.database.project import Project
     from fixel.filtering.particle_filter import ParticleFilter
     from fixel.workflows.filtering import filter_experiment
@@ -137,7 +137,7 @@ def _draw(answer: "FilterAnswer", plot: Path) -> None:
 
 
 def _lines(answer: "FilterAnswer", plot: Path | None, project: Path, command: str) -> list[str]:
-    kept = [] if answer.run_id is None else [f"kept as filter run {answer.run_id}"]
+    kept = [] if answer.run_id is None else [f"stored as filter run {answer.run_id}"]
     return paragraphs(
         [origin_of(answer.estimates.experiment)],
         _misfit(answer),
@@ -163,13 +163,14 @@ def _misfit(answer: "FilterAnswer") -> list[str]:
         f" {degrees(misfit.residual_rad):.2g} deg are {misfit.ratio:.2g} times the noise of"
         f" {1e3 * misfit.noise_m:.2g} mm and {degrees(misfit.noise_rad):.2g} deg"
         " (second differences of the measured poses).",
-        "The model is wrong by more than the noise explains: values below are effective ones.",
+        "The model is wrong by more than the noise explains, so the values below are effective "
+        "values.",
     ]
     believed = found.options.position_deviation / max(misfit.noise_m, 1e-12)
     if believed > BELIEF_FAR:
         lines.append(
-            f"The filter believes {believed:.2g} times as much camera noise as there is;"
-            " its intervals allow for the misfit as far as that goes."
+            f"The filter assumes {believed:.2g} times the estimated camera noise; its intervals "
+            "include the misfit only in this way."
         )
     return lines
 
@@ -182,8 +183,9 @@ def _noise(answer: "FilterAnswer") -> list[str]:
     if ratio < NOISE_FAR:
         return []
     return [
-        f"The camera's noise is {ratio:.2g} times what the filter believes: its intervals are too"
-        " small. Set position_deviation and angle_deviation of ParticleFilter in Python."
+        f"The camera noise is {ratio:.2g} times the value that the filter assumes, so its "
+        "intervals are too narrow. Set position_deviation and angle_deviation of ParticleFilter "
+        "in Python."
     ]
 
 
@@ -192,7 +194,7 @@ def _input(answer: "FilterAnswer") -> list[str]:
     hidden = "never hidden"
     if found.occlusion is not None:
         hidden = "hidden from {:g} to {:g} s".format(*found.occlusion)
-    felt = "with the fixels' readings" if found.uses_tactile else "without tactile readings"
+    felt = "with tactile readings" if found.uses_tactile else "without tactile readings"
     return [
         f"{len(found.time)} frames from {found.time[0]:.4g} to {found.time[-1]:.4g} s, {hidden},"
         f" {felt}"
@@ -215,9 +217,9 @@ def _parameters(answer: "FilterAnswer") -> list[str]:
     for name, mean, (low, _, high) in zip(
         found.prior.names, found.mean[-1], found.quantiles[-1], strict=True
     ):
-        remark = "" if found.excited[name] else "not excited: about as believed before"
+        remark = "" if found.excited[name] else "not excited: about the same as the prior"
         if found.at_bound[name]:
-            remark = "at the bound of its prior: choose a wider one with --prior"
+            remark = "at the bound of its prior: use a wider one with --prior"
         label, factor = _label_and_factor(name)
         rows.append((label, *(float(factor * value) for value in (mean, low, high)), remark))
     numbers = (Column(name, format=".3g") for name in ("mean", "5 %", "95 %"))
@@ -246,21 +248,21 @@ def _modes(answer: "FilterAnswer") -> list[str]:
     if answer.estimates.touch.shape[1] == 0:
         return []
     measured, estimated = answer.estimates.experiment.contact_mode, answer.estimates.contact_mode
-    verdict = "" if not measured else ", the same" if measured == estimated else ", another"
+    verdict = "" if not measured else ", the same" if measured == estimated else ", different"
     what = "measured" if answer.estimates.experiment.real else "recorded"
-    return [f"contact mode, {what} {measured or 'not known'}, estimated {estimated}{verdict}"]
+    return [f"contact mode, {what} {measured or 'unknown'}, estimated {estimated}{verdict}"]
 
 
 def _effort(answer: "FilterAnswer") -> list[str]:
     found = answer.estimates
     times = 1e3 * found.busy[1:]
     lines = [
-        f"{found.options.n_particles} particles, {sorted(times)[len(times) // 2]:.3g} ms a frame"
-        f" (at most {times.max():.3g} ms): {found.real_time_factor:.3g} times real time"
+        f"{found.options.n_particles} particles, {sorted(times)[len(times) // 2]:.3g} ms per "
+        f"frame (at most {times.max():.3g} ms): {found.real_time_factor:.3g} times real time"
     ]
     lost = int(found.recovered.sum())
     if lost:
-        lines.append(f"lost the object in {lost} frames, and started again there")
+        lines.append(f"lost the object in {lost} frames and was restarted there")
     return lines
 
 

@@ -34,7 +34,7 @@ MAX_ROWS = 30
 
 
 def new(
-    folder: Annotated[Path, typer.Argument(help="Folder to make.", metavar="FOLDER")],
+    folder: Annotated[Path, typer.Argument(help="Folder of the new project.", metavar="FOLDER")],
     database: Annotated[
         str | None,
         typer.Option(
@@ -44,7 +44,7 @@ def new(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Make a project: a folder with settings, a database and media."""
+    """Create a project: a folder with settings, a database and media."""
     from fixel.database.project import Project
 
     name = Project.create(folder, database=database).settings.name
@@ -52,8 +52,8 @@ def new(
         as_json,
         lambda: {"folder": str(folder), "name": name},
         lambda: [
-            f"made the project {name} in {folder}",
-            "fixel import SOURCE stores what was recorded; or try simulated experiments:",
+            f"created project {name} in {folder}",
+            "Import recorded experiments with fixel import SOURCE, or try simulated ones:",
             f"Next: {command_of('testbed', 'run', '--limit', 30, '--project', folder)}",
         ],
     )
@@ -62,21 +62,21 @@ def new(
 @with_options
 def import_(
     *,
-    source: Path = required("File or folder.", metavar="SOURCE"),
+    source: Path = required("File or folder to import.", metavar="SOURCE"),
     folder: ProjectFolder = Path(),
     importer: str | None = option(
-        None, "Name of the importer, else it is recognised.", "--as", metavar="NAME"
+        None, "Name of the importer; by default it is recognised.", "--as", metavar="NAME"
     ),
     option: list[str] | None = option(
-        None, "For the importer; may be repeated.", "--option", metavar="NAME=VALUE"
+        None, "Option of the importer; may be repeated.", "--option", metavar="NAME=VALUE"
     ),
     scene: Path | None = option(
         None,
-        "Scene file for a CSV table: outline of the object, pusher, pegs. Without one,"
-        " a template is written beside the table.",
+        "Scene file for a CSV table, with object, pusher and fixels. Without one, a template is "
+        "written next to the table.",
         metavar="FILE",
     ),
-    dry_run: bool = option(False, "Print how the source is read, and import nothing.", "--dry-run"),
+    dry_run: bool = option(False, "Print how the source is read; import nothing.", "--dry-run"),
     as_json: AsJson = False,
 ) -> None:
     """Import recorded experiments; those stored already are skipped."""
@@ -145,17 +145,17 @@ def print_imported(
     done: "AddSummary", content: dict[str, Any], as_json: bool, folder: Path
 ) -> None:
     """Print how many experiments were stored; `content` is more for the JSON answer."""
-    known = f", {done.known} were there already" if done.known else ""
+    known = f", {done.known} were already stored" if done.known else ""
     lines = [f"stored {done.new} experiments in {seconds(done.wall_time_s)}{known}"]
     if "template" in content:
         lines.insert(
             0,
-            "There is no scene, so these poses cannot be simulated or calibrated. Fill in"
-            f" {content['template']}, then import the table again with --scene.",
+            "The experiments have no scene, so they cannot be simulated or calibrated. Fill in "
+            f"{content['template']}, then import the table again with --scene.",
         )
     if done.faulty:
         lines.append(
-            f"{done.faulty} of them have faults in their data: fixel list --all shows them"
+            f"{done.faulty} of them have faults in their data; list them with fixel list --all"
         )
     following = content.get("next", command_of("list", project=folder))
     print_answer(as_json, lambda: content | done._asdict(), lambda: [*lines, f"Next: {following}"])
@@ -166,12 +166,16 @@ def list_(
     *,
     folder: ProjectFolder = Path(),
     dataset: DatasetName = None,
-    name: str | None = option(None, "Only names like this; * for anything.", metavar="PATTERN"),
-    real: bool | None = option(None, "Only real, or only simulated ones.", "--real/--simulated"),
+    name: str | None = option(
+        None, "Select names that match this pattern; * matches any text.", metavar="PATTERN"
+    ),
+    real: bool | None = option(
+        None, "Select only real or only simulated experiments.", "--real/--simulated"
+    ),
     where: Where = None,
-    flag: str | None = option(None, "Only those with this flag.", metavar="NAME"),
+    flag: str | None = option(None, "Select only experiments with this flag.", metavar="NAME"),
     flagged: Flagged = False,
-    deleted: bool = option(False, "Only those deleted.", "--deleted"),
+    deleted: bool = option(False, "Select only deleted experiments.", "--deleted"),
     limit: int = option(MAX_ROWS, "Maximum number of rows.", min=1),
     as_json: AsJson = False,
 ) -> None:
@@ -222,7 +226,9 @@ def _listed(listing: "ExperimentPage") -> list[str]:
     more = listing.total - len(rows)
     lines.append(f"{listing.total} experiments" + (f", {more} not shown" if more else ""))
     if listing.left_out:
-        lines[-1] += f"; {listing.left_out} left out for faults in their data (--all shows them)"
+        lines[-1] += (
+            f"; {listing.left_out} with faults in their data are not listed (--all lists them)"
+        )
     return lines
 
 
@@ -252,30 +258,30 @@ def _content(listing: "ExperimentPage") -> dict[str, Any]:
 def export(
     *,
     paths: list[Path] = required(
-        "TARGET: a .zip that another project imports; with --parquet or --lerobot, a new"
-        " folder. PROJECT: the same as --project.",
+        "TARGET: .zip file that another project can import; with --parquet or --lerobot, a new "
+        "folder. PROJECT: same as --project.",
         metavar="[PROJECT] TARGET",
         show_default=False,
     ),
     folder: ProjectFolder = Path(),
-    dataset: str | None = option(None, "Only the experiments of this dataset.", metavar="NAME"),
-    parquet: bool = option(False, "Write two tables: experiments and frames.", "--parquet"),
-    lerobot: bool = option(False, "Write a LeRobot dataset, version 3.0.", "--lerobot"),
+    dataset: str | None = option(None, "Select only experiments of this dataset.", metavar="NAME"),
+    parquet: bool = option(False, "Write two Parquet tables: experiments and frames.", "--parquet"),
+    lerobot: bool = option(False, "Write a LeRobot dataset of version 3.0.", "--lerobot"),
     fps: int | None = option(
         None,
-        "Frames a second of the LeRobot dataset; else the experiments' own, mostly.",
+        "Frame rate of the LeRobot dataset [Hz]; by default that of most experiments.",
         metavar="HZ",
     ),
     as_json: AsJson = False,
 ) -> None:
-    """Write the experiments of a project for others, flagged ones too."""
+    """Export the experiments of a project, including flagged ones."""
     from fixel.database.project import Project
 
     *places, target = paths
     if len(places) > 1:
         raise InvalidInput("TARGET", found=f"{len(paths)} paths", expected="[PROJECT] TARGET")
     if parquet and lerobot:
-        raise InvalidInput("--parquet", found="--lerobot too", expected="one of them")
+        raise InvalidInput("--parquet", found="--parquet and --lerobot", expected="one of them")
     answer = Project(project_at(places[0] if places else None, folder)).export(
         target,
         format="parquet" if parquet else "lerobot" if lerobot else "bundle",
@@ -293,12 +299,12 @@ def _exported(answer: "ExportAnswer") -> list[str]:
     more = [f"{n} {what.replace('_', ' ')}" for what, n in counts.items() if n]
     reasons = {
         "deleted": "deleted experiments",
-        "calibrations": "calibrations that used experiments which are not exported",
+        "calibrations": "calibrations that use experiments which are not exported",
     }
     return [
         f"{total} experiments" + (f", of them {', '.join(about)}" if about else ""),
         *([f"with {', '.join(more)}"] if more else []),
-        *(f"left out: {n} {reasons[what]}" for what, n in answer.left_out.items()),
+        *(f"skipped: {n} {reasons[what]}" for what, n in answer.left_out.items()),
         f"wrote {answer.target}, {answer.bytes / 1e6:.3g} MB in {seconds(answer.seconds)}",
     ]
 
@@ -306,12 +312,14 @@ def _exported(answer: "ExportAnswer") -> list[str]:
 @with_options
 def data(
     *,
-    url: str | None = argument(None, "Address of a file to fetch.", metavar="[URL]"),
-    folder: Path = option(Path("data"), "Where to put it.", "--output", "-o", metavar="FOLDER"),
-    sha256: str | None = option(None, "Checksum it must have.", "--sha256", metavar="DIGITS"),
+    url: str | None = argument(None, "URL of a file to download.", metavar="[URL]"),
+    folder: Path = option(
+        Path("data"), "File or folder to write.", "--output", "-o", metavar="FOLDER"
+    ),
+    sha256: str | None = option(None, "Expected SHA-256 checksum.", "--sha256", metavar="DIGITS"),
     as_json: AsJson = False,
 ) -> None:
-    """List the public datasets fixel can import; with an address, fetch a file of one."""
+    """List the public datasets that fixel can import; with a URL, download a file."""
     from fixel.workflows.project.download import datasets, fetch
 
     if url is None:
@@ -321,12 +329,12 @@ def data(
     found = fetch(url, folder, sha256)
     size = found.n_byte
     if sha256 is None and not as_json:
-        notify("No checksum was asked for: compare this one with the publisher's.")
+        notify("No checksum was given; compare this one with that of the publisher.")
     print_answer(
         as_json,
         lambda: {"file": str(found.file), "sha256": found.sha256, "bytes": size},
         lambda: [
-            f"fetched {found.file}, {size / 1e6:.3g} MB, sha256 {found.sha256}",
+            f"downloaded {found.file}, {size / 1e6:.3g} MB, sha256 {found.sha256}",
             f"Next: {command_of('import', found.file, '--dry-run')}",
         ],
     )
@@ -338,5 +346,7 @@ def _datasets(known: list[dict[str, str]]) -> list[str]:
         f"  licence: {entry['licence']}\n  cite: {entry['citation']}"
         for entry in known
     ]
-    lines.append("fixel data URL --sha256 DIGITS fetches a file; fixel import FILE stores it")
+    lines.append(
+        "Download a file with fixel data URL --sha256 DIGITS; import it with fixel import FILE."
+    )
     return [*lines, "Next: fixel import --help"]

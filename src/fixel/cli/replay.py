@@ -25,11 +25,11 @@ def replay(
         show_default=False,
     ),
     select: list[str] | None = option(
-        None, "Keep only records where COLUMN is VALUE; may be repeated.", metavar="COLUMN=VALUE"
+        None, "Select records whose COLUMN has this VALUE; may be repeated.", metavar="COLUMN=VALUE"
     ),
     limit: int | None = option(
         None,
-        "Replay at most this many records, spread evenly over those selected.",
+        "Maximum number of records, spread evenly over those selected.",
         min=1,
         metavar="COUNT",
     ),
@@ -40,19 +40,19 @@ def replay(
         metavar="NAME=VALUE",
     ),
     motion: MotionChoice | None = option(
-        None, "Motion model, instead of the dataset's usual one.", show_default=False
+        None, "Motion model; by default that of the dataset.", show_default=False
     ),
     window: float = option(
         2.0,
-        "Length of the windows of long runs in seconds; 0 for whole runs.",
+        "Length of the windows of long runs [s]; 0 replays whole runs.",
         min=0.0,
         metavar="SECONDS",
     ),
-    everything: bool = option(False, "Keep records of doubtful quality too.", "--all"),
+    everything: bool = option(False, "Include records of doubtful quality.", "--all"),
     as_json: AsJson = False,
     plot: Path | None = option(None, "Draw measured and simulated motion: .png, .svg or .pdf."),
 ) -> None:
-    """Replay recorded pushes and report how far simulation and measurement lie apart."""
+    """Replay recorded pushes and report the errors of the simulation."""
     from fixel.replay import ReplayRequest, replay_dataset
     from fixel.replay.base import columns_and_values, names_and_numbers
 
@@ -80,7 +80,9 @@ def refuse_picture(file: Path) -> None:
     if file.suffix.lower() not in (".pdf", ".png", ".svg"):
         raise InvalidInput("--plot", found=file.name, expected="a file .png, .svg or .pdf")
     if not file.parent.is_dir():
-        raise InvalidInput("--plot", found=f"no folder {file.parent}", expected="one that exists")
+        raise InvalidInput(
+            "--plot", found=f"no folder {file.parent}", expected="an existing folder"
+        )
 
 
 # Columns of the tables: heading, name of the value in a row, and its format.
@@ -133,10 +135,12 @@ def _replay_lines(answer: "Replay", dataset: Path, plot: Path | None) -> list[st
     lines = table([heading for heading, _, _ in columns], cells, left=len(columns))
     lines += answer.notes
     if answer.not_solved:
-        lines.append(f"{answer.not_solved} simulations did not finish; they are in no average.")
+        lines.append(
+            f"{answer.not_solved} simulations did not finish and are not included in averages."
+        )
     lines.append(_speed(answer))
     if plot is not None:
-        lines.append(f"Drawn: {plot}")
+        lines.append(f"wrote {plot}")
     return [*lines, f"Next: {_next(answer, dataset, plot)}"]
 
 
@@ -152,9 +156,9 @@ def cell(row: Record, name: str, form: str = ".2f") -> str:
 def _speed(answer: "Replay") -> str:
     timing = answer.timing
     return (
-        f"{timing['simulated']} simulated in {timing['simulation_s']:.2f} s"
-        f" ({timing['per_second']:.0f} per second);"
-        f" with reading and start {timing['total_s']:.2f} s."
+        f"{timing['simulated']} simulated in {timing['simulation_s']:.2f} s "
+        f"({timing['per_second']:.0f} per second); {timing['total_s']:.2f} s including reading "
+        "and start."
     )
 
 

@@ -15,17 +15,19 @@ if TYPE_CHECKING:
 def report(
     *,
     folder: ProjectFolder = Path(),
-    out: Path = option(Path("report"), "Folder to write to; made when missing.", metavar="FOLDER"),
+    out: Path = option(
+        Path("report"), "Folder of the report; created if missing.", metavar="FOLDER"
+    ),
     calibration: int | None = option(
         None,
-        "Id of the calibration it is about.",
+        "Id of the calibration.",
         metavar="ID",
         show_default="the newest for several experiments",
     ),
     title: str = option("", "Title of the report.", metavar="TEXT"),
     as_json: AsJson = False,
 ) -> None:
-    """Write what is known of a calibration on one page: data, errors, verdicts, domain, limits.
+    """Write a report on a calibration: data, errors, verdicts, domain and limits.
 
     The page needs no network. Next to it: every figure as PDF, and a bibliography.
     """
@@ -49,7 +51,7 @@ def _lines(done: "Report") -> list[str]:
     return [
         *content.findings,
         "",
-        f"{n} warning{'s' * (n != 1)}, which stand first:" if n else "no warnings",
+        f"{n} warning{'s' * (n != 1)}, at the top of the report:" if n else "no warnings",
         *(f"  - {sentence}" for sentence in content.warnings),
         "",
         f"wrote {done.page} ({done.size / 1e6:.1f} MB), {len(done.figures)} figures as PDF in"

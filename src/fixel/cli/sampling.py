@@ -20,7 +20,7 @@ def sample(
     *,
     plan: Path | None = argument(
         None,
-        "Plan file, YAML or JSON; left out, the thesis's scheme of 420 experiments.",
+        "Plan file, YAML or JSON; by default the 420 experiments of the thesis.",
         metavar="PLAN",
         exists=True,
         dir_okay=False,
@@ -31,19 +31,21 @@ def sample(
     output: Path | None = option(None, "Write the plan to this file: .yaml."),
     eight_push: bool = option(
         False,
-        "Instead of the thesis's scheme, the eight pushes of the ASME paper with which"
-        " three support points are identified.",
+        "Use the eight pushes of the ASME paper, which identify three support points, instead of "
+        "the scheme of the thesis.",
         "--eight-push",
     ),
     simulate: bool = option(
-        False, "Simulate every experiment: does it touch a fixel?", "--simulate"
+        False, "Simulate every experiment and check that the object touches a fixel.", "--simulate"
     ),
 ) -> None:
-    """Lay out a plan of experiments, and report its problems."""
+    """Create a plan of experiments and report its problems."""
     from fixel.workflows.sampling import sample as sample_plan
 
     if eight_push and plan is not None:
-        raise InvalidInput("--eight-push", found="a plan file too", expected="one of them")
+        raise InvalidInput(
+            "--eight-push", found="a plan file and --eight-push", expected="one of them"
+        )
     answer = sample_plan(
         plan,
         eight_push=eight_push,
@@ -79,7 +81,7 @@ def _counts(answer: "SampleAnswer") -> list[str]:
         f"plan {plan.name}",
         *Table(("shape", "layouts", "configurations", "repetitions", "experiments"), rows).lines(),
         *textwrap.wrap(listed, 100, break_on_hyphens=False),
-        f"each pushes for {plan.rig.duration:.3g} s, all together {hours:.2g} h",
+        f"{plan.rig.duration:.3g} s per push, {hours:.2g} h in total",
     ]
 
 

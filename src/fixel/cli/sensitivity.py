@@ -35,38 +35,41 @@ class SensitivityOptions:
 
     calibration: int | None = option(
         None,
-        "Stored calibration to simulate with.",
+        "Stored calibration whose parameters are used.",
         metavar="ID",
-        show_default="the newest; nominal values without any",
+        show_default="the newest; nominal values if there is none",
     )
     set_: list[str] | None = option(
-        None, "A parameter's value; may be repeated.", "--set", metavar="NAME=VALUE"
+        None, "Value of a parameter; may be repeated.", "--set", metavar="NAME=VALUE"
     )
     start_error_mm: float | None = option(
-        None, "Half-width of the start's error along x and y.  [default: 0.3]"
+        None, "Half-width of the start error along x and y.  [default: 0.3]"
     )
     start_error_deg: float | None = option(
-        None, "Half-width of the start's error in angle.  [default: 0.5]"
+        None, "Half-width of the start error of the angle.  [default: 0.5]"
     )
     preset: str | None = option(
         None,
-        "Instead: asme (+-5 um, +-0.5 deg) or rpi-camera (noise of RPI's camera).",
+        "Preset start error instead: asme (+-5 um, +-0.5 deg) or rpi-camera (noise of the camera "
+        "at RPI).",
         show_default=False,
     )
-    normal: bool = option(False, "The errors are standard deviations, not half-widths.", "--normal")
-    samples: int = option(1000, "Perturbed starts of each push.", min=50)
+    normal: bool = option(
+        False, "Use the start errors as standard deviations, not as half-widths.", "--normal"
+    )
+    samples: int = option(1000, "Number of perturbed starts of each push.", min=50)
     indices: bool = option(
-        False, "Compute Sobol indices, too (needs SALib).", "--indices/--no-indices"
+        False, "Also compute Sobol indices (needs SALib).", "--indices/--no-indices"
     )
     vary: list[str] | None = option(
         None,
-        "An uncertain parameter for the indices; may be repeated. The intervals of the"
-        " calibration where left out.",
+        "Uncertain parameter for the indices; may be repeated. By default the intervals of the "
+        "calibration.",
         metavar="NAME=LOW:HIGH",
     )
-    base: int = option(128, "Base samples of the indices, a power of two.")
+    base: int = option(128, "Number of base samples of the indices, a power of two.")
     seed: AnySeed = 0
-    threads: int | None = option(None, "Threads of the simulation; all cores by default.", min=1)
+    threads: int | None = option(None, "Number of threads; all cores by default.", min=1)
 
     @property
     def request(self) -> "SensitivityRequest":
@@ -93,7 +96,7 @@ class SensitivityOptions:
         if self.preset is not None:
             if mm is not None or deg is not None or self.normal:
                 raise InvalidInput(
-                    "--preset", found="with a start error of its own", expected="one or the other"
+                    "--preset", found="a preset and a start error", expected="one of them"
                 )
             return preset(self.preset)
         place = 1e-3 * (0.3 if mm is None else mm)
@@ -107,19 +110,19 @@ def sensitivity(
     *,
     things: list[str] | None = argument(
         None,
-        "Experiments (id, name or DATASET/NAME) or scene files; all experiments with a"
-        " scene where left out.",
+        "Experiments (id, name or DATASET/NAME) or scene files; by default all experiments with "
+        "a scene.",
         metavar="[EXPERIMENT|SCENE.yaml]...",
         show_default=False,
     ),
     project: ProjectFolder = Path(),
     options: SensitivityOptions,
     plot: Path | None = option(
-        None, "Folder for copies of the pictures.", metavar="FOLDER", file_okay=False
+        None, "Folder for copies of the charts.", metavar="FOLDER", file_okay=False
     ),
     as_json: AsJson = False,
 ) -> None:
-    """Report how errors of the start grow, and which pushes part ways, before they are executed."""
+    """Report how start errors grow and which pushes have several outcomes, before execution."""
     from fixel.database.project import Project
     from fixel.workflows.compilation import get_ready
     from fixel.workflows.figures import write_picture
@@ -187,7 +190,7 @@ def _lines(
     lines += [f"Note: {warning}" for warning in analysis.warnings]
     lines.append(f"Took {seconds(analysis.seconds)}.")
     if answer.kept is not None:
-        lines.append(f"Kept: {answer.kept.folder}")
+        lines.append(f"stored in {answer.kept.folder}")
     if files:
         lines.append(f"wrote {len(files)} files to {plot}")
     lines.append(f"Next: {_next(answer, plot, project)}")

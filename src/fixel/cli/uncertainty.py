@@ -35,27 +35,27 @@ class UncertaintyOptions:
 
     calibration: int | None = option(
         None,
-        "Stored calibration whose parameters, motion model and experiments are taken.",
+        "Stored calibration whose parameters, motion model and experiments are used.",
         metavar="NUMBER",
         show_default=False,
     )
     fit: list[str] | None = option(
         None,
-        "Parameter to infer, in SI units or with _mm, _deg, _mrad after the name; may be repeated.",
+        "Parameter to infer, in SI units or with the suffix _mm, _deg or _mrad; may be repeated.",
         metavar="NAME[=LOW:HIGH]",
     )
     held_out: list[str] | None = option(
-        None, "Experiment to be predicted only; may be repeated.", metavar="NAME"
+        None, "Experiment that is only predicted; may be repeated.", metavar="NAME"
     )
     motion: str | None = option(
         None,
-        "dynamic, quasistatic or first-order.",
+        "Motion model: dynamic, quasistatic or first-order.",
         metavar="MODEL",
-        show_default="the calibration's, or dynamic",
+        show_default="that of the calibration, or dynamic",
     )
     noise: MeasurementNoise
     model_error: bool = option(
-        True, "Include the error of the model as a separate term.", "--model-error/--no-model-error"
+        True, "Whether to include model error as a separate term.", "--model-error/--no-model-error"
     )
     samples: int = option(1000, "Number of effective samples.", min=10)
     seed: Seed = 0
@@ -81,14 +81,16 @@ class UncertaintyOptions:
 def uncertainty(
     *,
     experiments: list[str] | None = argument(
-        None, "Ids or names; those of the calibration where left out.", metavar="[EXPERIMENT]..."
+        None,
+        "Ids or names of experiments; by default those of the calibration.",
+        metavar="[EXPERIMENT]...",
     ),
     folder: ProjectFolder = Path(),
     options: UncertaintyOptions,
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show how certain parameters are, and where the next push like this one ends.
+    """Compute the posterior of parameters and predict the end pose of a repeated push.
 
     Priors are uniform within the bounds of the parameters.
     """
@@ -114,7 +116,7 @@ def _noise(mm: float | None, mrad: float | None) -> tuple[float, float] | None:
     if (mm is None) != (mrad is None):
         raise InvalidInput(
             "--noise-mm" if mm is None else "--noise-mrad",
-            found="left out beside the other",
+            found="only one of them",
             expected="both, or neither",
         )
     return None if mm is None or mrad is None else (1e-3 * mm, 1e-3 * mrad)
@@ -124,7 +126,7 @@ def _lines(
     found: "Uncertainty", kept: "StoredAnalysis", pictures: list[Path], folder: Path
 ) -> list[str]:
     analysis, posterior = kept.analysis, found.posterior
-    lines = [f"Mind: {sentence}" for sentence in analysis.warnings]  # first: they limit the rest
+    lines = [f"Warning: {sentence}" for sentence in analysis.warnings]  # first: they limit the rest
     lines += analysis.headline
     for table in analysis.tables:
         lines += ["", table.title, *table.lines()]
@@ -135,7 +137,7 @@ def _lines(
         f" points in {seconds(posterior.seconds)}; log evidence {posterior.log_evidence:.2f}"
         f" +- {posterior.log_evidence_error:.2f}",
         *wrote(pictures),
-        f"kept in {kept.folder}",
+        f"stored in {kept.folder}",
         f"Next: {_next(found, folder)}",
     ]
 

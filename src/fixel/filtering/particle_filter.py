@@ -103,7 +103,7 @@ class ParticleFilter:
             raise InvalidInput(
                 "filter.motion",
                 found=type(self.motion).__name__,
-                expected="QuasiStatic or FirstOrder: particles carry no velocities",
+                expected="QuasiStatic or FirstOrder, since particles have no velocities",
             )
         limit = optional_positive(self.force_limit, "filter.force_limit", "N")
         priors = MappingProxyType(checked_priors(self.priors))

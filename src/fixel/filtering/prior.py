@@ -99,7 +99,7 @@ def checked_priors(
             info_of(name)  # speaks for names that nothing in fixel knows
             raise InvalidInput(
                 where,
-                found="a parameter that particles cannot differ in",
+                found="a parameter that particles cannot have",
                 expected="one of " + ", ".join(DEFAULT_PRIORS),
             )
         found[name] = None if bounds is None else _range(where, name, bounds)
@@ -108,7 +108,7 @@ def checked_priors(
 
 def _range(where: str, name: str, bounds: tuple[float, float]) -> tuple[float, float]:
     unit = KNOWN_PARAMETERS[name].unit
-    expected = "two numbers, the lower first"
+    expected = "two numbers, the lower one first"
     if np.shape(bounds) != (2,):
         raise InvalidInput(where, found=bounds, expected=expected)
     low, high = (finite(bound, where, unit if unit != "-" else "") for bound in bounds)
@@ -135,7 +135,7 @@ def prior_for(scene: Scene, priors: Mapping[str, tuple[float, float] | None]) ->
             raise InvalidInput(
                 f"filter.priors.{name}",
                 found=idle[name],
-                expected="a parameter that changes something in the scene",
+                expected="a parameter that changes the scene",
             )
     kept = {n: bounds for n, bounds in chosen.items() if bounds is not None and n not in idle}
     bounds = np.array([*kept.values()], np.float64).reshape(-1, 2)

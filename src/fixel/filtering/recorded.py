@@ -299,7 +299,7 @@ def _frames(
         raise InvalidInput(
             f"experiment {experiment.key}.effective",
             found=f"{len(instants)} measured instants from {first:g} to {last:g} s",
-            expected="two at least, of object and pusher",
+            expected="at least two, of object and pusher",
         )
     occlusion = _checked_occlusion(experiment, occlusion, instants)
     hidden = _within(instants, occlusion)
@@ -326,7 +326,7 @@ def _pusher(experiment: Experiment) -> Trajectory:
         raise InvalidInput(
             f"experiment {experiment.key}.pusher",
             found="no measured path of the pusher",
-            expected="one on the clock of the experiment",
+            expected="a path of the pusher on the clock of the experiment",
             hint="fixel compare simulates the planned motion",
         )
     return experiment.pusher
@@ -352,7 +352,7 @@ def _checked_occlusion(
         raise InvalidInput(
             f"experiment {experiment.key}, occlusion",
             found=f"{start:g} to {end:g} s",
-            expected=f"an interval within what was recorded, {first:g} to {last:g} s",
+            expected=f"an interval within the recording, {first:g} to {last:g} s",
         )
     return start, end
 
@@ -373,8 +373,8 @@ def _touches(experiment: Experiment, scene: Scene, instants: FloatArray) -> list
         raise InvalidInput(
             f"experiment {experiment.key}, channel {TACTILE!r}",
             found=f"{len(channel.columns)} columns",
-            expected=f"{len(scene.fixels)}, one a fixel",
-            hint="leave the fixels out with --no-tactile",
+            expected=f"{len(scene.fixels)}, one per fixel",
+            hint="filter without tactile readings: --no-tactile",
         )
     upto = np.searchsorted(channel.time, instants + SAME_INSTANT)
     fresh = np.diff(upto, prepend=0) > 0

@@ -232,7 +232,7 @@ class RunningFilter:
         before = self._sights[-1].time
         if not before < frame.time < math.inf:
             raise InvalidInput(
-                "frame.time", found=frame.time, expected=f"an instant after {before:g} s"
+                "frame.time", found=frame.time, expected=f"a time after {before:g} s"
             )
         pusher = vector(frame.pusher, "frame.pusher", POSE)
         # The nearest of angles that differ by whole turns: a head does not spin between frames.
@@ -252,7 +252,7 @@ class RunningFilter:
                 raise InvalidInput(
                     "frame.touches",
                     found=frame.touches,
-                    expected=f"{n_fixel} readings, one a fixel, each 0, 1 or NaN",
+                    expected=f"{n_fixel} readings, one per fixel, each 0, 1 or NaN",
                 )
             sight = sight._replace(ones=1.0 * (touches == 1.0), zeros=1.0 * (touches == 0.0))
         return pusher, sight

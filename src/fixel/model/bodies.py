@@ -182,7 +182,7 @@ class LineDrive(Comparable):
                 "drive.direction",
                 found="(0, 0)",
                 expected="a direction",
-                hint="for a drive that stands still, give any direction and speed 0",
+                hint="for a drive at rest, use any direction and speed 0",
             )
         if abs(length - 1.0) > UNIT_LENGTH:
             direction = frozen(direction / length)
@@ -316,7 +316,7 @@ def _check_times(instants: FloatArray) -> None:
     steps = np.diff(instants)
     if (steps <= 0.0).any():
         row = int(np.argmax(steps <= 0.0)) + 1
-        motion = "goes back in time" if steps[row - 1] < 0.0 else "stands still in time"
+        motion = "has decreasing times" if steps[row - 1] < 0.0 else "has repeated times"
         raise InvalidInput(
             f"drive.waypoints[{row}]",
             found=f"t = {instants[row]:g} s after {instants[row - 1]:g} s: the path {motion}",

@@ -68,11 +68,11 @@ class Channel(Comparable):
         if time.ndim != 1 or values.shape != (len(time), len(columns)):
             raise InvalidInput(
                 where,
-                found=f"values of shape {values.shape} at {time.shape} instants",
-                expected=f"a row of {len(columns)} values an instant",
+                found=f"values of shape {values.shape} for times of shape {time.shape}",
+                expected=f"a row of {len(columns)} values for each time",
             )
         if not np.isfinite(time).all() or (np.diff(time) < 0.0).any():
-            raise InvalidInput(f"{where}.time", found="time going back", expected="instants [s]")
+            raise InvalidInput(f"{where}.time", found="decreasing times", expected="instants [s]")
         if np.isinf(values).any():
             raise InvalidInput(where, found="infinite values", expected="numbers, or NaN for none")
         settle(self, columns=columns, time=time, values=values)
@@ -86,7 +86,7 @@ def unit_of(column: str) -> str:
     raise InvalidInput(
         "channel.columns",
         found=repr(column),
-        expected="a name that ends with its unit, one of _" + ", _".join(UNITS),
+        expected="a name with its unit as suffix, one of _" + ", _".join(UNITS),
     )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple, final
 
-from fixel.errors import InvalidInput, did_you_mean
+from fixel.errors import InvalidInput
 from fixel.model.fields import finite
 
 

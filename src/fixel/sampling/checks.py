@@ -46,7 +46,7 @@ def scene_problems(scene: Scene) -> Iterator[str]:
     assert isinstance(drive, LineDrive)
     way = _clearance(scene)
     if way is None:
-        yield "the head passes beside the object"
+        yield "the head passes the object without contact"
     elif way > drive.travel:
         yield f"the head stops {_mm(way - drive.travel)} short of the object"
     else:
@@ -83,8 +83,8 @@ def _out_of_reach(scene: Scene, way: float) -> Iterator[str]:
     nearest = min(distance, key=lambda name: distance[name])
     if distance[nearest] > 0.0:
         yield (
-            f"the object cannot reach a fixel: {nearest}, the nearest, stays"
-            f" {_mm(distance[nearest])} away"
+            f"the object cannot reach a fixel: the distance to the nearest, {nearest}, stays "
+            f"{_mm(distance[nearest])}"
         )
 
 
@@ -97,7 +97,7 @@ def _head_hits(scene: Scene, travel: float) -> Iterator[str]:
     for fixel in scene.fixels:
         peg = shapely.Polygon(placed(fixel.shape.outline, fixel.pose))
         if swept.intersects(peg):
-            yield f"the head runs into {fixel.name}"
+            yield f"the head collides with {fixel.name}"
 
 
 def _circle(shape: Shape) -> float:

@@ -92,7 +92,7 @@ class OffsetAxis:
             raise InvalidInput(
                 "axis.last",
                 found=f"steps {self.first} to {self.last}",
-                expected=f"the first not after the last, and at most {MAX_OFFSETS} steps",
+                expected=f"first <= last, and at most {MAX_OFFSETS} steps",
             )
 
     def __len__(self) -> int:
@@ -195,13 +195,15 @@ class OffsetSample:
             raise unknown_name("sample.method", self.method, get_args(Method))
         if self.count < 1 or self.seed < 0:
             found = f"a count of {self.count} and the seed {self.seed}"
-            raise InvalidInput("sample", found=found, expected="at least one point, a seed from 0")
+            raise InvalidInput(
+                "sample", found=found, expected="at least one point, and a seed of 0 or more"
+            )
         _refuse_crowd(self.count, "sample")
         for name in AXES:
-            low, high = vector(getattr(self, name), f"sample.{name}", "least, largest").tolist()
+            low, high = vector(getattr(self, name), f"sample.{name}", "smallest, largest").tolist()
             if low > high:
                 raise InvalidInput(
-                    f"sample.{name}", found=(low, high), expected="the least value first"
+                    f"sample.{name}", found=(low, high), expected="the smallest value first"
                 )
             settle(self, **{name: (low, high)})
 

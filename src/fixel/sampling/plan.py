@@ -94,7 +94,7 @@ class Plan:
                 "plan",
                 found=f"{self.total} experiments",
                 expected=f"at most {MAX_EXPERIMENTS}",
-                hint="make the grids coarser, or sample instead",
+                hint="use coarser grids, or sample instead",
             )
 
     @property

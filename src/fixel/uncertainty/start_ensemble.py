@@ -95,7 +95,9 @@ def simulate_starts(
     pose[:, :, 2] = still[:, 2] + wrapped(pose[:, :, 2] - still[:, 2])
     if not ended[-1]:
         raise InvalidInput(
-            "scene", found=f"no end without an error: {reasons[-1]}", expected="a push that ends"
+            "scene",
+            found=f"no end pose without start error: {reasons[-1]}",
+            expected="a push that can be simulated",
         )
     offset = np.column_stack([columns[name][:-1] for name in START])
     return Prediction(
@@ -131,7 +133,7 @@ def _given(
             raise InvalidInput(
                 f"values.{name}",
                 found=f"shape {column.shape}",
-                expected=f"one number, or {n}: one a start",
+                expected=f"one number, or {n} numbers, one per start",
             )
         found[name] = np.append(np.broadcast_to(column, n), nominal.get(name, column.mean()))
     return found

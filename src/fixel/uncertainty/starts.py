@@ -52,7 +52,9 @@ class StartError:
         )
         if self.x == self.y == self.theta == 0.0:
             raise InvalidInput(
-                "start_error", found="zero in all directions", expected="one above zero at least"
+                "start_error",
+                found="zero in all directions",
+                expected="at least one value above zero",
             )
 
     @property

@@ -58,7 +58,7 @@ def test_model_error_widens_the_ends_and_leaves_the_contacts():
     np.testing.assert_array_equal(own.pose, more.pose)
     off = (more.ends - own.ends)[:, :2]
     assert off.std(axis=0) == pytest.approx([1e-3, 1e-3], rel=0.2)
-    assert "error of the model" in repr(more)
+    assert "model error" in repr(more)
 
 
 @pytest.fixture(scope="module")
