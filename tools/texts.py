@@ -83,7 +83,7 @@ class Text:
         yield from PATTERN.findall(self.text)
         if self.is_alone and (found := FRAGMENT.match(self.text)):
             yield f"{found.group()}..."
-        for sentence in re.split(r"[.!?](?:\s|$)|; ", self.text):
+        for sentence in re.split(r"[.!?](?:\s|$)|; | # ", self.text):
             if (n_words := len(sentence.split())) > MAX_WORDS:
                 yield f"{n_words} words"
 

@@ -80,7 +80,7 @@ def test_without_a_checksum_it_is_told(site, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("url", "code", "says"),
     [
-        ("{site}/nothing.csv", 1, "could not be fetched"),
+        ("{site}/nothing.csv", 1, "could not be downloaded"),
         ("run.csv", 2, "http"),
         ("{site}/", 2, "FILE"),
     ],

@@ -335,7 +335,7 @@ def test_a_member_twice(bundle):
 def test_bombs(bundle):
     path, store = bundle
     members = members_of(path)
-    refused(path, store, "too much", limits=replace(LIMITS, total=1000))
+    refused(path, store, "larger content", limits=replace(LIMITS, total=1000))
     refused(path, store, "members", limits=replace(LIMITS, members=0))
     refused(path, store, "fit in memory", limits=replace(LIMITS, in_memory=100))
     zeros = bytes(5_000_000)

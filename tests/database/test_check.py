@@ -101,7 +101,7 @@ def test_what_a_killed_writer_left_is_no_trouble(folder):
             "series",
             "UPDATE series SET n_row = 3 WHERE owner_id = 2 AND place = 1",
             "experiment 2, series 'channel force'",
-            "has 32 bytes in place of 48",
+            "has 32 bytes instead of 48",
         ),
         (
             "series",

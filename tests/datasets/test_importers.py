@@ -68,7 +68,7 @@ def test_what_nobody_knows_is_refused_with_what_is_known(tmp_path: Path) -> None
 def test_folders_inside_are_named(tmp_path: Path) -> None:
     recordings.rpi_2dgad(tmp_path / "trials")
 
-    with pytest.raises(DatasetMissing, match="look inside: trials"):
+    with pytest.raises(DatasetMissing, match="data found in: trials"):
         importer_for(tmp_path)
 
 
@@ -83,7 +83,7 @@ def test_a_named_importer_says_what_it_misses(tmp_path: Path) -> None:
 def test_unknown_options_are_refused(tmp_path: Path) -> None:
     folder = recordings.rpi_2dgad(tmp_path)
 
-    with pytest.raises(InvalidInput, match="the option speed, expected one of those it has: none"):
+    with pytest.raises(InvalidInput, match="the option speed, expected one of its options: none"):
         IMPORTERS["rpi-2dgad"].read(folder, speed=3)
 
 

@@ -82,7 +82,7 @@ def test_units_nobody_knows_are_named(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, "time_s,x_inch,y_inch\n0,1,2\n1,2,2\n")
 
     assert any("x_inch has the unknown unit 'inch'" in line for line in plan.understood)
-    assert any("No angle of the object" in line for line in plan.understood)
+    assert any("There is no angle of the object" in line for line in plan.understood)
 
 
 def test_options_go_before_guesses(tmp_path: Path) -> None:

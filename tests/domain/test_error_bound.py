@@ -92,9 +92,9 @@ def test_constant_bound_is_the_next_larger_order_statistic() -> None:
 def test_too_few_experiments_are_refused_with_the_number_needed() -> None:
     assert [min_experiments(level) for level in (0.5, 0.8, 0.9, 0.95, 0.99)] == [1, 4, 9, 19, 99]
     features, errors, _ = made_up(8, 0)
-    with pytest.raises(InvalidInput, match="8 held out, expected 9 or more"):
+    with pytest.raises(InvalidInput, match="8 held out, expected at least 9"):
         ConformalBound.fit(features, errors)
-    with pytest.raises(InvalidInput, match="19 or more for bounds that hold with 95 %"):
+    with pytest.raises(InvalidInput, match="19 for bounds with 95 %"):
         held_out_bounds(features, errors, features, 0.95)
     with pytest.raises(InvalidInput, match="at least 9"):
         constant_bound(errors)

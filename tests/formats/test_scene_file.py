@@ -219,7 +219,7 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         ({"bodies.0.mass": "heavy"}, "bodies[0].mass", "found 'heavy', expected a number"),
         ({"bodies.0.mass": True}, "bodies[0].mass", "found True"),
         ({"bodies.0.mass": inf}, "bodies[0].mass", "found inf"),
-        ({"bodies.0.mass": None}, "bodies[0].mass", "without result"),
+        ({"bodies.0.mass": None}, "bodies[0].mass", "found nothing"),
         ({"bodies.0.pose": [0, 0]}, "bodies[0].pose", "at least 3 entries"),
         ({"bodies.0.pose": [0, 0, "x"]}, "bodies[0].pose[2]", "found 'x', expected a number"),
         ({"bodies.0.pose": [0, 0, float("nan")]}, "bodies[0].pose[2]", "finite number"),
@@ -228,7 +228,7 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         (
             {"bodies.0.shape": {}},
             "bodies[0].shape",
-            "without result, expected exactly one of polygon",
+            "found nothing, expected exactly one of polygon",
         ),
         (
             {"bodies.0.shape": {"polygon": SQUARE, "disk": 1.0}},
@@ -294,7 +294,7 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         ),
         ({"pushers.0.drive": {"direction": [1, 0]}}, "pushers[0].drive.speed", "a speed"),
         ({"pushers.0.drive.direction": [0, 0]}, "pushers[0].drive.direction", "a direction"),
-        ({"pushers.0.pose": None}, "pushers[0].pose", "without result"),
+        ({"pushers.0.pose": None}, "pushers[0].pose", "found nothing"),
         (
             {"pushers.0.drive": {"waypoints": [[0, 0, 0, 0]], "speed": 1}},
             "pushers[0].drive.speed",
@@ -344,7 +344,7 @@ def test_a_wrong_value_is_refused_with_the_path_of_its_key(change, where, words)
 @pytest.mark.parametrize(
     ("old", "new", "where", "words"),
     [
-        ("mass:", "mas:", "bodies[0].mass", "without result"),
+        ("mass:", "mas:", "bodies[0].mass", "found nothing"),
         ("gravity:", "gravitiy:", "gravitiy", "an unknown key"),
         ("travel:", "travell:", "pushers[0].drive.travell", "did you mean 'travel'?"),
         ("radius:", "radios:", "bodies[0].support.tripod.radius", "required"),
@@ -506,11 +506,11 @@ def test_an_override_leaves_the_dict_it_was_given_alone():
         ("=1", "expected path.to.key=value"),
         ("duration=[", "well-formed YAML"),
         ("duration=-1", "duration: found -1"),
-        ("duration=", "duration: without result"),
+        ("duration=", "duration: found nothing"),
         ("bodies.0.pose.3=1", "a number below 3"),
         ("plane.friction_map.cells=1", "did you mean 'cell'?"),
         ("bodies.0.support.uniform.friction=0.1", "found tripod and uniform"),
-        ("bodies.0.spring.stiffness=1", "bodies[0].spring.anchor: without result"),
+        ("bodies.0.spring.stiffness=1", "bodies[0].spring.anchor: found nothing"),
     ],
 )
 def test_an_override_that_leads_nowhere_is_refused(override, words):

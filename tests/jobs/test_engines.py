@@ -62,7 +62,7 @@ def test_the_contract_of_engines(folder, kind):
         assert answers(engine, folder, []) == {}
     assert found.keys() == {chunk.name for chunk in asked}
     assert isinstance(found["c3"], Failure)
-    assert found["c3"].reason.startswith("ValueError: asked to fail (toy_work.py, line ")
+    assert found["c3"].reason.startswith("ValueError: this chunk fails on request (toy_work.py, line ")
     for chunk in asked:
         if chunk.name != "c3":
             assert found[chunk.name] == toy_work.evaluate(folder / "inputs", chunk.payload)
@@ -124,7 +124,7 @@ def test_a_chunk_that_kills_its_workers_is_given_up_and_the_rest_goes_on(folder)
         found = answers(engine, folder, chunks(6, poison=["c1"]))
     assert found["c1"] == Failure("its worker died 3 times while computing it")
     assert all(isinstance(found[f"c{k}"], bytes) for k in (0, 2, 3, 4, 5))
-    assert sum("died with c1" in sentence for sentence in said) == 3
+    assert sum("died while computing c1" in sentence for sentence in said) == 3
 
 
 def test_a_worker_of_another_fixel_is_refused_before_work_starts(folder, monkeypatch):
@@ -154,7 +154,7 @@ def test_workers_that_cannot_start_are_not_started_for_ever(folder, tmp_path):
     python.write_text("#!/bin/sh\necho no such module >&2\nexit 1\n")
     python.chmod(0o755)
     engine = DaskEngine(folder, LocalPool(folder, 1, str(python)), notify=lambda _: None)
-    with engine, pytest.raises(JobRefused, match=r"3 workers in a row .*said:\nno such module"):
+    with engine, pytest.raises(JobRefused, match=r"3 workers in a row .*last one:\nno such module"):
         answers(engine, folder, chunks(1))
 
 
@@ -253,7 +253,7 @@ def test_an_answer_that_cannot_be_read_is_asked_for_again(folder, monkeypatch, t
 
 def test_interfaces_are_named_ones():
     assert link.listening("lo") == {"host": "127.0.0.1"}
-    with pytest.raises(InvalidInput, match="found nowhere0, expected one of"):
+    with pytest.raises(InvalidInput, match="found 'nowhere0', expected one of"):
         link.listening("nowhere0")
 
 

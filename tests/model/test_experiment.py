@@ -69,7 +69,7 @@ def test_channels_check_their_arrays():
     assert experiment().channel("force") is None
     with pytest.raises(InvalidInput, match="a row of 2 values"):
         Channel(name="force", time=[0.0], columns=("fx_n", "fy_n"), values=[[1.0]])
-    with pytest.raises(InvalidInput, match="going back"):
+    with pytest.raises(InvalidInput, match="decreasing times"):
         Channel(name="force", time=[1.0, 0.0], columns=("fx_n",), values=[[1.0], [1.0]])
     with pytest.raises(InvalidInput, match="infinite"):
         Channel(name="force", time=[1.0], columns=("fx_n",), values=[[math.inf]])

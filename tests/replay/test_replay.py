@@ -137,7 +137,7 @@ def test_a_trial_pushed_straight_follows_the_actuator(tmp_path: Path) -> None:
 
 
 def test_an_incomplete_trial_cannot_be_selected(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="a complete one: 7"):
+    with pytest.raises(InvalidInput, match="a complete trial: 7"):
         replayed(recordings.rpi_2dgad(tmp_path), "experiment_id=8")
 
 
@@ -221,5 +221,5 @@ def test_an_unknown_folder_says_what_was_looked_for(tmp_path: Path) -> None:
 def test_a_folder_of_datasets_says_where_they_are(tmp_path: Path) -> None:
     push_files.mit_push(tmp_path / "inside", push_files.push(0))
 
-    with pytest.raises(DatasetMissing, match="look inside: inside"):
+    with pytest.raises(DatasetMissing, match="data found in: inside"):
         replay_dataset(tmp_path)

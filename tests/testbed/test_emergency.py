@@ -198,7 +198,7 @@ def test_a_port_that_cannot_be_stopped_is_told():
 
 def test_what_is_no_port_is_not_written_to(tmp_path):
     (tmp_path / "notes").write_text("mine")
-    with pytest.raises(DeviceFailed, match="no serial port"):
+    with pytest.raises(DeviceFailed, match="not a serial port"):
         stop_actuators(str(tmp_path / "notes"))
     assert (tmp_path / "notes").read_text() == "mine"
 

@@ -46,6 +46,6 @@ def test_a_board_that_hangs_is_told(tmp_path, monkeypatch):
 def test_a_board_that_died_is_told(tmp_path):
     with (
         board_that("echo ready; read line", tmp_path) as board,
-        pytest.raises(RuntimeError, match="was told 'time'"),
+        pytest.raises(RuntimeError, match="received 'time'"),
     ):
         print(board.time)

@@ -231,7 +231,7 @@ def test_parts_without_a_length(tmp_path: Path) -> None:
         (b"", "a camera that answers"),
         (HEAD % b"x", "the camera ended the stream"),
         (HEAD % b"x" + b"\x00\xff garbage" * 999, "the camera ended the stream"),
-        (HEAD % b"x" + b"--x\r\nContent-Length: 3\r\n\r\nabc\r\n" * 20, "no JPEG picture"),
+        (HEAD % b"x" + b"--x\r\nContent-Length: 3\r\n\r\nabc\r\n" * 20, "not JPEG pictures"),
         (HEAD % b"x" + b"--x\r\nContent-Length: 999\r\n\r\nabc", "the camera ended the stream"),
     ],
 )

@@ -236,7 +236,7 @@ def test_a_failure_of_the_conversation_itself_is_told(controller, drive, monkeyp
     moves(controller)
     monkeypatch.setattr(grbl, "move_line", fail)
 
-    with pytest.raises(DeviceFailed, match="broke off: of nobody's making"):
+    with pytest.raises(DeviceFailed, match="was lost: of nobody's making"):
         drive.wait()
 
 

@@ -48,7 +48,7 @@ def test_a_package_that_is_missing_is_named():
 
 
 @pytest.mark.parametrize(
-    ("ports", "told"), [([], "none, fine"), (["/dev/ttyACM0"], "/dev/ttyACM0")]
+    ("ports", "told"), [([], "none; optional"), (["/dev/ttyACM0"], "/dev/ttyACM0")]
 )
 def test_the_bench_is_told_and_none_is_fine(monkeypatch, ports, told):
     monkeypatch.setattr(diagnostics, "_cameras", list)

@@ -137,9 +137,7 @@ class LeastSquares:
         """
         if prior is not None and len(prior.mean) != box.n:
             found = f"{len(prior.mean)} parameters"
-            raise InvalidInput(
-                "prior", found=found, expected=f"{box.n}, as many as the bounds have"
-            )
+            raise InvalidInput("prior", found=found, expected=f"{box.n}, the number of bounds")
         starts = box.start[None]
         if self.starts > 1:
             drawn = feasible_points(box, self.starts - 1, seed, feasible)

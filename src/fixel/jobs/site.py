@@ -21,23 +21,23 @@ Line = Annotated[str, Field(pattern=f"^{_LINE}$")]
 Word = Annotated[str, Field(pattern=f"^{_WORD}$")]
 
 TEMPLATE: Final = """\
-# A cluster, for `fixel jobs submit --site THIS_FILE`. Keep what your site asks for.
+# Cluster, for `fixel jobs submit --site THIS_FILE`. Edit the lines that your site requires.
 scheduler: slurm
 queue: main              # partition: `sinfo` lists them
-# account: my_group      # who pays, if somebody does
-walltime: "01:00:00"     # of one worker; it ends by itself before, and another takes its place
-cores: 4                 # of one worker; its chunks use them all
-memory: 4 GB             # of one worker
-interface: ib0           # network of all nodes: `ip -brief address` lists them; lo for one machine
-max_jobs: 16             # never more workers than this in the queue
-submit_interval_s: 1.0   # at least so long between two submissions
-# directives:            # more lines of #SBATCH
+# account: my_group      # account that is charged, if your site has accounts
+walltime: "01:00:00"     # time limit of one worker; it ends by itself before and is replaced
+cores: 4                 # cores of one worker; each chunk uses all of them
+memory: 4 GB             # memory of one worker
+interface: ib0           # network interface of all nodes, from `ip -brief address`; lo for one machine
+max_jobs: 16             # maximum number of workers in the queue
+submit_interval_s: 1.0   # shortest time between two submissions
+# directives:            # additional lines of #SBATCH
 #   - --qos=long
-# skip_directives:       # lines to leave out, by what is in them
+# skip_directives:       # lines to omit: those that contain one of these texts
 #   - --mem
-# prologue:              # shell lines before a worker starts
+# prologue:              # shell commands before a worker starts
 #   - module load python/3.12
-# python: /home/me/fixel/.venv/bin/python    # else the one that submits
+# python: /home/me/fixel/.venv/bin/python    # default: that of this command
 """
 
 

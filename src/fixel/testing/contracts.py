@@ -236,7 +236,7 @@ class StepperContract:
 
         def attempt(step: float, lead: float, guess: FloatArray, *rest: object) -> StepTrial:
             tries.append(step)
-            assert len(tries) < 1000, "a stepper has to give up"
+            assert len(tries) < 1000, "a stepper must stop"
             return StepTrial(status, math.inf)
 
         past = StepHistory(np.zeros(5), np.zeros(5), 0.0, 0.0, np.zeros(5))

@@ -141,7 +141,7 @@ def test_the_box_that_was_searched_outlives_its_job(project, chosen):
     assert space.values(space.nominal) == {**one.record.parameters}
     shared = Estimate(label="mu_pusher[shape=square]", unit="-", value=0.2)
     parted = replace(earlier, record=replace(earlier.record, estimates=(shared,)))
-    with pytest.raises(InvalidInput, match="job folder that is gone"):
+    with pytest.raises(InvalidInput, match="no job folder"):
         searched_space(project, parted, scenes)
 
 

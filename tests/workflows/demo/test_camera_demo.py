@@ -36,7 +36,7 @@ def test_an_interval_without_an_end_holds_everything_on_that_side(
 
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="something there already"):
+    with pytest.raises(InvalidInput, match="an existing file or folder"):
         run_camera_tour(tmp_path)
 
 

@@ -137,14 +137,14 @@ def test_of_repetitions_the_first_counts(lab, experiments):
         store.add_experiment(again)
         found = explore(store)
     assert found.samples.ids == ids
-    assert any("1 repetitions left out" in sentence for sentence in found.warnings)
+    assert any("1 repetitions skipped" in sentence for sentence in found.warnings)
 
 
 def test_stored_errors_that_are_not_met_again_are_told(tmp_path, experiments, points, errors):
     project, _ = project_with(tmp_path / "lab", experiments, points, 2.0 * errors)
     with project.store() as store:
         warnings = explore(store).warnings
-    assert any("not met when simulated again" in sentence for sentence in warnings)
+    assert any("does not reproduce" in sentence for sentence in warnings)
 
 
 def test_searches_that_got_stuck_are_told(tmp_path, experiments, points, errors, comparer):

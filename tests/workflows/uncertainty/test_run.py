@@ -95,7 +95,7 @@ def test_the_cameras_noise_is_found_out(folder):
     [
         ({"held_out": ("push-1",)}, "held-out"),
         ({"motion": "magic"}, "--motion"),
-        ({"experiments": ()}, "none named"),
+        ({"experiments": ()}, "found none"),
     ],
 )
 def test_questions_that_make_no_sense_are_refused(folder, changes, words):
