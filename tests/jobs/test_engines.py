@@ -62,7 +62,7 @@ def test_the_contract_of_engines(folder, kind):
         assert answers(engine, folder, []) == {}
     assert found.keys() == {chunk.name for chunk in asked}
     assert isinstance(found["c3"], Failure)
-    assert found["c3"].reason.startswith("ValueError: this chunk fails on request (toy_work.py, line ")
+    assert found["c3"].reason.startswith("ValueError: fails on request (toy_work.py, line ")
     for chunk in asked:
         if chunk.name != "c3":
             assert found[chunk.name] == toy_work.evaluate(folder / "inputs", chunk.payload)

@@ -28,7 +28,7 @@ queue: main              # partition: `sinfo` lists them
 walltime: "01:00:00"     # time limit of one worker; it ends by itself before and is replaced
 cores: 4                 # cores of one worker; each chunk uses all of them
 memory: 4 GB             # memory of one worker
-interface: ib0           # network interface of all nodes, from `ip -brief address`; lo for one machine
+interface: ib0           # interface of all nodes, see `ip -brief address`; lo for one machine
 max_jobs: 16             # maximum number of workers in the queue
 submit_interval_s: 1.0   # shortest time between two submissions
 # directives:            # additional lines of #SBATCH

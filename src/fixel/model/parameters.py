@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple, final
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.model.fields import finite
 
 
@@ -158,13 +158,7 @@ def info_of(name: str) -> ParameterInfo:
             expected="one value for each parameter",
             hint="fit.values_for(...) selects them",
         )
-    hints = (did_you_mean(name, KNOWN_PARAMETERS), "fixel.known_parameters() lists all")
-    raise InvalidInput(
-        "parameters",
-        found=repr(name),
-        expected="a known parameter",
-        hint=" ".join(filter(None, hints)),
-    )
+    raise unknown_name("parameters", name, KNOWN_PARAMETERS, more=", load_1, load_2, ...")
 
 
 def check_supports(names: Iterable[str]) -> None:

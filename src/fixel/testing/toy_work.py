@@ -56,7 +56,7 @@ def evaluate(inputs: Path, payload: bytes) -> bytes:
     offset = float((inputs / "offset").read_text()) if (inputs / "offset").exists() else 0.3
     _log_call(inputs, given["name"])
     if given["name"] in given["faulty"]:
-        raise ValueError("this chunk fails on request")
+        raise ValueError("fails on request")
     if given["name"] in given["poison"]:
         os.kill(os.getpid(), signal.SIGKILL)
     time.sleep(given["sleep_s"])
