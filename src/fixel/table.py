@@ -116,6 +116,12 @@ class Table:
             for row in self.rows
         ]
 
+    def __repr__(self) -> str:
+        return "\n".join(self.lines())
+
+    def _repr_html_(self) -> str:
+        return self.html()
+
     def lines(self, max_rows: int | None = None) -> list[str]:
         """Return the lines of plain text: the head and at most `max_rows` rows, without title."""
         shown = [self.head, *self.cells[:max_rows]]

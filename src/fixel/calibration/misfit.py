@@ -30,7 +30,7 @@ _HOW: Final = {
     "stated": "as stated",
     "repetitions": "scatter of repetitions",
     "differences": "second differences of the measured poses",
-    "residuals": "what the fit leaves",
+    "residuals": "residuals of the fit",
 }
 
 

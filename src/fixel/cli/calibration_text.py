@@ -141,7 +141,7 @@ def _together_lines(done: Calibrations, one: Any) -> list[str]:
 
 
 def _outlier_lines(done: Calibrations, one: ParameterSet) -> list[str]:
-    """Name the experiments that stand out, and what to do about them."""
+    """Name the outliers, and what to do about them."""
     unit = done.request.made_error.unit
     found = outliers(one.errors, unit)
     if not found:

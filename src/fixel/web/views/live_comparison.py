@@ -17,7 +17,7 @@ from fixel.calibration.usual_parameters import default_unknowns, usual_unknown
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters
-from fixel.model.parameters import KNOWN_PARAMETERS, info_of, is_parameter
+from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.records import CalibrationRecord, SimulationRecord
 from fixel.model.selection import ExperimentQuery
 from fixel.simulation import simulate
@@ -290,7 +290,6 @@ def _calibrated_set(
     number: int, record: CalibrationRecord, experiment: Experiment, experiment_id: int
 ) -> StoredSet:
     one = CalibratedValues(number, record)
-    values = one.values({**experiment.conditions, "experiment": experiment.key})
     own = next((m for m in record.members if m.experiment_id == experiment_id), None)
     label = record.name or f"calibration {number}"
     return StoredSet(
@@ -298,7 +297,7 @@ def _calibrated_set(
         label=f"{label} "
         f"({'calibrated on this experiment' if own else 'not calibrated on this experiment'})",
         kind="calibration",
-        parameters={name: value for name, value in values.items() if is_parameter(name)},
+        parameters=one.values_for(experiment),
         motion=one.motion.name,
         error_mm2=own.error_mm2 if own else None,
     )

@@ -215,7 +215,7 @@ class Calibration(Result, Mapping[str, float]):
         warned = self.found.misfit if self.misfit.model_error else ()
         note = (self.found.note,) if self.found.note else ()
         left = self.run.left_out
-        skipped = f"{len(left)} experiments were skipped: they cannot be compared with a simulation"
+        skipped = f"skipped {len(left)} experiments without a scene or measured motion"
         return (*warned, *note, *([skipped] if left else []))
 
     @cached_property

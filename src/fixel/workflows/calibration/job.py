@@ -589,7 +589,7 @@ def _with_verdicts(
                 members=np.array(one.members, np.int64),
             )
             if state.is_over:
-                more = "use a larger --budget, or fewer experiments: --sample"
+                more = "allow a larger budget, or calibrate a sample of the experiments"
                 return dataclasses.replace(one, note=f"no verdicts: {OUT_OF_BUDGET}; {more}")
             ask = running.send(told)
     except StopIteration as end:

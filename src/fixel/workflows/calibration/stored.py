@@ -76,6 +76,11 @@ class CalibratedValues:
                 found[name] = estimate.value
         return found
 
+    def values_for(self, experiment: Experiment) -> dict[str, float]:
+        """Return the parameters for an experiment that this version knows, by name [SI]."""
+        values = self.values({**experiment.conditions, "experiment": experiment.key})
+        return {name: value for name, value in values.items() if is_parameter(name)}
+
 
 def misfit_of(record: CalibrationRecord) -> list[str]:
     """Return the warning stored with a calibration that the model is wrong, by sentences."""
@@ -132,9 +137,7 @@ def parameters_of(
         Model that replaces the calibration's.
     """
     one = load_values(store, calibration_id)
-    values = one.values({**experiment.conditions, "experiment": experiment.key})
-    known = {name: value for name, value in values.items() if is_parameter(name)}
-    return Parameters({**known, **changed}), motion or one.motion
+    return Parameters({**one.values_for(experiment), **changed}), motion or one.motion
 
 
 def newest_calibration(store: Store, experiment: int | None = None) -> int | None:
