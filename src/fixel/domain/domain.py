@@ -366,7 +366,7 @@ class DomainMap(Result):
         n = int(self.counts[g, c])
         if n == 0:
             return self._without_data(claim, g, c)
-        said = f"{n} member{'s' if n > 1 else ''}, {claim.text(seen)}"
+        said = f"{n} experiment{'s' if n > 1 else ''}, {claim.text(seen)}"
         below = seen <= claim.threshold
         if below and sure >= claim.confidence:
             return CellVerdict(TRUSTED, sure, f"{said}; probability {100.0 * sure:.0f} %")
