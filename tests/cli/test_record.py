@@ -71,7 +71,7 @@ def test_what_broke_off_is_checked_and_repaired(capsys: Any, tmp_path: Path) -> 
     video.write_bytes(video.read_bytes()[:-99])
     code, said, _ = fixel(capsys, "record", "check", folder)
     assert code == 0
-    assert "problem: interrupted at t = 0.280 s: no mark of a good end" in said
+    assert "problem: interrupted at t = 0.280 s: no end mark" in said
     assert f"Next: fixel record repair {folder}" in said
     code, said, _ = fixel(capsys, "record", "repair", folder, "--json")
     answer = json.loads(said)

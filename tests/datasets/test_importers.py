@@ -76,7 +76,7 @@ def test_a_named_importer_says_what_it_misses(tmp_path: Path) -> None:
     for name in list(IMPORTERS)[:-1]:
         with pytest.raises(DatasetMissing):
             IMPORTERS[name].read(tmp_path)
-    with pytest.raises(InvalidInput, match="one CSV file"):
+    with pytest.raises(InvalidInput, match="one table"):
         IMPORTERS["csv"].read(tmp_path)
 
 

@@ -160,7 +160,7 @@ def test_what_would_teach_most_is_open_and_near():
 
 
 def test_too_few_experiments_are_refused_with_how_many_are_needed():
-    with pytest.raises(InvalidInput, match="6 at least"):
+    with pytest.raises(InvalidInput, match="at least 6"):
         mapped(line(VALLEY).rows([0, 1, 2]))
     with pytest.raises(InvalidInput, match="confidence"):
         Claim(threshold=1.0, confidence=0.4)
@@ -243,7 +243,7 @@ def test_repetitions_are_held_out_together_and_groups_spread():
 
 
 def test_fewer_configurations_than_folds_are_refused():
-    with pytest.raises(InvalidInput, match="5 at least"):
+    with pytest.raises(InvalidInput, match="at least 5"):
         folds_of(["a", "a", "b"], ["", "", ""], 5)
 
 

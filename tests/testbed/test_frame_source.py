@@ -88,7 +88,7 @@ def test_what_is_missing_from_a_file_is_told_at_its_end(tmp_path: Path) -> None:
     (film(tmp_path / "film") / "end.json").unlink()
     for played, said in (
         ("v.mkv", "truncated: the file ends after"),
-        ("film", "no mark of a good end"),
+        ("film", "no end mark"),
     ):
         source = FileSource(tmp_path / played, as_fast_as_possible=True)
         source.open()

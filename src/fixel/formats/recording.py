@@ -258,7 +258,7 @@ def _broken_off(check: _Agreement, end: RecordingEnd | None) -> Iterator[str]:
     n, n_rows = check.matched, len(check.rows.rows)
     seconds = check.rows.rows[n - 1].time_us / MICRO
     if end is None:
-        yield f"interrupted at t = {seconds:.3f} s: no mark of a good end"
+        yield f"interrupted at t = {seconds:.3f} s: no end mark"
     elif end.frames > n:
         yield (f"interrupted at t = {seconds:.3f} s: {n} of {end.frames} frames are left")
     if check.rows.torn:

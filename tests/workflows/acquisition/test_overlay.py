@@ -165,7 +165,7 @@ def test_a_picture_turned_by_half_a_turn():
 
 def test_a_rig_that_knows_none_of_the_parts():
     rig = small_rig(parts={"probe": RIG.parts["object"]})
-    with pytest.raises(InvalidInput, match=r"knows probe, expected .*object, actuator"):
+    with pytest.raises(InvalidInput, match=r"it has probe, expected .*object, actuator"):
         Overlay(rig, SCENE)
 
 

@@ -213,7 +213,7 @@ def test_a_start_that_was_not_seen_makes_no_scene():
 def test_two_pushes_in_one_film_make_no_scene():
     along = np.interp(np.arange(150) / 30.0, [0.5, 2.0, 2.5, 3.0, 4.5], [0.0, 0.02, 0.0, 0.0, 0.02])
     (flag,) = [flag for flag in pushed(along).flags if flag.name == "no-scene"]
-    assert "goes back" in flag.detail
+    assert "moves back" in flag.detail
     assert "one by one" in flag.detail
 
 

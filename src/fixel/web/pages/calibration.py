@@ -60,7 +60,7 @@ def method(record: CalibrationRecord) -> list[Fact]:
     ]
     scale = record.method.get("error.angle_scale")
     if isinstance(scale, float | int):
-        found.append(Fact("weight of angles", f"{1e3 * scale:g}", "mm"))
+        found.append(Fact("weight of angles", f"{1e3 * scale:g}", "mm/rad"))
     return found
 
 

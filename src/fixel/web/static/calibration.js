@@ -181,7 +181,7 @@ function residuals() {
     make("span", { class: "figure-of" }, digits(each.after), make("small", {}, " mm")),
     make("a", { href: `${ROOT}/experiments/${each.id}` }, each.key),
     make("a", { class: "button", href: `${ROOT}/compare?experiment=id:${each.id}`, "aria-label": `Compare ${each.key}` }, "Compare"),
-    k === 0 ? make("span", { class: "tag fault" }, "worst") : null,
+    k === 0 ? make("span", { class: "tag fault" }, "largest") : null,
   )));
   at("bars").replaceChildren(...values.slice(0, MOST_BARS).map((each) => bar(each, largest)));
   const more = values.length - MOST_BARS;

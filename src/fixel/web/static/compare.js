@@ -274,7 +274,7 @@ function remove(set) {
 
 function offer() {
   at("add-set").replaceChildren(
-    make("option", { value: "" }, "choose\u2026"),
+    make("option", { value: "" }, "select\u2026"),
     ...offered.map((one) => make("option", { value: one.id }, one.label
       + (one.error_mm2 === null ? "" : `, E ${one.error_mm2.toFixed(2)} mm\u00b2`))),
   );

@@ -16,7 +16,7 @@ import { several } from "./units.js";
 /** Signs tell what colours tell. @type {Record<string, [string, string]>} */
 const SIGNS = {
   trusted: ["\u2713", "trusted: errors stay within the threshold"],
-  doubtful: ["?", "undecided: too few experiments"],
+  doubtful: ["?", "doubtful: too few experiments"],
   "not trusted": ["\u2715", "not trusted: errors exceed the threshold"],
   "no data": ["", "no experiment"],
   predicted: ["\u25cc", "no experiment; predicted from other cells"],
@@ -159,7 +159,7 @@ async function suggest() {
     make("button", { type: "button", class: "quiet where", onclick: () => pick(view.groups.indexOf(one.group), one.cell, true) },
       one.group ? `${one.group}: ` : "", one.where),
     make("small", {}, `${one.reason}; expected information ${digits(+one.bits.toFixed(2))} bit`),
-  )), make("li", { class: "after" }, make("small", {}, next.proposals.length ? "After recording it, compute the map again: " : "No experiment is expected to add information. Compute the map again: "), make("code", {}, next.command)));
+  )), make("li", { class: "after" }, make("small", {}, next.proposals.length ? "After recording, compute the map again: " : "No experiment is expected to add information. Compute the map again: "), make("code", {}, next.command)));
 }
 
 // --- controls --------------------------------------------------------------------------------
@@ -378,7 +378,7 @@ function counts(answer) {
   const size = low === high ? `${low}` : `${low} to ${high}`;
   /** @type {[string, string][]} */
   const figures = [
-    ["\u2713 trusted", String(answer.count.trusted)], ["? undecided", String(answer.count.doubtful)],
+    ["\u2713 trusted", String(answer.count.trusted)], ["? doubtful", String(answer.count.doubtful)],
     ["\u2715 not trusted", String(answer.count["not trusted"])],
     ["no experiment", String(answer.count["no data"] + answer.count.predicted)],
     ["cells in D(\u03c4)", `${size} of ${view.texts.length}`],

@@ -207,7 +207,7 @@ function fields() {
   const thing = editor.chosen;
   at("fields").replaceChildren(...(thing && editor.choice
     ? rows(thingFields(thing, editor.choice), edited)
-    : [make("p", { class: "hint" }, "Select an object here or in the top view.")]));
+    : [make("p", { class: "hint" }, "Select a body here or in the top view.")]));
   at("scene-fields").replaceChildren(...rows(sceneFields(editor.scene), edited));
   buttons();
 }
