@@ -34,10 +34,6 @@ from fixel.units import deg, mm
 PUBLIC = [*(name for name in fixel.__all__ if name != "__version__"), "filter"]
 HEAVY = "{'numpy','numba','scipy','pydantic','matplotlib','pandas','sqlalchemy','pyarrow','rich'}"
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
-PENDING = {
-    *("Calibrations", "Comparison", "Estimate", "FilterRun", "Noise", "Posterior", "Prediction"),
-    *("Sensitivity", "StartError", "DomainMap", "ErrorBound"),
-}
 QUIET: dict[str, Any] = {"progress": False}
 
 
@@ -112,8 +108,6 @@ results = pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("name", PUBLIC)
 def test_a_public_name_is_documented_with_an_example(name: str) -> None:
     documented = inspect.getdoc(getattr(fixel, name)) or ""
-    if name in PENDING:
-        pytest.xfail("its example is being written")
 
     assert len(documented.splitlines()[0]) > 10
     assert "Examples\n--------\n" in documented
@@ -235,8 +229,6 @@ def test_pandas_is_named_where_it_is_missing(name: str, monkeypatch: pytest.Monk
 def test_plot_returns_axes_and_changes_no_setting(name: str) -> None:
     before = dict(mpl.rcParams)
 
-    if name == "Calibrations":
-        pytest.xfail("its plot is being written")
     axes = np.atleast_1d(result_of(name).plot())
 
     assert all(isinstance(own, mpl.axes.Axes) for own in axes.flat)

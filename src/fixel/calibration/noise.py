@@ -46,6 +46,12 @@ class Noise:
         Integrated autocorrelation time, the frames that are worth one independent one [frames].
     freedom : float
         Degrees of freedom of the standard deviations; inf if they are known.
+
+    Examples
+    --------
+    >>> from fixel.units import deg, mm
+    >>> Noise(position_m=0.2 * mm, angle_rad=0.1 * deg, source="stated").position_m
+    0.0002
     """
 
     position_m: float

@@ -154,6 +154,18 @@ class DomainMap(Result):
         Conditions with a map for each of their values.
     source, question : mapping
         Plain content of the evidence and of the options, with which a project stores the map.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.pushes import example_pushes
+    >>> pushes = example_pushes(6, duration=0.2)
+    >>> space = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    >>> trust = fixel.map_domain(
+    ...     pushes, space, axes=["side"], threshold=2e-3, folds=2, progress=False
+    ... )
+    >>> trust.at(pushes[0]).nearby
+    3
     """
 
     _drawings: ClassVar[Mapping[str, str]] = {

@@ -68,6 +68,16 @@ class ErrorBound(Result):
     fold : (n,) int
         Fold in which each experiment was held out.
     seed : int
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.pushes import example_pushes
+    >>> pushes = example_pushes(10, duration=0.2)
+    >>> space = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    >>> bound = fixel.error_bound(pushes, space, folds=2, progress=False)
+    >>> bound.at(pushes[0].scene).verdict
+    'bounded'
     """
 
     _drawings: ClassVar[Mapping[str, str]] = {"bounds": "fixel.drawing.domain:draw_bounds"}

@@ -68,6 +68,19 @@ class FilterRun(Result):
         How far the model alone is from what the camera saw.
     busy : (n,) float64
         Wall time each frame took [s]; the only thing that is not the same every time.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> import fixel
+    >>> from fixel.model import PlannedExperiment
+    >>> from fixel.testbed.simulated import SimulatedTestbed
+    >>> from fixel.testing.scenes import grasp
+    >>> planned = PlannedExperiment(name="grasp", scene=replace(grasp("seated"), duration=1.0))
+    >>> (experiment,) = SimulatedTestbed.ideal(seed=1).run([planned])
+    >>> run = fixel.filter(experiment, particles=10, progress=False)
+    >>> run.pose.shape == (len(run.time), 3)
+    True
     """
 
     _drawings: ClassVar[Mapping[str, str]] = {"run": "fixel.drawing.filtering:plot_filter"}

@@ -140,6 +140,18 @@ class Estimate:
         Value before the calibration.
     level : float, optional
         Confidence level of the interval.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.pushes import example_pushes
+    >>> space = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    >>> fit = fixel.calibrate(example_pushes(2), space, progress=False)
+    >>> estimate = fit.estimates["mu_pusher"]
+    >>> estimate.low < estimate.value < estimate.high
+    True
+    >>> estimate.verdict
+    'identified'
     """
 
     label: str

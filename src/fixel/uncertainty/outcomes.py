@@ -106,6 +106,16 @@ class Sensitivity(Result):
         Number of starts without an outcome, by reason.
     indices : Indices, optional
         Sobol indices, if requested.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.scenes import pushed_square
+    >>> from fixel.units import mm
+    >>> start = fixel.StartError(x=1 * mm, y=1 * mm, theta=0.0)
+    >>> found = fixel.sensitivity(pushed_square(0.5), start, samples=60, progress=False)
+    >>> found.flag
+    'insensitive'
     """
 
     _drawings: ClassVar[Mapping[str, str]] = {

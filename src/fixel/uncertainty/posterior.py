@@ -126,6 +126,18 @@ class Posterior(Result):
         Name of the motion model.
     experiments : tuple of str
         Names of the experiments.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.pushes import example_pushes
+    >>> pushes = example_pushes(1, duration=0.3)
+    >>> space = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    >>> found = fixel.posterior(pushes, space, model_error=False, samples=20, progress=False)
+    >>> found.labels
+    ('mu_pusher',)
+    >>> found.points.shape[1]
+    1
     """
 
     _drawings: ClassVar[Mapping[str, str]] = {

@@ -60,6 +60,16 @@ class Prediction(Result):
         Errors of the camera, which are added to the poses.
     shares : mapping of str to (3,) float64
         Standard deviations of the end by their origin [m, m, rad]; empty if not computed.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.scenes import pushed_square
+    >>> from fixel.units import mm
+    >>> start = fixel.StartError(x=1 * mm, y=1 * mm, theta=0.0)
+    >>> ends = fixel.predict(pushed_square(0.5), start=start, samples=40, progress=False)
+    >>> ends.pose.shape[0]
+    40
     """
 
     _drawings: ClassVar[Mapping[str, str]] = {

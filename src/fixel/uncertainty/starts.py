@@ -34,6 +34,12 @@ class StartError:
     kind : str
         ``"uniform"``: sizes are half-widths of a box, as in the ASME paper; ``"normal"``: sizes are
         standard deviations.
+
+    Examples
+    --------
+    >>> from fixel.units import deg, mm
+    >>> StartError(x=1 * mm, y=1 * mm, theta=2 * deg).kind
+    'uniform'
     """
 
     x: float

@@ -455,6 +455,17 @@ class Calibrations(Result, Sequence[Calibration]):
         Ids of the stored calibrations, if they are in a project.
     interrupted : bool
         Whether the run was interrupted before its end.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.pushes import example_pushes
+    >>> space = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    >>> fits = fixel.calibrate_each(example_pushes(2), space, verdicts=False, progress=False)
+    >>> len(fits)
+    2
+    >>> print(f"{fits[0]['mu_pusher']:.2f}")
+    0.25
     """
 
     _stored_by: ClassVar[str] = "fixel.workflows.calibration.project:add_to_project"

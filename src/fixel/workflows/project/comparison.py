@@ -57,6 +57,14 @@ class Comparison(Result):
         Names of the models.
     experiments : Experiments
         The experiments with their errors, which `where("error>5")` selects by.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.pushes import example_pushes
+    >>> found = fixel.compare(example_pushes(2), {"low": {"mu_pusher": 0.1}}, progress=False)
+    >>> found.models
+    ('low',)
     """
 
     rows: tuple[ComparedModel, ...]
