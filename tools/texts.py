@@ -1,6 +1,6 @@
 """Texts that users read: messages, help, pages, scripts and report templates, and their faults.
 
-Docstrings are not among them; `tools.house` reads those itself.
+Docstrings are not among them, except those of commands; `tools.house` reads the others itself.
 """
 
 from __future__ import annotations
@@ -167,6 +167,10 @@ def _literals(module: Module) -> Iterator[Text]:
         text = _text(node)
         if text is not None and (id(node) in alone or _is_read(text)):
             yield Text(f"{module.path}:{node.lineno}", " ".join(text.split()), id(node) in alone)
+    if module.room == "cli":  # the docstring of a command is its help
+        for line, node, text in module.docstrings:
+            if isinstance(node, ast.FunctionDef) and "as_json" in ast.unparse(node.args):
+                yield Text(f"{module.path}:{line}", " ".join(text.split()), is_alone=True)
 
 
 def _text(node: ast.AST) -> str | None:

@@ -183,7 +183,7 @@ def calibrate(
 ) -> None:
     """Estimate parameters from experiments, with a verdict on each.
 
-    Interrupted or repeated, the same command continues with what is finished.
+    Finished evaluations are stored: repeat the command after an interruption to continue.
     """
     if experiments and (selection.dataset or selection.where):
         given = "--dataset" if selection.dataset else "--where"

@@ -146,7 +146,7 @@ def domain(
 ) -> None:
     """Map the domain in which one parameter set predicts held-out experiments.
 
-    The fits are kept: other axes, thresholds and nominals cost nothing.
+    Fits are stored, so other axes, thresholds and nominals need no new fits.
     """
     if context.invoked_subcommand is not None:
         return
