@@ -34,7 +34,7 @@ DatasetName = Annotated[
 Where = Annotated[
     list[str] | None,
     typer.Option(
-        help='Select only experiments that match, such as "surface=abs error>5 real"; may be repeated.',
+        help='Select experiments that match, such as "surface=abs error>5 real"; may be repeated.',
         metavar="FILTER",
     ),
 ]
