@@ -1,4 +1,4 @@
-"""Plots of the errors of several experiments, and of measured beside simulated motion."""
+"""Plots of the errors of several experiments, and of measured and simulated motion."""
 
 from __future__ import annotations
 
