@@ -148,8 +148,7 @@ def test_a_calibration_is_stored(lab):
 def shortened(push):
     """The first half second after the tip has moved, in a tenth of the computing time."""
     track, tip = (
-        Trajectory(time=own.time[:16], pose=own.pose[:16])
-        for own in (push.trajectory, push.pusher)
+        Trajectory(time=own.time[:16], pose=own.pose[:16]) for own in (push.trajectory, push.pusher)
     )
     scene = replace(push.scene, duration=float(track.time[-1]))
     return replace(push, trajectory=track, pusher=tip, scene=scene)

@@ -159,7 +159,7 @@ def test_sources_that_are_none(tmp_path):
         read_experiments(tmp_path / "nothing.csv")
     with pytest.raises(InvalidInput, match="found a int, expected a file"):
         read_experiments(3)
-    with pytest.raises(InvalidInput, match="equal ones"):
+    with pytest.raises(InvalidInput, match="of equal length"):
         read_experiments({"time_s": [0.0], "x_m": [0.0, 1.0]})
 
 
