@@ -109,9 +109,9 @@ def calibration_warnings(one: CalibratedValues, keys: Mapping[int, str]) -> tupl
 
 
 def headline(one: CalibratedValues, nominal: FloatArray | None) -> str:
-    """Summarise the calibration in one sentence."""
+    """Summarise the calibration in one paragraph."""
     estimates = one.record.estimates
-    (sentence,) = sentences(
+    found = sentences(
         "calibration",
         "headline",
         n=len(one.record.members),
@@ -122,7 +122,7 @@ def headline(one: CalibratedValues, nominal: FloatArray | None) -> str:
         misfit=misfit_of(one.record),
         ratio=shown_ratio(float(one.record.method.get("misfit_ratio", math.nan))),
     )
-    return sentence
+    return " ".join(found)
 
 
 def methods(one: CalibratedValues) -> tuple[str, ...]:
