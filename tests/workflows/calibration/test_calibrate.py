@@ -133,7 +133,7 @@ def test_plots_are_axes(fit, kind):
         ({"mu_pusher": "wide"}, "(low, high), a number to fix it"),
         ({"mu_pusher": (0, math.nan)}, "mu_pusher.high"),
         ({"mu_pusher": (0, 1, 2)}, "3 numbers, expected two bounds"),
-        ({"mu_pusher": 0.3}, "no unknown that is free"),
+        ({"mu_pusher": 0.3}, "no parameter that is free"),
         (
             {
                 "mu_pusher": (
