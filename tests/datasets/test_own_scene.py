@@ -125,5 +125,5 @@ def test_a_scene_belongs_to_a_table_and_holds_its_object(tmp_path):
     with pytest.raises(InvalidInput, match="the object 'crate'"):
         CSV.read(source, scene=str(scene), object_name="crate")
     scene.write_text(scene.read_text().partition("pushers:")[0])
-    with pytest.raises(InvalidInput, match="0 of them"):
+    with pytest.raises(InvalidInput, match="0 pushers"):
         CSV.read(source, scene=str(scene))

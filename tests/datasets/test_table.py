@@ -61,10 +61,10 @@ def test_guesses_are_stated_and_flagged(tmp_path: Path) -> None:
 
     guesses = [sentence for sentence in plan.understood if sentence.startswith("Guess")]
     assert guesses == [
-        "Guess: t has no unit and typical steps of 33: taken as ms.",
-        "Guess: x has no unit and values up to 122: taken as mm.",
-        "Guess: y has no unit and others of its kind are in mm: taken as mm.",
-        "Guess: theta has no unit and values up to 179: taken as degrees.",
+        "Guess: t has no unit and typical steps of 33; ms is assumed.",
+        "Guess: x has no unit and values up to 122; mm is assumed.",
+        "Guess: y has no unit and others of its kind are in mm; mm is assumed.",
+        "Guess: theta has no unit and values up to 179; degrees is assumed.",
     ]
     (experiment,) = plan.experiments()
     assert [flag.name for flag in experiment.flags] == ["guessed-units"]
