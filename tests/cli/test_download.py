@@ -66,7 +66,7 @@ def test_another_file_than_asked_for_is_not_kept(site, tmp_path, capsys):
     folder = tmp_path / "data"
     code, _, err = fixel(capsys, "data", f"{site}/run.csv", "-o", folder, "--sha256", "0" * 64)
     assert code == 1
-    assert "another file" in err
+    assert "is not the requested file" in err
     assert not [p for p in folder.iterdir() if p.is_file()]
 
 

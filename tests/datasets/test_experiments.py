@@ -51,7 +51,7 @@ def test_a_filter_selects_like_a_loop(pushes):
     [
         ("surfce=abs", "did you mean 'surface'"),
         ("surface=plywod", "did you mean 'plywood'"),
-        ("error>5", "errors of simulations; fixel.compare"),
+        ("error>5", "errors of simulations; use fixel.compare"),
         ("moved>far", "expected a number"),
     ],
 )
