@@ -69,7 +69,7 @@ def _curve():
         (_final(), ("what", "x_m", "y_m", "theta_rad"), 81),
         (
             _curve(),
-            ("bounds", "promised", "held", "true_levels_from", "true_levels_to", "outcomes"),
+            ("bounds", "level", "held", "true_levels_from", "true_levels_to", "outcomes"),
             6,
         ),
     ],

@@ -364,7 +364,7 @@ class CoverageChart(AbstractChart):
         return figure
 
     def table(self) -> Table:
-        names = ("bounds", "promised", "held", "true_levels_from", "true_levels_to", "outcomes")
+        names = ("bounds", "level", "held", "true_levels_from", "true_levels_to", "outcomes")
         rows = [
             (name, *row, curve.outcomes)
             for name, curve in self._curves.items()
