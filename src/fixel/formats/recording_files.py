@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, final
@@ -116,11 +117,9 @@ class RecordingEnd:
 
 def write_header(folder: Path, header: RecordingHeader) -> None:
     """Write `recording.json`."""
-    import fixel
-
     content = {name: getattr(header, name) for name in header.__dataclass_fields__}
     content |= {"about": dict(header.about), "size": list(header.size)}
-    content = {"version": VERSION, "fixel": fixel.__version__, "clock": CLOCK, **content}
+    content = {"version": VERSION, "fixel": version("fixel"), "clock": CLOCK, **content}
     _write(folder / HEADER, content)
 
 
