@@ -47,7 +47,7 @@ def good(*arguments):
 
 def test_a_scene_file_that_bifurcates(file, tmp_path):
     out = good(file, "--samples", "200", "--plot", tmp_path / "pictures")
-    assert out.startswith("fork: bifurcates: its outcomes fall apart into groups.")
+    assert out.startswith("fork bifurcates: its outcomes form separate groups.")
     for words in (
         "fork has 2 outcomes (50%, 50%)",
         "Pushes, the most sensitive first",
