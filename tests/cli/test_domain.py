@@ -87,7 +87,7 @@ def test_what_was_offset_elsewhere_is_left_out_and_said(capsys, project):
         (("--level", "1.5"), "below 1"),
         (("--by", "colour"), "without colour"),
         (("--where", "shape=disc"), "found none"),
-        (("--folds", "40"), "40 at least"),
+        (("--folds", "40"), "at least 40"),
         (("--calibration", "7"), "no calibration"),
     ],
 )
@@ -104,4 +104,4 @@ def test_too_few_experiments(capsys, project):
     options = ("--where", "axis=nominal", "--folds", 2)
     code, _, err = fixel(capsys, "domain", "-p", project, *FIT, *options)
     assert code == 2
-    assert "2 at least" in err
+    assert "at least 2" in err

@@ -62,7 +62,7 @@ def test_everything_in_a_project_is_ranked_and_kept(folder):
     out = good("--project", folder, "--samples", "60")
     assert out.startswith("Of 2 pushes: ")
     assert "bare was skipped: " in out
-    assert "Kept: " in out
+    assert "stored in " in out
     (analysis,) = (one.analysis for one in load_analyses(Project(folder), "sensitivity"))
     assert len(analysis.experiments) == 2
     assert len(analysis.pictures) == 2

@@ -1,4 +1,4 @@
-"""Figures of tracked motion: its quality against time, and true paths beside tracked ones."""
+"""Figures of tracked motion: its quality against time, and true paths next to tracked ones."""
 
 from __future__ import annotations
 
