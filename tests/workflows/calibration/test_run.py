@@ -243,10 +243,10 @@ def test_a_killed_calibration_of_each_loses_one_chunk(project, chosen, monkeypat
     folder = run.prepare(project, chosen, request)
     command = f"""
 from pathlib import Path
-from tests import calibrating as run
+from fixel.workflows import jobs
 from fixel.workflows.calibration import job
 job.MEMBERS_A_CHUNK = 2
-run.run(Path({str(folder)!r}))
+jobs.run_here(Path({str(folder)!r}))
 """
     with subprocess.Popen([sys.executable, "-c", command]) as running:
         while status_of(folder).kept < 2:  # the nominal values, and the first two experiments
