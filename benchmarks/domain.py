@@ -15,8 +15,9 @@ from fixel.calibration.objective import Comparer, MeanSquare
 from fixel.calibration.target import Target, same_configuration, targets_of
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.domain.cells import cells_of
+from fixel.domain.claim import NOT_TRUSTED, TRUSTED, Claim
 from fixel.domain.coordinates import coordinates_of
-from fixel.domain.domain import NOT_TRUSTED, TRUSTED, Claim, DomainMap, domain_map
+from fixel.domain.domain import DomainMap, domain_map
 from fixel.domain.evidence import HeldOutErrors
 from fixel.io.result_cache import ResultCache
 from fixel.model import PlannedExperiment

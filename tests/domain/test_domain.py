@@ -7,19 +7,9 @@ import pytest
 from tests.domain.worlds import STEPS, line, scattered
 
 from fixel.domain.cells import axis_of, cells_of
-from fixel.domain.domain import (
-    COLOURS,
-    DOUBTFUL,
-    NO_DATA,
-    NOT_TRUSTED,
-    PREDICTED,
-    TRUSTED,
-    Claim,
-    default_threshold,
-    domain_map,
-)
+from fixel.domain.claim import COLOURS, DOUBTFUL, NO_DATA, NOT_TRUSTED, PREDICTED, TRUSTED, Claim
+from fixel.domain.domain import default_threshold, domain_map
 from fixel.domain.evidence import HeldOutErrors, default_folds, folds_of, threshold_score, value_of
-from fixel.domain.next_experiment import proposals
 from fixel.errors import InvalidInput
 
 VALLEY = 0.5 * np.exp(2.5 * np.abs(STEPS) / 0.04)  # 0.5 mm in the middle, 6 mm at the ends
@@ -149,7 +139,7 @@ def test_relative_errors_are_held_against_an_own_best():
 def test_what_would_teach_most_is_open_and_near():
     domain = mapped(line(VALLEY))
     claim = Claim(threshold=2.0)
-    found = proposals(domain, claim)
+    found = domain.proposals(claim)
     said = colours(domain, claim)[0]
     assert found
     assert [one.bits for one in found] == sorted((one.bits for one in found), reverse=True)

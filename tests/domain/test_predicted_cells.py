@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from fixel.domain.cells import cells_of
-from fixel.domain.domain import Claim, domain_map
+from fixel.domain.claim import Claim
+from fixel.domain.domain import domain_map
 from fixel.domain.evidence import HeldOutErrors
 from fixel.domain.predicted_cells import predicted_cells
 

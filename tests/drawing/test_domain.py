@@ -10,7 +10,7 @@ from matplotlib.colors import to_hex
 from tests.drawing.collisions import collisions
 
 from fixel.domain.cells import CellAxis, Cells
-from fixel.domain.domain import CellVerdict, Claim
+from fixel.domain.claim import CellVerdict, Claim
 from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
 from fixel.drawing.domain import FILLS, MapChart, SizeChart

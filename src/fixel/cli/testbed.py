@@ -1,7 +1,7 @@
 """`fixel testbed run`, `film` and `serve`: experiments on a simulated testbed, and their films."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import typer
 
@@ -59,15 +59,18 @@ def run_plan(
     print_imported(done, {"seed": seed}, as_json, folder)
 
 
+_FILM_SOURCES: Final = argument(
+    None,
+    "Scene files, plan files, or experiments of the project by id or name.",
+    metavar="[EXPERIMENT|SCENE.yaml|PLAN.yaml]...",
+)
+
+
 @app.command("film")
 @with_options
 def film(
     *,
-    sources: list[str] | None = argument(
-        None,
-        "Scene files, plan files, or experiments of the project by id or name.",
-        metavar="[EXPERIMENT|SCENE.yaml|PLAN.yaml]...",
-    ),
+    sources: list[str] | None = _FILM_SOURCES,
     out: Path = option(Path("film"), "New folder for the films.", "--out", "-o", metavar="FOLDER"),
     rig: str = option(
         "thesis-tags",

@@ -10,13 +10,25 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, final
+from typing import Any, ClassVar, Final, final
 
 import numpy as np
 
 from fixel.domain.cells import Cells
+from fixel.domain.claim import (
+    COLOURS,
+    DOUBTFUL,
+    NO_DATA,
+    NOT_TRUSTED,
+    PREDICTED,
+    TRUSTED,
+    Applicability,
+    CellVerdict,
+    Claim,
+)
 from fixel.domain.coordinates import coordinates_of, label_of, push_target
-from fixel.domain.evidence import HeldOutErrors, Measure, threshold_score, value_of
+from fixel.domain.evidence import HeldOutErrors, Measure, value_of
+from fixel.domain.next_experiment import Proposal, proposals
 from fixel.domain.predicted_cells import untried
 from fixel.domain.surface import CellObservations, Surface, fit_surface
 from fixel.errors import InvalidInput
@@ -24,17 +36,6 @@ from fixel.model import Experiment, Probability, Scene
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from fixel.domain.next_experiment import Proposal
-
-# Colours of cells.
-TRUSTED: Final = "trusted"
-DOUBTFUL: Final = "doubtful"
-NOT_TRUSTED: Final = "not trusted"
-NO_DATA: Final = "no data"
-PREDICTED: Final = "predicted"  # no data, but a predicted bound below the threshold
-COLOURS: Final = (TRUSTED, DOUBTFUL, NOT_TRUSTED, NO_DATA, PREDICTED)
 
 _WORDS: Final[Mapping[str, str]] = {
     TRUSTED: TRUSTED,
@@ -45,87 +46,6 @@ _WORDS: Final[Mapping[str, str]] = {
 }
 
 MIN_EXPERIMENTS: Final = 6  # minimum number to estimate the scatter of errors
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Claim:
-    """Claim that is true for trusted (blue) cells.
-
-    Parameters
-    ----------
-    threshold : float
-        Threshold tau: root mean square error [mm], or share above the own best E.
-    measure : str
-        `"absolute"` or `"relative"`.
-    level : float
-        Share of new members whose error must be below the threshold.
-    confidence : float
-        Probability from which a cell counts as trusted, or as not trusted.
-    """
-
-    threshold: float
-    measure: Measure = "absolute"
-    level: float = 0.9
-    confidence: float = 0.95
-
-    def __post_init__(self) -> None:
-        threshold_score(self.threshold, self.measure)
-        for name, least in (("level", 0.0), ("confidence", 0.5)):
-            value = getattr(self, name)
-            if not least < value < 1.0:
-                found, expected = value, f"a number above {least:g} and below 1"
-                raise InvalidInput(name, found=found, expected=expected)
-
-    @property
-    def score(self) -> float:
-        """Score of the threshold."""
-        return threshold_score(self.threshold, self.measure)
-
-    @property
-    def needed(self) -> int:
-        """Number of members of a cell, all below tau, that prove the claim by counting alone."""
-        return max(1, math.ceil(math.log1p(-self.confidence) / math.log(self.level)) - 1)
-
-    def text(self, threshold: float | None = None) -> str:
-        """Return a threshold as text; by default that of the claim."""
-        value = self.threshold if threshold is None else threshold
-        if self.measure == "absolute":
-            return f"{value:.3g} mm"
-        return f"{100.0 * value:.3g} % above the smallest error of the experiment"
-
-
-class CellVerdict(NamedTuple):
-    """Colour of one cell, with its confidence and reason."""
-
-    colour: str
-    confidence: float  # probability of the claim; nan without data
-    reason: str
-
-
-class Applicability(NamedTuple):
-    """Answer of a map for one push.
-
-    Attributes
-    ----------
-    verdict : str
-        `"trusted"`, `"doubtful"`, `"not trusted"`, `"no data"`, or `"predicted"`: no experiment in
-        the cell, but an error bound below the threshold.
-    probability : Probability or None
-        Share of the held-out errors nearby that stay within the threshold, with its interval; None
-        without experiments nearby.
-    nearby : int
-        Number of held-out experiments in the same cell.
-    reason : str
-    cell : str
-        Cell of the map, with its coordinates.
-    """
-
-    verdict: str
-    probability: Probability | None
-    nearby: int
-    reason: str
-    cell: str
 
 
 @final
@@ -201,9 +121,24 @@ class DomainMap(Result):
     @property
     def next_experiment(self) -> Proposal | None:
         """Experiment that is expected to settle most of the map; None if all of it is settled."""
-        from fixel.domain.next_experiment import proposals
+        return next(iter(self.proposals(self.claimed, 1)), None)
 
-        return next(iter(proposals(self, self.claimed, 1)), None)
+    def proposals(
+        self, claim: Claim, most: int = 5, verdicts: list[list[CellVerdict]] | None = None
+    ) -> list[Proposal]:
+        """Return the most informative experiments over all groups, the best first.
+
+        Parameters
+        ----------
+        claim : Claim
+        most : int
+            Maximum number of proposals.
+        verdicts : list of list of CellVerdict, optional
+            Verdicts of the claim, if already computed.
+        """
+        verdicts = self.verdicts(claim) if verdicts is None else verdicts
+        inside = self.domains(claim)
+        return proposals(self.cells, self.groups, self.surface, claim, verdicts, inside, most)
 
     def within(self, threshold: float) -> DomainMap:
         """Return the same map with another threshold, without new fits.

@@ -13,7 +13,9 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.domain.domain import DOUBTFUL, NO_DATA, PREDICTED, CellVerdict, Claim, DomainMap
+from fixel.domain.cells import Cells
+from fixel.domain.claim import DOUBTFUL, NO_DATA, PREDICTED, CellVerdict, Claim
+from fixel.domain.surface import Surface
 from fixel.typing import FloatArray
 
 NODES: Final = 9  # nodes of the quadrature over results of the experiment
@@ -44,31 +46,41 @@ class Proposal:
 
 
 def proposals(
-    domain: DomainMap, claim: Claim, most: int = 5, verdicts: list[list[CellVerdict]] | None = None
+    cells: Cells,
+    groups: tuple[str, ...],
+    surface: Surface,
+    claim: Claim,
+    verdicts: list[list[CellVerdict]],
+    inside: list[list[int]],
+    most: int = 5,
 ) -> list[Proposal]:
     """Return the most informative experiments over all maps, the best first.
 
     Parameters
     ----------
-    domain : DomainMap
+    cells : Cells
+    groups : tuple of str
+        Groups, one per map.
+    surface : Surface
+        Errors over the cells of every group.
     claim : Claim
+    verdicts : list of list of CellVerdict
+        Verdicts of the claim for every group and cell.
+    inside : list of list of int
+        Cells of the domain in every group.
     most : int
         Maximum number of proposals.
-    verdicts : list of list of CellVerdict, optional
-        Verdicts of the claim, if already computed.
     """
-    verdicts = domain.verdicts(claim) if verdicts is None else verdicts
-    inside = domain.domains(claim)
     found = []
-    for g, group in enumerate(domain.groups):
-        worth = _bits(domain, claim, g)
-        for c in _candidates(domain, verdicts[g], inside[g]):
-            reason = _reason(domain, verdicts[g][c], inside[g], c)
+    for g, group in enumerate(groups):
+        worth = _bits(surface, claim, g)
+        for c in _candidates(cells, verdicts[g], inside[g]):
+            reason = _reason(cells, verdicts[g][c], inside[g], c)
             found.append(
                 Proposal(
                     group=group,
                     cell=c,
-                    where=domain.cells.text(c),
+                    where=cells.text(c),
                     bits=float(worth[c]),
                     reason=reason,
                 )
@@ -76,11 +88,11 @@ def proposals(
     return sorted(found, key=lambda one: -one.bits)[:most]
 
 
-def _candidates(domain: DomainMap, verdicts: list[CellVerdict], inside: list[int]) -> list[int]:
+def _candidates(cells: Cells, verdicts: list[CellVerdict], inside: list[int]) -> list[int]:
     """Return doubtful cells, and cells without data next to the domain or at the nominal."""
-    near = {b for a, b in domain.cells.edges if a in inside}
-    near |= {a for a, b in domain.cells.edges if b in inside}
-    near.add(domain.cells.nominal)
+    near = {b for a, b in cells.edges if a in inside}
+    near |= {a for a, b in cells.edges if b in inside}
+    near.add(cells.nominal)
     found = []
     for c, verdict in enumerate(verdicts):
         open_still = verdict.colour == DOUBTFUL
@@ -90,11 +102,10 @@ def _candidates(domain: DomainMap, verdicts: list[CellVerdict], inside: list[int
     return found
 
 
-def _bits(domain: DomainMap, claim: Claim, g: int) -> FloatArray:
+def _bits(surface: Surface, claim: Claim, g: int) -> FloatArray:
     """Return the expected decrease (n_cell,) of the entropy by an experiment in each cell."""
     from scipy.special import ndtr, ndtri
 
-    surface = domain.surface
     covariance = surface.covariance[g]
     scatter = float(surface.values[5])
     mean = surface.mean[0, g] + float(ndtri(claim.level)) * scatter
@@ -121,13 +132,13 @@ def _entropy(chance: FloatArray) -> FloatArray:
     return np.asarray(-(p * np.log2(p) + (1.0 - p) * np.log2(1.0 - p)))
 
 
-def _reason(domain: DomainMap, verdict: CellVerdict, inside: list[int], c: int) -> str:
+def _reason(cells: Cells, verdict: CellVerdict, inside: list[int], c: int) -> str:
     if verdict.colour != DOUBTFUL:
-        nominal = c == domain.cells.nominal
+        nominal = c == cells.nominal
         return (
             "no experiment at the nominal"
             if nominal
             else ("no experiment in this cell, which touches D")
         )
-    touches = any(c in edge and (set(edge) & set(inside)) for edge in domain.cells.edges)
+    touches = any(c in edge and (set(edge) & set(inside)) for edge in cells.edges)
     return f"doubtful{' and next to D' if touches else ''}: {verdict.reason}"

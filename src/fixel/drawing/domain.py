@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from fixel.domain.cells import CellAxis
-from fixel.domain.domain import CellVerdict, Claim, DomainMap
+from fixel.domain.claim import CellVerdict, Claim
+from fixel.domain.domain import DomainMap
 from fixel.domain.push_bound import ErrorBound
 from fixel.drawing import palette
 from fixel.drawing.chart import (

@@ -59,23 +59,19 @@ def predict_repetition(
     points, k = posterior.points[rows], len(rows)
     n_free = len(comparer.space.labels)
     own = noise.standard_deviations if start_sd is None else np.asarray(start_sd, np.float64)
-    errors = rng.standard_normal((k, 3)) * own
-    fit = np.array([name in {u.name for u in comparer.space.free} for name in START])
-    errors[:, fit] = 0.0
+    errors = _start_errors(comparer, rng.standard_normal((k, 3)) * own)
     still = np.zeros_like(errors)
     best = np.repeat(posterior.best[None], k, axis=0)
-    middle, fine, _ = _simulated(comparer, member, best[:1, :n_free], still[:1])
-    if not fine[0]:
+    (centre,), (fine,), _ = _simulated(comparer, member, best[:1, :n_free], still[:1])
+    if not fine:
         raise SolveFailed("the sample of largest likelihood cannot be simulated")
-    centre = middle[0]
     both, good, reasons = _simulated(comparer, member, points[:, :n_free], errors)
     only, good_only, _ = _simulated(comparer, member, points[:, :n_free], still)
     begun, good_begun, _ = _simulated(comparer, member, best[:, :n_free], errors)
     target = comparer.targets[member]
     walk = np.zeros_like(both)
     if error is not None:
-        share = expected_shares(comparer, member, error)
-        walk = draw_walks(share, points[:, -1], error.sides, rng)
+        walk = draw_walks(expected_shares(comparer, member, error), points[:, -1], error.sides, rng)
     seen = rng.standard_normal(both.shape) * noise.standard_deviations
     paths = [_near(path, centre) for path in (only, begun, both)]
     truths = (paths[2] + walk)[good]
@@ -105,6 +101,12 @@ def predict_repetition(
             "all": _spread(truths + seen[good]),
         },
     )
+
+
+def _start_errors(comparer: Comparer, drawn: FloatArray) -> FloatArray:
+    """Return drawn start errors (n, 3) [m, m, rad], without those among the unknowns."""
+    unknown = {u.name for u in comparer.space.free}
+    return np.where([name in unknown for name in START], 0.0, drawn)
 
 
 def _simulated(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typer.main import get_command
 
 from fixel.cli.main import app
-from fixel.domain.domain import Claim
+from fixel.domain.claim import Claim
 from fixel.model.selection import Bound, ExperimentQuery
 from fixel.workflows.domain.request import DomainRequest, command_of
 

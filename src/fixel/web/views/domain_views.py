@@ -19,9 +19,9 @@ from pydantic import Field
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.domain.cells import CellAxis, Cells
-from fixel.domain.domain import COLOURS, TRUSTED, Claim, DomainMap, default_threshold
+from fixel.domain.claim import COLOURS, TRUSTED, Claim
+from fixel.domain.domain import DomainMap, default_threshold
 from fixel.domain.evidence import Measure, value_of
-from fixel.domain.next_experiment import proposals
 from fixel.errors import FixelError, InvalidInput, JobRefused, NotStored
 from fixel.web.values import Answer, Finite
 from fixel.web.views.background_fits import BackgroundFit, Fits
@@ -393,7 +393,7 @@ def suggested(view: MapView, claim: Claim, most: int = 3) -> list[SuggestedExper
             bits=one.bits,
             reason=one.reason,
         )
-        for one in proposals(view.domain, claim, most)
+        for one in view.domain.proposals(claim, most)
     ]
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from fixel.domain.domain import CellVerdict, Claim, DomainMap
+from fixel.domain.claim import CellVerdict, Claim
+from fixel.domain.domain import DomainMap
 from fixel.drawing.domain import MapChart, SizeChart
 from fixel.workflows.figures import Picture
 from fixel.workflows.sentences import sentences

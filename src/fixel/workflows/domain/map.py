@@ -11,8 +11,9 @@ import numpy as np
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space
+from fixel.domain.claim import Claim
 from fixel.domain.coordinates import coordinates_of
-from fixel.domain.domain import Claim, DomainMap
+from fixel.domain.domain import DomainMap
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache
 from fixel.model import Experiment

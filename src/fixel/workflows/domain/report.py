@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from fixel.domain.cells import Cells
-from fixel.domain.domain import DOUBTFUL, NO_DATA, CellVerdict, Claim, DomainMap
+from fixel.domain.claim import DOUBTFUL, NO_DATA, CellVerdict, Claim
+from fixel.domain.domain import DomainMap
 from fixel.domain.next_experiment import Proposal
 from fixel.table import Table
 from fixel.workflows.domain.evidence import DomainEvidence

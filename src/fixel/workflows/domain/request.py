@@ -15,7 +15,7 @@ from fixel.calibration.target import Target
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.domain.domain import Claim
+from fixel.domain.claim import Claim
 from fixel.domain.evidence import Measure
 from fixel.errors import InvalidInput
 from fixel.model.selection import Bound, ExperimentQuery, parse_filter

@@ -12,9 +12,10 @@ import numpy as np
 
 from fixel.database.project import Project
 from fixel.domain.cells import Cells, cells_of, varying
-from fixel.domain.domain import CellVerdict, Claim, DomainMap, default_threshold, domain_map
+from fixel.domain.claim import CellVerdict, Claim
+from fixel.domain.domain import DomainMap, default_threshold, domain_map
 from fixel.domain.evidence import HeldOutErrors
-from fixel.domain.next_experiment import Proposal, proposals
+from fixel.domain.next_experiment import Proposal
 from fixel.domain.predicted_cells import predicted_cells
 from fixel.domain.surface import Surface
 from fixel.errors import InvalidInput
@@ -137,7 +138,7 @@ def _stored(
     """Store a map as an analysis, with charts."""
     claim, evidence = domain.claimed, domain.evidence
     verdicts = domain.verdicts(claim)
-    found = proposals(domain, claim, verdicts=verdicts)
+    found = domain.proposals(claim, verdicts=verdicts)
     warnings = warnings_of(gathered, domain, claim, aside, verdicts)
     pictures = pictures_of(domain, claim, verdicts, "" if gathered.is_real else "SIMULATED")
     analysis = Analysis(

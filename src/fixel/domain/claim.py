@@ -1,0 +1,100 @@
+"""Claims of a map of the domain of applicability, and the verdicts of its cells."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple, final
+
+from fixel.domain.evidence import Measure, threshold_score
+from fixel.errors import InvalidInput
+from fixel.model import Probability
+
+# Colours of cells.
+TRUSTED: Final = "trusted"
+DOUBTFUL: Final = "doubtful"
+NOT_TRUSTED: Final = "not trusted"
+NO_DATA: Final = "no data"
+PREDICTED: Final = "predicted"  # no data, but a predicted bound below the threshold
+COLOURS: Final = (TRUSTED, DOUBTFUL, NOT_TRUSTED, NO_DATA, PREDICTED)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Claim:
+    """Claim that is true for trusted (blue) cells.
+
+    Parameters
+    ----------
+    threshold : float
+        Threshold tau: root mean square error [mm], or share above the own best E.
+    measure : str
+        `"absolute"` or `"relative"`.
+    level : float
+        Share of new members whose error must be below the threshold.
+    confidence : float
+        Probability from which a cell counts as trusted, or as not trusted.
+    """
+
+    threshold: float
+    measure: Measure = "absolute"
+    level: float = 0.9
+    confidence: float = 0.95
+
+    def __post_init__(self) -> None:
+        threshold_score(self.threshold, self.measure)
+        for name, least in (("level", 0.0), ("confidence", 0.5)):
+            value = getattr(self, name)
+            if not least < value < 1.0:
+                found, expected = value, f"a number above {least:g} and below 1"
+                raise InvalidInput(name, found=found, expected=expected)
+
+    @property
+    def score(self) -> float:
+        """Score of the threshold."""
+        return threshold_score(self.threshold, self.measure)
+
+    @property
+    def needed(self) -> int:
+        """Number of members of a cell, all below tau, that prove the claim by counting alone."""
+        return max(1, math.ceil(math.log1p(-self.confidence) / math.log(self.level)) - 1)
+
+    def text(self, threshold: float | None = None) -> str:
+        """Return a threshold as text; by default that of the claim."""
+        value = self.threshold if threshold is None else threshold
+        if self.measure == "absolute":
+            return f"{value:.3g} mm"
+        return f"{100.0 * value:.3g} % above the smallest error of the experiment"
+
+
+class CellVerdict(NamedTuple):
+    """Colour of one cell, with its confidence and reason."""
+
+    colour: str
+    confidence: float  # probability of the claim; nan without data
+    reason: str
+
+
+class Applicability(NamedTuple):
+    """Answer of a map for one push.
+
+    Attributes
+    ----------
+    verdict : str
+        `"trusted"`, `"doubtful"`, `"not trusted"`, `"no data"`, or `"predicted"`: no experiment in
+        the cell, but an error bound below the threshold.
+    probability : Probability or None
+        Share of the held-out errors nearby that stay within the threshold, with its interval; None
+        without experiments nearby.
+    nearby : int
+        Number of held-out experiments in the same cell.
+    reason : str
+    cell : str
+        Cell of the map, with its coordinates.
+    """
+
+    verdict: str
+    probability: Probability | None
+    nearby: int
+    reason: str
+    cell: str
