@@ -108,6 +108,7 @@ html_show_search_summary = False  # a page opened from a file may not read other
 html_show_sourcelink = False
 html_show_sphinx = False
 html_permalinks_icon = "#"
+html_context = {"default_mode": "auto"}
 html_theme_options = {
     "logo": {"text": "fixel"},
     "header_links_before_dropdown": 8,

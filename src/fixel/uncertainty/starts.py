@@ -28,9 +28,9 @@ class StartError:
     Parameters
     ----------
     x, y : float
-        Size along the world axes [m].
+        Size along the world axes [m]; 0 if not given. At least one of the three sizes is positive.
     theta : float
-        Size of the angle's error [rad].
+        Size of the angle's error [rad]; 0 if not given.
     kind : str
         ``"uniform"``: sizes are half-widths of a box, as in the ASME paper; ``"normal"``: sizes are
         standard deviations.
@@ -42,9 +42,9 @@ class StartError:
     'uniform'
     """
 
-    x: float
-    y: float
-    theta: float
+    x: float = 0.0
+    y: float = 0.0
+    theta: float = 0.0
     kind: Kind = "uniform"
 
     def __post_init__(self) -> None:

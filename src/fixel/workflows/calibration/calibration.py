@@ -401,7 +401,7 @@ class Calibration(Result, Mapping[str, float]):
             return [f"misfit  {sentence}" for sentence in self.found.misfit]
         if math.isnan(self.misfit.ratio):
             return []
-        return [f"misfit  residuals agree with the measurement noise; {self.found.noise}"]
+        return [f"misfit  none detected; intervals assume {self.found.noise}"]
 
     def _details(self) -> dict[str, str]:
         from importlib.metadata import version
@@ -624,9 +624,24 @@ def _shown_value(estimate: Estimate) -> str:
     """Value with its unit for people; a dash where the data do not determine it."""
     if not estimate.is_known:
         return "-"
+    return _number(estimate, estimate.value) + _unit_after(estimate)
+
+
+def _number(estimate: Estimate, value: float) -> str:
+    """Number in the shown unit, with as many decimals as the interval of its estimate."""
+    shown = in_shown_unit(estimate.unit, value)
+    ends = [end for end in (estimate.low, estimate.high) if end is not None]
+    if not ends:
+        return f"{shown:.4g}"
+    largest = max(abs(in_shown_unit(estimate.unit, own)) for own in (estimate.value, *ends))
+    decimals = 3 - math.floor(math.log10(largest)) if largest > 0 else 0
+    return f"{shown:.{decimals}f}" if 0 <= decimals <= 7 else f"{shown:.4g}"
+
+
+def _unit_after(estimate: Estimate) -> str:
+    """Shown unit of an estimate, after a space; empty for pure numbers."""
     unit = SHOWN_UNITS.get(estimate.unit, (estimate.unit, 1.0))[0]
-    text = f"{in_shown_unit(estimate.unit, estimate.value):.4g}"
-    return text if unit in ("", "-") else f"{text} {unit}"
+    return "" if unit in ("", "-") else f" {unit}"
 
 
 def _shown_interval(estimate: Estimate) -> str:
@@ -635,11 +650,9 @@ def _shown_interval(estimate: Estimate) -> str:
         return "fixed"
     if not estimate.is_assessed:
         return "not computed"
-    shown = SHOWN_UNITS.get(estimate.unit, (estimate.unit, 1.0))[0]
-    unit = "" if shown in ("", "-") else f" {shown}"
+    unit = _unit_after(estimate)
     low, high = (
-        None if end is None else f"{in_shown_unit(estimate.unit, end):.4g}"
-        for end in (estimate.low, estimate.high)
+        None if end is None else _number(estimate, end) for end in (estimate.low, estimate.high)
     )
     if low and high:
         return f"{low} to {high}{unit}"
@@ -659,7 +672,7 @@ def _rows(estimates: Sequence[Estimate]) -> list[tuple[str, ...]]:
         is_searched = own.is_assessed and own.is_known and own.best_fit is not None
         fitted = ""
         if is_searched and own.word != "frozen":
-            fitted = f"{in_shown_unit(own.unit, own.best_fit or 0.0):.4g}"
+            fitted = _number(own, own.best_fit or 0.0) + _unit_after(own)
         verdict = own.verdict if own.word != "frozen" else ""
         rows.append((own.label, value.rjust(width), _shown_interval(own), fitted, verdict or "-"))
     return rows

@@ -677,7 +677,7 @@ def _noise_text(noise: Noise) -> str:
         "residuals": "residuals of the fit, including model error",
         "differences": "second differences of the poses",
     }[noise.source]
-    together = f", {noise.correlation:.0f} frames have the information of one" * (
+    together = f"; {noise.correlation:.0f} correlated frames count as one" * (
         noise.correlation > 1.5
     )
     return (
