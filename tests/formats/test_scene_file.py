@@ -243,7 +243,7 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         (
             {"bodies.0.shape": {"polygon": [[0, 0], [1, 1], [2, 2]]}},
             "bodies[0].shape.polygon",
-            "zero",
+            "no area",
         ),
         (
             {"bodies.0.shape": {"polygon": [[0, 0], [1, 0], [inf, 1]]}},

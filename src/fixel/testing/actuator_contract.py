@@ -95,7 +95,7 @@ class ActuatorContract:
     def test_does_one_thing_at_a_time(self, ready: AbstractActuator) -> None:
         ready.move(to=0.1, speed=SPEED, wait=False)
         assert ready.moving
-        with pytest.raises(DeviceFailed, match="moving already"):
+        with pytest.raises(DeviceFailed, match="already moving"):
             ready.move(to=0.002, speed=SPEED)
         ready.stop()
 
