@@ -125,14 +125,14 @@ def test_a_job_to_submit_elsewhere(capsys, project):
         (("--fit", "mu_pushr"), "did you mean 'mu_pusher'"),
         (("--fit", "mu_pusher=1:0"), "the lower bound first"),
         (("--fit", "mu_pusher=0:1:2"), "outside the bounds"),
-        (("--optimiser", "least-squares", "--mode", "each"), "--mode joint"),
+        (("--optimiser", "least-squares", "--mode", "each"), "mode joint"),
         (("--noise-mm", "0.1"), "both, or neither"),
         (("nowhere",), "no experiment 'nowhere'"),
         (("--level", "95"), "--level: found 95.0, expected a number between 0 and 1"),
         (("--noise-mm", "-1", "--noise-mrad", "1"), "noise.position_m: found -0.001"),
         (("--name", "../mine"), "--name: found '../mine'"),
         (("--optimiser", "least-square"), "did you mean 'least-squares'"),
-        (("1", "--where", "shape=none"), "--where: found names of experiments"),
+        (("1", "--where", "shape=none"), "--where: found names of experiments too"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(capsys, project, arguments, said):

@@ -187,7 +187,7 @@ def calibrate(
     """
     if experiments and (selection.dataset or selection.where):
         given = "--dataset" if selection.dataset else "--where"
-        raise InvalidInput(given, found="--sample and names of experiments", expected="one of them")
+        raise InvalidInput(given, found="names of experiments too", expected="one of them")
     from dataclasses import replace
 
     from fixel.database.project import Project

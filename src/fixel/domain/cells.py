@@ -256,11 +256,11 @@ def cells_of(
         Widths of ranges [SI].
     """
     if not axes or len(set(axes)) < len(axes):
-        raise InvalidInput("--axes", found=", ".join(axes) or "none", expected="each axis once")
+        raise InvalidInput("axes", found=", ".join(axes) or "none", expected="each axis once")
     strangers = set(nominal or {}) - set(axes)
     if strangers:
         expected = "one of the axes: " + ", ".join(axes)
-        raise InvalidInput("--nominal", found=", ".join(sorted(strangers)), expected=expected)
+        raise InvalidInput("nominal", found=", ".join(sorted(strangers)), expected=expected)
     made = tuple(axis_of(n, evidence.column(n), (steps or {}).get(n)) for n in axes)
     centre = tuple(_nominal(axis, evidence, (nominal or {}).get(axis.name)) for axis in made)
     columns = np.stack([axis.find(evidence.column(axis.name)) for axis in made], axis=1)
@@ -270,14 +270,14 @@ def cells_of(
         index = _arms(made, centre)
     elif len(made) > 2:
         raise InvalidInput(
-            "--axes",
+            "axes",
             found=f"{len(made)} axes",
             expected="one or two, where experiments differ along several axes at once",
         )
     else:
         index = list(product(*(range(len(axis)) for axis in made)))
     if len(index) > MAX_CELLS:
-        hint = "use wider cells: --step NAME=WIDTH"
+        hint = "use wider cells"
         raise InvalidInput("cells", found=len(index), expected=f"at most {MAX_CELLS}", hint=hint)
     return Cells(axes=made, index=tuple(index), nominal=index.index(centre), arms=arms)
 
@@ -302,7 +302,7 @@ def _nominal(axis: CellAxis, evidence: HeldOutErrors, wanted: str | float | None
     found = int(axis.find([wanted])[0])
     if found < 0:
         raise InvalidInput(
-            f"--nominal {axis.name}",
+            f"nominal {axis.name}",
             found=wanted,
             expected="a value with experiments: " + ", ".join(map(axis.text, range(len(axis)))),
         )

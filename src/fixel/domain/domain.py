@@ -462,7 +462,7 @@ def domain_map(
             found=f"{int(usable.sum())} with held-out errors in the map"
             + (f" ({notes})" if notes else ""),
             expected=f"at least {MIN_EXPERIMENTS} for a domain map",
-            hint="add experiments, or leave out --where",
+            hint="add experiments, or select more of them",
         )
     if surface is None:
         seen = _seen(place, group, scores, usable)

@@ -146,7 +146,8 @@ def threshold_score(threshold: float, measure: Measure) -> float:
         experiment, as a share of it: 1 for twice as large.
     """
     if not (np.isfinite(threshold) and threshold > 0.0):
-        raise InvalidInput("threshold", found=threshold, expected="a positive number")
+        where, unit = ("threshold", " mm") if measure == "absolute" else ("relative", "")
+        raise InvalidInput(where, found=f"{threshold:g}{unit}", expected="a positive number")
     return float(np.log(threshold) if measure == "absolute" else np.log1p(threshold))
 
 
@@ -185,13 +186,13 @@ def folds_of(blocks: Sequence[str], strata: Sequence[str], folds: int, seed: int
     """
     first = dict(zip(reversed(blocks), reversed(strata), strict=True))
     if folds < 2:
-        raise InvalidInput("--folds", found=folds, expected="at least 2")
+        raise InvalidInput("folds", found=folds, expected="at least 2")
     if len(first) < folds:
         raise InvalidInput(
             "experiments",
             found=f"{len(first)} configurations",
             expected=f"at least {folds}, the number of folds",
-            hint="add experiments, or use fewer folds: --folds 2",
+            hint="add experiments, or use fewer folds: folds=2",
         )
     rng = np.random.default_rng(seed)
     place: dict[str, int] = {}

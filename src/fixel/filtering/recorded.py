@@ -387,7 +387,7 @@ def _touches(experiment: Experiment, scene: Scene, instants: FloatArray) -> list
             f"experiment {experiment.key}, channel {TACTILE!r}",
             found=f"{len(channel.columns)} columns",
             expected=f"{len(scene.fixels)}, one per fixel",
-            hint="filter without tactile readings: --no-tactile",
+            hint="filter without tactile readings: tactile=False",
         )
     upto = np.searchsorted(channel.time, instants + SAME_INSTANT)
     fresh = np.diff(upto, prepend=0) > 0

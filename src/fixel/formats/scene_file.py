@@ -146,7 +146,9 @@ def apply_override(raw: Any, override: str) -> None:
     """
     text, equals, value = override.partition("=")
     if not equals or not text.strip():
-        raise InvalidInput(f"--set {override}", found="no PATH=VALUE", expected="path.to.key=value")
+        raise InvalidInput(
+            f"overrides {override}", found="no PATH=VALUE", expected="path.to.key=value"
+        )
     segments = re.sub(r"\[(\d+)\]", r".\1", text.strip()).split(".")
     container = raw
     path: KeyPath = ()
@@ -156,7 +158,7 @@ def apply_override(raw: Any, override: str) -> None:
             container[key] = _empty_at((*path, key))
         container, path = container[key], (*path, key)
     key = _key(container, segments[-1], path)
-    container[key] = parse_yaml(value, f"--set {override}")
+    container[key] = parse_yaml(value, f"overrides {override}")
 
 
 def _key(container: Any, segment: str, path: KeyPath) -> str | int:

@@ -52,7 +52,7 @@ def require_dask() -> None:
     """Raise `JobRefused` if the packages for several workers are not installed."""
     if sys.platform == "win32":
         raise JobRefused(
-            "several workers need Linux or macOS", hint="use one process, without --workers"
+            "several workers need Linux or macOS", hint="use one process, without workers"
         )
     for package in ("distributed", "dask_jobqueue", "cryptography"):
         if find_spec(package) is None:

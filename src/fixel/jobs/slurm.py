@@ -80,7 +80,7 @@ def require_slurm() -> None:
                 "scheduler slurm",
                 found=f"no command {command}",
                 expected="a machine from which jobs can be submitted",
-                hint="run this command on the login node of the cluster, or without --site",
+                hint="work on the login node of the cluster, or without a site",
             )
 
 

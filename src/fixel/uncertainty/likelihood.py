@@ -184,7 +184,7 @@ def camera_noise(comparer: Comparer, members: Sequence[int], point: FloatArray) 
             "noise",
             found="no experiment of three frames that could be simulated",
             expected="an experiment from which the camera noise can be estimated",
-            hint="state the noise: --noise-mm and --noise-mrad",
+            hint="state the noise: noise=...",
         )
     table = np.concatenate(rows)
     sd = _SD_OF_MEDIAN * np.median(np.abs(table), axis=0) / math.sqrt(6.0)

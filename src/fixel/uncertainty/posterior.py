@@ -288,7 +288,7 @@ class NestedSampling:
 
     def __post_init__(self) -> None:
         if self.samples < 10:
-            raise InvalidInput("--samples", found=self.samples, expected="10 or more")
+            raise InvalidInput("samples", found=self.samples, expected="10 or more")
         if self.live is not None and self.live < 20:
             raise InvalidInput("live", found=self.live, expected="20 or more")
         if not self.remaining > 0.0:

@@ -365,7 +365,7 @@ def test_a_budget_ends_a_search_at_the_same_place_after_an_interruption(project,
 
 
 def test_a_budget_is_for_one_set_of_parameters(project, chosen):
-    with pytest.raises(InvalidInput, match="--budget: found --mode each"):
+    with pytest.raises(InvalidInput, match="budget: found mode each"):
         run.prepare(project, chosen, _request(chosen, mode="each", budget=10.0))
 
 

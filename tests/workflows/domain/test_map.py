@@ -115,7 +115,7 @@ def test_wrong_input_is_refused_before_any_fit(pushes, monkeypatch):
             map_domain(pushes, SPACE, **options, **QUIET)
     with pytest.raises(InvalidInput, match="no scene"):
         map_domain([replace(pushes[0], scene=None)], SPACE, **QUIET)
-    with pytest.raises(InvalidInput, match="known parameter"):
+    with pytest.raises(InvalidInput, match="mu_pusher"):
         fixel.map_domain(pushes, ["mu_pushr"], **QUIET)
 
 

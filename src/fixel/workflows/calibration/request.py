@@ -125,13 +125,13 @@ class CalibrationRequest(_RequestLevel):
     @property
     def made_error(self) -> AbstractError:
         """The error of one experiment."""
-        made: AbstractError = _made(ERRORS, self.error, "--error")
+        made: AbstractError = _made(ERRORS, self.error, "error")
         return made
 
     @property
     def made_optimiser(self) -> AbstractOptimiser:
         """The search, from one start or several."""
-        made: AbstractOptimiser = _made(OPTIMISERS, self.optimiser, "--optimiser")
+        made: AbstractOptimiser = _made(OPTIMISERS, self.optimiser, "optimiser")
         return made if self.starts == 1 else MultiStart(optimiser=made, starts=self.starts)
 
     @property
@@ -147,14 +147,14 @@ class CalibrationRequest(_RequestLevel):
         made: LeastSquares = _made(
             (LeastSquares,),
             NamedOptions(name=LEAST_SQUARES, options=options | self.optimiser.options),
-            "--optimiser",
+            "optimiser",
         )
         return made
 
     @property
     def made_motion(self) -> AbstractMotionModel:
         """The motion model."""
-        made: AbstractMotionModel = _made(MOTION_MODELS, NamedOptions(name=self.motion), "--motion")
+        made: AbstractMotionModel = _made(MOTION_MODELS, NamedOptions(name=self.motion), "motion")
         return made
 
     @property
@@ -168,23 +168,23 @@ class CalibrationRequest(_RequestLevel):
         """Refuse what cannot be, before any work starts."""
         if self.name.startswith(".") or set(self.name) & set("/\\"):
             expected = "a name for a folder, without / and without a leading dot"
-            raise InvalidInput("--name", found=repr(self.name), expected=expected)
-        name_of(self.name, "--name")
+            raise InvalidInput("name", found=repr(self.name), expected=expected)
+        name_of(self.name, "name")
         if not 0.0 < self.level < 1.0:
-            raise InvalidInput("--level", found=self.level, expected="a number between 0 and 1")
+            raise InvalidInput("level", found=self.level, expected="a number between 0 and 1")
         if self.mode == "stored" and not self.stored:
             raise InvalidInput(
-                "--mode stored",
+                "mode stored",
                 found="no stored calibration with values of all these parameters",
                 expected="at least one",
-                hint="calibrate with --mode each first",
+                hint="calibrate each first",
             )
         if (self.noise_position is None) != (self.noise_angle is None):
             raise InvalidInput(
-                "--noise-mm and --noise-mrad", found="one of them", expected="both, or neither"
+                "noise", found="one of position and angle", expected="both, or neither"
             )
         if self.budget is not None and self.mode != "joint":
-            raise InvalidInput("--budget", found=f"--mode {self.mode}", expected="--mode joint")
+            raise InvalidInput("budget", found=f"mode {self.mode}", expected="mode joint")
         if self.least_squares is not None:
             self._check_squares()
         else:
@@ -195,9 +195,9 @@ class CalibrationRequest(_RequestLevel):
     def _check_squares(self) -> None:
         if self.mode != "joint" or self.combine == "largest" or self.error.name == PAPER:
             raise InvalidInput(
-                f"--optimiser {LEAST_SQUARES}",
-                found=f"--mode {self.mode} --combine {self.combine} --error {self.error.name}",
-                expected="--mode joint and a sum or mean of squares",
+                f"optimiser {LEAST_SQUARES}",
+                found=f"mode {self.mode}, combine {self.combine}, error {self.error.name}",
+                expected="mode joint and a sum or mean of squares",
                 hint="choose pattern-search or nelder-mead",
             )
 

@@ -187,7 +187,7 @@ def _usual_space(
                 f"calibration {one.id}",
                 found=f"no job folder, and {label}, which only some experiments share",
                 expected="the job folder, which has the conditions and bounds",
-                hint="calibrate again, or name the parameters with --fit",
+                hint="calibrate again, or name the parameters",
             )
         (unknown,) = searched_unknowns([name], scenes)
         low, high = min(unknown.low, value), max(unknown.high, value)

@@ -79,7 +79,7 @@ class CalibrationModel:
                 "calibration",
                 found=f"calibrated with the error {self.error.name} [{self.error.unit}]",
                 expected="mean-square or end-pose [mm^2], the errors of a map",
-                hint="calibrate again with --error mean-square",
+                hint="calibrate again with error='mean-square'",
             )
 
 
@@ -203,7 +203,7 @@ def _no_start(reason: str) -> InvalidInput:
         "start of the fits",
         found=f"no simulation at it: {reason}",
         expected="parameters with which experiments can be simulated",
-        hint="start at another calibration: --calibration N",
+        hint="start at another calibration",
     )
 
 

@@ -181,7 +181,7 @@ def own_best(
             notes[k] = ""
     if np.isnan(best).all():
         raise InvalidInput(
-            "--relative",
+            "relative",
             found=f"no experiment with its own smallest error ({notes[0]})",
             expected="experiments that were calibrated in mode each with the same model",
             hint="calibrate them first: fixel calibrate --mode each",

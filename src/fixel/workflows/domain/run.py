@@ -255,7 +255,7 @@ def usual_axes(evidence: HeldOutErrors, by: tuple[str, ...] | Any = ()) -> list[
     others = [name for name in varying(evidence, USUAL) if name not in by]
     if not others:
         raise InvalidInput(
-            "--axes",
+            "axes",
             found="no offset, surface, shape or contact that differs",
             expected="one of " + ", ".join(varying(evidence, sorted(evidence.coordinates))),
         )
@@ -272,7 +272,7 @@ def _at_nominal(evidence: HeldOutErrors, axes: list[str]) -> tuple[HeldOutErrors
     if keep_row.all():
         return evidence, 0
     if not keep_row.any():
-        raise InvalidInput("--axes", found="every experiment offset along others", expected="them")
+        raise InvalidInput("axes", found="every experiment offset along others", expected="them")
     return evidence.rows(np.flatnonzero(keep_row)), int((~keep_row).sum())
 
 
@@ -283,9 +283,9 @@ def _claim(asked: DomainRequest, gathered: DomainEvidence, evidence: HeldOutErro
     floor = gathered.floor_mm
     if asked.measure == "absolute" and floor is not None and threshold < floor:
         raise InvalidInput(
-            "--threshold-mm",
-            found=f"{threshold:.3g}, below the error that measurement noise alone causes",
-            expected=f"at least {floor:.3g} ({gathered.floor_from})",
+            "threshold",
+            found=f"{threshold:.3g} mm, below the error that measurement noise alone causes",
+            expected=f"at least {floor:.3g} mm ({gathered.floor_from})",
             hint="no simulator can be more accurate than the measurement",
         )
     return Claim(
@@ -302,7 +302,7 @@ def _refuse_empty_nominal(domain: DomainMap) -> None:
         filled = np.flatnonzero(domain.counts.sum(axis=0))
         names = "; ".join(cells.text(int(c)) for c in filled[:MAX_EXAMPLES])
         raise InvalidInput(
-            "--nominal",
+            "nominal",
             found=f"no experiment at {cells.text(cells.nominal)}",
             expected=f"a cell with experiments, such as {names}",
         )

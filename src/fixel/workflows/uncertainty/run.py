@@ -247,7 +247,7 @@ def find_uncertainty(
         held = list(dict.fromkeys(store.find(key) for key in request.held_out))
         if set(ids) & set(held):
             raise InvalidInput(
-                "--held-out",
+                "held_out",
                 found="an experiment from which the posterior is computed",
                 expected="others",
             )
@@ -411,7 +411,7 @@ def _left(comparer: Comparer, members: np.ndarray, point: FloatArray) -> Noise:
             "noise",
             found="no experiment that could be simulated",
             expected="an experiment from which the noise can be estimated",
-            hint="state the noise: --noise-mm and --noise-mrad",
+            hint="state the noise: noise=...",
         )
     return noise_from_residuals(series, len(point))
 

@@ -1,0 +1,60 @@
+"""Commands name their options where Python names its arguments."""
+
+import pytest
+
+from fixel.cli.argument_options import in_options
+from fixel.cli.main import app
+from fixel.errors import InvalidInput
+from fixel.testing.pushes import example_pushes
+from fixel.workflows.calibration.run import calibrate, calibrate_each
+from fixel.workflows.domain.map import map_domain
+
+SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+
+
+@pytest.mark.parametrize(
+    ("words", "where", "named"),
+    [
+        (["domain", "--by", "surface"], "threshold", "--threshold-mm"),
+        (["domain", "growth", "explore"], "threshold", "--threshold"),
+        (["domain"], "nominal side", "--nominal side"),
+        (["domain"], "facets", "--by"),
+        (["calibrate", "push"], "optimiser least-squares", "--optimiser least-squares"),
+        (["simulate", "scene.yaml"], "overrides duration", "--set duration"),
+        (["simulate", "scene.yaml"], "nominal", "nominal"),
+        (["calibrate"], "bodies[0].mass", "bodies[0].mass"),
+    ],
+)
+def test_the_option_of_an_argument(words, where, named):
+    assert in_options(InvalidInput(where, found=1, expected="2"), app, words).where == named
+
+
+def test_hints_name_options_too():
+    folds = InvalidInput("experiments", found=1, expected="2", hint="use fewer folds: folds=2")
+    deaf = InvalidInput("tactile", found=1, expected="2", hint="filter without: tactile=False")
+
+    assert in_options(folds, app, ["domain"]).hint == "use fewer folds: --folds 2"
+    assert in_options(deaf, app, ["filter", "push"]).hint == "filter without: --no-tactile"
+    assert in_options(folds, app, ["simulate"]) is folds
+
+
+@pytest.mark.parametrize(
+    ("call", "named"),
+    [
+        (lambda p: map_domain(p, SPACE, threshold=-1e-3), "threshold: found -1 mm"),
+        (lambda p: map_domain(p, SPACE, axes=["side", "side"]), "axes: "),
+        (lambda p: map_domain(p, SPACE, axes=["side"], nominal={"side": "top"}), "nominal side: "),
+        (lambda p: map_domain(p, SPACE, axes=["side"], folds=1), "folds: "),
+        (lambda p: calibrate(p, SPACE, level=2.0), "level: "),
+        (lambda p: calibrate(p, SPACE, name="a/b"), "name: "),
+        (lambda p: calibrate(p, SPACE, error="squares"), "error: "),
+        (lambda p: calibrate_each(p, SPACE, budget=1.0), "budget: found mode each"),
+        (lambda p: calibrate(p, SPACE, motion="fast"), "motion: "),
+    ],
+)
+def test_python_names_its_own_arguments(call, named):
+    with pytest.raises(InvalidInput) as problem:
+        call(example_pushes(6, duration=0.2))
+
+    assert str(problem.value).startswith(named)
+    assert "--" not in str(problem.value)
