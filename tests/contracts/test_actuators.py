@@ -24,10 +24,10 @@ class Operator:
             self.drive.home()
         elif "start button" in sentence:
             self.drive.move(to=self.set_to, speed=0.05, wait=False)
-        elif "come to rest" in sentence:
+        elif "stands still" in sentence:
             while self.drive.moving:
                 time.sleep(0.002)
-        elif "Where" in sentence:
+        elif "Position" in sentence:
             return f"{1e3 * self.drive.position():.3f}"
         return ""
 
