@@ -11,7 +11,7 @@ from fixel.units import mm
 
 pushes = fixel.datasets.example()
 fit = fixel.calibrate(pushes, ["mu_pusher", "tripod_radius"], motion="quasistatic", verdicts=False)
-domain = fixel.map_domain(pushes, fit, threshold=0.8 * mm)
+domain = fixel.map_domain(pushes, fit, threshold=1 * mm)
 domain
 
 # %%

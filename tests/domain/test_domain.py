@@ -145,7 +145,7 @@ def test_what_would_teach_most_is_open_and_near():
     assert [one.bits for one in found] == sorted((one.bits for one in found), reverse=True)
     assert found[0].bits > 0.0
     assert all(said[one.cell] in (DOUBTFUL, NO_DATA) for one in found)
-    assert "offset_y_m" in found[0].where
+    assert "offset_y = " in found[0].where
     assert found[0].where.endswith("mm")
 
 
@@ -196,7 +196,7 @@ def test_offsets_one_at_a_time_are_arms_and_a_grid_is_a_grid():
     cross = cells_of(_plane([(0.0, 0.0), (0.01, 0.0), (0.0, 0.01), (0.0, -0.01)]), names)
     assert cross.arms
     assert len(cross) == 4
-    assert cross.text(cross.nominal) == "offset_x_m = 0 mm, offset_y_m = 0 mm"
+    assert cross.text(cross.nominal) == "offset_x = 0 mm, offset_y = 0 mm"
     assert sorted(cross.component([True] * 4)) == [0, 1, 2, 3]
     grid = cells_of(_plane([(x, y) for x in (0.0, 0.01) for y in (0.0, 0.01, 0.02)]), names)
     assert not grid.arms

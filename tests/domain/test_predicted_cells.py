@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fixel.domain.cells import cells_of
+from fixel.domain.cells import axis_of, cells_of
 from fixel.domain.claim import Claim
 from fixel.domain.domain import domain_map
 from fixel.domain.evidence import HeldOutErrors
@@ -120,4 +120,13 @@ def test_a_side_that_was_pushed_on_another_part_only_has_no_data():
     claim = Claim(threshold=5.0, measure="absolute", level=0.9, confidence=0.9)
     verdict = domain.verdicts(claim)[1][11]
     assert verdict.colour == "no data"
-    assert verdict.reason == "never tried: contact_angle_rad 165 deg"
+    assert verdict.reason == "never tried: contact_angle 165 deg"
+
+
+def test_contact_angles_on_both_sides_of_a_half_turn_are_neighbours():
+    degrees = np.concatenate((np.linspace(158.0, 180.0, 20), np.linspace(-179.0, -155.0, 20)))
+    axis = axis_of("contact_angle_rad", np.radians(degrees).tolist())
+    assert np.degrees(axis.edges[0]) == pytest.approx(158.0)
+    assert np.degrees(axis.edges[-1]) == pytest.approx(205.0)
+    assert np.bincount(axis.find(np.radians(degrees).tolist())).tolist() == 8 * [5]
+    assert axis.find(np.radians([0.0, 150.0, -150.0]).tolist()).tolist() == 3 * [-1]

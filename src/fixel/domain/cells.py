@@ -10,6 +10,7 @@ from typing import Final, final
 
 import numpy as np
 
+from fixel.domain.contacts import CONTACT_ANGLE
 from fixel.domain.evidence import HeldOutErrors, Value
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray
@@ -57,6 +58,11 @@ class CellAxis:
         return displayed(split_unit(self.name)[1])[0]
 
     @property
+    def title(self) -> str:
+        """Name without the suffix of its SI unit, for text with the displayed unit."""
+        return split_unit(self.name)[0]
+
+    @property
     def factor(self) -> float:
         """Factor from SI to the displayed unit."""
         return displayed(split_unit(self.name)[1])[1]
@@ -84,6 +90,8 @@ class CellAxis:
             return self.labels.index(str(value)) if str(value) in self.labels else -1
         if isinstance(value, str):
             return -1
+        if self.name == CONTACT_ANGLE:
+            value = _after(value, (self.edges or self.centres)[0])
         if self.edges:
             inside = self.edges[0] <= value <= self.edges[-1]
             k = int(np.searchsorted(self.edges, value, side="right")) - 1
@@ -128,16 +136,36 @@ def axis_of(name: str, values: Sequence[Value], step: float | None = None) -> Ce
         raise InvalidInput(f"axis {name}", found="no values", expected="at least one")
     if any(isinstance(value, str) for value in known):
         return CellAxis(name=name, labels=tuple(sorted({str(value) for value in known})))
-    numbers = np.unique(np.array(known, np.float64))
     if step is not None:
-        return _regular(name, numbers, step)
+        return _regular(name, np.unique(np.array(known, np.float64)), step)
+    values_along = np.array(known, np.float64)
+    if name == CONTACT_ANGLE:
+        values_along = _unwrapped(values_along)
+    numbers = np.unique(values_along)
     gap = max(SAME_VALUE * float(np.ptp(numbers)), 1e-12)
     distinct = numbers[np.concatenate(([True], np.diff(numbers) > gap))]
     if len(distinct) <= FEW_VALUES:
         return CellAxis(name=name, centres=tuple(distinct.tolist()))
     shares = np.linspace(0.0, 1.0, BINS + 1)
-    edges = np.unique(np.quantile(np.array(known, np.float64), shares))
+    edges = np.unique(np.quantile(values_along, shares))
     return _ranges(name, np.asarray(edges, np.float64))
+
+
+def _unwrapped(angles: FloatArray) -> FloatArray:
+    """Return directions cut at the largest gap between them, so that neighbours stay neighbours."""
+    ordered = np.unique(angles)
+    gaps = np.diff(ordered)
+    around = 2.0 * math.pi - float(ordered[-1] - ordered[0])
+    if not len(gaps) or gaps.max() <= around * (1.0 + SAME_VALUE):
+        return angles
+    first = ordered[int(gaps.argmax()) + 1]
+    return np.where(angles < first, angles + 2.0 * math.pi, angles)
+
+
+def _after(angle: float, first: float) -> float:
+    """Return a direction as the angle from `first` on, within one turn."""
+    turns = math.floor((angle - first) / (2.0 * math.pi) + SAME_VALUE)
+    return angle - 2.0 * math.pi * turns
 
 
 def _regular(name: str, numbers: FloatArray, step: float) -> CellAxis:
@@ -187,7 +215,7 @@ class Cells:
         for axis, place in zip(self.axes, self.index[k], strict=True):
             nominal = place == self.index[self.nominal][self.axes.index(axis)]
             if not (self.arms and nominal and k != self.nominal):
-                parts.append(f"{axis.name} = {axis.text(place)} {axis.unit}".rstrip())
+                parts.append(f"{axis.title} = {axis.text(place)} {axis.unit}".rstrip())
         return ", ".join(parts)
 
     @property
@@ -297,8 +325,12 @@ def _nominal(axis: CellAxis, evidence: HeldOutErrors, wanted: str | float | None
         if axis.is_text:
             return int(np.bincount(places[places >= 0]).argmax())
         zero = int(axis.find([0.0])[0])
-        middle = float(np.median(np.array([v for v in values if v is not None], np.float64)))
-        return zero if zero >= 0 else int(np.abs(np.array(axis.centres) - middle).argmin())
+        if zero >= 0:
+            return zero
+        numbers = np.array([v for v in values if v is not None], np.float64)
+        if axis.name == CONTACT_ANGLE:
+            numbers = _unwrapped(numbers)
+        return int(np.abs(np.array(axis.centres) - float(np.median(numbers))).argmin())
     found = int(axis.find([wanted])[0])
     if found < 0:
         raise InvalidInput(

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final, final
 
 import numpy as np
 
-from fixel.domain.cells import Cells
+from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.claim import (
     COLOURS,
     DOUBTFUL,
@@ -180,9 +180,9 @@ class DomainMap(Result):
         group = label_of(own, self.facets)
         place = tuple(axis.nearest(own[axis.name]) for axis in self.cells.axes)
         where = ", ".join(
-            f"{axis.name} = {axis.shown(value)} {axis.unit}".rstrip()
+            f"{axis.title} = {axis.shown(value)} {axis.unit}".rstrip()
             if isinstance(value := own[axis.name], float)
-            else f"{axis.name} = {value}"
+            else f"{axis.title} = {value}"
             for axis in self.cells.axes
         )
         if group not in self.groups:
@@ -207,14 +207,14 @@ class DomainMap(Result):
         if best is not None:
             group = f"{best.group}: " if best.group else ""
             notes.append(f"most informative next experiment: {group}{best.where} ({best.reason})")
+        seen, verdicts = self.statistic(claim.level), self.verdicts(claim)
         head: tuple[Column | str, ...] = (
             "map",
             *self._axis_columns(),
             "pushes",
-            Column("error", "mm", ".3g"),
+            Column("error", "mm", _common_decimals(seen[self.counts > 0], 3)),
             "verdict",
         )
-        seen, verdicts = self.statistic(claim.level), self.verdicts(claim)
         rows = [
             (group or "all", *self._place(c), int(self.counts[g, c]),
              float(seen[g, c]), verdicts[g][c].colour)
@@ -235,8 +235,14 @@ class DomainMap(Result):
         )
 
     def _axis_columns(self) -> list[Column]:
-        return [Column(axis.name, axis.unit, "" if axis.is_text else ".4g")
-                for axis in self.cells.axes]  # fmt: skip
+        return [
+            Column(axis.title, axis.unit)
+            if axis.is_text
+            else Column(
+                axis.title, axis.unit, _common_decimals(axis.factor * np.array(axis.centres), 4)
+            )
+            for axis in self.cells.axes
+        ]
 
     def _place(self, c: int) -> list[str | float]:
         return [
@@ -389,7 +395,6 @@ def _at(claim: Claim, threshold: float) -> Claim:
 def _reach(
     inside: set[tuple[int, ...]], centre: tuple[int, ...], a: int, axis: object
 ) -> tuple[str, str] | None:
-    from fixel.domain.cells import CellAxis
 
     assert isinstance(axis, CellAxis)
     if centre not in inside:
@@ -468,6 +473,17 @@ def domain_map(
         seen = _seen(place, group, scores, usable)
         surface = fit_surface(cells.places, len(groups), seen, seed)
     return DomainMap(evidence, cells, groups, place, measure, surface, predicted_mm)
+
+
+def _common_decimals(values: FloatArray, digits: int) -> str:
+    """Format with equal decimals for all values, as many as the digits of the largest need."""
+    known = values[np.isfinite(values)]
+    largest = float(np.abs(known).max(initial=0.0))
+    if largest == 0.0:
+        return f".{digits}g"
+    most = min(max(digits - 1 - math.floor(math.log10(largest)), 0), 6)
+    exact = (np.allclose(known, known.round(n), rtol=0.0, atol=1e-9) for n in range(most))
+    return f".{next((n for n, equal in enumerate(exact) if equal), most)}f"
 
 
 def _seen(

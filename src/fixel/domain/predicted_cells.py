@@ -73,7 +73,7 @@ def untried(evidence: HeldOutErrors, cells: Cells) -> dict[str, list[str]]:
 
 def _untried_text(cells: Cells, c: int, new: list[list[bool]]) -> str:
     said = [
-        f"{axis.name} {axis.text(k)} {axis.unit}".rstrip()
+        f"{axis.title} {axis.text(k)} {axis.unit}".rstrip()
         for axis, k, own in zip(cells.axes, cells.index[c], new, strict=True)
         if own[k]
     ]
@@ -87,6 +87,8 @@ def _is_new(axis: CellAxis, k: int, values: list[Value]) -> bool:
     if not len(known):
         return True
     low, high = axis.edges[k : k + 2] if axis.edges else (axis.centres[k],) * 2
+    if axis.name == CONTACT_ANGLE:
+        known = low + (known - low) % (2.0 * np.pi)
     if ((known >= low) & (known <= high)).any():
         return False
     if axis.name == CONTACT_ANGLE:

@@ -77,9 +77,17 @@ def save_figure(make: Callable[[], Figure], *paths: str | Path) -> None:
     # Without the creation time, equal data give equal files.
     known: Style = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
-        figure = make()
+        figure = _laid_out(make)
         for path in paths:
             figure.savefig(path, metadata=known.get(Path(path).suffix.lower()))
+
+
+def _laid_out(make: Callable[[], Figure]) -> Figure:
+    """Create a figure; with axes of equal scales, constrained layout settles in its second pass."""
+    figure = make()
+    if any(axes.get_aspect() != "auto" for axes in figure.axes):
+        figure.draw_without_rendering()
+    return figure
 
 
 # Whether figures are made by Pyplot, which shows them in notebooks and windows.
@@ -108,7 +116,7 @@ def plot_axes(make: Callable[[], Figure], ax: Axes | None = None) -> Any:
     token = _BY_PYPLOT.set(True)
     try:
         with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
-            figure = make()
+            figure = _laid_out(make)
     finally:
         _BY_PYPLOT.reset(token)
     return figure.axes[0] if len(figure.axes) == 1 else np.array(figure.axes, dtype=object)

@@ -183,7 +183,7 @@ def _write_row(axes: Axes, k: int, row: Estimate) -> None:
     if not row.is_assessed:
         return
     ends = ["?" if end is None else unit.text(end) for end in (row.low, row.high)]
-    interval = "unbounded" if ends == ["?", "?"] else f"{ends[0]} … {ends[1]}"
+    interval = "unbounded" if ends == ["?", "?"] else f"{ends[0]} … {ends[1]} {unit.name}".rstrip()
     axes.text(0.18, k, interval, va="center")
     axes.text(0.42, k, _wrapped(row.verdict), va="center", color=_colour(row.verdict))
 
