@@ -74,6 +74,34 @@ def _short(angle: float) -> float:
     return float(wrapped(np.array([angle]))[0])
 
 
+def refuse_missing(
+    known: Mapping[str, Any], given: Mapping[str, Value], examples: Mapping[str, Value]
+) -> None:
+    """Raise if a push lacks a condition; the error shows the call with values for all of them.
+
+    Parameters
+    ----------
+    known : mapping
+        Coordinates of the push.
+    given : mapping
+        Conditions of the call.
+    examples : mapping of str to value
+        Every needed condition, with a value that occurs in the experiments.
+    """
+    missing = {name: value for name, value in examples.items() if name not in known}
+    if missing:
+        pairs = (
+            f"{name}={value:.6g}" if isinstance(value, float) else f"{name}={value!r}"
+            for name, value in ({**given, **missing}).items()
+        )
+        raise InvalidInput(
+            "scene",
+            found=f"a push without {' and '.join(missing)}",
+            expected="every condition that the result distinguishes",
+            hint=f"give its own value, as in .at(scene, {', '.join(pairs)})",
+        )
+
+
 def label_of(conditions: Mapping[str, Any], names: Sequence[str]) -> str:
     """Label of the experiments that share the values of some conditions."""
     missing = [name for name in names if name not in conditions]

@@ -26,7 +26,7 @@ from fixel.domain.claim import (
     CellVerdict,
     Claim,
 )
-from fixel.domain.coordinates import coordinates_of, label_of, push_target
+from fixel.domain.coordinates import coordinates_of, label_of, push_target, refuse_missing
 from fixel.domain.evidence import HeldOutErrors, Measure, value_of
 from fixel.domain.next_experiment import Proposal, proposals
 from fixel.domain.predicted_cells import untried
@@ -170,12 +170,8 @@ class DomainMap(Result):
             A coordinate of the map is missing.
         """
         own = coordinates_of(push_target(scene, conditions))
-        for name in (*(axis.name for axis in self.cells.axes), *self.facets):
-            if name not in own:
-                hint = f"give it: .at(scene, {name}=...)"
-                raise InvalidInput(
-                    "scene", found=f"no {name}", expected="every coordinate of the map", hint=hint
-                )
+        names = (*(axis.name for axis in self.cells.axes), *self.facets)
+        refuse_missing(own, conditions, {name: self._example(name) for name in names})
         claim = self.claimed
         group = label_of(own, self.facets)
         place = tuple(axis.nearest(own[axis.name]) for axis in self.cells.axes)
@@ -197,6 +193,10 @@ class DomainMap(Result):
         if n:
             chance = Probability.of(int((scores <= claim.score).sum()), n, claim.confidence)
         return Applicability(verdict.colour, chance, n, verdict.reason, self.cells.text(c))
+
+    def _example(self, name: str) -> str | float:
+        """Return a value that the map has along an axis, or of a facet."""
+        return next(value for value in self.evidence.column(name) if value is not None)
 
     def _summary(self) -> Summary:
         claim, counts = self.claimed, self.colours(self.claimed)

@@ -12,7 +12,14 @@ import numpy as np
 
 from fixel.calibration.target import Target
 from fixel.domain.contacts import CONTACT_ANGLE
-from fixel.domain.coordinates import PUSH, TRAVEL, coordinates_of, label_of, push_target
+from fixel.domain.coordinates import (
+    PUSH,
+    TRAVEL,
+    coordinates_of,
+    label_of,
+    push_target,
+    refuse_missing,
+)
 from fixel.domain.error_bound import ConformalBound, min_experiments
 from fixel.model import Experiment, Probability, Scene
 from fixel.results import Result, Summary
@@ -112,6 +119,9 @@ class ErrorBound(Result):
             A condition of the groups is missing.
         """
         target = push_target(scene, conditions)
+        values = self.group[0].split() if len(self.groups) > 1 else self.group[:1]
+        examples = dict(zip(self.groups, values, strict=False))
+        refuse_missing(target.conditions, conditions, examples)
         group = label_of(target.conditions, self.groups)
         table = features_of([target])
         if group not in self.group:

@@ -142,3 +142,44 @@ def test_a_map_survives_a_file(found, tmp_path):
     again = fixel.load(tmp_path / "map")
     assert again == found
     assert repr(again) == repr(found)
+
+
+def test_another_call_on_the_same_folder_is_refused_with_the_difference(pushes, tmp_path):
+    call = {"axes": ["side"], "folds": 2, "store": tmp_path / "fits", **QUIET}
+    map_domain(pushes[:6], SPACE, **call)
+    map_domain(pushes[:6], SPACE, **{**call, "axes": ["offset_m"]}, threshold=1e-3)
+
+    others = (
+        ((pushes[:7], SPACE), {}, "other experiments"),
+        ((pushes[:6], {**SPACE, "mu_pusher": (0, 0.5)}), {}, "another fit: mu_pusher 0 to 1"),
+        ((pushes[:6], SPACE), {"seed": 1}, "another seed: 0, expected the same .* 1 now"),
+        ((pushes[:6], SPACE), {"folds": 3}, "another folds: 2"),
+        ((pushes[:6], SPACE), {"motion": "quasistatic"}, "another motion: dynamic"),
+    )
+    for given, options, match in others:
+        with pytest.raises(InvalidInput, match=match):
+            map_domain(*given, **{**call, **options})
+    with pytest.raises(InvalidInput, match="other experiments"):
+        fixel.error_bound(pushes, SPACE, folds=2, store=tmp_path / "fits", **QUIET)
+
+
+def test_a_folder_of_a_calibration_is_refused(pushes, tmp_path):
+    (tmp_path / "job.json").write_text("{}")
+    with pytest.raises(InvalidInput, match="a job in"):
+        map_domain(pushes[:6], SPACE, axes=["side"], folds=2, store=tmp_path, **QUIET)
+
+
+def test_a_push_without_a_condition_is_refused_with_the_call_that_works(pushes, found):
+    with pytest.raises(InvalidInput) as problem:
+        found.at(pushes[0].scene)
+    assert "a push without side" in str(problem.value)
+    call = str(problem.value).split("as in ")[1]
+    assert call == ".at(scene, side='right')"
+    own = eval("found" + call, {"found": found, "scene": pushes[0].scene})
+    assert own.nearby == 5
+
+
+def test_the_call_that_works_keeps_what_was_given(pushes):
+    one = map_domain(pushes, SPACE, axes=["offset_m"], facets=["side"], folds=2, **QUIET)
+    with pytest.raises(InvalidInput, match=r"\.at\(scene, side='left', offset_m=[-0-9.]+\)"):
+        one.at(pushes[0].scene, side="left")

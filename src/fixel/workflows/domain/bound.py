@@ -15,12 +15,12 @@ from fixel.domain.error_bound import LEVEL, min_experiments
 from fixel.domain.evidence import default_folds
 from fixel.domain.push_bound import ErrorBound, features_of
 from fixel.errors import InvalidInput
-from fixel.io.result_cache import ResultCache
 from fixel.model import Experiment
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration
+from fixel.workflows.domain.fit_store import fit_store
 from fixel.workflows.domain.held_out import (
     Apart,
     HeldOut,
@@ -70,7 +70,9 @@ def error_bound(
     threads : int, optional
         Number of threads; all cores by default. Results are the same for any number.
     store : path, optional
-        Folder for finished fits, so that an interrupted call continues.
+        Folder for finished fits, so that an interrupted call continues. A call that needs other
+        fits is refused there, with the difference; one with another level or groups is
+        not.
     progress : bool or callable, optional
         See `fixel.progress.show_progress`.
 
@@ -82,7 +84,12 @@ def error_bound(
     Raises
     ------
     InvalidInput
-        There are too few experiments for the level, or an experiment lacks a condition.
+        There are too few experiments for the level, an experiment lacks a condition, or the folder
+        `store` belongs to another call.
+
+    Notes
+    -----
+    There is no `workers=`: the fits of the folds follow one another, each on all `threads`.
 
     Examples
     --------
@@ -108,7 +115,7 @@ def error_bound(
     labels = tuple(label_of(target.conditions, names) for target in targets)
     model = calibration_model(fit, targets, motion)
     apart = Apart(folds=folds or default_folds(len(targets)), seed=seed)
-    cache = ResultCache(None if store is None else Path(store))
+    cache = fit_store(store, targets, model, apart)
     with show_progress(progress, "holding out") as report:
         found = held_out(targets, model, apart, cache, report, threads)
     comparer = Comparer(

@@ -177,8 +177,7 @@ def evidence_of(
     threads: int | None = None,
 ) -> dict[str, Any]:
     """Compute held-out errors of experiments, with coordinates and noise, as plain values."""
-    folds = asked.folds or _usual(targets, asked)
-    apart = Apart(tuple(asked.apart), asked.leave_out, folds, asked.seed)
+    apart = apart_of(targets, asked)
     errors = held_out(targets, model, apart, finished, progress, threads)
     floor, source = noise_floor(targets, _scale(model), ends=isinstance(model.error, EndPose))
     return {
@@ -191,12 +190,18 @@ def evidence_of(
         "started": "the calibration",
         "floor_mm": floor,
         "floor_from": source,
-        "folds": folds,
+        "folds": apart.folds,
         "labels": list(model.space.labels),
         "motion": model.motion.name,
         "scale_mm": 1e3 * _scale(model),
         "left_out": {},
     }
+
+
+def apart_of(targets: Sequence[Target], asked: DomainRequest) -> Apart:
+    """Return what is fitted separately, and what is held out together."""
+    folds = _usual(targets, asked) if asked.folds is None else asked.folds
+    return Apart(tuple(asked.apart), asked.leave_out, folds, asked.seed)
 
 
 def _usual(targets: Sequence[Target], asked: DomainRequest) -> int:

@@ -15,13 +15,13 @@ from fixel.domain.claim import Claim
 from fixel.domain.coordinates import coordinates_of
 from fixel.domain.domain import DomainMap
 from fixel.errors import InvalidInput
-from fixel.io.result_cache import ResultCache
 from fixel.model import Experiment
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.typing import FloatArray, ProgressCallback
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.domain.evidence import DomainEvidence, evidence_of, gathered_from
+from fixel.workflows.domain.evidence import DomainEvidence, apart_of, evidence_of, gathered_from
+from fixel.workflows.domain.fit_store import fit_store
 from fixel.workflows.domain.held_out import (
     CalibrationModel,
     calibrated_on,
@@ -94,7 +94,9 @@ def map_domain(
     threads : int, optional
         Number of threads; all cores by default. Results are the same for any number.
     store : path, optional
-        Folder for finished fits, so that an interrupted call continues.
+        Folder for finished fits, so that an interrupted call continues. A call that needs other
+        fits is refused there, with the difference; one with another threshold, axes or
+        facets is not.
     progress : bool or callable, optional
         See `fixel.progress.show_progress`.
 
@@ -107,7 +109,11 @@ def map_domain(
     ------
     InvalidInput
         There are too few experiments, a threshold lies below the measurement noise, or an axis is
-        no condition of the experiments.
+        no condition of the experiments, or the folder `store` belongs to another call.
+
+    Notes
+    -----
+    There is no `workers=`: the fits of the folds follow one another, each on all `threads`.
 
     Examples
     --------
@@ -144,7 +150,7 @@ def map_domain(
         confidence=confidence,
     )  # refused before any fit
     refuse_axes(_unknown(targets, asked), asked)
-    cache = ResultCache(None if store is None else Path(store))
+    cache = fit_store(store, targets, model, apart_of(targets, asked))
     with show_progress(progress, "holding out") as report:
         content = evidence_of(targets, model, asked, cache, report, threads)
         gathered = gathered_from(content, asked)
