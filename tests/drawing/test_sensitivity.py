@@ -72,3 +72,12 @@ def test_numbers_of_a_fan_do_not_collide(size, turn):
         figure = chart.figure()
     assert not collisions(figure)
     assert "from -0.0" not in figure.axes[3].get_xlabel()
+
+
+@pytest.mark.parametrize(("size", "unit"), [(5e-6, "µm"), (2e-3, "mm"), (0.012, "mm")])
+def test_errors_have_the_unit_of_their_size(size, unit):
+    errors = size * np.array([[1.0, 0.5, 0.0], [-0.5, 1.0, 0.0], [0.2, -0.3, 0.0]])
+    chart = EnsembleChart(title="", scene=fork(), drawn=errors, end=errors, nominal=np.zeros(3),
+                          outcome=np.zeros(3, int), share=[1.0])  # fmt: skip
+    labels = [axes.get_xlabel() for axes in chart.figure().axes]
+    assert f"start error, x [{unit}]" in labels

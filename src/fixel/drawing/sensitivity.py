@@ -13,6 +13,7 @@ from fixel.drawing import palette
 from fixel.drawing.chart import (
     WIDE,
     AbstractChart,
+    DisplayUnit,
     clean,
     display_unit,
     legend_below,
@@ -22,7 +23,7 @@ from fixel.drawing.chart import (
     tint,
 )
 from fixel.drawing.top_view import closed_line
-from fixel.drawing.view import unit_for
+from fixel.drawing.view import UNITS, unit_for
 from fixel.errors import InvalidInput
 from fixel.model import Scene, Seated, placed
 from fixel.table import Table
@@ -103,7 +104,7 @@ class EnsembleChart(AbstractChart):
             ("starts", self.drawn, "start error"),
             ("ends", self.end - self.nominal, "end, from the nominal"),
         ):
-            unit = unit_for(float(np.abs(cloud[:, :2]).max()))
+            unit = _unit_of_errors(float(np.abs(cloud[:, :2]).max()))
             axes = panels[name]
             for k in range(len(self.share)):
                 own = cloud[::every][self.outcome[::every] == k] * unit.factor
@@ -175,6 +176,11 @@ def _angles(axes: Axes, chart: EnsembleChart) -> None:
     axes.set(xlabel=f"end angle, from {math.degrees(chart.nominal[2]):z.1f} [deg]", ylabel="starts")
     clean(axes)
     _few_numbers(axes)
+
+
+def _unit_of_errors(size: float) -> DisplayUnit:
+    """Select the unit of errors up to a size [m]: below 0.1 mm micrometres."""
+    return UNITS[0] if size < 1e-4 else UNITS[1] if size < 0.5 else UNITS[2]
 
 
 def _few_numbers(axes: Axes) -> None:
