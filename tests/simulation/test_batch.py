@@ -1,10 +1,12 @@
 """Batches: what varies, what is refused, what comes back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.model import Parameters
+from fixel.model import Parameters, Seated
 from fixel.simulation import StewartTrinkle, simulate, simulate_batch
 from fixel.testing.scenes import grasp, heap, sliding_block
 
@@ -76,7 +78,7 @@ def test_rollout_that_stops_early_keeps_its_last_pose():
         ({"start": np.full((4, 3), np.nan)}, "start", "not all finite", "finite"),
         ({"start": np.zeros((2, 3)), "parameters": {"mu_fixel": [1]}}, "variations", "2", "same"),
         ({"waypoints": np.zeros((2, 3))}, "waypoints", "(2, 3)", "(n, 0, 4)"),
-        ({"waypoints": np.zeros((2, 2, 4))}, "waypoints", "grow", "increasing"),
+        ({"waypoints": np.zeros((2, 2, 4))}, "waypoints", "does not increase", "increasing"),
         ({"times": [2.0, 1.0]}, "times", "2", "increasing"),
         ({"times": [0.0, 12.0]}, "times", "12", "11 s"),
         ({"times": []}, "times", "[]", "increasing"),
@@ -121,3 +123,20 @@ def test_a_printed_batch_fits_on_a_screen():
     assert len(lines) <= 24
     assert max(map(len, lines)) <= 100
     assert str(batch) == repr(batch)
+
+
+def test_runs_meet_a_goal_where_single_simulations_do():
+    frictions = [0.1, 0.3]
+    runs = simulate_batch(grasp("seated"), {"mu_support": frictions})
+    for name in ("fixel-1", "fixel-2"):
+        own = [
+            simulate(grasp("seated"), Parameters(mu_support=mu)).meets(Seated(name))
+            for mu in frictions
+        ]
+        assert runs.meets(Seated(name)).tolist() == own
+    failed = replace(runs, status=np.array(["non_finite", "jammed"]))
+    met = runs.meets(Seated("fixel-1"))
+    assert met.all()
+    assert failed.meets(Seated("fixel-1")).tolist() == [False, True]
+    with pytest.raises(InvalidInput, match="fixel-9"):
+        runs.meets(Seated("fixel-9"))

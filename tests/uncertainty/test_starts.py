@@ -56,3 +56,9 @@ def test_no_such_preset_or_number():
         preset("asmee")
     with pytest.raises(InvalidInput, match="samples"):
         even_points(0, 3, 0)
+
+
+def test_sizes_that_are_not_given_are_zero():
+    np.testing.assert_array_equal(StartError(x=2e-3).size, [2e-3, 0.0, 0.0])
+    with pytest.raises(InvalidInput, match="x, y and theta above zero"):
+        StartError()

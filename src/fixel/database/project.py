@@ -35,7 +35,7 @@ from fixel.model.fields import instance
 from fixel.model.records import CalibrationRecord
 from fixel.model.selection import KnownNames, parse_filter, refuse_unknown
 from fixel.progress import ProgressOption, show_progress
-from fixel.results import Summary
+from fixel.results import Result, Summary
 from fixel.table import Table
 from fixel.typing import ProgressCallback
 
@@ -199,6 +199,13 @@ class Project:
         if stored_by is not None:
             return _named(stored_by)(self, what)
         several = [what] if isinstance(what, Experiment) else what
+        if isinstance(what, Result) and not isinstance(several, Iterable):
+            raise InvalidInput(
+                "what",
+                found=f"{type(what).__name__}, which projects do not store",
+                expected="a Calibration, DomainMap, Posterior, Sensitivity or FilterRun",
+                hint="write it to a file: .save(path)",
+            )
         if not isinstance(several, Iterable):
             raise InvalidInput(
                 "what", found=f"a {type(what).__name__}", expected="experiments, or a result"

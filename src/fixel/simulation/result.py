@@ -449,9 +449,13 @@ class BatchResult(Result):
         return self.contacts[:, first, second]
 
     def meets(self, goal: Seated) -> BoolArray:
-        """Return whether the end of each run meets a goal, (n,) bool."""
+        """Return whether the end of each run meets a goal, (n,) bool.
+
+        A run that stopped early does not, unless its rigid pusher was jammed.
+        """
         ends = {name: self.final[:, k] for k, name in enumerate(self.names)}
-        return np.asarray(goal.met(self.scene, ends))
+        jammed = np.equal(self.status, codes.STATUS_NAMES[codes.JAMMED])
+        return np.asarray(goal.met(self.scene, ends) & (self.converged | jammed))
 
     def __len__(self) -> int:
         return len(self.status)

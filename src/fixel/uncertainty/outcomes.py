@@ -123,6 +123,8 @@ class Sensitivity(Result):
         "indices": "fixel.drawing.sensitivity:draw_indices",
     }
 
+    _stored_by: ClassVar[str] = "fixel.workflows.sensitivity.run:store_sensitivity"
+
     prediction: Prediction
     before: PoseSpread
     after: PoseSpread

@@ -60,7 +60,7 @@ class StartError:
             raise InvalidInput(
                 "start_error",
                 found="zero in all directions",
-                expected="at least one value above zero",
+                expected="at least one of x, y and theta above zero",
             )
 
     @property

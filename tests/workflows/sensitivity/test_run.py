@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from tests.uncertainty.forks import fork
 
+import fixel
 from fixel.errors import InvalidInput
 from fixel.testing.scenes import micro_push
 from fixel.uncertainty.starts import ASME, StartError
+from fixel.workflows.analysis import load_analyses
 from fixel.workflows.sensitivity.run import sensitivity
 
 SMALL = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5))
@@ -35,7 +37,7 @@ def test_reports_of_progress_end_at_the_number_of_starts():
 
 
 def test_wrong_input_is_refused():
-    with pytest.raises(InvalidInput, match="50 at least"):
+    with pytest.raises(InvalidInput, match="at least 50"):
         sensitivity(micro_push(1), ASME, samples=20, **QUIET)
     with pytest.raises(InvalidInput, match="motion"):
         sensitivity(micro_push(1), ASME, motion="slow", **QUIET)
@@ -43,3 +45,18 @@ def test_wrong_input_is_refused():
         sensitivity("push.yaml", ASME, **QUIET)
     with pytest.raises(InvalidInput, match="mu_pusher"):
         sensitivity(micro_push(1), ASME, {"mu_pushr": 0.2}, **QUIET)
+
+
+def test_a_project_stores_a_sensitivity_and_refuses_what_no_command_stores(tmp_path, monkeypatch):
+    monkeypatch.setattr("fixel.workflows.analysis.write_picture", lambda *_: [])
+    lab = fixel.Project.create(tmp_path / "lab")
+    found = sensitivity(micro_push(1), ASME, samples=50, **QUIET)
+    kept = lab.add(found)
+    (stored,) = load_analyses(lab, "sensitivity")
+    assert kept.folder == stored.folder
+    (push,) = stored.analysis.numbers["pushes"]
+    assert push["flag"] == found.flag
+    assert lab.add(found).folder == kept.folder
+    assert lab.add(sensitivity(micro_push(2), ASME, samples=50, **QUIET)).folder != kept.folder
+    with pytest.raises(InvalidInput, match=r"Prediction, which projects do not store.*\.save"):
+        lab.add(found.prediction)

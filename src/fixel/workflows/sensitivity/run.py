@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, final
 
+import numpy as np
+
 from fixel.calibration.target import target_of
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.formats import load_scene
+from fixel.formats.scene_model import scene_content
 from fixel.model import Experiment, Scene
 from fixel.model.selection import ExperimentQuery
 from fixel.model.space import split_label
@@ -22,7 +27,7 @@ from fixel.simulation.motion import motion_model
 from fixel.simulation.stepper import AbstractStepper
 from fixel.uncertainty.indices import indices_of
 from fixel.uncertainty.outcomes import FLAGS, Sensitivity, sensitivity_of
-from fixel.uncertainty.push import push_of
+from fixel.uncertainty.push import motion_named, push_of
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import StartError
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
@@ -209,6 +214,35 @@ def analyse_sensitivity(
         pictures=tuple(pictures),
         kept=kept,
     )
+
+
+def store_sensitivity(project: Project, found: Sensitivity) -> StoredAnalysis:
+    """Store the sensitivity of one push in a project, named by a mark of its scene."""
+    own = found.prediction
+    if own.error is None:
+        raise InvalidInput("what", found="no start error", expected="a result of fixel.sensitivity")
+    scene = json.dumps(scene_content(own.scene), sort_keys=True)
+    values = {name: float(x) for name, x in own.parameters.items() if np.ndim(x) == 0}
+    subject = Subject(
+        key=f"scene-{hashlib.sha256(scene.encode()).hexdigest()[:8]}",
+        id=None,
+        scene=own.scene,
+        values=values,
+        ranges={},
+        motion=motion_named(own.motion),
+        stepper=None,
+        banner="",
+    )
+    request = SensitivityRequest(
+        error=own.error,
+        samples=len(own.drawn),
+        values=values,
+        indices=found.indices is not None,
+        seed=own.seed,
+    )
+    every = [Finding(subject, found)]
+    analysis = analysis_of(every, {}, request, "", 0.0)
+    return store_analysis(project, analysis, pictures_of(every), arrays_of(every))
 
 
 def is_scene_file(thing: str) -> bool:
