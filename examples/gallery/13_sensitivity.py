@@ -9,9 +9,8 @@ far apart, a push cannot be repeated, and no calibration helps.
 import fixel
 from fixel.units import deg, mm
 
-scene = fixel.load_scene("../scenes/grasp.yaml").scene
 start = fixel.StartError(x=10 * mm, y=10 * mm, theta=15 * deg)
-found = fixel.sensitivity(scene, start, samples=500, indices=True, base=512)
+found = fixel.sensitivity("../scenes/grasp.yaml", start, samples=500, indices=True, base=512)
 found
 
 # %%

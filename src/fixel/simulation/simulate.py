@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from importlib.metadata import version
 from os import PathLike
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from fixel.kernels.arrays import (
     StepMethod,
 )
 from fixel.model import Parameters, Scene
+from fixel.model.fields import instance
 from fixel.simulation.motion import AbstractMotionModel, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack
 from fixel.simulation.plain import rollout_in_python
@@ -45,6 +46,7 @@ USUAL_SAMPLES = 1_000  # steps of an adaptive stepper, of which most scenes take
 CONTACTS_PER_BODY = 8  # rows of the contact table per sample and moving body
 
 
+@runtime_checkable
 class SceneWithMethod(Protocol):
     """Scene with the method that its file requests, such as `fixel.formats.SceneFile`."""
 
@@ -117,11 +119,7 @@ def simulate(
     moved 32.0 mm, status converged
     """
     if not isinstance(scene, Scene):
-        file: SceneWithMethod = (
-            import_module("fixel.formats").load_scene(scene)
-            if isinstance(scene, str | PathLike)
-            else scene
-        )
+        file = scene_file(scene, "a Scene or a scene file")
         motion = motion or file.motion
         stepper = stepper or file.stepper
         output_interval = output_interval or file.output_interval
@@ -154,6 +152,15 @@ def simulate(
             stopped_at=simulation.stopped_at,
         )
     return simulation
+
+
+def scene_file(file: SceneWithMethod | str | PathLike[str], expected: str) -> SceneWithMethod:
+    """Return a scene file, loaded if its path is given; raise for other types."""
+    if isinstance(file, str | PathLike):
+        loaded: SceneWithMethod = import_module("fixel.formats").load_scene(file)
+        return loaded
+    instance(file, SceneWithMethod, "scene", expected)
+    return file
 
 
 def duration_of(scene: Scene, duration: float | None) -> float:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from os import PathLike
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
-from fixel.model.fields import instance
 from fixel.model.records import Estimate
 from fixel.simulation.motion import MOTION_MODELS, AbstractMotionModel, Dynamic
+from fixel.simulation.simulate import SceneWithMethod, scene_file
+from fixel.simulation.stepper import AbstractStepper
 from fixel.typing import FloatArray
 
 
@@ -35,10 +37,11 @@ class Push(NamedTuple):
     values: dict[str, float]
     motion: AbstractMotionModel
     intervals: Mapping[str, tuple[float, float]]  # of a calibration, where the data set both ends
+    stepper: AbstractStepper | None  # of a scene file
 
 
 def push_of(
-    what: Scene | Experiment,
+    what: Scene | SceneWithMethod | str | PathLike[str] | Experiment,
     model: Mapping[str, float] | None = None,
     motion: AbstractMotionModel | str | None = None,
 ) -> Push:
@@ -46,30 +49,35 @@ def push_of(
 
     Parameters
     ----------
-    what : Scene or Experiment
+    what : Scene, SceneFile, path or Experiment
     model : mapping of str to float or Calibration, optional
         Parameters; by default the scene's own values.
     motion : AbstractMotionModel or str, optional
-        Motion model; by default that of a calibration, else dynamic.
+        Motion model; by default that of a calibration or scene file, else dynamic.
 
     Raises
     ------
     InvalidInput
         An experiment has no scene, or a parameter is not known.
     """
+    times: FloatArray | None = None
+    conditions: Mapping[str, str | float] = {}
+    stepper: AbstractStepper | None = None
+    own_motion = None
     if isinstance(what, Experiment):
         target = target_of(what)
-        times: FloatArray | None = target.case.times
+        times = target.case.times
         scene = replace(target.case.scene, duration=float(target.case.times[-1]))
         conditions = target.conditions
+    elif isinstance(what, Scene):
+        scene = what
     else:
-        instance(what, Scene, "scene", "a Scene or an Experiment")
-        times, scene, conditions = None, what, {}
+        file = scene_file(what, "a Scene, a scene file or an Experiment")
+        scene, own_motion, stepper = file.scene, file.motion, file.stepper
     calibrated: object = model
     if not isinstance(calibrated, CalibratedModel):
-        return Push(
-            scene, times, conditions, dict(Parameters(model or {})), motion_named(motion), {}
-        )
+        method = motion_named(motion or own_motion)
+        return Push(scene, times, conditions, dict(Parameters(model or {})), method, {}, stepper)
     values = calibrated.values_for(**conditions)
     intervals = {
         name: (own.low, own.high)
@@ -80,9 +88,8 @@ def push_of(
         and own.low < own.high
         and not name.startswith("start_")
     }
-    return Push(
-        scene, times, conditions, values, motion_named(motion or calibrated.motion), intervals
-    )
+    method = motion_named(motion or calibrated.motion)
+    return Push(scene, times, conditions, values, method, intervals, stepper)
 
 
 def motion_named(motion: AbstractMotionModel | str | None) -> AbstractMotionModel:

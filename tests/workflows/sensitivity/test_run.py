@@ -41,8 +41,8 @@ def test_wrong_input_is_refused():
         sensitivity(micro_push(1), ASME, samples=20, **QUIET)
     with pytest.raises(InvalidInput, match="motion"):
         sensitivity(micro_push(1), ASME, motion="slow", **QUIET)
-    with pytest.raises(InvalidInput, match="a Scene or an Experiment"):
-        sensitivity("push.yaml", ASME, **QUIET)
+    with pytest.raises(InvalidInput, match="a scene file or an Experiment"):
+        sensitivity(42, ASME, **QUIET)
     with pytest.raises(InvalidInput, match="mu_pusher"):
         sensitivity(micro_push(1), ASME, {"mu_pushr": 0.2}, **QUIET)
 

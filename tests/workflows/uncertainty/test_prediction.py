@@ -25,6 +25,17 @@ NOISE_OF_EXAMPLE = Noise(position_m=POSITION_NOISE, angle_rad=ANGLE_NOISE)
 LOOSE = StartError(x=4e-3, y=20e-3, theta=math.radians(8.0))
 
 
+def test_a_scene_file_is_predicted_with_its_own_motion(tmp_path):
+    path, options = tmp_path / "push.yaml", {"start": ASME, "samples": 8, **QUIET}
+    text = micro_push(1).save(path).read_text()
+    path.write_text(text.replace("motion: dynamic", "motion: quasistatic"))
+    own = predict(path, **options)
+    assert own.motion == "quasistatic"
+    again = predict(fixel.load_scene(path).scene, motion="quasistatic", **options)
+    assert np.array_equal(own.ends, again.ends)
+    assert predict(fixel.load_scene(path), motion="dynamic", **options).motion == "dynamic"
+
+
 def test_the_probability_of_seating_is_that_of_single_simulations():
     scene, values = grasp("slip"), {"mu_support": 0.3}
     found = predict(scene, values, start=LOOSE, samples=24, **QUIET)

@@ -7,6 +7,7 @@ import json
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -24,6 +25,7 @@ from fixel.model.space import split_label
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import AbstractMotionModel, Dynamic
 from fixel.simulation.motion import motion_model
+from fixel.simulation.simulate import SceneWithMethod
 from fixel.simulation.stepper import AbstractStepper
 from fixel.uncertainty.indices import indices_of
 from fixel.uncertainty.outcomes import FLAGS, Sensitivity, sensitivity_of
@@ -67,7 +69,7 @@ class SensitivityAnswer:
 
 
 def sensitivity(
-    scene: Scene | Experiment,
+    scene: Scene | SceneWithMethod | str | PathLike[str] | Experiment,
     start: StartError,
     model: Mapping[str, float] | None = None,
     *,
@@ -85,8 +87,8 @@ def sensitivity(
 
     Parameters
     ----------
-    scene : Scene or Experiment
-        Push of one free body by at most one pusher.
+    scene : Scene, SceneFile, path or Experiment
+        Push of one free body by at most one pusher. A scene file's motion model and step apply.
     start : StartError
         Distribution of the start pose about that of the scene.
     model : mapping of str to float or Calibration, optional
@@ -138,7 +140,7 @@ def sensitivity(
         method: dict[str, Any] = {
             "values": push.values,
             "motion": push.motion,
-            "stepper": stepper,
+            "stepper": stepper or push.stepper,
             "seed": seed,
             "threads": threads,
             "progress": report,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from os import PathLike
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,7 @@ from fixel.model import Experiment, Scene
 from fixel.model.fields import non_negative
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.simulate import SceneWithMethod
 from fixel.simulation.stepper import AbstractStepper
 from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import LABEL, ModelError, draw_walks, shares_of_way
@@ -29,7 +31,7 @@ MAX_SAMPLES = 1_000_000
 
 
 def predict(
-    scene: Scene | Experiment,
+    scene: Scene | SceneWithMethod | str | PathLike[str] | Experiment,
     model: Mapping[str, float] | Posterior | None = None,
     *,
     start: StartError | None = None,
@@ -46,8 +48,8 @@ def predict(
 
     Parameters
     ----------
-    scene : Scene or Experiment
-        Push of one free body by at most one pusher.
+    scene : Scene, SceneFile, path or Experiment
+        Push of one free body by at most one pusher. A scene file's motion model and step apply.
     model : mapping of str to float, Calibration or Posterior, optional
         Parameters [SI]; by default the scene's own values. Of a posterior, every run has the
         parameters of another sample.
@@ -133,7 +135,7 @@ def predict(
             nominal=best,
             times=push.times if times is None else times,
             motion=push.motion,
-            stepper=stepper,
+            stepper=stepper or push.stepper,
             seed=seed,
             threads=threads,
             progress=report,
