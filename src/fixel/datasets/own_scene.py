@@ -102,6 +102,7 @@ def with_scene(
             source,
             found=f"a pusher {pushers[0].name!r} without a drive, and a table without its poses",
             expected="columns pusher_x and pusher_y, or a drive",
+            hint="in Python, columns={'pusher_x': TITLE} chooses one",
         )
     elif pushers:
         sentences.append(f"The table has no pusher: {pushers[0].name!r} moves as in the scene.")
