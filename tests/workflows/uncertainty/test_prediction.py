@@ -145,5 +145,5 @@ def test_the_posterior_holds_the_truth_and_predicts_another_push(tmp_path, monke
     assert kept.analysis.numbers["parameters"]["mu_pusher"]["best"] == found.best[0]
     found.save(tmp_path / "posterior")
     assert fixel.load(tmp_path / "posterior") == found
-    with pytest.raises(InvalidInput, match="known parameter"):
+    with pytest.raises(InvalidInput, match="did you mean 'mu_pusher'"):
         fixel.posterior(pushes[0], {"mu_pushr": (0, 1)}, **QUIET)
