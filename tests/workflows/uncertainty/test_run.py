@@ -93,8 +93,8 @@ def test_the_cameras_noise_is_found_out(folder):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"held_out": ("push-1",)}, "held-out"),
-        ({"motion": "magic"}, "--motion"),
+        ({"held_out": ("push-1",)}, "held_out"),
+        ({"motion": "magic"}, "motion: found"),
         ({"experiments": ()}, "found none"),
     ],
 )

@@ -114,7 +114,7 @@ def error_bound(
     names = listed_names("groups", groups)
     labels = tuple(label_of(target.conditions, names) for target in targets)
     model = calibration_model(fit, targets, motion)
-    apart = Apart(folds=folds or default_folds(len(targets)), seed=seed)
+    apart = Apart(folds=default_folds(len(targets)) if folds is None else folds, seed=seed)
     cache = fit_store(store, targets, model, apart)
     with show_progress(progress, "holding out") as report:
         found = held_out(targets, model, apart, cache, report, threads)
