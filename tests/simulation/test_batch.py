@@ -8,7 +8,7 @@ import pytest
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, Seated
 from fixel.simulation import StewartTrinkle, simulate, simulate_batch
-from fixel.testing.scenes import grasp, heap, sliding_block
+from fixel.testing.scenes import grasp, heap, micro_push, sliding_block
 
 QUICK = {"stepper": StewartTrinkle(step=0.1)}
 
@@ -40,6 +40,14 @@ def test_sequence_of_parameters_is_the_mapping_of_columns():
     a = simulate_batch(grasp(), sets, **QUICK)
     b = simulate_batch(grasp(), {"mu_fixel": [0.1, 0.2], "mu_pusher": [0.3, 0.1]}, **QUICK)
     assert np.array_equal(a.pose, b.pose)
+
+
+def test_a_scene_file_varies_with_its_own_motion(tmp_path):
+    path = tmp_path / "push.yaml"
+    path.write_text(micro_push(1).save(path).read_text().replace("dynamic", "quasistatic"))
+    own = simulate_batch(path, {"mu_pusher": [0.2, 0.3]})
+    again = simulate_batch(micro_push(1), {"mu_pusher": [0.2, 0.3]}, motion="quasistatic")
+    assert np.array_equal(own.pose, again.pose)
 
 
 def test_start_and_waypoints_vary():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from typing import Any, Final, overload
 
 import numpy as np
@@ -27,6 +28,7 @@ from fixel.simulation.pack import PackedBatch, pack, stack
 from fixel.simulation.result import BatchResult
 from fixel.simulation.simulate import (
     CONTACTS_PER_BODY,
+    SceneWithMethod,
     check_method,
     duration_of,
     empty_record,
@@ -34,6 +36,7 @@ from fixel.simulation.simulate import (
     is_compiled,
     method_of,
     one_variation,
+    scene_file,
     shape_poses,
 )
 from fixel.simulation.solver import SOLVERS, AbstractSolver, Newton
@@ -47,7 +50,7 @@ _NAMES: Final = np.array(codes.STATUS_NAMES)
 
 @overload
 def simulate_batch(
-    scene: Scene,
+    scene: Scene | SceneWithMethod | str | PathLike[str],
     parameters: Mapping[str, ArrayLike] | Sequence[Mapping[str, float]] | None = None,
     *,
     start: ArrayLike | None = None,
@@ -67,7 +70,7 @@ def simulate_batch(scene: Sequence[Scene], **options: Any) -> list[BatchResult]:
 
 
 def simulate_batch(  # type: ignore[misc]
-    scene: Scene | Sequence[Scene],
+    scene: Scene | SceneWithMethod | str | PathLike[str] | Sequence[Scene],
     parameters: Mapping[str, ArrayLike] | Sequence[Mapping[str, float]] | None = None,
     *,
     start: ArrayLike | None = None,
@@ -84,8 +87,9 @@ def simulate_batch(  # type: ignore[misc]
 
     Parameters
     ----------
-    scene : Scene or sequence of Scene
-        One scene to vary, or scenes to simulate as they are.
+    scene : Scene, SceneFile, path or sequence of Scene
+        One scene to vary, or scenes to simulate as they are. A scene file's motion model and step
+        apply.
     parameters : mapping from name to (n,) array_like, or sequence of mappings, optional
         Parameters of the one scene, in SI units: arrays of equal length by name, or one mapping
         from names to numbers for each run.
@@ -127,6 +131,9 @@ def simulate_batch(  # type: ignore[misc]
     >>> print(f"still touching: {runs.touching('part', 'finger').mean():.0%}")
     still touching: 100%
     """
+    if isinstance(scene, str | PathLike | SceneWithMethod):
+        file = scene_file(scene, "a Scene, a scene file or Scenes")
+        scene, motion, stepper = file.scene, motion or file.motion, stepper or file.stepper
     motion = motion_model(motion)
     stepper = stepper or Adaptive()
     solver = named_part(solver or Newton.name, SOLVERS, "solver")
