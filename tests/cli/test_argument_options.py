@@ -2,6 +2,7 @@
 
 import pytest
 
+import fixel
 from fixel.cli.argument_options import in_options
 from fixel.cli.main import app
 from fixel.errors import InvalidInput
@@ -50,6 +51,8 @@ def test_hints_name_options_too():
         (lambda p: calibrate(p, SPACE, error="squares"), "error: "),
         (lambda p: calibrate_each(p, SPACE, budget=1.0), "budget: found mode each"),
         (lambda p: calibrate(p, SPACE, motion="fast"), "motion: "),
+        (lambda p: calibrate(p, SPACE, workers=-1), "workers: found -1"),
+        (lambda p: fixel.filter(p[0], particles=1), "particles: found 1"),
     ],
 )
 def test_python_names_its_own_arguments(call, named):

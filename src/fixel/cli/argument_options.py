@@ -12,12 +12,23 @@ from fixel.errors import InvalidInput
 OPTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     name: (f"--{name.replace('_', '-')}",)
     for name in (
-        *("axes", "budget", "confidence", "error", "folds", "held_out", "leave_out", "level"),
+        *(
+            "axes",
+            "base",
+            "budget",
+            "confidence",
+            "error",
+            "folds",
+            "held_out",
+            "leave_out",
+            "level",
+        ),
         *("mode", "motion", "name", "nominal", "optimiser", "relative", "samples", "workers"),
     )
 } | {
     "cells": ("--step",),
     "facets": ("--by",),
+    "filter.n_particles": ("--particles",),
     "noise": ("--noise-mm",),
     "overrides": ("--set",),
     "tactile": ("--no-tactile",),

@@ -292,7 +292,7 @@ def _check(factors: Sequence[Factor], n: int) -> None:
     if not factors:
         raise InvalidInput("factors", found="none", expected="at least one")
     if isinstance(n, bool) or n < 2 or n & (n - 1):
-        raise InvalidInput("n", found=n, expected="a power of two, from 2")
+        raise InvalidInput("base", found=n, expected="a power of two, from 2")
 
 
 def _filled(found: FloatArray) -> tuple[FloatArray, int]:

@@ -10,7 +10,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.database.project import Project
-from fixel.filtering.particle_filter import ParticleFilter
+from fixel.filtering.particle_filter import ParticleFilter, check_count
 from fixel.filtering.recorded import FilterRun, run_filter
 from fixel.model import Experiment, Provenance
 from fixel.model.records import CalibrationRecord, FilterParameters, FilterRecord
@@ -90,6 +90,7 @@ def filter(
     ['mu_fixel', 'mu_pusher', 'mu_support', 'tripod_radius']
     """
     if options is None:
+        check_count("particles", particles, 2)
         own: dict[str, Any] = {} if motion is None else {"motion": motion_named(motion)}
         options = ParticleFilter(n_particles=particles, priors=priors or {}, threads=threads, **own)
     with show_progress(progress, "filtering") as report:

@@ -11,7 +11,7 @@ from fixel.calibration.objective import AbstractError
 from fixel.calibration.optimiser import AbstractOptimiser
 from fixel.calibration.target import Target
 from fixel.calibration.usual_parameters import Space, search_space
-from fixel.errors import Interrupted
+from fixel.errors import Interrupted, InvalidInput
 from fixel.jobs.work import run_work
 from fixel.model import Experiment
 from fixel.progress import ProgressOption, show_progress
@@ -284,6 +284,8 @@ def _calibrated(
     **options: Any,
 ) -> Calibrations:
     """Calibrate in one of the modes of a request."""
+    if workers and workers < 0:
+        raise InvalidInput("workers", found=workers, expected="0 or more")
     plan = CalibrationPlan.of(mode, experiments, parameters, **options)
     plan.rehearse(threads)
     if store is not None or workers or site is not None:
