@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from math import degrees
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, final, overload
 
 import numpy as np
 
-from fixel.datasets.own_scene import SceneChoice, with_scene
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.model.fields import instance
+from fixel.model.scene import SceneChoice
 from fixel.model.selection import (
     ERRORS,
     ExperimentDetails,
@@ -258,10 +259,11 @@ class Experiments(Result, Sequence[Experiment]):
         InvalidInput
             The poses do not fit the scene.
         """
+        complete = import_module("fixel.datasets.own_scene").with_scene
         choice = Path(scene) if isinstance(scene, str) else scene
         made, notes = [], dict.fromkeys(self.notes)
         for one in self:
-            completed, sentences = with_scene(one, choice, object_name)
+            completed, sentences = complete(one, choice, object_name)
             made.append(completed)
             notes |= dict.fromkeys(sentences[:1])
         return Experiments.of(made, tuple(notes), self.skipped)

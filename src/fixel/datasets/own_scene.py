@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +22,7 @@ from fixel.formats.scene_schema import FILL_IN, scene_record
 from fixel.io.document import read_document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
 from fixel.model.fields import instance
+from fixel.model.scene import SceneChoice
 from fixel.typing import FloatArray
 
 # Duration of the correction of a path that starts inside the object [s].
@@ -40,10 +40,6 @@ INSIDE: Final = 0.03
 FAR_AWAY: Final = 1e3  # [m], distance from all bodies
 
 NOMINAL_FRICTION: Final = 0.25
-
-
-# Scene, file of one, or function that returns one for the conditions of an experiment.
-SceneChoice = Scene | Path | Callable[[Mapping[str, str | float]], Scene]
 
 
 def with_scene(

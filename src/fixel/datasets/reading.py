@@ -13,11 +13,11 @@ from fixel.datasets.base import ImportPlan, Origin, fixel_version, guarded
 from fixel.datasets.experiments import Experiments
 from fixel.datasets.files import read_table, table_rows
 from fixel.datasets.importers import IMPORTERS, importer_for
-from fixel.datasets.own_scene import SceneChoice
 from fixel.datasets.table import DATASET as TABLE
 from fixel.datasets.table import CsvTable, plan_table, refuse_unknown_name
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Polygon, Provenance, Pusher, Scene, Tripod
+from fixel.model.scene import SceneChoice
 from fixel.progress import ProgressOption, show_progress
 
 KINDS: Final = ("time", "length", "angle")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from fnmatch import fnmatchcase
 from importlib import import_module
@@ -248,6 +248,10 @@ class Scene(Comparable):
                 expected="one free body and one pusher or fixel",
             )
         return obstacles[0]
+
+
+# Scene, file of one, or function that returns one for the conditions of an experiment.
+SceneChoice = Scene | Path | Callable[[Mapping[str, str | float]], Scene]
 
 
 def _two_names(pair: object) -> tuple[str, str]:

@@ -13,11 +13,11 @@ from fixel.database.experiments import stored_experiments
 from fixel.database.project import DATABASE, MEDIA
 from fixel.database.store import Store
 from fixel.datasets import Experiments, plan_import
-from fixel.datasets.own_scene import SceneChoice
 from fixel.datasets.reading import collected
 from fixel.errors import InvalidInput
 from fixel.formats.recording import is_recording
 from fixel.model import Scene
+from fixel.model.scene import SceneChoice
 from fixel.model.selection import ExperimentQuery
 from fixel.progress import ProgressOption
 from fixel.workflows.acquisition.track import track_film

@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import re
 import random
 import signal
 import subprocess
@@ -94,6 +95,14 @@ def test_what_is_shown(fit):
     assert "mm" in text
 
 
+def test_a_misfit_is_told_in_one_paragraph(fit):
+    told = replace(fit.found, misfit=("slight model misfit: 5 mrad.", "Half of it is of one."))
+    outcome = replace(fit.run.outcome, found=(told,))
+    lines = repr(replace(fit, run=replace(fit.run, outcome=outcome))).splitlines()
+    assert [line.strip() for line in lines if "misfit" in line] == [" ".join(told.misfit)]
+    assert re.search(r"error: [\d.]+ mm before, [\d.]+ mm after calibration", "\n".join(lines))
+
+
 def test_a_parameter_that_is_not_identified_is_not_shown_as_known(fit):
     """The estimates are replaced, so that the representation alone is tested."""
     found = fit.found
@@ -123,7 +132,7 @@ def test_plots_are_axes(fit, kind):
 @pytest.mark.parametrize(
     ("parameters", "said"),
     [
-        ({"mu_pusher": (1, 0)}, "mu_pusher: found bounds 1 to 0, expected the lower one first"),
+        ({"mu_pusher": (1, 0)}, "mu_pusher: found bounds 1 to 0, expected the lower bound first"),
         ({"tripod_radius_mm": (10, 60)}, "(10 * mm, 60 * mm)"),
         ({"mu_pushr": (0, 1)}, "did you mean 'mu_pusher'?"),
         ({"mu_fixel": (0, 1)}, "no fixel in any of the experiments"),

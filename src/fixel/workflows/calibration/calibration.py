@@ -392,16 +392,16 @@ class Calibration(Result, Mapping[str, float]):
             how = "robust mean"
         scale = 1e3 * self.request.made_error.angle_scale
         return (
-            f"error   {shown[0]:.3g} mm nominal -> {shown[1]:.3g} mm calibrated"
-            f" ({how}, {scale:g} mm per radian)"
+            f"error: {shown[0]:.3g} mm before, {shown[1]:.3g} mm after calibration"
+            f" ({how}; 1 rad counts as {scale:g} mm)"
         )
 
     def _misfit_notes(self) -> list[str]:
         if self.found.misfit:
-            return [f"misfit  {sentence}" for sentence in self.found.misfit]
+            return [self.misfit.reason]
         if math.isnan(self.misfit.ratio):
             return []
-        return [f"misfit  none detected; intervals assume {self.found.noise}"]
+        return [f"no misfit detected; intervals assume {self.found.noise}"]
 
     def _details(self) -> dict[str, str]:
         from importlib.metadata import version
