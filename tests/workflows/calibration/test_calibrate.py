@@ -2,8 +2,8 @@
 
 import math
 import pickle
-import re
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -251,6 +251,36 @@ def test_an_interrupted_search_gives_the_best_so_far(pushes, fit):
     assert fit.rms_error <= best.rms_error < best.nominal_rms_error
     assert "interrupted" in repr(best)
     assert fixel.calibrate(pushes, BOUNDS, **QUIET) == fit
+
+
+def test_interrupted_singles_are_those_that_finished(pushes):
+    six, space = [*pushes, *pushes[:2]], {"mu_pusher": (0, 1), "tripod_radius": 0.038}
+    options = {"verdicts": False, "max_evaluations": 10}
+
+    def interrupt(progress):
+        if progress.stage == "each experiment" and progress.done > 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(fixel.Interrupted) as stopped:
+        fixel.calibrate_each(six, space, progress=interrupt, **options)
+    found = stopped.value.result
+    whole = fixel.calibrate_each(six, space, progress=False, **options)
+    assert 0 < len(found) < len(whole) == 6
+    assert [dict(one) for one in found] == [dict(one) for one in whole][: len(found)]
+    assert {one.status for one in found} == {"budget"}
+    assert "(interrupted)" in repr(found)
+
+
+def test_a_plot_of_several_has_a_row_for_each_parameter_of_each(pushes):
+    fits = fixel.calibrate_each(pushes[:2], BOUNDS, **QUIET)
+    axes = fits.plot()[0]
+    labels = [" ".join(text.get_text().split()) for text in axes.get_yticklabels()]
+    names = [e.key for e in pushes[:2]]
+    assert labels == [f"{label} {name}" for label in fits[0].space.labels for name in names]
+    spans = [line.get_xdata() for line in axes.lines if line.get_linewidth() == 5.0]
+    first = fits[0].estimates["mu_pusher"]
+    assert len(spans) == 4
+    assert list(spans[0]) == pytest.approx([first.low, first.high])  # its bounds are 0 and 1
 
 
 def test_nothing_is_changed_by_a_calibration(pushes, fit):

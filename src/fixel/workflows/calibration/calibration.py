@@ -190,7 +190,7 @@ class Calibration(Result, Mapping[str, float]):
     @property
     def status(self) -> str:
         """How the search ended: `finished`, `budget`, `interrupted` or `failed`."""
-        if self.run.interrupted:
+        if self.run.interrupted and not self.found.how.is_single:
             return "interrupted"
         if not np.isfinite(self.found.errors).all():
             return "failed"
@@ -480,6 +480,8 @@ class Calibrations(Result, Sequence[Calibration]):
     ids: Sequence[int] = field(default=(), compare=False)
     interrupted: bool = False
 
+    _drawings: ClassVar[Mapping[str, str]] = {"parameters": f"{_CHARTS}:plot_each"}
+
     @overload
     def __getitem__(self, k: int) -> Calibration: ...
     @overload
@@ -550,7 +552,8 @@ class Calibrations(Result, Sequence[Calibration]):
         ]
         head: list[Column | str] = ["experiments", Column("error", "mm", ".3g"), *labels]
         n = len(self.outcome.keys)
-        return Summary(f"{len(self)} calibrations of {n} experiments", [Table(head, rows)])
+        ended = " (interrupted)" if self.interrupted else ""
+        return Summary(f"{len(self)} calibrations of {n} experiments{ended}", [Table(head, rows)])
 
     def _data(self) -> Table:
         labels = self.request.space.labels

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 SAMPLES: Final = 200  # minimum number of samples of a simulation
 MAX_OTHERS: Final = 3
+MAX_ROWS: Final = 20  # calibrations in a drawing of all
 VISIBLE: Final = 0.005  # share of a range that is visible on paper
 
 
@@ -68,6 +69,23 @@ def draw_all(calibration: Calibrations, folder: Path) -> list[Path]:
 def plot_parameters(fit: Calibration, ax: Axes | None = None) -> Any:
     """Draw values and intervals, each between the bounds of its search; return the axes."""
     return plot_axes(_parameters_chart(_data(fit), "", fit.found).figure, ax)
+
+
+def plot_each(fits: Calibrations, ax: Axes | None = None) -> Any:
+    """Draw values and intervals of all calibrations of a run, by parameter; return the axes."""
+    many = fits[:MAX_ROWS]
+    named = [title_of(_data(fit), fit.found, "") if len(fit.found.members) > 1
+             else fit.keys_of_experiments[0] for fit in many]  # fmt: skip
+    rows = [
+        replace(_visible(fit.estimates[unknown.label]), label=f"{unknown.label} {name}")
+        for unknown in fits.request.space.free
+        for fit, name in zip(many, named, strict=True)
+    ]
+    of = f"the first {MAX_ROWS} of {len(fits)}" if len(fits) > MAX_ROWS else f"{len(fits)}"
+    chart = ParametersChart(
+        title=f"Parameters of {of} calibrations", rows=rows, level=fits.request.level
+    )
+    return plot_axes(chart.figure, ax)
 
 
 def plot_profiles(fit: Calibration, ax: Axes | None = None) -> Any:

@@ -20,12 +20,13 @@ from fixel.calibration.study import at_points, run_study
 from fixel.calibration.target import Target, target_of
 from fixel.calibration.usual_parameters import Space, search_space
 from fixel.errors import InvalidInput
+from fixel.io.array_bytes import arrays_of
 from fixel.jobs.work import AbstractEngine, Batch, Chunk, JobProgress, Show, answer_of
 from fixel.model import Experiment
 from fixel.model.space import ParameterSpace
 from fixel.progress import Progress, Reporter
 from fixel.simulation.motion import AbstractMotionModel
-from fixel.workflows.calibration.calibration import Calibration, Calibrations
+from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.job import CHUNKS, SearchState, comparer_of, evaluate_here
 from fixel.workflows.calibration.request import (
     CalibrationRequest,
@@ -34,9 +35,15 @@ from fixel.workflows.calibration.request import (
     NamedOptions,
     usual_optimiser,
 )
-from fixel.workflows.calibration.result import CalibrationResult, FitKind, ParameterSet
+from fixel.workflows.calibration.result import (
+    CalibrationResult,
+    FitKind,
+    ParameterSet,
+    found_of,
+)
 
 PREFLIGHT: Final = 16  # experiments that are simulated before any work starts
+SINGLES: Final = "calibration:calibrate_alone"  # chunks that calibrate single experiments
 _BEST: Final = re.compile(r", best RMS (\S+) mm")
 
 Named = Mapping[str, Any] | str
@@ -150,11 +157,15 @@ class DirectEngine(AbstractEngine):
 
     def __init__(self, request: CalibrationRequest, comparer: Comparer) -> None:
         self._own = request, comparer
+        self.alone: list[bytes] = []  # calibrations of single experiments so far
 
     def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
         call = CHUNKS[function]
         for chunk in chunks:
-            yield [(chunk.name, answer_of(call, *self._own, chunk.payload))]
+            answer = answer_of(call, *self._own, chunk.payload)
+            if function == SINGLES and isinstance(answer, bytes):
+                self.alone.append(answer)
+            yield [(chunk.name, answer)]
 
     def __enter__(self) -> Self:
         return self
@@ -164,13 +175,22 @@ class DirectEngine(AbstractEngine):
 
 
 def best_so_far(
-    plan: CalibrationPlan, comparer: Comparer, state: SearchState
-) -> Calibration | None:
-    """Return the best parameter set of an interrupted calibration; None if there is none yet."""
-    found = list(state.found)
+    plan: CalibrationPlan, comparer: Comparer, state: SearchState, alone: Sequence[bytes] = ()
+) -> Calibrations | None:
+    """Return what an interrupted calibration has found; None if there is nothing yet.
+
+    Parameters
+    ----------
+    plan : CalibrationPlan
+    comparer : Comparer
+    state : SearchState
+    alone : sequence of bytes
+        Answers of the chunks that calibrated single experiments.
+    """
+    found = [*state.found] or [one for own in alone for one in found_of(arrays_of(own))]
     members = tuple(range(len(plan.targets)))
     here = evaluate_here(comparer)
-    if not found and math.isfinite(state.best.error):
+    if not state.found and math.isfinite(state.best.error):
         point = state.best.point
         errors, _ = run_study(at_points(members, point[None]), here)
         found.append(
@@ -191,7 +211,7 @@ def best_so_far(
         nominal=nominal[0],
         found=tuple(found),
     )
-    return plan.result(outcome, interrupted=True)[-1]
+    return plan.result(outcome, interrupted=True)
 
 
 def reporting(report: Reporter) -> Show:

@@ -293,13 +293,15 @@ def _calibrated(
     comparer = comparer_of(plan.request, plan.targets, threads)
     state = SearchState(plan.request)
     work = calibration_rounds(plan.request, comparer, state)
+    engine = DirectEngine(plan.request, comparer)
     with show_progress(progress, "searching") as report:
         try:
-            engine = DirectEngine(plan.request, comparer)
             result = run_work(work, engine, Path(), None, progress=reporting(report))
         except KeyboardInterrupt:
             hint = "with store='FOLDER' the same call would continue"
-            raise Interrupted(best_so_far(plan, comparer, state), hint) from None
+            found = best_so_far(plan, comparer, state, engine.alone)
+            best = found[-1] if found and mode == "joint" else found
+            raise Interrupted(best, hint) from None
     return plan.result(outcome_of(result))
 
 

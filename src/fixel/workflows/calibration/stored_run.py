@@ -174,7 +174,8 @@ def _best_in(plan: CalibrationPlan, folder: Path) -> Calibration | None:
     with suppress(StopRequest, FixelError), Journal(folder / files.JOURNAL) as journal:
         work = calibration_rounds(plan.request, comparer, state)
         run_work(work, Nothing(plan.request, comparer), folder, journal)
-    return best_so_far(plan, comparer, state)
+    found = best_so_far(plan, comparer, state)
+    return found[-1] if found else None
 
 
 def collect(plan: CalibrationPlan, folder: Path) -> Calibrations:
