@@ -153,6 +153,10 @@ class Ellipsoid(Comparable):
     centre : (2,) array_like
         Centre of friction in the frame of the shape [m].
 
+    References
+    ----------
+    :cite:t:`howe1996`; :cite:t:`goyal1991`.
+
     Examples
     --------
     >>> Ellipsoid(force=0.37, torque=0.014).centre

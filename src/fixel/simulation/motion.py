@@ -81,8 +81,9 @@ class Dynamic(_BuiltInMotion):
     For slow pushing of very light parts, where inertia is negligible, use
     `QuasiStatic`.
 
-    Source: Stewart & Trinkle (1996), eqs. 6-10, with support friction as in the thesis, eqs.
-    2.13-2.14.
+    References
+    ----------
+    :cite:t:`stewart1996`, eqs. 6-10; support friction as in :cite:t:`rpi2011`, eqs. 2.13-2.14.
 
     Examples
     --------
@@ -104,7 +105,9 @@ class QuasiStatic(_BuiltInMotion):
     A body without contacts is at rest. The path is independent of speeds, masses and the friction
     of the plane (ASME 2006). Every free body needs support friction.
 
-    Source: ASME 2006 paper, eqs. 1-2.
+    References
+    ----------
+    :cite:t:`asme2006`, eqs. 1-2.
 
     Examples
     --------
@@ -127,7 +130,9 @@ class FirstOrder(_BuiltInMotion):
     `QuasiStatic`, and a good first guess. Every free body needs support friction, whose ellipsoid
     gives the mobility.
 
-    Source: Halm & Posa (2019), eq. 3, with the ellipsoid of Howe & Cutkosky (1996).
+    References
+    ----------
+    Halm & Posa (2019), eq. 3, with the ellipsoid of :cite:t:`howe1996`.
 
     Examples
     --------

@@ -110,6 +110,10 @@ def simulate(
     Interrupted
         Ctrl-C; its `result` is the simulation up to then.
 
+    References
+    ----------
+    :cite:t:`stewart1996`; :cite:t:`anitescu1997`.
+
     Examples
     --------
     >>> from fixel.testing.scenes import pushed_square

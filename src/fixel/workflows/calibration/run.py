@@ -151,6 +151,10 @@ def calibrate(
     Interrupted
         Ctrl-C; the best result so far is its `result`.
 
+    References
+    ----------
+    :cite:t:`raue2009`; :cite:t:`venzon1988`; :cite:t:`mackinnon1985`.
+
     Examples
     --------
     >>> import fixel

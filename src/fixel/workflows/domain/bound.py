@@ -91,6 +91,10 @@ def error_bound(
     -----
     There is no `workers=`: the fits of the folds follow one another, each on all `threads`.
 
+    References
+    ----------
+    :cite:t:`vovk2005`; :cite:t:`barber2021`; :cite:t:`dunn2022`.
+
     Examples
     --------
     >>> from fixel.testing.pushes import example_pushes

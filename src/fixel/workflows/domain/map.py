@@ -115,6 +115,10 @@ def map_domain(
     -----
     There is no `workers=`: the fits of the folds follow one another, each on all `threads`.
 
+    References
+    ----------
+    :cite:t:`rpi2011`; :cite:t:`rasmussen2006`.
+
     Examples
     --------
     >>> from fixel.testing.pushes import example_pushes

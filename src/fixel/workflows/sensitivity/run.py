@@ -125,6 +125,10 @@ def sensitivity(
         The scene has several free bodies or pushers, hardly any start has an outcome, or a
         parameter is not known.
 
+    References
+    ----------
+    :cite:t:`rpi2011`; :cite:t:`saltelli2010`.
+
     Examples
     --------
     >>> from fixel.testing.scenes import micro_push

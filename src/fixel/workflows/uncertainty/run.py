@@ -194,6 +194,10 @@ def posterior(
         An experiment cannot be compared with a simulation, a parameter is not known or informed by
         no experiment, or dynesty is not installed.
 
+    References
+    ----------
+    :cite:t:`skilling2006`; :cite:t:`speagle2020`; :cite:t:`kennedy2001`.
+
     Examples
     --------
     >>> from fixel.testing.pushes import example_pushes
