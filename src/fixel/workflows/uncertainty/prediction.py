@@ -13,7 +13,7 @@ from fixel.calibration.objective import Comparer
 from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Scene
-from fixel.model.fields import non_negative
+from fixel.model.fields import instance, non_negative
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.simulate import SceneWithMethod
@@ -98,6 +98,7 @@ def predict(
     """
     if isinstance(samples, bool) or not 2 <= samples <= MAX_SAMPLES:
         raise InvalidInput("samples", found=samples, expected=f"2 to {MAX_SAMPLES} runs")
+    instance(start, StartError | None, "start", "a StartError")
     if not isinstance(model, Posterior):
         if start is None and not model_error:
             raise InvalidInput(
