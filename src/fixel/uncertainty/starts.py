@@ -95,13 +95,13 @@ class StartError:
         """Return the start error as text."""
         what = "within" if self.kind == "uniform" else "with standard deviations of"
         x, y = _length(self.x), _length(self.y)
-        place = x if self.x == self.y else f"{x} (x), {y} (y)"
         sign = "+-" if self.kind == "uniform" else ""
+        place = x if self.x == self.y else f"{x} (x), {sign}{y} (y)"
         return f"{what} {sign}{place} and {sign}{math.degrees(self.theta):.3g} deg"
 
 
 def _length(metres: float) -> str:
-    return f"{1e6 * metres:.3g} um" if metres < 1e-4 else f"{1e3 * metres:.3g} mm"
+    return f"{1e6 * metres:.3g} um" if 0.0 < metres < 1e-4 else f"{1e3 * metres:.3g} mm"
 
 
 # Experimental errors of the ASME paper: +-1 pixel in x and y; 0.5 deg is read from its figure of

@@ -20,6 +20,7 @@ from fixel.errors import InvalidInput
 from fixel.formats import load_scene
 from fixel.formats.scene_model import scene_content
 from fixel.model import Experiment, Scene
+from fixel.model.fields import instance
 from fixel.model.selection import ExperimentQuery
 from fixel.model.space import split_label
 from fixel.progress import ProgressOption, show_progress
@@ -138,6 +139,7 @@ def sensitivity(
     >>> found.flag
     'insensitive'
     """
+    instance(start, StartError, "start", "a StartError")
     push = push_of(scene, model, motion)
     ranges = dict(push.intervals if vary is None else vary)
     with show_progress(progress, "simulating starts") as report:
