@@ -296,7 +296,7 @@ def test_people_read_millimetres_and_degrees():
     assert display_unit("m").on("tripod_radius") == "tripod_radius [mm]"
     assert display_unit("rad").text(np.pi) == "180"
     assert display_unit("-").on("mu") == "mu"
-    assert display_unit("N m").on("torque") == "torque [N m]"
+    assert display_unit("N m").on("torque") == "torque [N mm]"
 
 
 def test_logarithmic_axes_bear_zeros_and_single_values():
