@@ -1,4 +1,4 @@
-"""Options of commands in place of the Python arguments that an `InvalidInput` names."""
+"""Translation of Python arguments in an `InvalidInput` to options of the command."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ OPTIONS: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 def in_options(error: InvalidInput, program: typer.Typer, words: Sequence[str]) -> InvalidInput:
-    """Return the error with options of the running command in place of Python arguments.
+    """Return the error with options of the running command instead of Python arguments.
 
     Parameters
     ----------

@@ -63,7 +63,7 @@ class FilterRun(Result):
     seen, recovered : (n,) bool
         Whether the camera saw the object, and whether the filter had lost it.
     draws : (n_draw, n_name) float64
-        Parameters of the particles at the end, drawn as often as their weights say.
+        Parameters of the particles at the end, drawn in proportion to their weights.
     misfit : FilterMisfit
         How far the model alone is from what the camera saw.
     busy : (n,) float64

@@ -61,7 +61,8 @@ class TryStep(Protocol):
         """Try a step with rows taken `lead` of it after its start, at the guessed velocity.
 
         Where a gap wider than `min_gap` closes inside the step at that velocity, nothing is solved,
-        and `StepTrial.closing` tells when. `give_up_early`: a shorter step can be tried instead.
+        and `StepTrial.closing` is the time when it closes. `give_up_early`: a shorter step can be
+        tried instead.
         """
 
 
