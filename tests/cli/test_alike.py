@@ -169,7 +169,7 @@ def test_a_shell_completes_commands():
         [sys.executable, "-c", "from fixel.cli.main import run; run()"],
         env=os.environ | words, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert done.stdout.split() == ["calibrate"]
+    assert done.stdout.split() == ["calibrate", "calibrations"]
 
 
 def test_small_parts_are_read_in_micrometres(capsys, lab):
@@ -184,7 +184,7 @@ def test_small_parts_are_read_in_micrometres(capsys, lab):
         )  # fmt: skip
     _, out, _ = fixel(capsys, "show", "micro/push", "--project", lab)
     assert "x [um]" in out
-    assert "travelled 25.00 um" in out
+    assert "path length 25.00 um" in out
     _, out, _ = fixel(capsys, "compare", "micro/push", "--project", lab)
     assert " um\n" in out
     assert " mm" not in out

@@ -62,7 +62,7 @@ def test_what_the_machine_refuses_is_a_sentence(capsys, monkeypatch, number):
     def refuse(*_, **__):
         raise OSError(number, os.strerror(number), "some/file")
 
-    monkeypatch.setattr(Project, "open", refuse)
+    monkeypatch.setattr(Project, "__init__", refuse)
     code, _, err = fixel(capsys, "list", "--project", "lab")
     assert code == 1
     assert err.startswith(f"fixel: some/file: {os.strerror(number).lower()}")
@@ -73,7 +73,7 @@ def test_a_mistake_of_ours_is_not_hidden(monkeypatch):
     def refuse(*_, **__):
         raise OSError(errno.EBADF, "bad")
 
-    monkeypatch.setattr(Project, "open", refuse)
+    monkeypatch.setattr(Project, "__init__", refuse)
     with pytest.raises(OSError, match="bad"):
         run(["list", "--project", "lab"])
 

@@ -86,7 +86,7 @@ def test_other_endings_are_refused(run, name, tmp_path):
 
 
 def test_a_missing_folder_is_a_plain_sentence(run, tmp_path):
-    with pytest.raises(InvalidInput, match=r"no folder .*nowhere, expected a existing folder"):
+    with pytest.raises(InvalidInput, match=r"no folder .*nowhere, expected an existing folder"):
         save_trajectory(run, tmp_path / "nowhere" / "run.csv")
 
 

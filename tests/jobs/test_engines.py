@@ -12,7 +12,7 @@ import pytest
 from tests.jobs.helpers import await_true, kill, processes
 
 from fixel.errors import InvalidInput, JobRefused
-from fixel.jobs import link
+from fixel.jobs import cluster, link
 from fixel.jobs.engine import OTHER_VERSION, LocalEngine, run_chunk
 from fixel.jobs.pool import LocalPool, worker_command
 from fixel.jobs.stamp import stamp
@@ -249,6 +249,14 @@ def test_an_answer_that_cannot_be_read_is_asked_for_again(folder, monkeypatch, t
     with workers(folder, size=1) as engine:
         assert answers(engine, folder, chunks(2)).keys() == {"c0", "c1"}
         assert engine.again == 1
+
+
+def test_a_client_that_was_not_closed_is_not_waited_for():
+    """Dask's own waits a minute at the end of the process for a thread that no longer runs."""
+    kind = cluster._client_class()
+    one = kind.__new__(kind)
+    one.status, one.close = "closing", lambda: pytest.fail("it waits")
+    one.__del__()
 
 
 def test_interfaces_are_named_ones():

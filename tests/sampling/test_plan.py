@@ -194,7 +194,7 @@ def test_fixels_that_are_too_far():
 
     (sentence,) = sentences(layouts=(far,))
 
-    assert sentence.startswith("the object cannot reach a fixel: fixel-")
+    assert sentence.startswith("the object cannot reach a fixel: the distance")
 
 
 def test_a_fixel_in_the_way_of_the_head():
@@ -202,7 +202,7 @@ def test_a_fixel_in_the_way_of_the_head():
     shape = replace(SMALL.shapes[0], zone_start=0.03)
     layout = FixelLayout(name="blocked", pegs=((0.0, 0.5), (1.0, 0.5)))
 
-    assert "the head runs into fixel-1" in sentences(shapes=(shape,), layouts=(layout,))
+    assert "the head collides with fixel-1" in sentences(shapes=(shape,), layouts=(layout,))
 
 
 def test_a_rehearsal_tells_which_fixels_are_touched():

@@ -114,7 +114,7 @@ def test_groups_are_found_and_the_largest_comes_first():
 
 
 def test_few_starts_and_foreign_scenes_are_refused():
-    with pytest.raises(InvalidInput, match="50 at least"):
+    with pytest.raises(InvalidInput, match="at least 50"):
         sensitivity_of(simulate_starts(micro_push(1), ASME, 20))
     with pytest.raises(InvalidInput, match="one per start"):
         simulate_starts(micro_push(1), ASME, 20, values={"mu_pusher": np.ones(3)})

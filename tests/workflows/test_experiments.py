@@ -101,6 +101,27 @@ def test_columns_and_units_are_chosen_where_the_header_does_not_say():
     assert found[0].pusher.pose[:, :2] == pytest.approx(tip)
 
 
+def test_units_that_contradict_the_header_are_refused():
+    table = columns(0.01)
+    with pytest.raises(InvalidInput, match=r"column x_m: found the unit m .* but mm was given"):
+        read(table, units={"length": "mm"})
+    agreed = read(table, units={"length": "m", "time": "s", "angle": "rad"})
+    assert agreed[0].trajectory.pose == pytest.approx(read(table)[0].trajectory.pose)
+
+
+def test_pushes_that_are_not_split_name_the_column_that_splits_them():
+    table = columns(0.01, -0.02)
+    table |= {"surface": ["abs"] * len(table["push"]), "row": [*range(len(table["push"]))]}
+    with pytest.raises(InvalidInput, match=r'increasing times; set split_by="push" if'):
+        read_experiments(table, scene=template(), progress=False)
+    del table["push"]
+    with pytest.raises(InvalidInput, match=r'set split_by="COLUMN"'):
+        read_experiments(table, scene=template(), progress=False)
+    table["time_s"][1] = table["time_s"][0]  # the clock stands still, which no column explains
+    with pytest.raises(InvalidInput, match="increasing times"):
+        read_experiments(table, scene=template(), progress=False)
+
+
 def test_a_function_gives_each_experiment_its_scene():
     table = columns(0.01, -0.02)
     sizes = {"p0": 0.5, "p1": 0.7}

@@ -238,14 +238,15 @@ def only_file(folder: Path, *names: str) -> Path:
     raise DatasetMissing(folder, " or ".join(names))
 
 
-def increasing(time: FloatArray, source: str) -> FloatArray:
-    """Return times unchanged; raise if they do not increase."""
+def increasing(time: FloatArray, source: str, hint: str = "") -> FloatArray:
+    """Return times unchanged; raise with a hint if they do not increase."""
     if (np.diff(time) <= 0.0).any():
         row = int(np.argmax(np.diff(time) <= 0.0)) + 1
         raise InvalidInput(
             f"{source}, row {row + 1}",
             found=f"t = {time[row]:g} s after {time[row - 1]:g} s",
             expected="increasing times",
+            hint=hint,
         )
     return time
 

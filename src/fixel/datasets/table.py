@@ -273,6 +273,7 @@ def _experiment(
 ) -> tuple[Experiment, tuple[str, ...]]:
     reading = _columns(table, options, chosen)
     _refuse_incomplete(reading)
+    _refuse_contradictions(reading)
     for role in ("time", "x", "y", "theta", "pusher_x", "pusher_y", "pusher_theta"):
         if role in reading.roles:
             _settle_unit(reading, role)
@@ -394,6 +395,27 @@ def _refuse_incomplete(reading: _TableReading) -> None:
 # --- units missing in the header
 
 
+def _refuse_contradictions(reading: _TableReading) -> None:
+    """Raise for a given unit that is unknown, or needed by no column and contradicted by one."""
+    for kind in ("time", "length", "angle"):
+        given = reading.options.get(f"{kind}_unit")
+        if given is None:
+            continue
+        if given not in UNITS or UNITS[given].kind != kind:
+            known = (name for name, unit in UNITS.items() if unit.kind == kind)
+            raise unknown_name(f"option {kind}_unit", given, known)
+        columns = [column for role, column in reading.roles.items() if _kind(role) == kind]
+        others = [(own.title, own.unit) for own in columns if own.unit not in (None, UNITS[given])]
+        if kind == "angle" or not others or any(own.unit is None for own in columns):
+            continue
+        raise InvalidInput(
+            f"{reading.table.source}, column {others[0][0]}",
+            found=f"the unit {_name(others[0][1])} in the header, but {given} was given",
+            expected=f"the same unit of {kind} in both",
+            hint="correct the header, or leave out the given unit",
+        )
+
+
 def _settle_unit(reading: _TableReading, role: str) -> None:
     column = reading.roles[role]
     kind = _kind(role)
@@ -405,9 +427,6 @@ def _settle_unit(reading: _TableReading, role: str) -> None:
     if column.unit is not None:
         lack = f"the unit {_name(column.unit)}"
     if given is not None:
-        if given not in UNITS or UNITS[given].kind != kind:
-            known = (name for name, unit in UNITS.items() if unit.kind == kind)
-            raise unknown_name(f"option {kind}_unit", given, known)
         column.unit = UNITS[given]
         reading.remarks.append(f"{column.title} has {lack}; the given unit {given} is used.")
         return
@@ -455,7 +474,24 @@ def _time(reading: _TableReading) -> FloatArray:
     assert column.unit is not None
     numbers = reading.numbers(column, blank=False)
     # Subtract first: seconds since 1970 leave few digits after the decimal point.
-    return increasing((numbers - numbers[0]) * column.unit.scale, reading.table.source)
+    time = (numbers - numbers[0]) * column.unit.scale
+    return increasing(time, reading.table.source, _how_to_split(reading, time))
+
+
+def _how_to_split(reading: _TableReading, time: FloatArray) -> str:
+    """Return the hint for times that begin again: the column whose values separate experiments."""
+    if not (time[1:] <= time[0]).any():
+        return ""
+    found: dict[str, int] = {}
+    for column in reading.others:
+        cells = [cell.strip() for cell in reading.table.columns[column.title]]
+        rows: dict[str, list[int]] = {}
+        for row, cell in enumerate(cells):
+            rows.setdefault(cell, []).append(row)
+        if all(len(own) > 1 and (np.diff(time[own]) > 0.0).all() for own in rows.values()):
+            found[column.title] = len(rows)
+    likely = min(found, key=lambda title: found[title], default="COLUMN")
+    return f'set split_by="{likely}" if the values of this column separate experiments'
 
 
 def _poses(

@@ -222,8 +222,10 @@ def _framed(mark: bytes, name: str, data: bytes) -> bytes:
 def _contents(stream: BinaryIO, path: Path) -> _Contents:
     size = stream.seek(0, os.SEEK_END)
     header = _read(stream, _Position(0, _HEADER))
-    if header[: len(MAGIC)] != MAGIC or len(header) < _HEADER:
+    if not MAGIC.startswith(header[: len(MAGIC)]):
         raise _other(path)
+    if len(header) < _HEADER:  # another process is creating it
+        return _Contents(b"", {}, _HEADER, 0)
     mark = header[len(MAGIC) :]
     places: dict[str, _Position] = {}
     position = end = _HEADER

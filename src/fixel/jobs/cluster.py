@@ -22,6 +22,8 @@ MAX_STRANGE: Final = 20  # lost answers in a row, although no worker died
 START_S: Final = 60.0  # [s] for a scheduler to listen; a cold file system is slow
 FETCHERS: Final = 8  # answers fetched at once
 ANSWER_S: Final = 30.0  # [s] for the scheduler to answer
+CLOSE_S: Final = 2.0  # [s] for a client to close
+END_S: Final = 0.2  # [s] from the end of connections to that of their process
 
 
 class ClusterLost(Exception):
@@ -121,7 +123,7 @@ class Cluster:
             )
             return sum(cores.values())
         except Exception as problem:  # what Dask raises here depends on what broke
-            raise ClusterLost(f"the scheduler does not answer: {problem!r}") from None
+            raise self._lost("the scheduler does not answer", problem) from None
 
     def submit(self, task: Task) -> Any:
         """Send a chunk to a free worker; the caller must store the future until it is done."""
@@ -141,7 +143,7 @@ class Cluster:
             )
             future.add_done_callback(lambda done: self._events.put(ChunkReturn(task.name, done)))
         except Exception as problem:
-            raise ClusterLost(f"the scheduler accepts no work: {problem!r}") from None
+            raise self._lost("the scheduler accepts no work", problem) from None
         return future
 
     def events(self, timeout_s: float) -> list[Event]:
@@ -210,19 +212,17 @@ class Cluster:
         self._fetchers.shutdown(wait=False, cancel_futures=True)
         if self._client is not None:
             with contextlib.suppress(Exception):
-                self._client.close(timeout=2)
+                self._client.close(timeout=CLOSE_S)
             self._client = None
 
     def _connect(self) -> None:
         import dask
 
         dask.config.set(CONFIG)
-        from distributed import Client
-
+        kind = _client_class()
         _quieten()
         address = self._first_line()
         try:
-            kind: Any = Client
             self._client = kind(
                 address,
                 security=link.security(self._folder),
@@ -230,7 +230,7 @@ class Cluster:
                 set_as_default=False,
             )
         except Exception as problem:
-            raise ClusterLost(f"no connection to the scheduler: {problem!r}") from None
+            raise self._lost("no connection to the scheduler", problem) from None
         link.write_address(self._folder, address)
 
     def _first_line(self) -> str:
@@ -243,12 +243,46 @@ class Cluster:
             raise ClusterLost("the scheduler did not start; its output is in workers/scheduler.log")
         return address
 
+    def _lost(self, what: str, problem: Exception) -> ClusterLost:
+        """Return the error for a failed request; it names an end of the scheduler."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return _ended(self.process.wait(END_S))
+        return ClusterLost(f"{what}: {problem!r}")
+
     def _check_alive(self) -> None:
         code = self.process.poll()
         if code is not None:
-            raise ClusterLost(f"the scheduler has ended with code {code}")
+            raise _ended(code)
         if self._strange > MAX_STRANGE:
             raise ClusterLost("answers of workers are lost on the network")
+
+
+def _ended(code: int) -> ClusterLost:
+    return ClusterLost(f"the scheduler has ended with code {code}")
+
+
+def _client_class() -> Any:
+    """Return Dask's client, which takes half a second to import, with another end."""
+    from distributed import Client
+
+    class OneConnection(Client):
+        """Client that ends with its connection: a scheduler that is lost never comes back."""
+
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            try:
+                super().__init__(*arguments, **options)  # type: ignore[no-untyped-call]
+            except BaseException:  # also Ctrl-C, while it connects
+                with contextlib.suppress(Exception):
+                    self.close(timeout=CLOSE_S)  # type: ignore[no-untyped-call]
+                raise
+
+        def __del__(self) -> None:
+            """Do nothing: Dask's would wait a minute for a thread that no longer runs."""
+
+        async def _reconnect(self) -> None:
+            await self._close()
+
+    return OneConnection
 
 
 def _quieten() -> None:

@@ -21,7 +21,7 @@ Line = Annotated[str, Field(pattern=f"^{_LINE}$")]
 Word = Annotated[str, Field(pattern=f"^{_WORD}$")]
 
 TEMPLATE: Final = """\
-# Cluster, for `fixel jobs submit --site THIS_FILE`. Edit the lines that your site requires.
+# A cluster, for `fixel jobs submit --site THIS_FILE`. Edit the lines that your site requires.
 scheduler: slurm
 queue: main              # partition: `sinfo` lists them
 # account: my_group      # account that is charged, if your site has accounts

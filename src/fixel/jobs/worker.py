@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     if given.threads:
         os.environ[THREADS] = str(given.threads)
     until = time.monotonic() + given.lifetime_s * random.uniform(0.9, 1.0)
-    alone_since = time.monotonic()
+    alone_since: float | None = None
     while True:
         address = link.read_address(given.folder)
         if address is not None and link.answers(address):
@@ -47,8 +47,9 @@ def main(arguments: list[str] | None = None) -> int:
             if asked_to_end:
                 return 0
             if joined:
-                alone_since = time.monotonic()
+                alone_since = None
         now = time.monotonic()
+        alone_since = now if alone_since is None else alone_since
         over = not (given.folder / "tls").exists()  # the coordinator has removed its key
         if over or now - alone_since > given.patience_s or now > until:
             print("no scheduler; ending", flush=True)

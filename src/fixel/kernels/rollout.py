@@ -72,7 +72,7 @@ def rollout(
     record : RolloutRecord
         Filled. Samples are linear between step ends, as the motion within a step is.
     every_step : bool
-        Sample at each step's end (as far as there is room) in place of the times in `record.time`.
+        Sample at each step's end (as far as there is room) instead of the times in `record.time`.
     """
     problem, work = allocate(model, method.max_contacts)
     wide = problem.momentum.size

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, field
 from math import hypot, inf, pi
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import (
@@ -24,7 +25,7 @@ from fixel.model.fields import (
 )
 from fixel.model.shape import Shape
 from fixel.model.support import Ellipsoid, NoSupport, Support, support_points
-from fixel.typing import FloatArray
+from fixel.typing import ArrayField, FloatArray, OptionalArrayField
 
 # Largest deviation of the length of a direction from 1 at which it is not scaled: a few roundings
 # of a float64, so that scaling a direction twice changes no bit.
@@ -97,12 +98,12 @@ class Body(Comparable):
     shape: Shape
     _: KW_ONLY
     mass: float
-    pose: FloatArray = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    pose: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     support: Support = field(default_factory=NoSupport)
     inertia: float | None = None
-    centre_of_mass: FloatArray | None = None
-    velocity: FloatArray = (0.0, 0.0, 0.0)  # type: ignore[assignment]
-    force: FloatArray = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    centre_of_mass: OptionalArrayField = None  # type: ignore[assignment]
+    velocity: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    force: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     spring: Spring | None = None
 
     def __post_init__(self) -> None:
@@ -168,7 +169,7 @@ class LineDrive(Comparable):
     array([ 0., -1.])
     """
 
-    direction: FloatArray = (1.0, 0.0)  # type: ignore[assignment]
+    direction: ArrayField = (1.0, 0.0)  # type: ignore[assignment]
     _: KW_ONLY
     speed: float
     travel: float = inf
@@ -219,6 +220,10 @@ class PathDrive(Comparable):
     waypoints: FloatArray
     _: KW_ONLY
     force_limit: float | None = None
+
+    if TYPE_CHECKING:  # what may be given; the fields are what is kept
+
+        def __init__(self, waypoints: ArrayLike, *, force_limit: float | None = None) -> None: ...
 
     def __post_init__(self) -> None:
         rows = table(self.waypoints, "drive.waypoints", "t [s], x [m], y [m], angle [rad]")
@@ -275,7 +280,7 @@ class Pusher(Comparable):
     name: str
     shape: Shape
     _: KW_ONLY
-    pose: FloatArray = None  # type: ignore[assignment]
+    pose: ArrayField = None  # type: ignore[assignment]
     drive: Drive = None  # type: ignore[assignment]
     friction: float
     restitution: float = 0.0
@@ -368,6 +373,18 @@ class Fixel(Comparable):
     pose: FloatArray
     friction: float
     restitution: float = 0.0
+
+    if TYPE_CHECKING:  # what may be given; the fields are what is kept
+
+        def __init__(
+            self,
+            name: str,
+            shape: Shape,
+            *,
+            pose: ArrayLike,
+            friction: float,
+            restitution: float = 0.0,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         name_of(self.name, "fixel.name")

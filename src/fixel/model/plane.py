@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import Comparable, finite, frozen, instance, settle, table, vector
-from fixel.typing import FloatArray
+from fixel.typing import ArrayField, FloatArray
 
 
 @final
@@ -82,7 +82,7 @@ class Plane(Comparable):
     array([1.1, 0.9])
     """
 
-    anisotropy: FloatArray = (1.0, 1.0)  # type: ignore[assignment]
+    anisotropy: ArrayField = (1.0, 1.0)  # type: ignore[assignment]
     axis: float = 0.0
     friction_map: FrictionMap | None = None
 

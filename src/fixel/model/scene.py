@@ -7,7 +7,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from fnmatch import fnmatchcase
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar, final
+from typing import TYPE_CHECKING, Any, TypeVar, final
 
 import numpy as np
 
@@ -146,6 +146,21 @@ class Scene(Comparable):
     gravity: float = 9.81
     duration: float = None  # type: ignore[assignment]
     support_directions: int | None = None
+
+    if TYPE_CHECKING:  # what may be given; the fields are what is kept
+
+        def __init__(
+            self,
+            bodies: Body | Iterable[Body],
+            pushers: Pusher | Iterable[Pusher] = (),
+            fixels: Fixel | Iterable[Fixel] = (),
+            *,
+            contact_friction: PairFriction | Iterable[PairFriction] = (),
+            plane: Plane = ...,
+            gravity: float = 9.81,
+            duration: float | None = None,
+            support_directions: int | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         settle(

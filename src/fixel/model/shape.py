@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import hypot, pi
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 import shapely
@@ -73,6 +73,10 @@ class Polygon(Comparable):
     is_convex: bool = field(init=False, repr=False, compare=False)
     pieces: tuple[Piece, ...] = field(init=False, repr=False, compare=False)
     radius: float = field(init=False, repr=False, compare=False)
+
+    if TYPE_CHECKING:  # what may be given; the fields are what is kept
+
+        def __init__(self, vertices: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
         vertices = _simple_outline(table(self.vertices, "polygon", "x [m], y [m]"))

@@ -22,7 +22,7 @@ from fixel.model.fields import (
 )
 from fixel.model.footprint import cells
 from fixel.model.shape import Shape
-from fixel.typing import FloatArray
+from fixel.typing import ArrayField, FloatArray
 
 # Share of the weight below which a negative load is a rounding error and becomes zero.
 LOAD_ROUNDING = 1e-12
@@ -165,7 +165,7 @@ class Ellipsoid(Comparable):
 
     force: float
     torque: float
-    centre: FloatArray = (0.0, 0.0)  # type: ignore[assignment]
+    centre: ArrayField = (0.0, 0.0)  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         settle(

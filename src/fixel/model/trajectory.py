@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,6 +58,10 @@ class Trajectory(Comparable):
 
     time: FloatArray
     pose: FloatArray
+
+    if TYPE_CHECKING:  # what may be given; the fields are what is kept
+
+        def __init__(self, *, time: ArrayLike, pose: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
         pose = table(self.pose, "trajectory.pose", "x [m], y [m], angle [rad]")

@@ -123,7 +123,7 @@ class TrackingContract:
 
     def test_too_little_light_is_named(self, tracking: AbstractTracking, painter: Painter) -> None:
         dark = as_seen(0.03 * painter.picture(moving(0.0)))
-        with pytest.raises(ValueError, match="more light"):
+        with pytest.raises(ValueError, match="increase light"):
             track([Frame(0.0, dark)], painter.rig, method=tracking)
 
     def test_frames_of_another_size_are_refused(

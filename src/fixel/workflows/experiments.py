@@ -56,7 +56,7 @@ def read_experiments(
         Titles of columns whose role is not clear: `{"theta": "yaw", "pusher_x": "robot x"}`.
     units : mapping of str to str, optional
         Units of columns without a unit: `{"time": "ms", "length": "mm", "angle": "deg"}`. The unit
-        of angles replaces that in the header.
+        of angles replaces that in the header; other units must agree with the header.
     split_by : str, optional
         Column whose values separate the experiments of a table.
     object_name : str, optional

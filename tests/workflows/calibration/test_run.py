@@ -446,7 +446,7 @@ def test_space_files_that_cannot_be(tmp_path, content, said):
         ),
         ({"motion": "static"}, "one of dynamic"),
         ({"noise_position": 1e-4}, "both, or neither"),
-        ({"unknowns": []}, "no unknown"),
+        ({"unknowns": []}, "no parameter"),
     ],
 )
 def test_what_cannot_be_asked_for_is_refused_before_work_starts(project, chosen, changes, said):

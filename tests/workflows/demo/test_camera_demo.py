@@ -61,7 +61,7 @@ def test_the_first_sentence_comes_before_the_engine_is_compiled(
 
     monkeypatch.setattr(camera_demo, "engine_is_cold", lambda: True)
     monkeypatch.setattr(camera_demo.SimulatedTestbed, "run", simulated)
-    with pytest.raises(RuntimeError, match=r"simulating 1 pushes; the engine is compiled first"):
+    with pytest.raises(RuntimeError, match=r"simulating 1 pushes; the simulator is compiled first"):
         run_camera_tour(tmp_path / "tour", pushes=(0,), notify=said.append)
 
 
@@ -98,7 +98,7 @@ def test_a_run_that_cannot_be_tracked_ends_in_a_sentence_and_goes_on_later(
     folder = tmp_path / "tour"
     with pytest.raises(InvalidInput, match=r"first visible at 0\.81 s") as refusal:
         run_camera_tour(folder, pushes=(0,))
-    assert "goes on" in str(refusal.value.hint)
+    assert "continue" in str(refusal.value.hint)
     assert bench.recorded == 2
     with pytest.raises(InvalidInput, match="a tour of other pushes"):
         run_camera_tour(folder, pushes=(12,))

@@ -30,7 +30,7 @@ def test_the_story_is_complete_and_in_order(demo):
         "face to face",
         "object meets fixel-1",
         "object meets fixel-2",
-        "slid along fixel-1",
+        "after sliding along it",
         "seated on fixel-1 and fixel-2; the drive stalls at 34.3 N",
         "drift since the stall",
     ):

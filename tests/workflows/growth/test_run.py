@@ -171,7 +171,7 @@ def test_the_analysis_is_kept_with_pictures_and_the_banner(lab):
         "growth_matrix", "growth_steps", "axis_square_x", "axis_square_y", "axis_square_theta",
     }  # fmt: skip
     assert found.samples.banner.startswith("SIMULATED by")
-    assert any("no camera" in sentence for sentence in done.analysis.warnings)
+    assert any("simulated, not recorded" in sentence for sentence in done.analysis.warnings)
     assert done.analysis.numbers["groups"][0]["largest_error"] == found.growth.matrix[0]
     assert [a["size"] for a in done.analysis.numbers["axes"] if a["axis"] == "y"] == [3]
     np.testing.assert_array_equal(done.arrays["largest_error"], found.growth.matrix)
