@@ -93,7 +93,7 @@ def test_a_missing_folder_is_a_plain_sentence(run, tmp_path):
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write anywhere")
 def test_a_read_only_folder_is_a_plain_sentence(run, tmp_path):
     tmp_path.chmod(0o500)
-    with pytest.raises(InvalidInput, match="no permission"):
+    with pytest.raises(InvalidInput, match="no write permission"):
         save_trajectory(run, tmp_path / "run.csv")
 
 
