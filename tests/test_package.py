@@ -1,4 +1,4 @@
-"""What pip installs, and what the repository says of it."""
+"""Contents of the wheel, and metadata of the repository."""
 
 import re
 import subprocess

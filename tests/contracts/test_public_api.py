@@ -1,4 +1,4 @@
-"""What all public names and results have in common; a new result joins the table `CASES`."""
+"""Conventions of all public names and results; a new result joins the table `CASES`."""
 
 import functools
 import inspect

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Body, Disk, LineDrive, Pusher, Scene, UniformPressure, pose_error
-from fixel.simulation.motion import MOTION_MODELS, AbstractMotionModel
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -215,14 +214,6 @@ def settings_from(
         if name not in nominal:
             raise unknown_name(where, name, nominal)
     return {**nominal, **given}
-
-
-def motion_named(name: str) -> AbstractMotionModel:
-    """Create the motion model of a given name."""
-    for kind in MOTION_MODELS:
-        if kind.name == name:
-            return kind()
-    raise unknown_name("motion", name, (kind.name for kind in MOTION_MODELS))
 
 
 def _cut(pair: str, option: str, expected: str) -> tuple[str, str]:

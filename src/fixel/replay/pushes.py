@@ -23,7 +23,6 @@ from fixel.replay.base import (
     errors_in_mm_and_deg,
     matching,
     mean_and_median,
-    motion_named,
     settings_from,
     spread,
     template,
@@ -31,6 +30,7 @@ from fixel.replay.base import (
 from fixel.replay.charts import pushes_figure
 from fixel.replay.mit_pushes import NOMINAL, read_mit_pushes
 from fixel.simulation import BatchResult, simulate_batch
+from fixel.simulation.motion import motion_model
 from fixel.typing import FloatArray, IntArray
 
 # Quantiles of the error at which pushes are drawn as examples.
@@ -48,7 +48,7 @@ class PushReplay(AbstractReplay):
         self.data = read_mit_pushes(folder)
         self.everything = request.everything
         self.settings = settings_from(NOMINAL, request.settings)
-        self.motion = motion_named(request.motion or "quasistatic")
+        self.motion = motion_model(request.motion or "quasistatic")
         self.chosen, self.left_out = self._usable(request)
         self.groups = self._groups()
         self.parts = [

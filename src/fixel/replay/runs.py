@@ -26,7 +26,6 @@ from fixel.replay.base import (
     Row,
     matching,
     mean_and_median,
-    motion_named,
     rms,
     settings_from,
     spread,
@@ -34,6 +33,7 @@ from fixel.replay.base import (
 )
 from fixel.replay.charts import WIDE, hide_spines, style_of
 from fixel.simulation import simulate_batch
+from fixel.simulation.motion import motion_model
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ class RunReplay(AbstractReplay):
     def simulate(self, item: RunWindow) -> WindowOutcome:
         """Simulate one window and compare all measured poses."""
         settings = self.settings
-        motion = motion_named(self.request.motion or usual_motion(item.run, settings["mu_support"]))
+        motion = motion_model(self.request.motion or usual_motion(item.run, settings["mu_support"]))
         speed = _length(item.waypoints[:, 1:3]) / item.duration
         result = simulate_batch(
             template(item.scene.bodies[0], item.tip, settings, speed, item.duration),

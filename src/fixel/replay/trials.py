@@ -20,13 +20,13 @@ from fixel.replay.base import (
     ReplayRequest,
     Row,
     matching,
-    motion_named,
     rms,
     settings_from,
     spread,
 )
 from fixel.replay.charts import trial_figure
 from fixel.simulation import Simulation, StewartTrinkle, simulate
+from fixel.simulation.motion import motion_model
 from fixel.typing import BoolArray, FloatArray
 
 # Length by which angles count in the error of the thesis [m/rad] (section 5.1: "a scale of 35").
@@ -81,7 +81,7 @@ class TrialReplay(AbstractReplay):
         """Simulate a trial along both recorded paths of the actuator, and as the laboratory did."""
         settings = self._settings(item)
         gravity = settings.pop("gravity")
-        motion = motion_named(self.request.motion or "dynamic")
+        motion = motion_model(self.request.motion or "dynamic")
         track, useful = item.trajectory, _useful(item)
         time = track.time[useful] - track.time[useful][0]
         measured = track.pose[useful]

@@ -8,10 +8,9 @@ from os import PathLike
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from fixel.calibration.target import target_of
-from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.records import Estimate
-from fixel.simulation.motion import MOTION_MODELS, AbstractMotionModel, Dynamic
+from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.simulate import SceneWithMethod, scene_file
 from fixel.simulation.stepper import AbstractStepper
 from fixel.typing import FloatArray
@@ -76,7 +75,7 @@ def push_of(
         scene, own_motion, stepper = file.scene, file.motion, file.stepper
     calibrated: object = model
     if not isinstance(calibrated, CalibratedModel):
-        method = motion_named(motion or own_motion)
+        method = motion_model(motion or own_motion)
         return Push(scene, times, conditions, dict(Parameters(model or {})), method, {}, stepper)
     values = calibrated.values_for(**conditions)
     intervals = {
@@ -88,18 +87,5 @@ def push_of(
         and own.low < own.high
         and not name.startswith("start_")
     }
-    method = motion_named(motion or calibrated.motion)
+    method = motion_model(motion or calibrated.motion)
     return Push(scene, times, conditions, values, method, intervals, stepper)
-
-
-def motion_named(motion: AbstractMotionModel | str | None) -> AbstractMotionModel:
-    """Return a motion model by its name, or as it is; dynamic by default."""
-    if motion is None:
-        return Dynamic()
-    if not isinstance(motion, str):
-        return motion
-    for model in MOTION_MODELS:
-        if model.name == motion:
-            return model()
-    names = ", ".join(model.name for model in MOTION_MODELS)
-    raise InvalidInput("motion", found=repr(motion), expected=f"one of {names}")

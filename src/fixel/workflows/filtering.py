@@ -15,9 +15,8 @@ from fixel.filtering.recorded import FilterRun, run_filter
 from fixel.model import Experiment, Provenance
 from fixel.model.records import CalibrationRecord, FilterParameters, FilterRecord
 from fixel.progress import ProgressOption, show_progress
-from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.typing import FloatArray
-from fixel.uncertainty.push import motion_named
 
 NAME: Final = "particle"  # name of the settings in the project
 
@@ -91,7 +90,7 @@ def filter(
     """
     if options is None:
         check_count("particles", particles, 2)
-        own: dict[str, Any] = {} if motion is None else {"motion": motion_named(motion)}
+        own: dict[str, Any] = {} if motion is None else {"motion": motion_model(motion)}
         options = ParticleFilter(n_particles=particles, priors=priors or {}, threads=threads, **own)
     with show_progress(progress, "filtering") as report:
         return run_filter(

@@ -96,10 +96,12 @@ def test_what_is_shown(fit):
 
 
 def test_a_misfit_is_told_in_one_paragraph(fit):
-    told = replace(fit.found, misfit=("slight model misfit: 5 mrad.", "Half of it is of one."))
-    outcome = replace(fit.run.outcome, found=(told,))
+    misfitting = replace(
+        fit.found, misfit=("slight model misfit: 5 mrad.", "Half of it is of one.")
+    )
+    outcome = replace(fit.run.outcome, found=(misfitting,))
     lines = repr(replace(fit, run=replace(fit.run, outcome=outcome))).splitlines()
-    assert [line.strip() for line in lines if "misfit" in line] == [" ".join(told.misfit)]
+    assert [line.strip() for line in lines if "misfit" in line] == [" ".join(misfitting.misfit)]
     assert re.search(r"error: [\d.]+ mm before, [\d.]+ mm after calibration", "\n".join(lines))
 
 

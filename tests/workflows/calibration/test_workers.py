@@ -28,7 +28,7 @@ print(*values[0])
 
 @pytest.mark.parametrize("how", ["a script", "typed"])
 def test_two_workers_need_no_guard_and_compute_the_same_bits(how, tmp_path):
-    """As `multiprocessing` with the start method `spawn` would need it."""
+    """Calibrate by two processes without the guard that the start method `spawn` requires."""
     pytest.importorskip("distributed")
     path = tmp_path / "script.py"
     path.write_text(SCRIPT, encoding="utf-8")

@@ -189,7 +189,7 @@ class Calibration(Result, Mapping[str, float]):
 
     @property
     def status(self) -> str:
-        """How the search ended: `finished`, `budget`, `interrupted` or `failed`."""
+        """End of the search: `finished`, `budget`, `interrupted` or `failed`."""
         if self.run.interrupted and not self.found.how.is_single:
             return "interrupted"
         if not np.isfinite(self.found.errors).all():

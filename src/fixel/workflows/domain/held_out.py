@@ -27,9 +27,9 @@ from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
+from fixel.simulation.motion import motion_model
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
 from fixel.typing import FloatArray, IntArray, ProgressCallback
-from fixel.uncertainty.push import motion_named
 from fixel.workflows.calibration.calibration import Calibration
 
 # Steps along a push, for experiments with two poses only. On a twelfth of the pushes of a public
@@ -100,12 +100,12 @@ def calibration_model(
     """
     if not isinstance(fit, Calibration):
         space = search_space(fit, targets)
-        return CalibrationModel(space=space, motion=motion_named(motion), error=MeanSquare())
+        return CalibrationModel(space=space, motion=motion_model(motion), error=MeanSquare())
     # Maps count mean squares [mm^2]; other errors minimised before do not matter here.
     error = fit.request.made_error
     return CalibrationModel(
         space=fit.space.started_at(fit.found.point),
-        motion=motion_named(motion or fit.motion),
+        motion=motion_model(motion or fit.motion),
         error=error if isinstance(error, MeanSquare | EndPose) else MeanSquare(),
     )
 

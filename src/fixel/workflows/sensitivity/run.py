@@ -30,7 +30,7 @@ from fixel.simulation.simulate import SceneWithMethod
 from fixel.simulation.stepper import AbstractStepper
 from fixel.uncertainty.indices import indices_of
 from fixel.uncertainty.outcomes import FLAGS, Sensitivity, sensitivity_of
-from fixel.uncertainty.push import motion_named, push_of
+from fixel.uncertainty.push import push_of
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import StartError
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
@@ -237,7 +237,7 @@ def store_sensitivity(project: Project, found: Sensitivity) -> StoredAnalysis:
         scene=own.scene,
         values=values,
         ranges={},
-        motion=motion_named(own.motion),
+        motion=motion_model(own.motion),
         stepper=None,
         banner="",
     )

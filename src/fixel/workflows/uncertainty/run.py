@@ -23,14 +23,13 @@ from fixel.model.records import CalibrationRecord
 from fixel.model.selection import ExperimentQuery
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.progress import ProgressOption, show_progress
-from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
 from fixel.uncertainty.near_optimal import NearOptimal, near_optimal, rise_of
 from fixel.uncertainty.posterior import NestedSampling, Posterior, SamplerProgress
 from fixel.uncertainty.prediction import Prediction
-from fixel.uncertainty.push import motion_named
 from fixel.uncertainty.repetition import predict_repetition
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.parameter_options import searched_unknowns
@@ -216,7 +215,7 @@ def posterior(
         noise = parameters.noise if noise is None else noise
     else:
         space = search_space(parameters, targets)
-    comparer = Comparer(targets, space, motion=motion_named(motion), threads=threads)
+    comparer = Comparer(targets, space, motion=motion_model(motion), threads=threads)
     error = model_error if isinstance(model_error, ModelError) else ModelError()
     found, _ = _sampled(
         comparer,
@@ -262,7 +261,7 @@ def find_uncertainty(
     unknowns = _unknowns(project, request, one, targets[: len(ids)])
     motion = _motion(request, one)
     space = ParameterSpace(unknowns=tuple(unknowns))
-    comparer = Comparer(targets, space, motion=motion_named(motion))
+    comparer = Comparer(targets, space, motion=motion_model(motion))
     found, point = _sampled(
         comparer,
         list(range(len(ids))),
@@ -301,7 +300,7 @@ def predicted_by(project: Project, found: Posterior) -> Uncertainty:
         known = newest_calibration(store, ids[0])
         compared = None if known is None else load_values(store, known)
     targets = [target_of(experiment) for experiment in experiments]
-    comparer = Comparer(targets, found.searched, motion=motion_named(found.motion))
+    comparer = Comparer(targets, found.searched, motion=motion_model(found.motion))
     return Uncertainty(
         request=UncertaintyRequest(
             experiments=found.experiments,
