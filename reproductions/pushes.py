@@ -23,6 +23,7 @@ from fixel.model.footprint import support_grid
 from fixel.replay.mit_pushes import NOMINAL, MitPushes
 from fixel.simulation import StewartTrinkle
 from fixel.simulation.ensemble import Ensemble, RolloutCase
+from fixel.simulation.load_profile import PROFILE_NAMES, LoadNet
 from fixel.simulation.uneven_table import TABLE_NAMES, factors_on_table
 from fixel.typing import BoolArray, FloatArray, IntArray
 
@@ -36,7 +37,7 @@ FADE: Final = 0.1
 # Names of logarithmic factors on the loads of a part of the net, relative to edges, or to the
 # inside if the outline is smooth; they describe irregularities of plates and tables.
 PART_NAMES: Final = {"corner": "at_corners", "inside": "inside", "ring": "at_rim"}
-_ON_LOADS: Final = (*TABLE_NAMES, *PART_NAMES.values())
+_ON_LOADS: Final = (*TABLE_NAMES, *PROFILE_NAMES, *PART_NAMES.values())
 
 Key = tuple[str, str]  # surface, shape
 Tracker = Callable[[IntArray, Mapping[str, FloatArray]], tuple[FloatArray, BoolArray]]
@@ -74,6 +75,7 @@ class PushGroup:
         self.start, self.end = data.start[rows], data.end[rows]
         self.tip_start, self.tip_end = data.tip_start[rows], data.tip_end[rows]
         self.points, self._part = support_grid(self.shape)
+        self._load_net = LoadNet.of(self.shape)
         friction = NOMINAL["mu_support"]
         even = UniformPressure(friction=friction, n_points=int(NOMINAL["support_points"]))
         stepper = StewartTrinkle(step=STEP)
@@ -131,8 +133,12 @@ class PushGroup:
         return given
 
     def _loads(self, which: IntArray, values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        away = self.points - self.shape.centroid
-        factor = factors_on_table(away, self.middle[which], values)
+        middle, centroid = self.middle[which], self.shape.centroid
+        if any(name in values for name in PROFILE_NAMES):
+            factor = self._load_net.shares(values, self.body.com, middle, centroid)
+            factor = factor * len(self.points)
+        else:
+            factor = factors_on_table(self.points - centroid, middle, values)
         for part, name in PART_NAMES.items():
             if name in values:
                 factor[:, self._part == part] *= np.exp(values[name])[:, None]

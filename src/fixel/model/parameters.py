@@ -73,6 +73,34 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
             _ANY,
             stands_for=_LOADS,
         ),
+        "pressure_rim": ParameterInfo(
+            "-",
+            "balanced loads on a net of points instead of the support of the scene: equal at 0, "
+            "larger towards the rim above 0",
+            _ANY,
+            stands_for=_LOADS,
+        ),
+        "pressure_corner": ParameterInfo(
+            "-", "the same, larger at corners above 0", _ANY, stands_for=_LOADS
+        ),
+        "pressure_xy": ParameterInfo(
+            "-",
+            "the same, larger far along the body's x and smaller far along its y above 0",
+            _ANY,
+            stands_for=_LOADS,
+        ),
+        "pressure_diagonal": ParameterInfo(
+            "-", "the same, between the diagonals of the body's x and y", _ANY, stands_for=_LOADS
+        ),
+        "pressure_tilt_x": ParameterInfo(
+            "-",
+            "the same, larger towards the body's x than the balance at the centre of mass asks for",
+            _ANY,
+            stands_for=_LOADS,
+        ),
+        "pressure_tilt_y": ParameterInfo(
+            "-", "the same, towards the body's y", _ANY, stands_for=_LOADS
+        ),
         "ellipsoid_force": ParameterInfo(
             "N", "largest friction force of an ellipsoid", above=True, stands_for=_LOADS
         ),
@@ -134,7 +162,8 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
 )
 
 _LOAD = re.compile(r"load_[1-9]\d{0,4}")
-# Parameters of supports that pressure under the whole body replaces.
+# Parameters of supports that replace the support of the scene, and of those that they replace.
+_REPLACING = re.compile(r"pressure_(spread|rim|corner|xy|diagonal|tilt_[xy])")
 _REPLACED = re.compile(r"tripod_radius|support_[123]_[xy]|ellipsoid_(force|torque)|load_\d+")
 
 
@@ -162,15 +191,19 @@ def info_of(name: str) -> ParameterInfo:
 
 
 def check_supports(names: Iterable[str]) -> None:
-    """Raise for `pressure_spread` together with a parameter of the support that it replaces."""
+    """Raise for a pressure under the body together with parameters of a support it replaces."""
     known = tuple(names)
+    replacing = [name for name in known if _REPLACING.fullmatch(name)]
     replaced = [name for name in known if _REPLACED.fullmatch(name)]
-    if "pressure_spread" in known and replaced:
+    if "pressure_spread" in replacing:
+        replacing.remove("pressure_spread")
+        replaced, replacing = replaced + replacing, ["pressure_spread"]
+    if replacing and replaced:
         raise InvalidInput(
-            "parameters.pressure_spread",
+            f"parameters.{replacing[0]}",
             found=f"{', '.join(replaced)} in addition to it",
             expected="one of them: it replaces the support that they describe",
-            hint="remove pressure_spread, or " + ", ".join(replaced),
+            hint=f"remove {replacing[0]}, or " + ", ".join(replaced),
         )
 
 

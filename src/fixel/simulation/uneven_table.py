@@ -47,6 +47,14 @@ def factors_on_table(
     values : mapping of name to (n,) float64
         Values of `TABLE_NAMES`; missing ones are zero.
     """
+    exponent = table_exponent(points, angle, values)
+    return np.asarray(np.exp(np.clip(exponent, -MAX_EXPONENT, MAX_EXPONENT)))
+
+
+def table_exponent(
+    points: FloatArray, angle: FloatArray, values: Mapping[str, FloatArray]
+) -> FloatArray:
+    """Return the logarithm (n, n_point) of `factors_on_table`, without its limits."""
     nothing = np.zeros(len(angle))
     bend, bend_xy, bend_diagonal, slope_x, slope_y = (
         values.get(name, nothing)[:, None] for name in TABLE_NAMES
@@ -55,5 +63,4 @@ def factors_on_table(
     u, v = (points / LENGTH).T
     x, y = c * u - s * v, s * u + c * v
     exponent = 0.5 * (bend * (x * x + y * y) + bend_xy * (x * x - y * y)) + bend_diagonal * x * y
-    exponent = exponent + slope_x * x + slope_y * y
-    return np.asarray(np.exp(np.clip(exponent, -MAX_EXPONENT, MAX_EXPONENT)))
+    return np.asarray(exponent + slope_x * x + slope_y * y)

@@ -20,6 +20,7 @@ from fixel.model import Disk, Pusher, Scene, SupportPoints, UniformPressure
 from fixel.model.footprint import cells
 from fixel.model.parameters import check_supports, info_of
 from fixel.model.support import LOAD_ROUNDING, tilted_shares, triangle_shares
+from fixel.simulation.load_profile import PROFILE_NAMES, LoadNet, can_balance
 from fixel.simulation.uneven_table import MAX_EXPONENT, TABLE_NAMES, factors_on_table
 from fixel.typing import FloatArray, IntArray
 
@@ -108,7 +109,9 @@ def varied_elements(
         elements = _on_three_points(scene, elements, values)
     if any(name.startswith("load_") for name in values):
         elements = _under_loads(scene, elements, values)
-    if any(name in values for name in TABLE_NAMES):
+    if any(name in values for name in PROFILE_NAMES):
+        elements = _on_net(scene, elements, values, start)
+    elif any(name in values for name in TABLE_NAMES):
         elements = _on_table(scene, elements, values, start)
     if "tripod_radius" in values:
         elements = _at_radius(elements, values["tripod_radius"])
@@ -161,6 +164,29 @@ def _under_pressure(scene: Scene, elements: Elements, spread: FloatArray) -> Ele
             found="pressure that would be negative at one end",
             expected="a centre of mass closer to the centroid",
         )
+    return _pressing(scene, elements, points, np.maximum(share, 0.0))
+
+
+def _on_net(scene: Scene, elements: Elements, values: Values, start: FloatArray | None) -> Elements:
+    """Replace the supports by balanced loads on a net of points, with the same total friction.
+
+    An uneven table changes the loads before the balance.
+    """
+    if len(scene.bodies) != 1:
+        raise InvalidInput(
+            "parameters.pressure_rim", found=f"{len(scene.bodies)} bodies", expected="one"
+        )
+    body = scene.bodies[0]
+    net = LoadNet.of(body.shape)
+    n = next(len(values[name]) for name in PROFILE_NAMES if name in values)
+    angle = np.broadcast_to(body.pose[2] if start is None else start[:, 0, 2], n)
+    shares = net.shares(values, body.com, angle, body.shape.centroid)
+    return _pressing(scene, elements, net.points - body.com, shares)
+
+
+def _pressing(scene: Scene, elements: Elements, points: FloatArray, share: FloatArray) -> Elements:
+    """Return supports on points (k, 2) from the centre of mass with shares (n, k) of the weight,
+    and the total friction of others."""
     weight = scene.bodies[0].mass * scene.gravity
     force = float(elements.load @ elements.friction)
     k = len(points)
@@ -168,7 +194,7 @@ def _under_pressure(scene: Scene, elements: Elements, spread: FloatArray) -> Ele
         body=np.zeros(k, np.int64),
         kind=np.full(k, codes.POINT, np.int64),
         point=points,
-        load=weight * np.maximum(share, 0.0),
+        load=weight * share,
         friction=np.full(k, force / weight if weight > 0.0 else 0.0),
         arm=np.zeros(k),
         unit=np.zeros((k, 2)),
@@ -460,6 +486,10 @@ def infeasible(scene: Scene, values: Values) -> list[str]:
             tipped,
             "the centre of mass too far from the centroid for positive pressure everywhere",
         )
+    if any(name in values for name in PROFILE_NAMES) and len(scene.bodies) == 1:
+        body = scene.bodies[0]
+        if not can_balance(LoadNet.of(body.shape).points - body.com):
+            _note(reasons, np.ones(n, bool), "the centre of mass is not above the support points")
     loads = [v for name, v in values.items() if name.startswith("load_")]
     if loads:
         _note(reasons, np.asarray(np.sum(loads, axis=0) <= 0.0), "no load on any support point")

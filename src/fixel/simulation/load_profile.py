@@ -1,0 +1,162 @@
+"""Balanced loads under a plate, from a few numbers.
+
+A plate of which little is known stands on a net of points (`support_grid`). Four numbers say where
+it presses more, and a tilt that they do not choose puts the centre of pressure exactly under the
+centre of mass: a rigid plate at rest is in balance on any table. Without the balance, loads learned
+from other plates move the centre of pressure by millimetres (docs/theory/new-parts.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+import shapely
+
+from fixel.errors import InvalidInput
+from fixel.model import Shape
+from fixel.model.footprint import support_grid
+from fixel.simulation.uneven_table import TABLE_NAMES, table_exponent
+from fixel.typing import FloatArray
+
+PROFILE_NAMES: Final = (
+    "pressure_rim",
+    "pressure_corner",
+    "pressure_xy",
+    "pressure_diagonal",
+    "pressure_tilt_x",
+    "pressure_tilt_y",
+)
+"""`pressure_rim`: more load (above 0) towards the rim; `pressure_corner`: at corners;
+`pressure_xy`: far along the body's x rather than y; `pressure_diagonal`: the same between its
+diagonals; `pressure_tilt_x`, `pressure_tilt_y`: more load than the balance asks for towards larger
+x or y. All dimensionless; all zero is the same load on every point, balanced."""
+
+# Of the logarithm of a load before the balance: a factor of 150 up or down.
+MAX_EXPONENT: Final = 5.0
+STEPS: Final = 40  # of Newton's method; three or four are usual
+TOLERANCE: Final = 1e-10  # of the centre of pressure, over the size of the plate
+
+
+class LoadNet(NamedTuple):
+    """Support points under an outline, in the units of the load profile."""
+
+    points: FloatArray  # (n_point, 2) in the frame of the shape [m]
+    place: FloatArray  # (n_point, 2) from the centroid, in radii of a disk of the same area [-]
+    rim: FloatArray  # (n_point,) squared distance from the centroid, 1 at the rim of the hull [-]
+    corner: FloatArray  # (n_point,) 1 at corners, 0 elsewhere
+
+    @classmethod
+    def of(cls, shape: Shape) -> LoadNet:
+        """Return the net of support points of an outline."""
+        points, part = support_grid(shape)
+        centre = np.asarray(shape.centroid, np.float64)
+        hull = shapely.get_coordinates(shapely.MultiPoint(shape.outline).convex_hull)[:-1]
+        edge = np.roll(hull, -1, axis=0) - hull
+        outward = np.column_stack((edge[:, 1], -edge[:, 0]))
+        reach = np.einsum("ej,ej->e", outward, hull - centre)
+        rim = ((points - centre) @ outward.T / reach).max(axis=1)
+        place = (points - centre) / np.sqrt(shape.area / np.pi)
+        return cls(points, place, rim**2, (part == "corner").astype(np.float64))
+
+    def shares(
+        self,
+        values: Mapping[str, FloatArray],
+        centre_of_mass: FloatArray,
+        angle: FloatArray,
+        centroid: FloatArray,
+    ) -> FloatArray:
+        """Return the shares (n, n_point) of the weight on the points.
+
+        Parameters
+        ----------
+        values : mapping of name to (n,) float64
+            Values of `PROFILE_NAMES` and `TABLE_NAMES`; missing ones are zero.
+        centre_of_mass : (2,) float64
+            In the frame of the shape [m].
+        angle : (n,) float64
+            Angle of the body on the table [rad].
+        centroid : (2,) float64
+            Of the outline [m].
+
+        Raises
+        ------
+        InvalidInput
+            The centre of mass is not above the points.
+        """
+        n = len(angle)
+        rim, corner, along, diagonal, tilt_x, tilt_y = (
+            values.get(name, np.zeros(n))[:, None] for name in PROFILE_NAMES
+        )
+        x, y = self.place.T
+        exponent = rim * self.rim + corner * self.corner
+        exponent = exponent + 0.5 * along * (x * x - y * y) + diagonal * x * y
+        if any(name in values for name in TABLE_NAMES):
+            exponent = exponent + table_exponent(self.points - centroid, angle, values)
+        exponent = np.clip(exponent, -MAX_EXPONENT, MAX_EXPONENT)
+        size = float(np.ptp(self.points, axis=0).max())
+        tilt = balance(exponent, (self.points - centre_of_mass) / size)
+        exponent = exponent + tilt @ ((self.points - centre_of_mass) / size).T
+        return _shares(exponent + tilt_x * x + tilt_y * y)
+
+
+def balance(exponent: FloatArray, points: FloatArray) -> FloatArray:
+    """Return the tilt (n, 2) that puts the centre of the loads exp(exponent + tilt . r) at zero.
+
+    It is the change of the loads with the smallest relative entropy. Newton's method minimises
+    log(sum(exp(exponent + tilt . r))), which is convex, with steps that are halved where needed.
+
+    Parameters
+    ----------
+    exponent : (n, n_point) float64
+        Logarithms of the loads.
+    points : (n_point, 2) float64
+        Points relative to the centre of mass, in units of about the size of the plate.
+
+    Source: Csiszar (1975), I-divergence geometry of probability distributions.
+    """
+    if not can_balance(points):
+        raise InvalidInput(
+            "support",
+            found="a centre of mass that is not above the support points",
+            expected="a centre of mass inside their hull",
+            hint="give the support points of the body",
+        )
+    tilt = np.zeros((len(exponent), 2))
+    height = _log_sum(exponent)
+    for _ in range(STEPS):
+        share = _shares(exponent + tilt @ points.T)
+        centre = share @ points
+        if np.abs(centre).max(initial=0.0) < TOLERANCE:
+            break
+        moment = np.einsum("np,pi,pj->nij", share, points, points)
+        moment -= centre[:, :, None] * centre[:, None, :]
+        moment += 1e-12 * np.eye(2)
+        step = -np.linalg.solve(moment, centre[:, :, None])[:, :, 0]
+        size = np.ones(len(tilt))
+        for _ in range(30):
+            trial = _log_sum(exponent + (tilt + size[:, None] * step) @ points.T)
+            worse = trial > height + 1e-4 * size * (centre * step).sum(axis=1) + 1e-14
+            if not worse.any():
+                break
+            size[worse] *= 0.5
+        tilt = tilt + size[:, None] * step
+        height = trial
+    return tilt
+
+
+def can_balance(points: FloatArray) -> bool:
+    """Return whether positive loads on points (n_point, 2) can have their centre at zero."""
+    hull = shapely.MultiPoint(points).convex_hull
+    return bool(shapely.contains_properly(hull, shapely.Point(0.0, 0.0)))
+
+
+def _shares(exponent: FloatArray) -> FloatArray:
+    load = np.exp(exponent - exponent.max(axis=1, keepdims=True))
+    return np.asarray(load / load.sum(axis=1, keepdims=True))
+
+
+def _log_sum(exponent: FloatArray) -> FloatArray:
+    top = exponent.max(axis=1)
+    return np.asarray(top + np.log(np.exp(exponent - top[:, None]).sum(axis=1)))
