@@ -35,7 +35,7 @@ def shares(shape, centre_of_mass, **values):
 def test_any_profile_is_balanced(shape):
     rng = np.random.default_rng(0)
     values = {name: rng.normal(0.0, 2.0, 200) for name in PROFILE_NAMES[:4]}
-    com = np.asarray(shape.centroid) + [2e-3, -1e-3]
+    com = np.add(shape.centroid, (2e-3, -1e-3))
     points, load = shares(shape, com, **values)
     assert np.abs(load @ points - com).max() < 1e-9
     np.testing.assert_allclose(load.sum(axis=1), 1.0)
@@ -103,9 +103,8 @@ def test_centre_of_mass_beside_the_points_is_refused():
     com = (0.115, 0.0)
     with pytest.raises(InvalidInput, match="not above the support points"):
         shares(TRIANGLE, com, pressure_rim=[0.0])
-    body = Body(
-        "part", TRIANGLE, mass=0.8, centre_of_mass=com, support=UniformPressure(friction=0.3)
-    )
+    feet = SupportPoints(points=[(0.0, 0.0), (0.12, 0.0), (0.0, 0.02)], friction=0.3)
+    body = Body("part", TRIANGLE, mass=0.8, centre_of_mass=com, support=feet)
     reasons = infeasible(Scene(bodies=(body,), duration=1.0), {"pressure_rim": np.zeros(2)})
     assert reasons == ["the centre of mass is not above the support points"] * 2
 
