@@ -30,6 +30,7 @@ from reproductions.fitting import (
     tip_beliefs,
 )
 from reproductions.pushes import Key, PushGroup, rows_by_key
+from reproductions.residual_process import REACH
 from reproductions.residuals import (
     Split,
     few_of,
@@ -182,6 +183,20 @@ class BenchmarkData:
         point = np.array(finished["point"], np.float64)
         return FittedPushes(tuple(finished["names"]), point, int(finished["pushes_simulated"]))
 
+    def learned(
+        self, name: str, group: PushGroup, split: Split, physics: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Compute `learned_ends` of held-out members, or load those of that name."""
+        speed = self.data.speed[group.rows]
+
+        def compute() -> Row:
+            end, sd = learned_ends(group, split, physics, speed)
+            return {"end": listed(end), "sd": listed(sd)}
+
+        of = ["learned", REACH, physics, group.end[split.train], split.train, speed]
+        finished = self.finished.get(f"learned_{name}_{'_'.join(group.key)}", of, compute)
+        return np.array(finished["end"]), np.array(finished["sd"])
+
 
 def _data_of(member: FitMember) -> list[Any]:
     """Data of a group that a fit depends on."""
@@ -297,20 +312,7 @@ def _learned(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
         group = bench.group(key)
         found = full_fit(bench, group, k, split)
         physics = found.predict(group, np.arange(len(group)))
-        speed = bench.data.speed[group.rows]
-
-        def compute(
-            group: PushGroup = group,
-            split: Split = split,
-            physics: FloatArray = physics,
-            speed: FloatArray = speed,
-        ) -> Row:
-            end, sd = learned_ends(group, split, physics, speed)
-            return {"end": listed(end), "sd": listed(sd)}
-
-        of = ["learned", physics, group.end[split.train], split.train, speed]
-        finished = bench.finished.get(f"learned_{k}_{'_'.join(key)}", of, compute)
-        end, sd = np.array(finished["end"]), np.array(finished["sd"])
+        end, sd = bench.learned(str(k), group, split, physics)
         inside = inside_ninety(group, split.held_out, end, sd)
         yield _piece(bench, group, k, split.held_out, found)._replace(end=end, inside=inside)
         bench.advance(f"learned {' '.join(key)}")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Hashable, Mapping, Sequence
-from typing import Any, Final, NamedTuple, final
+from types import MappingProxyType
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from fixel.datasets.mit_plates import TIP
+from fixel.domain.contacts import contacts_of
 from fixel.domain.features import (
     PLACE,
     Configurations,
@@ -23,23 +24,14 @@ from fixel.model import wrapped
 from fixel.typing import BoolArray, FloatArray, IntArray
 from reproductions.fitting import FittedPushes
 from reproductions.pushes import PushGroup
+from reproductions.residual_process import NINETY, ResidualProcess
 
 # Number of times at which simulated pushes are sampled.
 SAMPLES: Final = 10
 # Weight of the object's angle on the table in the distance of neighbours, relative to the place of
 # contact (in units of the spread of places) and the direction of the push.
 TABLE_TURN: Final = 0.5
-# Largest number of examples: the computing time grows with its cube.
-MAX_EXAMPLES: Final = 4000
-MIN_EXAMPLES: Final = 8
-# Residuals are clipped at this distance from the median, in robust standard deviations: a push with
-# an entirely different end says nothing about the others. Of 3, 4, 6 and no limit, 4 was
-# best on inner folds of training pushes.
-FARTHEST: Final = 4.0
-# Folds, each predicted from the others, to measure the errors of predictions.
-PARTS: Final = 3
-# Standard deviations that contain 90 % of a normal distribution.
-NINETY: Final = 1.6449
+NOTHING: Final[Mapping[str, float]] = MappingProxyType({})
 
 
 class Split(NamedTuple):
@@ -127,13 +119,13 @@ def learned_ends(
     physics : (m, 3) float64
         Ends of all members by the physics. Of the measured ends only those for training are used.
     """
-    features = _features(group, physics, speed)
+    features, places = _features(group, physics, speed), _places(group, speed)
     good: BoolArray = np.asarray(np.isfinite(physics).all(axis=1))
     train = split.train[good[split.train]]
     residual = in_object(group, train, group.end[train] - physics[train])
-    process = ResidualProcess(features[train], residual)
+    process = ResidualProcess(features[train], residual, places[train])
     held = split.held_out
-    more, sd = process.predict(np.nan_to_num(features[held]))
+    more, sd = process.predict(np.nan_to_num(features[held]), places[held])
     end = physics[held] + in_world(group, held, more)
     return end, sd
 
@@ -152,6 +144,18 @@ def _features(group: PushGroup, physics: FloatArray, speed: FloatArray) -> Float
     return np.column_stack(
         (tip[:, :2], along[:, :2], np.cos(angle), np.sin(angle), group.start[:, :2], speed, moved)
     )
+
+
+def _places(group: PushGroup, speed: FloatArray) -> FloatArray:
+    """First contacts (n, 6) in the object's frame: point in radii of the object, direction of the
+    normal, direction of the push.
+
+    Without the normal, pushes around a corner would be near pushes of another side.
+    """
+    asked = configurations_of(group)
+    contact = contacts_of(asked, speed)
+    along = configuration_features(asked).columns(("along_x", "along_y"))
+    return np.column_stack((contact.place, np.cos(contact.normal), np.sin(contact.normal), along))
 
 
 def in_object(group: PushGroup, which: IntArray, moves: FloatArray) -> FloatArray:
@@ -194,7 +198,7 @@ def evidence_of(
     """
     everyone = np.arange(len(group))
     given = found.values
-    configurations = _configurations(group, given)
+    configurations = configurations_of(group, given)
     track = group.tracks(SAMPLES)
 
     def roll(which: IntArray, changed: Mapping[str, FloatArray]) -> tuple[FloatArray, BoolArray]:
@@ -219,7 +223,8 @@ def evidence_of(
     return PushErrors(features, np.where(good[:, None], errors, np.inf))
 
 
-def _configurations(group: PushGroup, given: Mapping[str, float]) -> Configurations:
+def configurations_of(group: PushGroup, given: Mapping[str, float] = NOTHING) -> Configurations:
+    """Return the intended pushes of a group, with tips at the fitted registration if given."""
     shift = np.array([given.get(f"registration_{axis}", 0.0) for axis in "xy"])
     return Configurations(
         group.shape, TIP.radius, group.start, group.tip_start + shift, group.tip_end + shift
@@ -236,126 +241,3 @@ def _near(group: PushGroup, split: Split, place: Features, residual: FloatArray)
     common = np.median(np.linalg.norm(residual[split.train], axis=1))
     found = neighbour_features(table, table[split.train], residual[split.train], 8, itself)
     return found.with_more(("group_error",), np.full((len(group), 1), common))
-
-
-@final
-class ResidualProcess:
-    """Gaussian process for each column of the residual, with a length for each feature.
-
-    This is not physics and is not valid outside the training pushes. Report it separately.
-
-    Parameters
-    ----------
-    features : (n, n_feature) array
-        Features that are known before a push, in any units.
-    residuals : (n, n_output) array
-        Measured minus simulated values.
-    rounds : int
-        Maximum number of iterations of the search for lengths and noise.
-
-    Notes
-    -----
-    The standard deviations are scaled so that the 90 % intervals contain 90 % of the examples when
-    each third of them is predicted from the rest: tails of pushes are heavier than normal, and many
-    lengths overfit few examples.
-
-    Source
-    ------
-    Rasmussen & Williams (2006), algorithm 2.1; kernel Matern 3/2.
-    """
-
-    def __init__(self, features: FloatArray, residuals: FloatArray, rounds: int = 60) -> None:
-        _refuse_examples(features, residuals)
-        _refuse_missing()
-        self._processes = _Processes(features, residuals, rounds)
-        self._widening = _widening(features, residuals, rounds)
-
-    def predict(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return expected residuals (n, n_output) and their standard deviations (n, n_output)."""
-        mean, sd = self._processes.predict(features)
-        return mean, sd * self._widening
-
-
-class _Processes:
-    """Gaussian processes on scaled columns, without correction of the standard deviations."""
-
-    def __init__(self, features: FloatArray, residuals: FloatArray, rounds: int) -> None:
-        self._centre = features.mean(axis=0)
-        spread = features.std(axis=0)
-        self._used = spread > 1e-12
-        self._spread = np.where(self._used, spread, 1.0)
-        near = _without_tails(residuals)
-        self._scale = np.maximum(near.std(axis=0), 1e-12)
-        table = self._scaled(features)
-        self._one_each = [_process(table, column, rounds) for column in (near / self._scale).T]
-
-    def predict(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
-        table = self._scaled(features)
-        found = [process.predict(table, return_std=True) for process in self._one_each]
-        mean = np.column_stack([m for m, _ in found]) * self._scale
-        return mean, np.column_stack([s for _, s in found]) * self._scale
-
-    def _scaled(self, features: FloatArray) -> FloatArray:
-        return np.asarray(((features - self._centre) / self._spread)[:, self._used])
-
-
-def _without_tails(residuals: FloatArray) -> FloatArray:
-    middle = np.median(residuals, axis=0)
-    spread = 1.4826 * np.median(np.abs(residuals - middle), axis=0)
-    return np.clip(residuals, middle - FARTHEST * spread, middle + FARTHEST * spread)
-
-
-def _widening(features: FloatArray, residuals: FloatArray, rounds: int) -> FloatArray:
-    """Return factors (n_output,) of the standard deviations for a 90 % coverage."""
-    part = np.random.default_rng(0).permutation(len(features)) % PARTS
-    z = np.zeros_like(residuals)
-    for k in range(PARTS):
-        own = part == k
-        mean, sd = _Processes(features[~own], residuals[~own], rounds).predict(features[own])
-        z[own] = np.abs(residuals[own] - mean) / sd
-    return np.maximum(np.quantile(z, 0.9, axis=0) / NINETY, 1e-6)
-
-
-def _process(table: FloatArray, column: FloatArray, rounds: int) -> Any:
-    from scipy.optimize import minimize
-    from sklearn.exceptions import ConvergenceWarning
-    from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
-
-    def climb(objective: Any, start: FloatArray, bounds: FloatArray) -> tuple[FloatArray, float]:
-        options = {"maxiter": rounds}
-        end = minimize(
-            objective, start, method="L-BFGS-B", jac=True, bounds=bounds, options=options
-        )
-        return end.x, float(end.fun)
-
-    n = table.shape[1]
-    lengths = Matern(np.full(n, 2.0), (0.2, 100.0), nu=1.5)
-    kernel = ConstantKernel(0.5, (1e-3, 10.0)) * lengths + WhiteKernel(0.5, (1e-2, 4.0))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # a length at its bound: no influence
-        process = GaussianProcessRegressor(kernel, optimizer=climb, alpha=1e-8)
-        return process.fit(table, column)
-
-
-def _refuse_examples(features: FloatArray, residuals: FloatArray) -> None:
-    n = len(features)
-    good = np.isfinite(features).all() and np.isfinite(residuals).all()
-    if len(residuals) != n or not good or not MIN_EXAMPLES <= n <= MAX_EXAMPLES:
-        raise InvalidInput(
-            "learned residual",
-            found=f"{n} rows of features, {len(residuals)} of residuals",
-            expected=f"finite ones, {MIN_EXAMPLES} to {MAX_EXAMPLES} of each",
-        )
-
-
-def _refuse_missing() -> None:
-    try:
-        import sklearn  # noqa: F401
-    except ImportError:
-        raise InvalidInput(
-            "learned residual",
-            found="no package scikit-learn",
-            expected="it to be installed",
-            hint='pip install "fixel[learn]"',
-        ) from None

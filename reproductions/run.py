@@ -21,6 +21,7 @@ from reproductions import (
     cmu_tripod,
     coverage,
     error_bounds,
+    learned_sides,
     mit_push,
     new_sides,
     rates,
@@ -52,6 +53,7 @@ REPRODUCTIONS: Final[Mapping[str, tuple[str | None, Callable[[RunOptions], Repro
             "repeats": ("cmu_two_point_push", repeats.run),
             "error-bounds": (MIT_PUSHES, error_bounds.run),
             "new-sides": (MIT_PUSHES, new_sides.run),
+            "learned-sides": (MIT_PUSHES, learned_sides.run),
             "coverage": (MIT_PUSHES, coverage.run),
             "rates": ("", rates.run),
         }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -57,6 +57,36 @@ def new_sides_figure(groups: Sequence[Row], level: float) -> Figure:
                     handletextpad=0.2, columnspacing=1.0)  # fmt: skip
     for axes in panels[len(kinds) :].tolist():
         axes.set_axis_off()
+    return figure
+
+
+def learned_sides_figure(groups: Sequence[Row], limits: Mapping[str, float]) -> Figure:
+    """Draw by group how a process on residuals changes the errors on sides never pushed.
+
+    Parameters
+    ----------
+    groups : sequence of mapping
+        `left_out`, `group`, and `change_<unit>` for each unit of the limits.
+    limits : mapping of unit to float
+        Change that counts as noise.
+    """
+    figure = sheet(WIDE, 3.2)
+    marks = zip(("side", "quarter"), (palette.BODY, palette.FIXEL), ("o", "D"), strict=True)
+    panels = figure.subplots(1, len(limits), sharey=True)
+    for kind, colour, marker in marks:
+        rows = [row for row in groups if row["left_out"] == kind]
+        place = np.arange(len(rows))[::-1]
+        for axes, unit in zip(panels.tolist(), limits, strict=True):
+            axes.plot([row[f"change_{unit}"] for row in rows], place, marker, color=colour,
+                      markersize=3.5, markerfacecolor="none", label=f"new {kind}")  # fmt: skip
+            axes.set_yticks(place, [row["group"] for row in rows])
+    for axes, (unit, limit) in zip(panels.tolist(), limits.items(), strict=True):
+        axes.axvline(0.0, color=palette.INK, linewidth=0.8)
+        axes.axvline(limit, color=palette.INK, linewidth=0.8, linestyle=(0, (4, 2)))
+        axes.set_xlabel(f"error with the process minus physics [{unit}]")
+        clean(axes)
+    figure.legend(*panels[0].get_legend_handles_labels(), frameon=False, ncols=2,
+                  loc="outside upper center")  # fmt: skip
     return figure
 
 

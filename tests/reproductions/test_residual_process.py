@@ -1,4 +1,4 @@
-"""Gaussian processes on what physics leaves over."""
+"""Gaussian processes on what physics leaves over, among their examples and beyond them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from reproductions.residuals import NINETY, ResidualProcess
+from reproductions.residual_process import NINETY, ResidualProcess
 
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
@@ -22,11 +22,18 @@ def made_up(n: int, seed: int) -> tuple[FloatArray, FloatArray]:
     return features, residuals + rng.normal(0.0, 0.1e-3, (n, 2))
 
 
+def predicted_at_one_place(
+    features: FloatArray, residuals: FloatArray, new: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    process = ResidualProcess(features, residuals, np.zeros((len(features), 1)))
+    return process.predict(new, np.zeros((len(new), 1)))
+
+
 def test_it_learns_and_knows_how_well() -> None:
     features, residuals = made_up(120, 1)
     new, truth = made_up(200, 2)
 
-    mean, sd = ResidualProcess(features, residuals).predict(new)
+    mean, sd = predicted_at_one_place(features, residuals, new)
 
     assert np.abs(mean - truth).mean() < 0.15 * np.abs(truth).mean()
     inside = np.abs(mean - truth) <= NINETY * sd
@@ -37,7 +44,7 @@ def test_noise_teaches_nothing() -> None:
     rng = np.random.default_rng(3)
     features, residuals = rng.normal(size=(60, 4)), rng.normal(size=(60, 1))
 
-    mean, sd = ResidualProcess(features, residuals).predict(rng.normal(size=(40, 4)))
+    mean, sd = predicted_at_one_place(features, residuals, rng.normal(size=(40, 4)))
 
     assert np.abs(mean).mean() < 0.5
     assert sd.mean() == pytest.approx(1.0, abs=0.4)
@@ -47,9 +54,64 @@ def test_features_that_never_change_are_left_out() -> None:
     features, residuals = made_up(40, 4)
     still = np.column_stack((features, np.full(40, 7.0)))
 
-    mean, _ = ResidualProcess(still, residuals).predict(still)
+    mean, _ = predicted_at_one_place(still, residuals, still)
 
     assert np.isfinite(mean).all()
+
+
+def sides_of_a_plate(n: int, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Pushes on four sides: what physics leaves over is of the other sign on the last one.
+
+    Features vary along each side; places also have the direction of the side.
+    """
+    rng = np.random.default_rng(seed)
+    side, along = rng.integers(0, 4, n), rng.uniform(-1.0, 1.0, n)
+    sign = np.where(side == 3, -1.0, 1.0)
+    residual = 1e-3 * sign * (2.0 + np.sin(2.0 * along)) + rng.normal(0.0, 0.1e-3, n)
+    turn = 0.5 * np.pi * side
+    features = np.column_stack((along, np.sin(turn + 0.3), rng.uniform(-1.0, 1.0, n)))
+    return side, residual[:, None], np.column_stack((features, 2 * np.cos(turn), 2 * np.sin(turn)))
+
+
+def test_on_a_side_without_examples_only_physics_predicts() -> None:
+    """The residual of the last side cannot be known from the others, and would be made twice as
+    large by what these suggest."""
+    side, residual, table = sides_of_a_plate(300, 7)
+    known, new = side < 3, side == 3
+
+    process = ResidualProcess(table[known, :3], residual[known], table[known])
+    mean, sd = process.predict(table[new, :3], table[new])
+
+    assert np.abs(mean).max() < 0.05e-3
+    inside = np.abs(residual[new] - mean) <= NINETY * sd
+    assert inside.mean() > 0.8  # errors as large as those among the examples are expected
+
+
+def test_among_dense_examples_the_process_keeps_its_gain() -> None:
+    _, residual, table = sides_of_a_plate(400, 8)
+    train, held = np.arange(400) % 2 == 0, np.arange(400) % 2 == 1
+
+    mean, sd = ResidualProcess(table[train, :3], residual[train], table[train]).predict(
+        table[held, :3], table[held]
+    )
+
+    left = np.abs(residual[held] - mean)
+    assert left.mean() < 0.15 * np.abs(residual[held]).mean()
+    assert 0.82 < (left <= NINETY * sd).mean() < 0.97
+
+
+def test_equal_places_have_no_spacing_to_go_by() -> None:
+    """Repeated pushes of one contact: the process predicts there, physics anywhere else."""
+    features, residuals = made_up(40, 9)
+    residuals += 5e-3
+    process = ResidualProcess(features, residuals, np.zeros((40, 2)))
+
+    here, _ = process.predict(features[:1], np.zeros((1, 2)))
+    elsewhere, sd = process.predict(features[:1], np.full((1, 2), 1e-3))
+
+    assert np.abs(here).min() > 3e-3
+    assert not elsewhere.any()
+    assert sd.min() > 3e-3
 
 
 @pytest.mark.parametrize("n", [3, 20])
@@ -58,11 +120,12 @@ def test_too_few_or_broken_examples_are_refused(n: int) -> None:
     residuals[0] = np.nan
 
     with pytest.raises(InvalidInput, match="expected finite ones"):
-        ResidualProcess(features, residuals)
+        ResidualProcess(features, residuals, features)
 
 
 def test_without_scikit_learn_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "sklearn", None)
+    features, residuals = made_up(20, 6)
 
     with pytest.raises(InvalidInput, match=r'pip install "fixel\[learn\]"'):
-        ResidualProcess(*made_up(20, 6))
+        ResidualProcess(features, residuals, features)
