@@ -14,11 +14,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from fixel.calibration.contacts import Configurations, PushedContacts, TouchedPlaces, contacts_of
 from fixel.calibration.registration import gaps_and_normals
 from fixel.datasets.mit_plates import TIP
-from fixel.domain.contacts import PushedContacts, TouchedPlaces, contacts_of
 from fixel.domain.error_bound import LEVEL, ConformalBound, Experience, min_experiments
-from fixel.domain.features import Configurations
 from fixel.model import wrapped
 from fixel.replay.base import Row
 from fixel.typing import BoolArray, FloatArray, IntArray

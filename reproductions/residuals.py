@@ -8,11 +8,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from fixel.calibration.contacts import Configurations
 from fixel.datasets.mit_plates import TIP
 from fixel.domain.contacts import contacts_of
 from fixel.domain.features import (
     PLACE,
-    Configurations,
     Features,
     configuration_features,
     neighbour_features,

@@ -45,6 +45,8 @@ class Summary:
         Sentences below the tables: warnings, and what the numbers mean.
     details : mapping of str to str
         Method, seed, version and command, folded in a notebook and left out in a terminal.
+    unseen : sequence of str
+        What no experiment of a calibration has, such as a new part; printed before all else.
 
     Examples
     --------
@@ -61,6 +63,7 @@ class Summary:
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
     details: Mapping[str, str] = field(default_factory=dict)
+    unseen: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tables", tuple(self.tables))
@@ -68,7 +71,8 @@ class Summary:
 
     def text(self) -> str:
         """Return plain text of at most `MAX_LINES` lines and `MAX_COLUMNS` columns."""
-        heading = _wrapped(self.heading, "")[:3]
+        heading = [line for one in self.unseen for line in _wrapped(f"Unseen: {one}", "")]
+        heading = [*_cut(heading, MAX_LINES // 3), *_wrapped(self.heading, "")[:3]]
         notes = [line for note in self.notes for line in _wrapped(note, "  ")]
         notes = _cut(notes, (MAX_LINES - len(heading)) // 2 if self.tables else MAX_LINES - 3)
         room = MAX_LINES - len(heading) - len(notes)
@@ -89,7 +93,8 @@ class Summary:
         return page
 
     def _html(self, max_rows: int) -> str:
-        parts = [f"<p><b>{escape(_limited(self.heading))}</b></p>"]
+        first = [f"Unseen: {_limited(one)}" for one in self.unseen[:MAX_HTML_ROWS]]
+        parts = [f"<p><b>{escape(one)}</b></p>" for one in (*first, _limited(self.heading))]
         for table in self.tables[:MAX_HTML_ROWS]:
             parts.append(
                 Table(table.columns, table.rows[:max_rows], title=table.title).html().strip()

@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from fixel.domain.contacts import PushedContacts, TouchedPlaces, contacts_of
+from fixel.calibration.contacts import Configurations, PushedContacts, TouchedPlaces, contacts_of
 from fixel.domain.error_bound import ConformalBound, held_out_bounds
-from fixel.domain.features import Configurations
 from fixel.errors import InvalidInput
 from fixel.model import Polygon
 from fixel.typing import FloatArray
@@ -146,7 +145,7 @@ def test_a_finite_bound_takes_nine_left_out_sides() -> None:
             assert np.isfinite(ConformalBound.fit(x, e, parts, units=units).bounds(x[:1])).all()
         else:
             with pytest.raises(
-                InvalidInput, match="8 sides or speeds left out, expected at least 9"
+                InvalidInput, match=r"8 left out, expected at least 9.*8 prove at most 88\.9 %"
             ):
                 ConformalBound.fit(x, e, parts, units=units)
 

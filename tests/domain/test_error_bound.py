@@ -159,12 +159,13 @@ def test_failed_simulations_count_as_errors_without_end() -> None:
     assert np.isfinite(low).all()
 
 
-def test_a_group_never_seen_gets_the_promise_of_all() -> None:
+def test_a_group_never_seen_has_no_bound_and_says_so() -> None:
     features, errors, groups = made_up(90, 0)
     promise = ConformalBound.fit(features, errors, groups, model="neighbours")
-    bound = promise.bounds(features, ["glass"] * 90)
-    assert (errors <= bound).mean() > 0.85
-    assert np.isfinite(bound).all()
+    asked = ["glass", "wood", None]
+    assert np.isfinite(promise.bounds(features[:3], asked)).tolist() == [False, True, True]
+    assert promise.reasons(features[:3], asked) == ("no experiment with glass", "", "")
+    assert promise.unseen(asked) == ("no experiment with glass", "", "")
 
 
 def test_same_seed_same_bits_and_higher_levels_are_wider() -> None:

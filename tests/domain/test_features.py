@@ -5,10 +5,10 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from fixel.calibration.contacts import Configurations
 from fixel.domain.features import (
     FRICTION,
     SIDEWAYS,
-    Configurations,
     configuration_features,
     corner_distance,
     neighbour_features,

@@ -87,19 +87,23 @@ def compare(
     save: bool = option(False, "Store the simulation.", "--save"),
 ) -> None:
     """Simulate an experiment and report the error against the measurement."""
+    from fixel.calibration.target import target_of
     from fixel.database.project import Project
     from fixel.simulation.motion import motion_model
-    from fixel.workflows.calibration.stored import parameters_of
+    from fixel.workflows.calibration.stored import known_pushes, load_values, parameters_of
     from fixel.workflows.project.comparison import compare as compare_experiments
 
     require_picture(plot)
     parameters = _parameters(set_ or [])
+    unseen: tuple[str, ...] = ()
     with Project(project).store() as store:
         number = store.find(key)
         experiment = store.experiment(number)
         model = motion_model(motion.value) if motion else None
         if calibration is not None:
             parameters, model = parameters_of(store, calibration, experiment, parameters, model)
+            known = known_pushes(store, load_values(store, calibration))
+            unseen = known.texts(target_of(experiment))
         _compile(experiment, as_json)
         found = compare_experiments(experiment, {"given": parameters}, motion=model, progress=False)
         answer = found.rows[0].run
@@ -110,8 +114,11 @@ def compare(
     more = {"experiment_id": number, "simulation_id": saved, "files": _files(plot)}
     print_answer(
         as_json,
-        lambda: answer.summary() | more,
-        lambda: _compare_lines(answer, project, plot, saved, command),
+        lambda: {"unseen": list(unseen)} | answer.summary() | more,
+        lambda: (
+            [f"Unseen: {text}" for text in unseen]
+            + _compare_lines(answer, project, plot, saved, command)
+        ),
     )
     if not answer.complete:
         raise typer.Exit(NOT_SOLVED)

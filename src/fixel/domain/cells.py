@@ -10,7 +10,7 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.domain.contacts import CONTACT_ANGLE
+from fixel.calibration.contacts import CONTACT_ANGLE
 from fixel.domain.evidence import HeldOutErrors, Value
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray, IntArray

@@ -91,6 +91,8 @@ class Applicability(NamedTuple):
     reason : str
     cell : str
         Cell of the map, with its coordinates.
+    unseen : tuple of str
+        What is new about the push, or not given: part, surface, laboratory, side, speed, travel.
     """
 
     verdict: str
@@ -98,3 +100,9 @@ class Applicability(NamedTuple):
     nearby: int
     reason: str
     cell: str
+    unseen: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        lines = [f"unseen: {text}" for text in self.unseen]
+        chance = "" if self.probability is None else f"; within the threshold {self.probability!r}"
+        return "\n".join([*lines, f"{self.verdict} ({self.cell}): {self.reason}{chance}"])

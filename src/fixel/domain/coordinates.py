@@ -8,29 +8,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.calibration.target import Target, target_of
-from fixel.domain.contacts import CONTACT_ANGLE
+from fixel.calibration.contacts import CONTACT_ANGLE
+from fixel.calibration.target import Target
 from fixel.domain.evidence import Value
 from fixel.errors import InvalidInput
-from fixel.model import Experiment, Scene, wrapped
-from fixel.model.fields import instance
-from fixel.simulation.ensemble import RolloutCase
+from fixel.model import wrapped
 from fixel.simulation.pack import pusher_path
 
 PUSH: Final = "push_angle_rad"
 TRAVEL: Final = "travel_m"
 _HIDDEN: Final = ("experiment", "repetition", "step")
 _TRUTH: Final = "truth_"
-
-
-def push_target(what: Scene | Experiment, conditions: Mapping[str, str | float]) -> Target:
-    """Return the target of a scene or experiment, with more conditions."""
-    if isinstance(what, Experiment):
-        own = target_of(what)
-        return own._replace(conditions={**own.conditions, **conditions})
-    instance(what, Scene, "scene", "a Scene or an Experiment")
-    case = RolloutCase(what, np.array([what.duration]))
-    return Target("scene", dict(conditions), case, np.zeros((0, 3)))
 
 
 def coordinates_of(target: Target) -> dict[str, Value]:

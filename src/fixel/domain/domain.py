@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Final, final
 
 import numpy as np
 
+from fixel.calibration.known_pushes import KnownPushes, push_target, texts_of, with_dataset
 from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.claim import (
     COLOURS,
@@ -26,7 +27,7 @@ from fixel.domain.claim import (
     CellVerdict,
     Claim,
 )
-from fixel.domain.coordinates import coordinates_of, label_of, push_target, refuse_missing
+from fixel.domain.coordinates import coordinates_of, label_of, refuse_missing
 from fixel.domain.evidence import HeldOutErrors, Measure, value_of
 from fixel.domain.next_experiment import Proposal, proposals
 from fixel.domain.predicted_cells import untried
@@ -72,6 +73,8 @@ class DomainMap(Result):
         Threshold, share and confidence of the verdicts.
     facets : tuple of str
         Conditions with a map for each of their values.
+    known : KnownPushes, optional
+        Parts, surfaces, laboratories, sides and speeds of the experiments.
     source, question : mapping
         Plain content of the evidence and of the options, with which a project stores the map.
 
@@ -103,6 +106,7 @@ class DomainMap(Result):
     predicted_mm: FloatArray | None = None
     claim: Claim | None = None
     facets: tuple[str, ...] = ()
+    known: KnownPushes | None = None
     source: Mapping[str, Any] = field(default_factory=dict, compare=False)
     question: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
@@ -152,7 +156,7 @@ class DomainMap(Result):
         return replace(self, claim=_at(self.claimed, factor * threshold))
 
     def at(self, scene: Scene | Experiment, **conditions: str | float) -> Applicability:
-        """Return the verdict of the map on a push.
+        """Return the verdict of the map on a push; without data for what no experiment has.
 
         Parameters
         ----------
@@ -169,7 +173,8 @@ class DomainMap(Result):
         InvalidInput
             A coordinate of the map is missing.
         """
-        own = coordinates_of(push_target(scene, conditions))
+        target = with_dataset(push_target(scene, conditions))
+        own = coordinates_of(target)
         names = (*(axis.name for axis in self.cells.axes), *self.facets)
         refuse_missing(own, conditions, {name: self._example(name) for name in names})
         claim = self.claimed
@@ -181,10 +186,14 @@ class DomainMap(Result):
             else f"{axis.title} = {value}"
             for axis in self.cells.axes
         )
+        unseen = () if self.known is None else self.known.unseen(target)
+        texts = texts_of(unseen)
+        if any(new.is_given for new in unseen):
+            return Applicability(NO_DATA, None, 0, texts[0], where, texts)
         if group not in self.groups:
-            return Applicability(NO_DATA, None, 0, f"no experiments with {group}", where)
+            return Applicability(NO_DATA, None, 0, f"no experiments with {group}", where, texts)
         if place not in self.cells.index:
-            return Applicability(NO_DATA, None, 0, "outside the experiments", where)
+            return Applicability(NO_DATA, None, 0, "outside the experiments", where, texts)
         g, c = self.groups.index(group), self.cells.index.index(place)
         verdict = self.verdicts(claim)[g][c]
         scores = self.scores[self.members[g][c]]
@@ -192,7 +201,7 @@ class DomainMap(Result):
         chance = None
         if n:
             chance = Probability.of(int((scores <= claim.score).sum()), n, claim.confidence)
-        return Applicability(verdict.colour, chance, n, verdict.reason, self.cells.text(c))
+        return Applicability(verdict.colour, chance, n, verdict.reason, self.cells.text(c), texts)
 
     def _example(self, name: str) -> str | float:
         """Return a value that the map has along an axis, or of a facet."""

@@ -14,7 +14,14 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fixel.domain.contacts import SIDE, SPEED, Novelty, PushedContacts, TouchedPlaces
+from fixel.calibration.contacts import (
+    PART,
+    SIDE,
+    SPEED,
+    Novelty,
+    PushedContacts,
+    TouchedPlaces,
+)
 from fixel.domain.scale_model import (
     Scale,
     ScaleModel,
@@ -43,6 +50,13 @@ NOT_TRUSTED: Final = "not trusted"
 NO_DATA: Final = "no data"
 COLOURS: Final = (TRUSTED, DOUBTFUL, NOT_TRUSTED, NO_DATA)
 
+# How scores of units that were left out as a whole bound the error in a new unit.
+GUARANTEED: Final = "guaranteed"  # a new unit is one more draw; it has a weight at infinity
+TYPICAL: Final = "typical"  # for an average new unit: all units together, each with equal weight
+CAUTIOUS: Final = "cautious"  # for nearly any new unit: the unit with the largest quantile
+RULES: Final = (GUARANTEED, TYPICAL, CAUTIOUS)
+MIN_UNITS: Final = 2
+
 Labels = Sequence[Hashable]
 
 
@@ -67,6 +81,9 @@ class ConformalBound:
         `"forest"`, `"neighbours"` (without scikit-learn) or `"constant"` (few experiments).
     n : int
         Number of experiments that it is calibrated on.
+    rule : str
+        Rule for new units, if it was fitted with `units`: `"guaranteed"`, `"typical"` or
+        `"cautious"`.
     """
 
     level: float
@@ -81,6 +98,8 @@ class ConformalBound:
     _unit: IntArray | None = None  # (n,) number of the unit that was left out as a whole
     _pushed: PushedContacts | None = None
     _beyond: ConformalBound | None = None
+    _part: ConformalBound | None = None
+    rule: str = GUARANTEED
 
     @classmethod
     def fit(
@@ -94,6 +113,7 @@ class ConformalBound:
         also: Experience | None = None,
         model: str | None = None,
         units: Labels | None = None,
+        rule: str = GUARANTEED,
     ) -> ConformalBound:
         """Learn from experiments that the calibration has not seen.
 
@@ -114,9 +134,12 @@ class ConformalBound:
         model : str, optional
             Name of the model of errors; by default the best that is available.
         units : (n,) sequence, optional
-            Labels of sides or speeds that were left out of the calibration as a whole. Bounds then
-            hold for a new unit: models leave out whole groups (whole units without groups), and
-            all units have the same weight, whatever their number of experiments.
+            Labels of parts, sides or speeds that were left out of the calibration as a whole.
+            Bounds then hold for a new unit: models leave out whole groups (whole units without
+            groups), and all units have the same weight, whatever their number of experiments.
+        rule : str
+            Rule for new units. `"guaranteed"` needs 9 units for 90 %. `"typical"` aims at the level
+            for an average new unit, `"cautious"` for nearly any; see `proved_level`.
 
         Raises
         ------
@@ -134,9 +157,7 @@ class ConformalBound:
         group = _numbered(labels)
         unit = None if units is None else _numbered(_labels(units, len(off)))
         if unit is not None:
-            n_unit = int(unit.max()) + 1
-            _check_number(level, n_unit, "units", f"{n_unit} sides or speeds left out",
-                          "leave out more of them", "for a new one")  # fmt: skip
+            _check_units(rule, level, int(unit.max()) + 1)
         whole = unit if len(known) == 1 else group
         fold = _folds(group, seed) if unit is None or whole is None else _whole_folds(whole, seed)
         name = model or default_model(len(off))
@@ -150,31 +171,67 @@ class ConformalBound:
             if own.any():
                 score[own] = powered(off[own]) - models[-1](table[own])
         near = _Near.of(np.concatenate((table, more)))
-        return cls(level, name, len(off), tuple(models), fold, score, group, known, near, unit)
+        made = tuple(models), fold, score, group, known, near, unit
+        return cls(level, name, len(off), *made, rule=rule)
+
+    @property
+    def n_unit(self) -> int:
+        """Number of units that were left out as a whole; 0 without units."""
+        return 0 if self._unit is None else int(self._unit.max()) + 1
+
+    @property
+    def proved_level(self) -> float:
+        """Probability that n units can prove at most, if new units are drawn like them.
+
+        Guaranteed: the level, or n / (n + 1) if that is less. Typical: n / (n + 1) of the level,
+        for a push of a new unit. Cautious: n / (n + 1), for the event that a new unit has `level`
+        of its pushes within.
+        """
+        most = 1.0 if self._unit is None else self.n_unit / (self.n_unit + 1.0)
+        return {GUARANTEED: min(self.level, most), TYPICAL: most * self.level}.get(self.rule, most)
+
+    def with_rule(self, rule: str) -> ConformalBound:
+        """Return the same bounds with another rule for new units (`"typical"`, `"cautious"`)."""
+        if self._unit is not None:
+            _check_units(rule, self.level, self.n_unit)
+        beyond, part = (
+            None if b is None else b.with_rule(rule) for b in (self._beyond, self._part)
+        )
+        return replace(self, rule=rule, _beyond=beyond, _part=part)
 
     def for_contacts(
         self,
-        contacts: TouchedPlaces,
+        contacts: TouchedPlaces | None = None,
         groups: Labels | None = None,
         beyond: ConformalBound | None = None,
+        part: ConformalBound | None = None,
     ) -> ConformalBound:
-        """Return the same bounds without data on sides and at speeds that were never pushed.
+        """Return the same bounds with others where a side, a speed or a group is new.
 
         Parameters
         ----------
-        contacts : TouchedPlaces
-            Contacts of the experiments.
+        contacts : TouchedPlaces, optional
+            Contacts of the experiments; sides and speeds that were never pushed then have no data.
         groups : (k,) sequence, optional
             Labels of these; a group is one part.
         beyond : ConformalBound, optional
             Bounds for a new side or a new speed of a pushed part, fitted with `units`. A contact
             that is new in both has no bound.
+        part : ConformalBound, optional
+            Bounds for a new group, fitted with whole groups as `units`. Without it a group that no
+            experiment has is without data.
         """
-        if beyond is not None and beyond._unit is None:
-            raise InvalidInput("beyond", found="bounds fitted without units",
-                               expected="units=, with whole sides or speeds left out")  # fmt: skip
-        pushed = PushedContacts(contacts, _labels(groups, len(contacts.normal)))
-        return replace(self, _pushed=pushed, _beyond=beyond)
+        for where, own in (("beyond", beyond), ("part", part)):
+            if own is not None and own._unit is None:
+                raise InvalidInput(
+                    where,
+                    found="bounds fitted without units",
+                    expected="units=, with whole sides or groups left out",
+                )
+        pushed = None
+        if contacts is not None:
+            pushed = PushedContacts(contacts, _labels(groups, len(contacts.normal)))
+        return replace(self, _pushed=pushed, _beyond=beyond, _part=part)
 
     def bounds(
         self,
@@ -222,9 +279,9 @@ class ConformalBound:
         kind = np.array(self._novelty(contacts, labels).kind, object)
         answer = self._quantiles(table, labels, levels)
         answer[:, kind != ""] = np.inf
-        new = np.isin(kind, (SIDE, SPEED))
-        if self._beyond is not None and new.any():
-            answer[:, new] = self._beyond.quantiles(table[new], None, levels)
+        for new, other in self._others(kind):
+            if other is not None and new.any():
+                answer[:, new] = other.quantiles(table[new], None, levels)
         return answer
 
     def reasons(
@@ -238,11 +295,31 @@ class ConformalBound:
         novelty = self._novelty(contacts, _labels(groups, len(table)))
         far = np.where(self._near(table), "", FAR_AWAY)
         answer = [new or away for new, away in zip(novelty.reason, far.tolist(), strict=True)]
-        if self._beyond is not None:
-            new = np.flatnonzero(np.isin(novelty.kind, (SIDE, SPEED)))
-            for k, why in zip(new.tolist(), self._beyond.reasons(table[new]), strict=True):
-                answer[k] = why
+        for mask, other in self._others(np.array(novelty.kind, object)):
+            new = np.flatnonzero(mask)
+            if other is not None:
+                for k, why in zip(new.tolist(), other.reasons(table[new]), strict=True):
+                    answer[k] = why
         return tuple(answer)
+
+    def unseen(
+        self, groups: Labels | None = None, contacts: TouchedPlaces | None = None
+    ) -> tuple[str, ...]:
+        """Return what is new about configurations (m,): a group, a side, a speed; else empty.
+
+        Unlike `reasons`, also where left-out units give a bound.
+        """
+        n = len(groups) if groups is not None else 0 if contacts is None else len(contacts.normal)
+        return self._novelty(contacts, _labels(groups, n)).reason
+
+    def _others(
+        self, kind: NDArray[np.object_]
+    ) -> Sequence[tuple[BoolArray, ConformalBound | None]]:
+        """Return masks (m,) of the configurations whose bounds come from left-out units."""
+        return (
+            (np.isin(kind, (SIDE, SPEED)), self._beyond),
+            (np.asarray(kind == PART, bool), self._part),
+        )
 
     def near(
         self,
@@ -257,9 +334,14 @@ class ConformalBound:
         if (self._pushed is None) != (contacts is None):
             found = "none" if contacts is None else "some, for bounds without contacts"
             raise InvalidInput("contacts", found=found, expected="as in `for_contacts`")
-        if self._pushed is None or contacts is None:
-            return Novelty(("",) * len(labels), ("",) * len(labels))
-        return self._pushed.novelty(contacts, labels)
+        if self._pushed is not None and contacts is not None:
+            return self._pushed.novelty(contacts, labels)
+        # Units are left out to bound new ones, so that any label is as good as another there.
+        old = (
+            {*self._groups, None} if self._unit is None and self._groups != (None,) else set(labels)
+        )
+        new = ["" if label in old else f"no experiment with {label}" for label in labels]
+        return Novelty(tuple(PART if reason else "" for reason in new), tuple(new))
 
     def _table(self, features: ArrayLike) -> FloatArray:
         table = _table(features, "features")
@@ -279,15 +361,23 @@ class ConformalBound:
         near = self._near(table)
         for label in dict.fromkeys(labels):
             own = np.flatnonzero(near & np.array([other == label for other in labels], bool))
-            weight, itself = self._weights(label)
             reached = expected[:, own][self._fold] + self._score[:, None]
-            answer[:, own] = _weighted(reached, weight, itself, levels)
+            answer[:, own] = self._judged(reached, label, levels)
         return unpowered(answer)
+
+    def _judged(self, reached: FloatArray, label: Hashable, levels: Sequence[float]) -> FloatArray:
+        """Return quantiles (n_level, m) of values (n, m), which the experiments reach."""
+        if self._unit is None or self.rule != CAUTIOUS:
+            return _weighted(reached, *self._weights(label), levels)
+        units = [reached[self._unit == u] for u in range(self.n_unit)]
+        found = [_weighted(own, np.ones(len(own)), 0.0, levels) for own in units]
+        return np.asarray(np.max(found, axis=0))
 
     def _weights(self, label: Hashable) -> tuple[FloatArray, float]:
         """Return the weights (n,) of the scores for a group, and that of the new configuration."""
         if self._unit is not None:
-            return 1.0 / np.bincount(self._unit)[self._unit], 1.0
+            weight = 1.0 / np.bincount(self._unit)[self._unit]
+            return weight, 1.0 if self.rule == GUARANTEED else float(weight.mean())
         if label not in self._groups or len(self._groups) == 1:
             return np.ones(self.n), 1.0
         own = self._group == self._groups.index(label)
@@ -501,6 +591,19 @@ def _check_number(level: float, n: int, where: str, found: str, more: str, on: s
             expected=f"at least {least} for bounds with {100.0 * level:g} %{on}",
             hint=f"{more}, or use a lower level",
         )
+
+
+def _check_units(rule: str, level: float, n_unit: int) -> None:
+    """Raise if there are too few units for a rule: n units prove at most n / (n + 1)."""
+    if rule not in RULES:
+        raise InvalidInput("rule", found=repr(rule), expected=" or ".join(map(repr, RULES)))
+    if rule == GUARANTEED:
+        most = f"{n_unit} prove at most {100.0 * n_unit / (n_unit + 1):.3g} %"
+        more = f"{most}: leave out more of them, use rule='typical' or 'cautious'"
+        _check_number(level, n_unit, "units", f"{n_unit} left out", more, " for a new one")
+    elif n_unit < MIN_UNITS:
+        raise InvalidInput("units", found=f"{n_unit} left out", expected=f"at least {MIN_UNITS}",
+                           hint="one unit does not show how much units differ")  # fmt: skip
 
 
 def _check_level(level: float) -> None:

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from fixel.calibration.contacts import Configurations
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.calibration.registration import gaps_and_normals
 from fixel.errors import InvalidInput
@@ -36,16 +37,6 @@ CORNER_TURN: Final = float(np.radians(20.0))
 Tracks = tuple[FloatArray, BoolArray]  # (m, k, 3) poses after the start, and (m,) whether it ended
 # Simulates configurations `which` (m,) with parameters by name (m,) that replace calibrated ones.
 Roll = Callable[[IntArray, Mapping[str, FloatArray]], Tracks]
-
-
-class Configurations(NamedTuple):
-    """Intended straight pushes of one object by a round pusher."""
-
-    shape: Shape
-    radius: float  # radius of the pusher [m]
-    start: FloatArray  # (n, 3) pose of the object [m, m, rad]
-    tip_start: FloatArray  # (n, 2) centre of the pusher [m]
-    tip_end: FloatArray  # (n, 2)
 
 
 class Features(NamedTuple):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from fixel.calibration.contacts import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
 from fixel.domain.cells import CellAxis, Cells
-from fixel.domain.contacts import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
 from fixel.domain.error_bound import ConformalBound, min_experiments
 from fixel.domain.evidence import HeldOutErrors, Value
 from fixel.model import wrapped

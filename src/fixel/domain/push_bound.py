@@ -10,23 +10,39 @@ from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
+from fixel.calibration.contacts import CONTACT_ANGLE, PART, SIDE, SPEED
+from fixel.calibration.known_pushes import (
+    PARTS,
+    TRAVEL_LENGTH,
+    KnownPushes,
+    Unseen,
+    push_target,
+    texts_of,
+    with_dataset,
+)
 from fixel.calibration.target import Target
-from fixel.domain.contacts import CONTACT_ANGLE
 from fixel.domain.coordinates import (
     PUSH,
     TRAVEL,
     coordinates_of,
     label_of,
-    push_target,
     refuse_missing,
 )
-from fixel.domain.error_bound import ConformalBound, min_experiments
+from fixel.domain.error_bound import (
+    CAUTIOUS,
+    NO_DATA,
+    TYPICAL,
+    ConformalBound,
+    min_experiments,
+)
 from fixel.model import Experiment, Probability, Scene
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 
 FEATURES: Final = ("contact_x", "contact_y", "push_angle_rad", "travel_m", "speed_m_s")
+BOUNDED: Final = "bounded"
+UNSEEN: Final = "unseen"
 FOLDS: Final = 5  # parts of the experiments whose coverage is measured in turn
 
 
@@ -36,17 +52,65 @@ class PushBound(NamedTuple):
     Attributes
     ----------
     position, angle : float or None
-        Bounds on the errors of the end position [m] and angle [rad]; None without data.
+        Bounds on the errors of the end position [m] and angle [rad]; None without data. For a push
+        that is unlike all experiments the typical bound.
     verdict : str
-        `"bounded"` or `"no data"`.
+        `"bounded"`; `"unseen"`: bounded by experiments that were left out as a whole; `"no data"`.
     reason : str
-        Reason of missing data; empty with data.
+        Reason of missing data, or what an unseen push is judged by; else empty.
+    unseen : tuple of str
+        What is new about the push, or not given: part, surface, laboratory, side, speed, travel.
+    cautious_position, cautious_angle : float or None
+        For an unseen push: bounds by the worst of the groups that were left out [m], [rad].
+    proved : float or None
+        For an unseen push: probability that so many groups can prove at most; n / (n + 1) of n.
     """
 
     position: float | None
     angle: float | None
     verdict: str
     reason: str
+    unseen: tuple[str, ...] = ()
+    cautious_position: float | None = None
+    cautious_angle: float | None = None
+    proved: float | None = None
+
+    def __repr__(self) -> str:
+        lines = [f"unseen: {text}" for text in self.unseen]
+        lines.append(f"{self.verdict}: {self.reason}" if self.reason else self.verdict)
+        for name, *ends in (
+            ("bound" if self.proved is None else "typical bound", self.position, self.angle),
+            ("cautious bound", self.cautious_position, self.cautious_angle),
+        ):
+            x, y = ends
+            if x is not None and y is not None:
+                lines.append(f"{name}: {1e3 * x:.3g} mm, {math.degrees(y):.3g} deg")
+        return "\n".join(lines)
+
+
+class LeftOutErrors(NamedTuple):
+    """Errors of experiments under calibrations without their whole group.
+
+    Attributes
+    ----------
+    condition : str
+        Condition whose values were left out, such as `"shape"`; also `"side"` and `"speed"`.
+    unit : tuple of str
+        Value of each experiment.
+    position, angle : (n,) float64
+        Errors of the end [m], [rad]; inf for a failed simulation.
+    """
+
+    condition: str
+    unit: tuple[str, ...]
+    position: FloatArray
+    angle: FloatArray
+
+    def rows(self, which: Sequence[int]) -> LeftOutErrors:
+        """Return those of some of the experiments."""
+        own = list(which)
+        unit = tuple(self.unit[k] for k in own)
+        return LeftOutErrors(self.condition, unit, self.position[own], self.angle[own])
 
 
 @final
@@ -74,6 +138,10 @@ class ErrorBound(Result):
         Conditions by which experiments are grouped.
     fold : (n,) int
         Fold in which each experiment was held out.
+    known : KnownPushes, optional
+        Parts, surfaces, laboratories, sides and speeds of the experiments.
+    left_out : tuple of LeftOutErrors
+        Errors with whole groups left out, one entry for each condition of `leave_out`.
     seed : int
 
     Examples
@@ -98,9 +166,15 @@ class ErrorBound(Result):
     groups: tuple[str, ...]
     fold: np.ndarray
     seed: int = 0
+    known: KnownPushes | None = None
+    left_out: tuple[LeftOutErrors, ...] = ()
 
     def at(self, scene: Scene | Experiment, **conditions: str | float) -> PushBound:
         """Return the error bound of a push.
+
+        What is new about the push comes first: a part, surface, laboratory, side, speed or travel
+        that no experiment has. Its bounds are then those of groups that were left out as a whole,
+        typical and cautious; without such groups there is none.
 
         Parameters
         ----------
@@ -111,27 +185,78 @@ class ErrorBound(Result):
         Returns
         -------
         PushBound
-            Position [m], angle [rad], verdict and reason.
+            Position [m], angle [rad], verdict, reason, and what is unseen.
 
         Raises
         ------
         InvalidInput
             A condition of the groups is missing.
         """
-        target = push_target(scene, conditions)
+        target = with_dataset(push_target(scene, conditions))
         values = self.group[0].split() if len(self.groups) > 1 else self.group[:1]
         examples = dict(zip(self.groups, values, strict=False))
         refuse_missing(target.conditions, conditions, examples)
         group = label_of(target.conditions, self.groups)
+        unseen = () if self.known is None else self.known.unseen(target)
+        new = [own for own in unseen if own.is_given]
+        if group not in self.group and not new:
+            new = [Unseen(self.groups[0], f"no experiments with {group}")]
+            unseen = (*new, *unseen)
+        texts = texts_of(unseen)
         table = features_of([target])
-        if group not in self.group:
-            return PushBound(None, None, "no data", f"no experiments with {group}")
+        if new:
+            return self._of_left_out(new, table, texts)
         (reason,) = self._bounds[0].reasons(table, [group])
         position, angle = (float(own.bounds(table, [group])[0]) for own in self._bounds)
         if reason or not (math.isfinite(position) and math.isfinite(angle)):
             why = reason or "too many simulations failed"
-            return PushBound(None, None, "no data", why)
-        return PushBound(position, angle, "bounded", "")
+            return PushBound(None, None, NO_DATA, why, texts)
+        return PushBound(position, angle, BOUNDED, "", texts)
+
+    def _of_left_out(
+        self, new: Sequence[Unseen], table: FloatArray, texts: tuple[str, ...]
+    ) -> PushBound:
+        """Return the bounds of a push that is unlike all experiments."""
+        names = list(dict.fromkeys(own.what for own in new))
+        one = next((k for k, own in enumerate(self.left_out) if self._covers(own, names)), None)
+        if one is None:
+            option = names[0] if len(names) == 1 else "one that leaves out all of these together"
+            hint = "no bound for a push with another travel" if names == [TRAVEL_LENGTH] else (
+                f"no group of experiments was left out for it; leave_out: {option}")  # fmt: skip
+            return PushBound(None, None, NO_DATA, f"{texts[0]}; {hint}", texts)
+        left = self.left_out[one]
+        own = table[:, _columns(left.condition)]
+        bounds = self._unit_bounds[one]
+        (reason,) = bounds[0].reasons(own)
+        ends = [
+            [float(b.with_rule(rule).bounds(own)[0]) for b in bounds]
+            for rule in (TYPICAL, CAUTIOUS)
+        ]
+        if reason or not np.isfinite(ends).all():
+            return PushBound(None, None, NO_DATA, reason or "too many simulations failed", texts)
+        n = bounds[0].n_unit
+        proved = n / (n + 1.0)
+        why = (
+            f"judged by leaving out each {left.condition}, {n} in all, which prove at most"
+            f" {100.0 * proved:.1f} % (a bound for {100.0 * self.level:g} % of the pushes needs"
+            f" {min_experiments(self.level)})"
+        )
+        (x, turn), (wide_x, wide_turn) = ends
+        return PushBound(x, turn, UNSEEN, why, texts, wide_x, wide_turn, proved)
+
+    def _covers(self, left: LeftOutErrors, names: Sequence[str]) -> bool:
+        """Whether leaving out the values of one condition made everything new that is new here."""
+        return all(self._made_new(left, name) for name in names)
+
+    def _made_new(self, left: LeftOutErrors, name: str) -> bool:
+        if name == left.condition or (name == PART and left.condition in PARTS):
+            return True
+        column = () if self.known is None else self.known.labels.get(name, ())
+        if not column or left.condition in (SIDE, SPEED):
+            return False
+        # A value occurs in one unit only, so that leaving out the unit left it out too.
+        pairs = set(zip(column, left.unit, strict=True))
+        return len(pairs) == len({value for value, _ in pairs})
 
     @cached_property
     def coverage(self) -> dict[str, Probability]:
@@ -161,6 +286,21 @@ class ErrorBound(Result):
         every = np.arange(len(self.keys))
         return self._fitted(self.position, every), self._fitted(self.angle, every)
 
+    @cached_property
+    def _unit_bounds(self) -> list[tuple[ConformalBound, ConformalBound]]:
+        """Bounds for new units of each condition that was left out."""
+        found = []
+        for left in self.left_out:
+            table = self.features[:, _columns(left.condition)]
+            position, angle = (
+                ConformalBound.fit(
+                    table, own, None, self.level, self.seed, units=left.unit, rule=TYPICAL
+                )
+                for own in (left.position, left.angle)
+            )
+            found.append((position, angle))
+        return found
+
     def _fitted(self, errors: FloatArray, rows: np.ndarray) -> ConformalBound:
         labels = [self.group[k] for k in rows]
         return ConformalBound.fit(self.features[rows], errors[rows], labels, self.level, self.seed)
@@ -176,7 +316,11 @@ class ErrorBound(Result):
             )
         ]  # fmt: skip
         names = ("median error", "median bound", "smallest", "largest")
+        counts = ", ".join(f"{len(set(own.unit))} of {own.condition}" for own in self.left_out)
         notes = [f"held-out errors within the bound, {k}: {p}" for k, p in self.coverage.items()]
+        notes += (
+            [f"groups left out as a whole, for pushes unlike these: {counts}"] if counts else []
+        )
         return Summary(
             f"ErrorBound: holds for {100.0 * self.level:g} % of new pushes (held out,"
             f" {len(set(self.fold.tolist()))} folds, {len(self.keys)} experiments)",
@@ -193,6 +337,12 @@ class ErrorBound(Result):
         return Table(
             columns, zip(self.keys, self.group, self.position, self.angle, *own, strict=True)
         )
+
+
+def _columns(condition: str) -> list[int]:
+    """Return the features of which the bounds of new units depend: not the one that is new."""
+    dropped = {SIDE: (0, 1), SPEED: (4,)}.get(condition, ())
+    return [k for k in range(len(FEATURES)) if k not in dropped]
 
 
 def features_of(targets: Sequence[Target]) -> FloatArray:

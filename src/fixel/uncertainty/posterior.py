@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
+from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.noise import Noise
 from fixel.calibration.solutions import find_solutions
 from fixel.errors import InvalidInput, MissingExtra
@@ -126,6 +127,8 @@ class Posterior(Result):
         Name of the motion model.
     experiments : tuple of str
         Names of the experiments.
+    known : KnownPushes, optional
+        Parts, surfaces, sides and speeds of the experiments.
 
     Examples
     --------
@@ -166,6 +169,7 @@ class Posterior(Result):
     model_error: ModelError | None = None
     motion: str = ""
     experiments: tuple[str, ...] = ()
+    known: KnownPushes | None = None
 
     @property
     def samples(self) -> Mapping[str, FloatArray]:

@@ -60,6 +60,8 @@ class Prediction(Result):
         Errors of the camera, which are added to the poses.
     shares : mapping of str to (3,) float64
         Standard deviations of the end by their origin [m, m, rad]; empty if not computed.
+    unseen : tuple of str
+        What no experiment of the calibration or posterior has: part, surface, side, speed.
 
     Examples
     --------
@@ -92,6 +94,7 @@ class Prediction(Result):
     drift: FloatArray | None = None
     noise: FloatArray | None = None
     shares: Mapping[str, FloatArray] = field(default_factory=dict)
+    unseen: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         settle(self, parameters=MappingProxyType(dict(self.parameters)))
@@ -231,6 +234,7 @@ class Prediction(Result):
             [Table(head, rows), *self._mode_table()],
             notes,
             {"seed": str(self.seed), "parameters": ", ".join(self.parameters) or "of the scene"},
+            self.unseen,
         )
 
     def _mode_table(self) -> list[Table]:
@@ -246,10 +250,12 @@ class Prediction(Result):
         return [Table(("contacts at the end", *numbers), rows)]
 
     def _data(self) -> Table:
-        """Start error, end and contact mode of each run that ended."""
+        """Start error, end and contact mode of each run that ended; what is unseen first."""
         names = ("x", "y", "theta")
         units = ("m", "m", "rad")
+        unseen = ("; ".join(self.unseen),) if self.unseen else ()
         columns = [
+            *(Column("unseen") for _ in unseen),
             *(Column(f"start_error_{name}", unit) for name, unit in zip(names, units, strict=True)),
             *(Column(f"end_{name}", unit) for name, unit in zip(names, units, strict=True)),
             Column("contact_mode"),
@@ -258,7 +264,7 @@ class Prediction(Result):
         return Table(
             columns,
             [
-                (*start, *end, mode)
+                (*unseen, *start, *end, mode)
                 for start, end, mode in zip(
                     self.drawn[own].tolist(), self.ends.tolist(), self.mode[own], strict=True
                 )

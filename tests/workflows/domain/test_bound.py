@@ -74,7 +74,8 @@ def test_coverage_has_an_interval_and_is_printed(found):
 def test_a_push_unlike_all_others_has_no_data(found):
     own = found.at(grasp("seated"))
     assert (own.verdict, own.position) == ("no data", None)
-    assert "far from" in own.reason
+    assert own.reason.startswith("part: its outline is unlike")
+    assert repr(own).startswith("unseen: part: its outline")
 
 
 def test_groups_have_bounds_of_their_own(pushes, tmp_path):

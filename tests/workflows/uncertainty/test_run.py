@@ -131,7 +131,8 @@ def _beside(low, high, quantiles, of=1):
     )
     found = SimpleNamespace(
         compared=CalibratedValues(7, record),
-        predicted=[SimpleNamespace(held_out=False, prediction=SimpleNamespace(failed=0))] * of,
+        predicted=[SimpleNamespace(held_out=False, prediction=SimpleNamespace(failed=0, unseen=()))]
+        * of,
         request=SimpleNamespace(samples=1, model_error=True),
         posterior=SimpleNamespace(
             labels=("mu_pusher",),

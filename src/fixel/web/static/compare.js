@@ -11,7 +11,7 @@ import { deg, fixed, mm, shownIn } from "./units.js";
 import { STYLES, stylesOf, swatch } from "./view.js";
 
 /** @typedef {{name: string, unit: string, meaning: string, low: number, high: number, nominal: number}} Slider */
-/** @typedef {{id: string, label: string, kind: string, parameters: Record<string, number>, motion: string, error_mm2: number | null}} Offered */
+/** @typedef {{id: string, label: string, kind: string, parameters: Record<string, number>, motion: string, error_mm2: number | null, unseen: string[]}} Offered */
 /**
  * @typedef {object} Answer
  * @property {import("./motion.js").PackedMotion} motion
@@ -34,6 +34,7 @@ import { STYLES, stylesOf, swatch } from "./view.js";
  * @property {string} [stored] number of a stored simulation, which is shown as it was kept
  * @property {Answer | null} answer
  * @property {Motion | null} shown
+ * @property {string[]} [unseen] what no experiment of the calibration has
  */
 
 const LIVE = "adjusted";
@@ -125,6 +126,9 @@ function show() {
   player.setMotions(motions, { keepTime: true });
   charts.show(usualPanels(at("charts"), motions, player.object), [player.start, player.end]);
   table(stylesOf(at("player"), motions));
+  const unseen = sets.flatMap((set) => (set.unseen ?? []).map((text) => `Unseen by ${set.label}: ${text}`));
+  at("not-seen").replaceChildren(...unseen.map((text) => make("li", {}, text)));
+  at("not-seen").hidden = !unseen.length;
 }
 
 /** @param {ReturnType<typeof stylesOf>} styles */

@@ -12,7 +12,8 @@ from typing import Final, Literal, final
 import numpy as np
 from pydantic import Field
 
-from fixel.calibration.target import scene_of
+from fixel.calibration.known_pushes import KnownPushes
+from fixel.calibration.target import scene_of, target_of
 from fixel.calibration.usual_parameters import default_unknowns, usual_unknown
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
@@ -26,7 +27,7 @@ from fixel.simulation.stepper import Adaptive
 from fixel.web.values import Answer, Finite
 from fixel.web.views.motion_views import MotionView, compared_motion, stored_motion
 from fixel.workflows.calibration.result import FitKind
-from fixel.workflows.calibration.stored import CalibratedValues
+from fixel.workflows.calibration.stored import CalibratedValues, known_pushes
 from fixel.workflows.compilation import INSTANT, get_ready
 from fixel.workflows.project.compare import RunComparison, compare_run
 
@@ -59,6 +60,9 @@ class StoredSet(Answer):
     motion: str = Field(description="motion model")
     error_mm2: float | None = Field(
         description="mean squared error E of the thesis; null if not computed yet"
+    )
+    unseen: list[str] = Field(
+        default=[], description="what no experiment of the calibration has, in sentences"
     )
 
 
@@ -106,6 +110,7 @@ class LiveComparison:
         self._keeping = threading.Lock()
         self.experiment = lru_cache(MAX_KEPT)(store.experiment)  # an experiment never changes
         self.sliders = lru_cache(MAX_KEPT)(self._sliders)
+        self._known = lru_cache(MAX_SETS)(self._known_pushes)
 
     def _sliders(self, experiment_id: int) -> list[ParameterSlider]:
         """Return every parameter that has a meaning in the experiment's scene, with its usual
@@ -148,10 +153,16 @@ class LiveComparison:
         ]
         for id_, record in reversed(self._store.calibration_summaries().items()):
             if record.method.get("how") != FitKind.GROWTH and len(found) <= MAX_SETS:
-                found.append(_calibrated_set(id_, record, experiment, experiment_id))
+                own = _calibrated_set(id_, record, experiment, experiment_id)
+                unseen = list(self._known(id_).texts(target_of(experiment)))
+                found.append(own.model_copy(update={"unseen": unseen}))
         for id_ in reversed(self._store.simulations(experiment_id)[-MAX_SETS:]):
             found.append(_simulated_set(id_, self._store.simulation(id_)))
         return found
+
+    def _known_pushes(self, calibration: int) -> KnownPushes:
+        record = self._store.calibration(calibration)
+        return known_pushes(self._store, CalibratedValues(calibration, record))
 
     def compared(
         self, experiment_id: int, parameters: Mapping[str, float], motion: str, folder: Path

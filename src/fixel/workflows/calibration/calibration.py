@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, final, overl
 
 import numpy as np
 
+from fixel.calibration.known_pushes import KnownPushes, push_target
 from fixel.calibration.misfit import WARNED
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ANGLE_SCALE, Comparer, MeanSquare, RootMeanSquare
@@ -296,6 +297,32 @@ class Calibration(Result, Mapping[str, float]):
         if experiment is not None:
             known = {**experiment.conditions, "experiment": experiment.key, **known}
         return values_under(self, known)
+
+    @cached_property
+    def known(self) -> KnownPushes:
+        """Parts, surfaces, laboratories, sides and speeds of the experiments."""
+        return KnownPushes.of(self.targets)
+
+    def unseen(self, of: Scene | Experiment, /, **conditions: str | float) -> tuple[str, ...]:
+        """Return what is new about a push: a part, surface, laboratory, side, speed or travel.
+
+        Parameters
+        ----------
+        of : Scene or Experiment
+        **conditions
+            Conditions that a bare scene does not have, such as `surface="abs"`.
+
+        Returns
+        -------
+        tuple of str
+            Sentences; empty for a push like the experiments of the calibration.
+
+        Raises
+        ------
+        InvalidInput
+            An experiment has no scene or no motion.
+        """
+        return self.known.texts(push_target(of, conditions))
 
     def simulate(self, of: Scene | Experiment, /, **options: Any) -> Simulation:
         """Simulate a scene or an experiment with the calibrated parameters and motion model.

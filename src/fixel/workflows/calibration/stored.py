@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
+from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.objective import ANGLE_SCALE, ERRORS, AbstractError, MeanSquare
+from fixel.calibration.target import target_of
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
@@ -138,6 +141,15 @@ def parameters_of(
     """
     one = load_values(store, calibration_id)
     return Parameters({**one.values_for(experiment), **changed}), motion or one.motion
+
+
+def known_pushes(store: Store, one: CalibratedValues) -> KnownPushes:
+    """Return the parts, surfaces, laboratories, sides and speeds that a calibration has used."""
+    targets = []
+    for number in sorted(one.members):
+        with suppress(InvalidInput):  # without a scene it cannot have been used
+            targets.append(target_of(store.experiment(number)))
+    return KnownPushes.of(targets)
 
 
 def newest_calibration(store: Store, experiment: int | None = None) -> int | None:

@@ -4,31 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
+from fixel.calibration.known_pushes import KnownPushes, with_units
 from fixel.calibration.objective import Comparer
-from fixel.calibration.target import targets_of
+from fixel.calibration.target import Target, same_configuration, targets_of
 from fixel.calibration.usual_parameters import Space
 from fixel.domain.coordinates import label_of
 from fixel.domain.error_bound import LEVEL, min_experiments
 from fixel.domain.evidence import default_folds
-from fixel.domain.push_bound import ErrorBound, features_of
+from fixel.domain.push_bound import ErrorBound, LeftOutErrors, features_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, ProgressCallback
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.domain.fit_store import fit_store
 from fixel.workflows.domain.held_out import (
     Apart,
+    CalibrationModel,
     HeldOut,
     calibration_model,
     held_out,
     stepper_for,
 )
 from fixel.workflows.domain.map import listed_names
+
+# Largest number of fits with groups left out; more groups are left out several at a time.
+MAX_FOLDS: Final = 24
 
 
 def error_bound(
@@ -37,6 +43,7 @@ def error_bound(
     *,
     level: float = LEVEL,
     groups: Sequence[str] = (),
+    leave_out: str | Sequence[str] = (),
     folds: int | None = None,
     motion: AbstractMotionModel | str | None = None,
     seed: int = 0,
@@ -61,6 +68,10 @@ def error_bound(
     groups : sequence of str
         Conditions such as `"surface"`; bounds then hold for each of their values that has enough
         experiments.
+    leave_out : str or sequence of str
+        Conditions whose values are left out as a whole, each in fits of its own, such as
+        `"shape"`; also `"dataset"`, `"side"` and `"speed"`. Pushes with a new value then have two
+        bounds, a typical and a cautious one; without it they have none.
     folds : int, optional
         Number of folds; 5 by default, 2 for more than 2000 experiments.
     motion : AbstractMotionModel or str, optional
@@ -84,8 +95,8 @@ def error_bound(
     Raises
     ------
     InvalidInput
-        There are too few experiments for the level, an experiment lacks a condition, or the folder
-        `store` belongs to another call.
+        There are too few different experiments for the level, an experiment lacks a condition, a
+        condition to leave out has a single value, or the folder `store` belongs to another call.
 
     Notes
     -----
@@ -107,36 +118,94 @@ def error_bound(
     True
     """
     targets = targets_of(experiments)
+    names = listed_names("groups", groups)
+    features = features_of(targets)
+    judged = _first_of_repeated(targets, features)
     least = min_experiments(level)
-    if len(targets) < least:
+    if len(judged) < least:
         raise InvalidInput(
             "experiments",
-            found=len(targets),
+            found=_counted(len(targets), len(judged)),
             expected=f"{least} at least for bounds with a probability of {100.0 * level:g} %",
             hint="run more experiments, or choose a lower level",
         )
-    names = listed_names("groups", groups)
     labels = tuple(label_of(target.conditions, names) for target in targets)
     model = calibration_model(fit, targets, motion)
+    without = [leave_out] if isinstance(leave_out, str) else list(leave_out)
+    for name in without:
+        _check_units(with_units(targets, name), name, model)
     apart = Apart(folds=default_folds(len(targets)) if folds is None else folds, seed=seed)
     cache = fit_store(store, targets, model, apart)
     with show_progress(progress, "holding out") as report:
         found = held_out(targets, model, apart, cache, report, threads)
+        left = []
+        for name in without:
+            report.stage = f"leaving out {name}"
+            left.append(_left_out(targets, name, model, seed, store, report, threads))
     comparer = Comparer(
         targets, model.space, model.error, model.motion, stepper_for(targets), threads
     )
     position, angle = _end_errors(comparer, found)
     return ErrorBound(
-        keys=tuple(target.key for target in targets),
-        features=features_of(targets),
-        position=position,
-        angle=angle,
+        keys=tuple(targets[k].key for k in judged),
+        features=features[judged],
+        position=position[judged],
+        angle=angle[judged],
         level=level,
-        group=labels,
+        group=tuple(labels[k] for k in judged),
         groups=names,
-        fold=found.fold,
+        fold=found.fold[judged],
         seed=seed,
+        known=KnownPushes.of([targets[k] for k in judged], names),
+        left_out=tuple(own.rows(judged) for own in left),
     )
+
+
+def _left_out(
+    targets: Sequence[Target],
+    name: str,
+    model: CalibrationModel,
+    seed: int,
+    store: str | Path | None,
+    report: ProgressCallback,
+    threads: int | None,
+) -> LeftOutErrors:
+    """Return errors under fits without the values of a condition."""
+    own = with_units(targets, name)
+    units = tuple(label_of(target.conditions, (name,)) for target in own)
+    apart = Apart(out=name, folds=min(len(set(units)), MAX_FOLDS), seed=seed)
+    cache = fit_store(None if store is None else Path(store) / f"without-{name}", own, model, apart)
+    found = held_out(own, model, apart, cache, report, threads)
+    comparer = Comparer(own, model.space, model.error, model.motion, stepper_for(own), threads)
+    return LeftOutErrors(name, units, *_end_errors(comparer, found))
+
+
+def _check_units(targets: Sequence[Target], name: str, model: CalibrationModel) -> None:
+    """Raise if a condition has one value only, or a parameter for each of its values."""
+    n = len({label_of(target.conditions, (name,)) for target in targets})
+    if n < 2:
+        raise InvalidInput("leave_out", found=f"{n} value of {name}", expected="at least 2",
+                           hint="one value does not show how much others differ")  # fmt: skip
+    own = [u.label for u in model.space.unknowns if name in u.where and not u.frozen]
+    if own:
+        raise InvalidInput("leave_out", found=f"{own[0]}, a parameter for each {name}",
+                           expected=f"parameters that a new {name} shares")  # fmt: skip
+
+
+def _first_of_repeated(targets: Sequence[Target], features: FloatArray) -> list[int]:
+    """Return one experiment of every configuration: repetitions say nothing about other pushes."""
+    found: dict[object, int] = {}
+    for k, target in enumerate(targets):
+        label = same_configuration(target)
+        start = target.case.scene.bodies[0].pose
+        pose = (*features[k].tolist(), *start.tolist(), *target.conditions.items())
+        plain = tuple(value for value in pose if value != ("experiment", target.key))
+        found.setdefault(plain if label == target.key else label, k)
+    return sorted(found.values())
+
+
+def _counted(n: int, different: int) -> str:
+    return f"{n}" if n == different else f"{n}, of {different} different pushes"
 
 
 def _end_errors(comparer: Comparer, found: HeldOut) -> tuple[FloatArray, FloatArray]:

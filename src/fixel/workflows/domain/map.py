@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space
@@ -162,7 +163,12 @@ def map_domain(
             report.stage = "calibrating each alone"
             own = _own_best(targets, model, seed, threads, report)
             gathered = gathered._replace(evidence=replace(gathered.evidence, own_mm2=own))
-    return replace(mapped(gathered, asked)[0], source=content, question=asked.question())
+    return replace(
+        mapped(gathered, asked)[0],
+        known=KnownPushes.of(targets, asked.by),
+        source=content,
+        question=asked.question(),
+    )
 
 
 def listed_names(where: str, names: Sequence[str]) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import degrees
@@ -32,6 +33,7 @@ class ComparedModel(NamedTuple):
     model: str
     use: str  # "fitted", "held out", or empty for a model that was not fitted
     run: RunComparison
+    unseen: tuple[str, ...] = ()  # what no experiment of the calibration has
 
     @property
     def error_mm(self) -> float | None:
@@ -122,11 +124,19 @@ class Comparison(Result):
     def _summary(self) -> Summary:
         keys = dict.fromkeys(row.run.experiment.key for row in self.rows)
         heading = f"Comparison of {len(keys)} experiments with {_some(len(self.models), 'model')}"
+        unseen = self._unseen()
         if len(keys) == 1:
-            return Summary(f"Comparison of experiment {next(iter(keys))}", [self._listed()])
+            title = f"Comparison of experiment {next(iter(keys))}"
+            return Summary(title, [self._listed()], unseen=unseen)
         notes = [f"skipped {len(self.skipped)}: {self.skipped[0]}"] if self.skipped else []
         notes.append("error: root mean square, angles at 35 mm per radian")
-        return Summary(heading, [self._by_model(), self._worst()], notes)
+        return Summary(heading, [self._by_model(), self._worst()], notes, unseen=unseen)
+
+    def _unseen(self) -> list[str]:
+        """Return what no experiment of a calibration has, with the number of its experiments."""
+        counts = Counter(text for row in self.rows for text in row.unseen)
+        one = len({row.run.experiment.key for row in self.rows}) == 1
+        return [text if one else f"{text} ({n} compared)" for text, n in counts.items()]
 
     def _by_model(self) -> Table:
         rows = []
@@ -166,13 +176,14 @@ class Comparison(Result):
     def _data(self) -> Table:
         """Rows in SI units, apart from the error."""
         head = (
-            *map(Column, ("experiment", "model", "use", "status")),
+            *map(Column, ("experiment", "model", "use", "unseen", "status")),
             *(Column("error", "mm"), Column("position_rms", "m"), Column("final_position", "m")),
             *(Column("final_angle", "rad"), Column("same_contact_mode")),
         )
         rows = [
             (
-                *(row.run.experiment.key, row.model, row.use, row.run.status, row.error_mm),
+                *(row.run.experiment.key, row.model, row.use, "; ".join(row.unseen)),
+                *(row.run.status, row.error_mm),
                 *(*_positions(row.run), row.run.final_angle, row.run.same_contact_mode),
             )
             for row in self.rows
@@ -286,4 +297,6 @@ def _compared(
         return ComparedModel(name, "", compare_run(experiment, Parameters(model or {}), chosen))
     values = Parameters(fitted.values_for(experiment))
     use = "fitted" if experiment.key in fitted.keys_of_experiments else "held out"
-    return ComparedModel(name, use, compare_run(experiment, values, chosen))
+    return ComparedModel(
+        name, use, compare_run(experiment, values, chosen), fitted.unseen(experiment)
+    )

@@ -9,6 +9,7 @@ from os import PathLike
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fixel.calibration.known_pushes import KnownPushes, push_target
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
@@ -108,13 +109,16 @@ def predict(
                 hint="simulate() computes the one end; or give start=StartError(x=, y=, theta=)",
             )
         push = push_of(scene, model, motion)
+        known: KnownPushes | None = getattr(model, "known", None)
         values: Mapping[str, ArrayLike] = push.values
         best, tau = push.values, None
     else:
         push = push_of(scene, None, motion or model.motion)
+        known = model.known
         own = model.under(push.conditions)
         if isinstance(scene, Experiment) and start is None and times is None:
-            return _repetition(scene, own, push.motion, model_error, samples, seed, threads)
+            found = _repetition(scene, own, push.motion, model_error, samples, seed, threads)
+            return replace(found, unseen=_unseen(known, scene))
         rows = np.resize(np.random.default_rng(seed).permutation(len(own.points)), samples)
         values = own.values(own.points[rows], push.conditions)
         best = {
@@ -141,7 +145,13 @@ def predict(
             threads=threads,
             progress=report,
         )
-    return found if tau is None else replace(found, drift=_drift(found, tau))
+    unseen = _unseen(known, scene if isinstance(scene, Experiment) else push.scene)
+    return replace(found, unseen=unseen, drift=None if tau is None else _drift(found, tau))
+
+
+def _unseen(known: KnownPushes | None, of: Scene | Experiment) -> tuple[str, ...]:
+    """Return what no experiment of the model has; nothing for values without experiments."""
+    return () if known is None else known.texts(push_target(of, {}))
 
 
 def _repetition(

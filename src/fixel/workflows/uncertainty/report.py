@@ -75,6 +75,7 @@ def numbers_of(found: Uncertainty) -> dict[str, Any]:
     noise = posterior.noise
     assert noise is not None  # measured poses have noise
     return {
+        "unseen": [text for one in found.predicted for text in one.prediction.unseen],
         "experiments": [one.experiment.key for one in found.predicted if not one.held_out],
         "motion": found.motion,
         "noise": {
@@ -119,6 +120,7 @@ def _final(one: ExperimentPrediction) -> dict[str, Any]:
     shares = one.prediction.shares
     return {
         "experiment": one.experiment.key,
+        "unseen": list(one.prediction.unseen),
         "held_out": one.held_out,
         "measured": one.target.pose[-1].tolist(),
         "centre_m": bounds.position.centre.tolist(),
@@ -191,6 +193,11 @@ def _warnings(found: Uncertainty) -> tuple[str, ...]:
     return sentences(
         "uncertainty",
         "warnings",
+        unseen=[
+            f"{one.experiment.key}, {text}"
+            for one in found.predicted
+            for text in one.prediction.unseen
+        ],
         posterior=posterior,
         request=request,
         number=None if compared is None else compared.id,

@@ -9,6 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from fixel.calibration.assess import Frames, noise_from_repeated
+from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.noise import Noise, noise_from_residuals
 from fixel.calibration.objective import Comparer
@@ -389,6 +390,7 @@ def _sampled(
         model_error=error,
         motion=comparer.ensemble.motion.name,
         experiments=tuple(comparer.targets[k].key for k in members),
+        known=KnownPushes.of([comparer.targets[k] for k in members]),
     ), point
 
 
@@ -435,6 +437,8 @@ def _predicted(
         draws=DRAWS,
         seed=posterior.seed,
     )
+    if held_out and posterior.known is not None:
+        prediction = replace(prediction, unseen=posterior.known.texts(target))
     return ExperimentPrediction(
         id=number,
         experiment=experiment,

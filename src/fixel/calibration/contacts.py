@@ -12,9 +12,8 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.registration import gaps_and_normals
-from fixel.domain.features import Configurations
 from fixel.errors import InvalidInput
-from fixel.model import wrapped
+from fixel.model import Shape, wrapped
 from fixel.typing import FloatArray, IntArray
 
 # A contact is new where it differs by more than this from every pushed one of the part.
@@ -29,6 +28,16 @@ SIDE: Final = "side"
 SPEED: Final = "speed"
 BOTH: Final = "side and speed"
 PART: Final = "part"
+
+
+class Configurations(NamedTuple):
+    """Intended straight pushes of one object by a round pusher."""
+
+    shape: Shape
+    radius: float  # radius of the pusher [m]
+    start: FloatArray  # (n, 3) pose of the object [m, m, rad]
+    tip_start: FloatArray  # (n, 2) centre of the pusher [m]
+    tip_end: FloatArray  # (n, 2)
 
 
 class TouchedPlaces(NamedTuple):

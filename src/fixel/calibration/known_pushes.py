@@ -1,0 +1,349 @@
+"""Respects in which a push is unlike all experiments: its part, surface, laboratory, side, speed.
+
+Parameters, errors and bounds that were learned from pushes hold for pushes like them. Every result
+that uses them for another push reports what is unseen, by `KnownPushes.unseen`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple, Self, final
+
+import numpy as np
+
+from fixel.calibration.contacts import (
+    MAX_RATIO,
+    MAX_TURN,
+    PART,
+    SIDE,
+    SPEED,
+    Configurations,
+    PushedContacts,
+    TouchedPlaces,
+    contacts_of,
+)
+from fixel.calibration.registration import gaps_and_normals
+from fixel.calibration.target import Target, target_of
+from fixel.model import Disk, Experiment, Scene
+from fixel.model.fields import Comparable, frozen, instance, settle
+from fixel.simulation.ensemble import RolloutCase
+from fixel.simulation.pack import pusher_path
+from fixel.typing import FloatArray, IntArray
+
+PARTS: Final = ("shape", "part", "object", "object_id")
+SURFACES: Final = ("surface", "table")
+DATASET: Final = "dataset"
+# Conditions that identify what errors depend on; every one of their values counts.
+IDENTITY: Final = (*PARTS, *SURFACES, DATASET)
+TRAVEL_LENGTH: Final = "travel"
+_OWN: Final = ("experiment", "repetition", "step")
+_TRUTH: Final = "truth_"
+# Experiments with one value below which it counts as unseen: one or two pushes are no evidence.
+MIN_EXPERIMENTS: Final = 3
+MAX_NAMES: Final = 5  # values that a sentence lists
+ALIKE: Final = 0.02  # largest relative difference of the sizes of one part's outlines
+PLACES: Final = 64  # of the pusher along its path, among which its first contact is searched
+TOUCHING: Final = 2e-3  # [m] gap at the start below which the pusher already touches the part
+
+
+class Unseen(NamedTuple):
+    """Respect in which a push is unlike all experiments.
+
+    Attributes
+    ----------
+    what : str
+        Name of a condition, or `"part"`, `"side"`, `"speed"`, `"side and speed"` or `"travel"`.
+    text : str
+        Sentence with the value of the push and those of the experiments.
+    is_given : bool
+        False for a condition that the experiments have and the push lacks.
+    """
+
+    what: str
+    text: str
+    is_given: bool = True
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KnownPushes(Comparable):
+    """Parts, surfaces, laboratories, contacts, speeds and travels of experiments.
+
+    Parameters
+    ----------
+    keys : tuple of str
+        Names of the experiments.
+    labels : mapping of str to tuple of str
+        Values of the conditions that are labels, one per experiment; empty if it has none.
+    size : (n, 2) array_like
+        Root of the area and radius of gyration of the part's outline [m].
+    contact : (n, 4) array_like
+        Direction of the normal [rad], place x, y [-] and speed [m/s] of the first contact, as in
+        `TouchedPlaces`; nan without a moving pusher.
+    travel : (n,) array_like
+        Travel of the pusher [m]; nan without a moving pusher.
+    """
+
+    keys: tuple[str, ...]
+    labels: Mapping[str, tuple[str, ...]]
+    size: FloatArray
+    contact: FloatArray
+    travel: FloatArray
+
+    def __post_init__(self) -> None:
+        settle(
+            self,
+            keys=tuple(self.keys),
+            labels={name: tuple(column) for name, column in self.labels.items()},
+            size=frozen(self.size),
+            contact=frozen(self.contact),
+            travel=frozen(self.travel),
+        )
+
+    @classmethod
+    def of(cls, targets: Sequence[Target], names: Sequence[str] = ()) -> Self:
+        """Return what experiments have in common with pushes to come.
+
+        Parameters
+        ----------
+        targets : sequence of Target
+        names : sequence of str
+            Conditions that count as labels in addition to the usual ones.
+        """
+        rows = [_labels(target, names) for target in targets]
+        columns = {
+            name: tuple(row.get(name, "") for row in rows)
+            for name in dict.fromkeys(name for row in rows for name in row)
+        }
+        pushes = [_push(target.case.scene, float(target.case.times[-1])) for target in targets]
+        return cls(
+            keys=tuple(target.key for target in targets),
+            labels={
+                name: column
+                for name, column in columns.items()
+                if name in (*IDENTITY, *names) or _repeats(column)
+            },
+            size=np.array([_size(target.case.scene) for target in targets]).reshape(-1, 2),
+            contact=np.array([own[:4] for own in pushes]).reshape(-1, 4),
+            travel=np.array([own[4] for own in pushes]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.travel)
+
+    def texts(self, target: Target) -> tuple[str, ...]:
+        """Return sentences on what is new about a push; none for one of the experiments."""
+        return () if target.key in self.keys else texts_of(self.unseen(target))
+
+    def unseen(self, target: Target) -> tuple[Unseen, ...]:
+        """Return the respects in which a push is unlike all experiments; empty for none.
+
+        A side, a speed and a travel count as seen only on the same part, surface and laboratory.
+        """
+        given = _labels(target, tuple(self.labels))
+        same_outline = self._same_outline(target.case.scene)
+        found = [*self._new_labels(given), *self._missing_labels(given, same_outline)]
+        if not same_outline.any() and not any(own.what in PARTS for own in found):
+            found.insert(0, Unseen(PART, "part: its outline is unlike those of all experiments"))
+        known = {name: given[name] for name in IDENTITY if given.get(name) and name in self.labels}
+        if any(own.is_given for own in found):
+            return tuple(found)
+        rows = self._rows(known)
+        if not len(rows):
+            text = " and ".join(f"{name} {value!r}" for name, value in known.items())
+            what = next((name for name in known if name not in PARTS), next(iter(known)))
+            return (Unseen(what, f"{text}: no experiment with all of these"), *found)
+        if not same_outline[rows].any():
+            text = "part: its outline is unlike those of all experiments with its name"
+            return (Unseen(PART, text), *found)
+        return (*self._new_contact(target.case.scene, target, rows), *found)
+
+    def _new_labels(self, given: Mapping[str, str]) -> Iterator[Unseen]:
+        for name, column in self.labels.items():
+            value, counts = given.get(name, ""), Counter(filter(None, column))
+            n = counts[value]
+            least = min(MIN_EXPERIMENTS, len(self)) if name in IDENTITY else 1
+            if value and not n:
+                yield Unseen(name, f"{name} {value!r}: no experiment with it, only {_some(counts)}")
+            elif value and n < least:
+                yield Unseen(name, f"{name} {value!r}: only {n} of {len(self)} experiments with it")
+
+    def _missing_labels(self, given: Mapping[str, str], same: np.ndarray) -> Iterator[Unseen]:
+        for name, column in self.labels.items():
+            counts = Counter(filter(None, column))
+            if given.get(name) or name not in IDENTITY:
+                continue
+            if name == DATASET and len(counts) < 2:
+                continue  # a scene alone belongs to no laboratory
+            if name in PARTS and len({column[k] for k in np.flatnonzero(same)}) == 1:
+                continue  # the outline identifies the part
+            yield Unseen(name, f"{name} not given (experiments have {_some(counts)})", False)
+
+    def _rows(self, labels: Mapping[str, str]) -> IntArray:
+        good = np.ones(len(self), bool)
+        for name, value in labels.items():
+            good &= np.array([own == value for own in self.labels[name]], bool)
+        return np.flatnonzero(good)
+
+    def _same_outline(self, scene: Scene) -> np.ndarray:
+        own = np.array(_size(scene))
+        return np.asarray((np.abs(self.size - own) <= ALIKE * own).all(axis=1))
+
+    def _new_contact(self, scene: Scene, target: Target, rows: IntArray) -> Iterator[Unseen]:
+        *contact, travel = _push(scene, float(target.case.times[-1]))
+        rows = rows[np.isfinite(self.contact[rows]).all(axis=1)]
+        if not np.isfinite(contact).all():
+            return
+        if not len(rows):
+            yield Unseen("side", "side: no experiment with a moving pusher")
+            return
+        pushed = PushedContacts(_places(self.contact[rows]), [0] * len(rows))
+        (kind,), (reason,) = pushed.novelty(_places(np.array([contact])), [0])
+        if kind:
+            yield Unseen(kind, reason)
+        low, high = self.travel[rows].min(), self.travel[rows].max()
+        if not low / MAX_RATIO <= travel <= MAX_RATIO * high:
+            shown = f"{1e3 * low:.3g}" if low == high else f"{1e3 * low:.3g} to {1e3 * high:.3g}"
+            yield Unseen(
+                TRAVEL_LENGTH, f"travel never pushed: {1e3 * travel:.3g} mm, only {shown} mm"
+            )
+
+
+def texts_of(unseen: Sequence[Unseen]) -> tuple[str, ...]:
+    """Return the sentences, those of new values first."""
+    return tuple(own.text for own in sorted(unseen, key=lambda own: not own.is_given))
+
+
+def push_target(what: Scene | Experiment, conditions: Mapping[str, str | float]) -> Target:
+    """Return the target of a scene or experiment, with more conditions."""
+    if isinstance(what, Experiment):
+        own = target_of(what)
+        return own._replace(conditions={**own.conditions, **conditions})
+    instance(what, Scene, "scene", "a Scene or an Experiment")
+    case = RolloutCase(what, np.array([what.duration]))
+    return Target("scene", dict(conditions), case, np.zeros((0, 3)))
+
+
+def with_dataset(target: Target) -> Target:
+    """Return a target with its laboratory (dataset) among the conditions."""
+    dataset, slash, _ = target.key.partition("/")
+    own = {DATASET: dataset} if slash else {}
+    return target._replace(conditions={**own, **target.conditions})
+
+
+def with_units(targets: Sequence[Target], name: str) -> list[Target]:
+    """Return targets with a condition whose values are left out as a whole.
+
+    Parameters
+    ----------
+    targets : sequence of Target
+    name : str
+        Name of a condition; or `"dataset"`, `"side"` or `"speed"`, which are computed where the
+        experiments do not have them. A side and a speed are those of one part.
+    """
+    targets = [with_dataset(target) for target in targets]
+    if name not in (SIDE, SPEED) or any(name in target.conditions for target in targets):
+        return targets
+    known = KnownPushes.of(targets)
+    columns = [known.labels[own] for own in IDENTITY if own in known.labels]
+    parts = [
+        " ".join(filter(None, (*(column[k] for column in columns), f"{1e3 * size:.3g} mm")))
+        for k, size in enumerate(known.size[:, 0].tolist())
+    ]
+    label = np.array([""] * len(targets), object)
+    for part in dict.fromkeys(parts):
+        own = np.flatnonzero(np.array([other == part for other in parts]))
+        value = known.contact[own, 0 if name == SIDE else 3]
+        number = _sides(value) if name == SIDE else _speeds(value)
+        label[own] = [f"{part} {name} {k + 1}" for k in number.tolist()]
+    return [
+        target._replace(conditions={**target.conditions, name: text})
+        for target, text in zip(targets, label.tolist(), strict=True)
+    ]
+
+
+def _sides(normal: FloatArray) -> IntArray:
+    """Number sides (n,) by their normals [rad]: quarters of directions between wide gaps."""
+    order = np.argsort(normal)
+    turn = np.diff(normal[order], append=normal[order[:1]] + 2.0 * np.pi)
+    order = np.roll(order, -1 - int(turn.argmax()))  # begin after the widest gap
+    along = (normal[order] - normal[order[0]]) % (2.0 * np.pi)
+    number, first = np.zeros(len(normal), np.int64), along[0]
+    for k in range(1, len(order)):
+        wide = along[k] - along[k - 1] > MAX_TURN or along[k] - first > 0.5 * np.pi
+        number[order[k]] = number[order[k - 1]] + wide
+        first = along[k] if wide else first
+    return number
+
+
+def _speeds(speed: FloatArray) -> IntArray:
+    """Number speeds (n,), which differ by more than `MAX_RATIO`."""
+    order = np.argsort(speed)
+    step = np.diff(speed[order], prepend=speed[order[:1]]) > 0.0
+    step[1:] &= speed[order][1:] > MAX_RATIO * speed[order][:-1]
+    number = np.empty(len(speed), np.int64)
+    number[order] = np.cumsum(step)
+    return number
+
+
+def _labels(target: Target, names: Sequence[str]) -> dict[str, str]:
+    """Conditions that are labels: identities, texts, and those that are named."""
+    return {
+        name: f"{value:g}" if isinstance(value, float) else str(value)
+        for name, value in with_dataset(target).conditions.items()
+        if name not in _OWN
+        and not name.startswith(_TRUTH)
+        and (isinstance(value, str) or name in (*IDENTITY, *names))
+    }
+
+
+def _repeats(column: Sequence[str]) -> bool:
+    """Whether most values of a text occur more than once, so that it groups experiments."""
+    counts = Counter(filter(None, column))
+    return 2 * sum(n for n in counts.values() if n > 1) > len(column)
+
+
+def _some(counts: Counter[str]) -> str:
+    names = sorted(counts)
+    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    return ", ".join(names[:MAX_NAMES]) + more
+
+
+def _size(scene: Scene) -> tuple[float, float]:
+    shape = scene.bodies[0].shape
+    return float(np.sqrt(shape.area)), float(np.sqrt(shape.unit_inertia))
+
+
+def _places(rows: FloatArray) -> TouchedPlaces:
+    return TouchedPlaces(rows[:, 0], rows[:, 1:3], rows[:, 3])
+
+
+def _push(scene: Scene, duration: float) -> tuple[float, float, float, float, float]:
+    """Return normal, place and speed of the first contact of a push, and its travel."""
+    nothing = (np.nan,) * 5
+    if not scene.pushers:
+        return nothing
+    pusher, body = scene.pushers[0], scene.bodies[0]
+    path = pusher_path(pusher, duration)
+    steps = np.hypot(*np.diff(path[:, 1:3], axis=0).T)
+    travel, seconds = float(steps.sum()), float(path[-1, 0] - path[0, 0])
+    if not (travel > 0.0 and seconds > 0.0):
+        return nothing
+    shape = pusher.shape
+    radius = shape.radius if isinstance(shape, Disk) else float(np.sqrt(shape.area / np.pi))
+    way = np.concatenate((np.zeros(1), np.cumsum(steps)))
+    at = np.linspace(0.0, travel, PLACES)
+    tip = np.column_stack([np.interp(at, way, path[:, k]) for k in (1, 2)])
+    start = body.pose[None]
+    gap, _ = gaps_and_normals(body.shape, radius, start, tip[:1])
+    first = 0
+    if gap[0] > TOUCHING:
+        gap, _ = gaps_and_normals(body.shape, radius, np.repeat(start, PLACES, axis=0), tip)
+        touched = np.flatnonzero(gap <= 0.0)
+        first = int(touched[0]) if len(touched) else int(gap.argmin())
+    one = Configurations(body.shape, radius, start, tip[first][None], tip[-1:])
+    found = contacts_of(one, np.array([travel / seconds]))
+    x, y = found.place[0].tolist()
+    return float(found.normal[0]), x, y, travel / seconds, travel
