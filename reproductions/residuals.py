@@ -8,9 +8,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.contacts import Configurations
+from fixel.calibration.contacts import Configurations, contacts_of
 from fixel.datasets.mit_plates import TIP
-from fixel.domain.contacts import contacts_of
 from fixel.domain.features import (
     PLACE,
     Features,

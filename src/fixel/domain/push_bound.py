@@ -63,7 +63,7 @@ class PushBound(NamedTuple):
     cautious_position, cautious_angle : float or None
         For an unseen push: bounds by the worst of the groups that were left out [m], [rad].
     proved : float or None
-        For an unseen push: probability that so many groups can prove at most; n / (n + 1) of n.
+        For an unseen push: largest probability that n groups can prove, n / (n + 1).
     """
 
     position: float | None
@@ -237,9 +237,9 @@ class ErrorBound(Result):
         n = bounds[0].n_unit
         proved = n / (n + 1.0)
         why = (
-            f"judged by leaving out each {left.condition}, {n} in all, which prove at most"
-            f" {100.0 * proved:.1f} % (a bound for {100.0 * self.level:g} % of the pushes needs"
-            f" {min_experiments(self.level)})"
+            f"bounds from calibrations without each {left.condition}, {n} in all: these prove at"
+            f" most {100.0 * proved:.1f} %; a guarantee of {100.0 * self.level:g} % needs"
+            f" {min_experiments(self.level)}"
         )
         (x, turn), (wide_x, wide_turn) = ends
         return PushBound(x, turn, UNSEEN, why, texts, wide_x, wide_turn, proved)

@@ -62,7 +62,8 @@ class StoredSet(Answer):
         description="mean squared error E of the thesis; null if not computed yet"
     )
     unseen: list[str] = Field(
-        default=[], description="what no experiment of the calibration has, in sentences"
+        default=[],
+        description="new part, surface, side or speed, which no experiment of the calibration has",
     )
 
 

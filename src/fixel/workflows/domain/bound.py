@@ -131,7 +131,7 @@ def error_bound(
         )
     labels = tuple(label_of(target.conditions, names) for target in targets)
     model = calibration_model(fit, targets, motion)
-    without = [leave_out] if isinstance(leave_out, str) else list(leave_out)
+    without = list(filter(None, [leave_out] if isinstance(leave_out, str) else leave_out))
     for name in without:
         _check_units(with_units(targets, name), name, model)
     apart = Apart(folds=default_folds(len(targets)) if folds is None else folds, seed=seed)
@@ -193,7 +193,7 @@ def _check_units(targets: Sequence[Target], name: str, model: CalibrationModel) 
 
 
 def _first_of_repeated(targets: Sequence[Target], features: FloatArray) -> list[int]:
-    """Return one experiment of every configuration: repetitions say nothing about other pushes."""
+    """Return one experiment of each configuration: repetitions do not show how pushes differ."""
     found: dict[object, int] = {}
     for k, target in enumerate(targets):
         label = same_configuration(target)

@@ -109,16 +109,13 @@ def predict(
                 hint="simulate() computes the one end; or give start=StartError(x=, y=, theta=)",
             )
         push = push_of(scene, model, motion)
-        known: KnownPushes | None = getattr(model, "known", None)
         values: Mapping[str, ArrayLike] = push.values
         best, tau = push.values, None
     else:
         push = push_of(scene, None, motion or model.motion)
-        known = model.known
         own = model.under(push.conditions)
         if isinstance(scene, Experiment) and start is None and times is None:
-            found = _repetition(scene, own, push.motion, model_error, samples, seed, threads)
-            return replace(found, unseen=_unseen(known, scene))
+            return _repetition(scene, own, push.motion, model_error, samples, seed, threads)
         rows = np.resize(np.random.default_rng(seed).permutation(len(own.points)), samples)
         values = own.values(own.points[rows], push.conditions)
         best = {
@@ -145,13 +142,14 @@ def predict(
             threads=threads,
             progress=report,
         )
-    unseen = _unseen(known, scene if isinstance(scene, Experiment) else push.scene)
-    return replace(found, unseen=unseen, drift=None if tau is None else _drift(found, tau))
+    return replace(found, unseen=_unseen(model, scene, push.scene), drift=_drift(found, tau))
 
 
-def _unseen(known: KnownPushes | None, of: Scene | Experiment) -> tuple[str, ...]:
+def _unseen(model: object, of: object, scene: Scene) -> tuple[str, ...]:
     """Return what no experiment of the model has; nothing for values without experiments."""
-    return () if known is None else known.texts(push_target(of, {}))
+    known: KnownPushes | None = getattr(model, "known", None)
+    what = of if isinstance(of, Experiment) else scene
+    return () if known is None else known.texts(push_target(what, {}))
 
 
 def _repetition(
@@ -173,7 +171,8 @@ def _repetition(
         raise _no_model_error()
     posterior = replace(posterior, model_error=error)
     comparer = Comparer([target_of(experiment)], posterior.searched, motion=motion, threads=threads)
-    return predict_repetition(comparer, 0, posterior, draws=samples, seed=seed)
+    found = predict_repetition(comparer, 0, posterior, draws=samples, seed=seed)
+    return replace(found, unseen=_unseen(posterior, experiment, comparer.targets[0].case.scene))
 
 
 def _no_model_error() -> InvalidInput:
@@ -184,8 +183,10 @@ def _no_model_error() -> InvalidInput:
     )
 
 
-def _drift(found: Prediction, tau: FloatArray) -> FloatArray:
+def _drift(found: Prediction, tau: FloatArray | None) -> FloatArray | None:
     """Draw errors of the model (n, n_time, 3) with standard deviations tau (n,) at the end [m]."""
+    if tau is None:
+        return None
     error = ModelError()
     share = shares_of_way(found.scene.bodies[0].pose, found.nominal, error.angle_scale)
     rng = np.random.default_rng([found.seed, 1])
