@@ -1,0 +1,152 @@
+"""Errors on parts that were left out as a whole: what a prediction for a new part is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from fixel.parts.choice import choose_pushes
+from fixel.parts.features import bound_features
+from fixel.parts.fit import fit_part, simulated, slopes
+from fixel.parts.prior import PartValues, SupportPrior, learned_prior
+from fixel.parts.pushes import PartPushes
+from fixel.typing import FloatArray, IntArray, ProgressCallback
+
+# Weights of the others' mean load among which leaving parts out chooses.
+SHARES: Final = (0.0, 0.5, 1.0)
+# Largest number of pushes of a group that are predicted.
+MAX_TEST: Final = 100
+# Errors of pushes that a fit assumes [m]: single pushes are heavy-tailed, and the model itself is
+# off by millimetres, so that a few of them are believed less.
+FEW, MANY = 5, 10
+NOISE_OF_FEW, NOISE_OF_MANY = 5e-3, 2.5e-3
+# Numbers of pushes for which bounds are learned; others use the next smaller one.
+LADDER: Final = (0, 1, 2, 3, 5, 10, 20, 40)
+
+Groups = Mapping[tuple[str, str], PartPushes]  # by surface and part
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LeftOutEnds:
+    """Predictions of parts that were left out as a whole.
+
+    Attributes
+    ----------
+    pushes : int
+        Number of pushes of each part that its prediction has used.
+    part, group : tuple of str
+        Part of each push (n,), and surface and part.
+    features : (n, f) float64
+        What is known of each push before it is made.
+    errors : (n, 2) float64
+        Errors of position [m] and angle [rad]; inf where the simulation failed.
+    """
+
+    pushes: int
+    part: tuple[str, ...]
+    group: tuple[str, ...]
+    features: FloatArray
+    errors: FloatArray
+
+
+def noise_of(n: int) -> float:
+    """Return the size of the errors that a fit to n pushes assumes [m]."""
+    return float(np.interp(n, (FEW, MANY), (NOISE_OF_FEW, NOISE_OF_MANY)))
+
+
+def rung(n: int) -> int:
+    """Return the largest number of `LADDER` that is at most n."""
+    return max(k for k in LADDER if k <= n)
+
+
+def leave_parts_out(
+    groups: Groups,
+    fits: Sequence[PartValues],
+    share: float,
+    pushes: int = 0,
+    *,
+    chosen: bool = False,
+    seed: int = 0,
+    progress: ProgressCallback | None = None,
+) -> LeftOutEnds:
+    """Predict every part from the others, after a number of its own pushes.
+
+    Parameters
+    ----------
+    groups : mapping of (surface, part) to PartPushes
+    fits : sequence of PartValues
+        Values fitted to all groups.
+    share : float
+        Weight of the others' mean load; see `learned_prior`.
+    pushes : int
+        Number of the part's own pushes that are used: from one half of them, while the errors are
+        of the other half.
+    chosen : bool
+        Whether these are chosen by `choose_pushes` rather than at random.
+    seed : int
+    progress : callable, optional
+
+    Returns
+    -------
+    LeftOutEnds
+        Without groups that have fewer pushes than these and ten more.
+    """
+    rows: list[tuple[str, str, FloatArray, FloatArray]] = []
+    for done, ((surface, part), group) in enumerate(groups.items()):
+        pool, test = halves(len(group), seed)
+        if len(pool) >= pushes and len(test) >= min(10, pushes):
+            prior = learned_prior([own for own in fits if own.part != part], surface, share)
+            if pushes:
+                prior = after(group, pool, prior, pushes, chosen=chosen)
+            test = np.sort(test[:MAX_TEST])
+            features, ends, good = bound_features(group, test, prior)
+            errors = np.where(good[:, None], group.errors(test, ends), np.inf)
+            rows.append((part, f"{surface} {part}".strip(), features, errors))
+        if progress is not None:
+            progress(done + 1, len(groups), part)
+    return LeftOutEnds(
+        pushes=pushes,
+        part=tuple(part for part, _, _, own in rows for _ in own),
+        group=tuple(name for _, name, _, own in rows for _ in own),
+        features=np.concatenate([own for _, _, own, _ in rows]) if rows else np.zeros((0, 0)),
+        errors=np.concatenate([own for _, _, _, own in rows]) if rows else np.zeros((0, 2)),
+    )
+
+
+def after(
+    group: PartPushes, pool: IntArray, prior: SupportPrior, n: int, *, chosen: bool = False
+) -> SupportPrior:
+    """Return the distribution of the parameters after n pushes of a pool: its first, or chosen."""
+    use = pool[:n]
+    if chosen:
+        pool = np.sort(pool)
+        table = slopes(group, pool, prior)
+        use = pool[choose_pushes(table, table, n).which]
+    return fit_part(group, use, prior, np.full(n, noise_of(n)))
+
+
+def halves(n: int, seed: int) -> tuple[IntArray, IntArray]:
+    """Return a random half of n pushes to learn from, in random order, and the other half."""
+    order = np.random.default_rng(seed).permutation(n)
+    return order[: n // 2], order[n // 2 :]
+
+
+def best_share(groups: Groups, fits: Sequence[PartValues], seed: int = 0) -> float:
+    """Return the weight of the others' mean load that predicts parts best that are left out.
+
+    Compared are mean errors, with equal weight of all groups; angles count by their length.
+    """
+    costs = []
+    for share in SHARES:
+        total = []
+        for (surface, part), group in groups.items():
+            prior = learned_prior([own for own in fits if own.part != part], surface, share)
+            test = np.sort(halves(len(group), seed)[1][:MAX_TEST])
+            ends, good = simulated(group, test, prior.at(np.zeros((1, len(prior.mean)))))
+            total.append(group.distance(test, ends[0], good[0]))
+        costs.append(float(np.mean(total)))
+    return SHARES[int(np.argmin(costs))]
