@@ -98,9 +98,7 @@ def paced(scene: Scene, duration: float) -> Scene:
     keep = np.concatenate(([True], way > 0.0))
     path, way = path[keep], way[way > 0.0]
     if len(path) < 2:
-        raise InvalidInput(
-            "scene.pusher", found="a pusher at rest", expected="a pusher that moves"
-        )
+        raise InvalidInput("scene.pusher", found="a pusher at rest", expected="a pusher that moves")
     path[:, 0] = np.concatenate(([0.0], np.cumsum(way))) / PACE
     drive = PathDrive(path, force_limit=pusher.drive.force_limit)
     moving = Pusher(

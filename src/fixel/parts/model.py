@@ -1,0 +1,457 @@
+"""Predictions for a part that has hardly been pushed, from other parts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import ClassVar, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.calibration.known_pushes import KnownPushes, push_target, texts_of, with_dataset
+from fixel.calibration.target import Target, target_of
+from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound
+from fixel.domain.push_bound import BOUNDED, UNSEEN, PushBound
+from fixel.errors import InvalidInput
+from fixel.model import Experiment, Pose, Scene
+from fixel.parts.choice import choose_pushes
+from fixel.parts.features import bound_features
+from fixel.parts.fit import fit_part, slopes
+from fixel.parts.left_out import LeftOutEnds, leave_parts_out, noise_of, rung
+from fixel.parts.next_pushes import NextPushes
+from fixel.parts.prior import NAMES, PartValues, SupportPrior, learned_prior
+from fixel.parts.pushes import PartPushes
+from fixel.results import Result, Summary
+from fixel.table import Column, Table
+from fixel.typing import FloatArray
+
+MIN_PARTS: Final = 3  # with fewer, leaving one out says nothing
+# Two pushes count as one if contact and direction are as close as this.
+SAME_PLACE: Final = 2e-3  # [m]
+SAME_DIRECTION: Final = math.radians(3.0)
+# Sizes and travels are extrapolated by this factor at most.
+MAX_RATIO: Final = 1.5
+
+
+class PartPrediction(NamedTuple):
+    """Predicted end of a push, and bounds on its error.
+
+    Attributes
+    ----------
+    pose : Pose
+        End of the part with the most probable parameters [m, m, rad].
+    bound : PushBound
+        What is unseen about the push, and the typical and the cautious bound.
+    """
+
+    pose: Pose
+    bound: PushBound
+
+    def __repr__(self) -> str:
+        x, y, theta = self.pose
+        end = f"end: {1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {math.degrees(theta):.1f} deg"
+        return f"{self.bound!r}\n{end}"
+
+
+@final
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class PartModel(Result):
+    """Predictions for a part that has hardly been pushed, from other parts.
+
+    Made by `fixel.part_model`. Parts on a surface differ in how they stand on it. Their support
+    parameters have a common normal distribution, learned from parts; it is the prior of a new part
+    and narrows with its pushes. Bounds are judged by leaving whole parts out, with as many pushes.
+
+    Attributes
+    ----------
+    experiments : tuple of Experiment
+        Pushes of the known parts.
+    part, surface : str
+        Conditions that name the part and the surface of a push.
+    fits : tuple of PartValues
+        Values fitted to every known part on every surface.
+    share : float
+        Weight of the mean load of the known parts in the prior, chosen by leaving parts out.
+    left_out : LeftOutEnds
+        Errors on parts that were left out, after as many pushes.
+    level : float
+        Probability of the bounds.
+    pushes : tuple of Experiment
+        Pushes of the new part.
+    chosen : bool
+        Whether these were proposed by `next_pushes`.
+    seed : int
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.pushes import example_parts
+    >>> model = fixel.part_model(example_parts(3), progress=False)
+    >>> new = example_parts(1, seed=9)
+    >>> before = model.at(new[0].scene, part="new", surface="board")
+    >>> before.bound.verdict
+    'unseen'
+    >>> mine = model.after(new[:3])
+    >>> [len(own.pushes) for own in (model, mine)]
+    [0, 3]
+    """
+
+    _drawings: ClassVar[Mapping[str, str]] = {"errors": "fixel.drawing.parts:draw_errors"}
+
+    experiments: tuple[Experiment, ...]
+    part: str
+    surface: str
+    fits: tuple[PartValues, ...]
+    share: float
+    left_out: LeftOutEnds
+    level: float
+    pushes: tuple[Experiment, ...] = ()
+    chosen: bool = False
+    seed: int = 0
+    threads: int | None = field(default=None, compare=False)
+
+    def at(self, push: Scene | Experiment, **conditions: str | float) -> PartPrediction:
+        """Predict the end of a push of the new part, with bounds on the error.
+
+        Parameters
+        ----------
+        push : Scene or Experiment
+            Push of one part by one round pusher.
+        **conditions
+            Conditions that a bare scene does not have, such as `surface="abs"`.
+
+        Returns
+        -------
+        PartPrediction
+            Pose, and a `PushBound` that names what is unseen first.
+
+        Raises
+        ------
+        InvalidInput
+            The scene has several bodies or pushers, or a support that is not modelled.
+        """
+        target = self._named(push_target(push, conditions))
+        one = PartPushes([target], self.threads)
+        prior = self.distribution(str(target.conditions.get(self.surface, "")))
+        features, ends, good = bound_features(one, np.zeros(1, np.int64), prior)
+        pose = Pose(*(float(x) for x in ends[0]))
+        return PartPrediction(pose, self._bound(target, features, bool(good[0])))
+
+    def after(self, pushes: Iterable[Experiment], *, chosen: bool = False) -> PartModel:
+        """Return the model of one new part after some of its pushes.
+
+        Parameters
+        ----------
+        pushes : sequence of Experiment
+            Pushes of one part on one surface, added to those that the model has already.
+        chosen : bool
+            Whether they were proposed by `next_pushes`; bounds are then judged with parts whose
+            pushes were chosen in the same way.
+
+        Returns
+        -------
+        PartModel
+
+        Raises
+        ------
+        InvalidInput
+            Pushes of several parts or surfaces.
+        """
+        added = (*self.pushes, *pushes)
+        targets = [self._named(target_of(own)) for own in added]
+        labels = {_label(target, self.surface, self.part) for target in targets}
+        if len(labels) > 1:
+            found = " and ".join(sorted(" ".join(own).strip() for own in labels))
+            raise InvalidInput("pushes", found=found, expected="pushes of one part on one surface")
+        k = rung(distinct(PartPushes(targets))) if targets else 0
+        left_out = self.left_out
+        if k != left_out.pushes or chosen != self.chosen:
+            left_out = leave_parts_out(
+                self._groups, self.fits, self.share, k, chosen=chosen, seed=self.seed
+            )
+        return replace(self, pushes=added, chosen=chosen, left_out=left_out)
+
+    def next_pushes(
+        self,
+        candidates: Sequence[Scene | Experiment],
+        intended: Sequence[Scene | Experiment] | None = None,
+        n: int = 5,
+        **conditions: str | float,
+    ) -> NextPushes:
+        """Return which pushes to make next, the best first.
+
+        Each is the push that reduces the expected error of the intended ones most, given those
+        before it. Its worth is the expected decrease of the bound, not of the interval of a
+        parameter.
+
+        Parameters
+        ----------
+        candidates : sequence of Scene or Experiment
+            Pushes of the new part that can be made; `fixel.push_candidates` makes some.
+        intended : sequence of Scene or Experiment, optional
+            Pushes whose ends matter; by default the candidates.
+        n : int
+            Number of pushes.
+        **conditions
+            Conditions that bare scenes do not have, such as `surface="abs"`.
+
+        Returns
+        -------
+        NextPushes
+            Order of the candidates, and the expected typical bound after each.
+        """
+        if not len(candidates):
+            raise InvalidInput("candidates", found="none", expected="at least one push")
+        offered = [self._named(push_target(own, conditions)) for own in candidates]
+        wanted = [self._named(push_target(own, conditions)) for own in intended or ()] or offered
+        prior = self.distribution(str(offered[0].conditions.get(self.surface, "")))
+        first, second = PartPushes(offered, self.threads), PartPushes(wanted, self.threads)
+        tables = [slopes(own, np.arange(len(own)), prior) for own in (first, second)]
+        answer = choose_pushes(*tables, n)
+        features, _, _ = bound_features(second, np.arange(len(second)), prior)
+        bounds = [
+            float(np.mean(own[TYPICAL].bounds(features))) if own else math.inf
+            for own in self._bounds
+        ]
+        misfit = float(np.median(self.left_out.errors[:, 0])) if len(self.left_out.errors) else 0.0
+        return NextPushes(
+            order=tuple(answer.which.tolist()),
+            names=tuple(offered[k].key for k in answer.which.tolist()),
+            variance=answer.variance,
+            misfit=misfit,
+            position=bounds[0],
+            angle=bounds[1],
+            candidates=len(offered),
+            pushes=len(self.pushes),
+            start=first.tip_start[answer.which],
+            end=first.tip_end[answer.which],
+        )
+
+    def distribution(self, surface: str) -> SupportPrior:
+        """Return the distribution of the support parameters of the new part on a surface."""
+        prior = learned_prior(self.fits, surface, self.share)
+        if not self.pushes:
+            return prior
+        targets = [self._named(target_of(own)) for own in self.pushes]
+        pushes = PartPushes(targets, self.threads)
+        noise = noise_of(distinct(pushes)) * np.sqrt(len(pushes) / distinct(pushes))
+        return fit_part(pushes, np.arange(len(pushes)), prior, np.full(len(pushes), noise))
+
+    def samples(self, surface: str, n: int = 64, seed: int = 0) -> dict[str, FloatArray]:
+        """Return n samples of the support parameters of the new part, (n,) by name.
+
+        They are parameters of scenes, as for `fixel.simulate_batch`.
+        """
+        z = np.random.default_rng(seed).normal(size=(n, len(NAMES)))
+        return dict(zip(NAMES, self.distribution(surface).at(z).T.copy(), strict=True))
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the known parts."""
+        return tuple(dict.fromkeys(own.part for own in self.fits))
+
+    @property
+    def proved_level(self) -> float:
+        """Probability that the known parts can prove at most: n / (n + 1) for n parts."""
+        n = len(self.parts)
+        return n / (n + 1.0)
+
+    @cached_property
+    def coverage(self) -> dict[str, tuple[float, float]]:
+        """Shares of errors within the typical and the cautious bound, by error.
+
+        Every part is judged by bounds from the other parts; the mean of the parts and surfaces.
+        """
+        found = {}
+        for column, name in enumerate(("position", "angle")):
+            shares = [
+                self._covered(column, part)
+                for part in dict.fromkeys(self.left_out.part)
+                if len(set(self.left_out.part)) > MIN_PARTS
+            ]
+            if shares:
+                typical, cautious = np.mean([row for own in shares for row in own], axis=0)
+                found[name] = (float(typical), float(cautious))
+        return found
+
+    def _covered(self, column: int, part: str) -> list[tuple[float, float]]:
+        """Return shares within both bounds for every group of a part, judged by other parts."""
+        left = self.left_out
+        own = np.array([name == part for name in left.part])
+        bounds = self._fitted(column, ~own)
+        errors, table = left.errors[:, column], left.features
+        rows = []
+        for group in dict.fromkeys(np.array(left.group)[own].tolist()):
+            at = np.flatnonzero(own & (np.array(left.group) == group))
+            typical, cautious = (
+                float((errors[at] <= bounds[rule].bounds(table[at])).mean())
+                for rule in (TYPICAL, CAUTIOUS)
+            )
+            rows.append((typical, cautious))
+        return rows
+
+    @cached_property
+    def _bounds(self) -> tuple[dict[str, ConformalBound], dict[str, ConformalBound]]:
+        """Bounds of position and angle by rule; empty with too few parts."""
+        every = np.ones(len(self.left_out.errors), bool)
+        return self._fitted(0, every), self._fitted(1, every)
+
+    def _fitted(self, column: int, which: np.ndarray) -> dict[str, ConformalBound]:
+        left, rows = self.left_out, np.flatnonzero(which)
+        parts = [left.part[k] for k in rows.tolist()]
+        if len(set(parts)) < MIN_PARTS:
+            return {}
+        bound = ConformalBound.fit(
+            left.features[rows],
+            left.errors[rows, column],
+            level=self.level,
+            seed=self.seed,
+            units=parts,
+            rule=TYPICAL,
+        )
+        return {rule: bound.with_rule(rule) for rule in (TYPICAL, CAUTIOUS)}
+
+    @cached_property
+    def _groups(self) -> dict[tuple[str, str], PartPushes]:
+        targets = [self._named(target_of(own)) for own in self.experiments]
+        return grouped(targets, self.surface, self.part, self.threads)
+
+    @cached_property
+    def _known(self) -> KnownPushes:
+        return KnownPushes.of([with_dataset(target_of(own)) for own in self.experiments])
+
+    def _named(self, target: Target) -> Target:
+        """Return a target whose conditions name its part and surface, by empty names at least."""
+        blank = dict.fromkeys((self.part, self.surface), "")
+        return with_dataset(target._replace(conditions={**blank, **target.conditions}))
+
+    def _bound(self, target: Target, features: FloatArray, good: bool) -> PushBound:
+        surface, part = _label(target, self.surface, self.part)
+        given = {name: x for name, x in target.conditions.items() if x != ""}
+        texts = list(texts_of(self._known.unseen(target._replace(conditions=given))))
+        if self.pushes:
+            own = f"{part!r}: " if part else ""
+            texts.insert(0, f"part {own}only {_count(len(self.pushes))} of it")
+        if not texts:
+            texts = [f"part {part!r}: predicted like a new one, from the other parts"]
+        reason = self._no_bound(target, features, good)
+        if reason:
+            return PushBound(None, None, NO_DATA, reason, tuple(texts))
+        ends = [
+            float(own[rule].bounds(features)[0])
+            for own in self._bounds
+            for rule in (TYPICAL, CAUTIOUS)
+        ]
+        if not np.isfinite(ends).all():
+            return PushBound(None, None, NO_DATA, "too many simulations failed", tuple(texts))
+        n = len(set(self.left_out.part))
+        k = self.left_out.pushes
+        return PushBound(
+            ends[0],
+            ends[2],
+            UNSEEN,
+            f"judged by {n} parts that were left out, each after {_count(k)} of its own",
+            tuple(texts),
+            ends[1],
+            ends[3],
+            n / (n + 1.0),
+        )
+
+    def _no_bound(self, target: Target, features: FloatArray, good: bool) -> str:
+        """Return why there is no bound for a push; empty where there is one."""
+        if not self._bounds[0]:
+            n = len(set(self.left_out.part))
+            return f"{n} parts were pushed often enough; a bound needs {MIN_PARTS} at least"
+        if not good:
+            return "its simulation failed"
+        own = KnownPushes.of([target])
+        for what, known, value in (
+            ("size", self._known.size[:, 0], float(own.size[0, 0])),
+            ("travel", self._known.travel, float(own.travel[0])),
+        ):
+            low, high = float(np.nanmin(known)), float(np.nanmax(known))
+            if not low / MAX_RATIO <= value <= MAX_RATIO * high:
+                return (
+                    f"its {what} of {1e3 * value:.3g} mm is far from those of the parts that were"
+                    f" pushed, {1e3 * low:.3g} to {1e3 * high:.3g} mm"
+                )
+        return self._bounds[0][TYPICAL].reasons(features)[0]
+
+    def _summary(self) -> Summary:
+        left = self.left_out
+        k = left.pushes
+        group = np.array(left.group)
+        rows = []
+        for name in dict.fromkeys(left.group):
+            errors = left.errors[group == name]
+            done = errors[np.isfinite(errors).all(axis=1)]
+            position, angle = done.mean(axis=0) if len(done) else (math.nan, math.nan)
+            rows.append((name, len(errors), 1e3 * position, math.degrees(angle)))
+        n = len(self.parts)
+        notes = [
+            f"{100.0 * self.level:g} % bounds hold on left-out parts, {name}: typical"
+            f" {100.0 * typical:.0f} %, cautious {100.0 * cautious:.0f} %"
+            for name, (typical, cautious) in self.coverage.items()
+        ]
+        notes.append(
+            f"{n} parts prove at most {100.0 * self.proved_level:.1f} %; a guarantee of"
+            f" {100.0 * self.level:g} % needs {parts_needed(self.level)} parts"
+        )
+        return Summary(
+            f"PartModel: {n} parts, {len(self.experiments)} pushes;"
+            f" {_count(len(self.pushes))} of the new part",
+            [
+                Table(
+                    ("left out", "predicted", Column("position [mm]", format=".2f"),
+                     Column("angle [deg]", format=".2f")),
+                    rows,
+                    title=f"mean error after {_count(k)} of the part that was left out",
+                )
+            ],
+            notes,
+            {"weight of the others' mean load": f"{self.share:g}", "seed": str(self.seed)},
+        )  # fmt: skip
+
+
+def parts_needed(level: float) -> int:
+    """Return the number of parts with which a level can be proved: 9 for 90 %."""
+    return math.ceil(round(level / (1.0 - level), 9))
+
+
+def grouped(
+    targets: Sequence[Target], surface: str, part: str, threads: int | None = None
+) -> dict[tuple[str, str], PartPushes]:
+    """Return the pushes of every part on every surface, by surface and part."""
+    rows: dict[tuple[str, str], list[Target]] = {}
+    for target in targets:
+        rows.setdefault(_label(target, surface, part), []).append(target)
+    return {label: PartPushes(rows[label], threads) for label in sorted(rows)}
+
+
+def distinct(pushes: PartPushes) -> int:
+    """Return the number of pushes that differ in contact or direction: repetitions tell less."""
+    if not len(pushes):
+        return 0
+    c, s = np.cos(pushes.start[:, 2]), np.sin(pushes.start[:, 2])
+    x, y = (pushes.tip_start - pushes.start[:, :2]).T
+    way = pushes.tip_end - pushes.tip_start
+    heading = np.arctan2(way[:, 1], way[:, 0]) - pushes.start[:, 2]
+    rows = np.column_stack((c * x + s * y, c * y - s * x))
+    kept: list[int] = []
+    for k in range(len(pushes)):
+        near = np.hypot(*(rows[kept] - rows[k]).T) < SAME_PLACE
+        turn = np.abs(np.angle(np.exp(1j * (heading[kept] - heading[k]))))
+        if not (near & (turn < SAME_DIRECTION)).any():
+            kept.append(k)
+    return len(kept)
+
+
+def _label(target: Target, surface: str, part: str) -> tuple[str, str]:
+    conditions: Mapping[str, str | float] = target.conditions
+    return str(conditions.get(surface, "")), str(conditions.get(part, ""))
+
+
+def _count(n: int) -> str:
+    return f"{n or 'no'} push{'' if n == 1 else 'es'}"
