@@ -48,6 +48,9 @@ if TYPE_CHECKING:
     )
     from fixel.model.records import Estimate as Estimate
     from fixel.model.space import Parameter as Parameter
+    from fixel.parts.candidates import push_candidates as push_candidates
+    from fixel.parts.model import PartModel as PartModel
+    from fixel.parts.next_pushes import NextPushes as NextPushes
     from fixel.simulation import (
         Adaptive as Adaptive,
         BatchResult as BatchResult,
@@ -79,6 +82,7 @@ if TYPE_CHECKING:
     from fixel.workflows.domain.map import map_domain as map_domain
     from fixel.workflows.experiments import read_experiments as read_experiments
     from fixel.workflows.filtering import filter as filter
+    from fixel.workflows.parts import part_model as part_model
     from fixel.workflows.project.comparison import (
         compare as compare,
         Comparison as Comparison,
@@ -108,6 +112,9 @@ _NAMES = {
     " UniformPressure",
     "fixel.model.records": "Estimate",
     "fixel.model.space": "Parameter",
+    "fixel.parts.candidates": "push_candidates",
+    "fixel.parts.model": "PartModel",
+    "fixel.parts.next_pushes": "NextPushes",
     "fixel.simulation": "Adaptive BatchResult Dynamic FirstOrder GaussSeidel Lemke Newton"
     " QuasiStatic simulate simulate_batch Simulation StewartTrinkle",
     "fixel.uncertainty.outcomes": "Sensitivity",
@@ -120,6 +127,7 @@ _NAMES = {
     "fixel.workflows.domain.map": "map_domain",
     "fixel.workflows.experiments": "read_experiments",
     "fixel.workflows.filtering": "filter",
+    "fixel.workflows.parts": "part_model",
     "fixel.workflows.project.comparison": "compare Comparison",
     "fixel.workflows.project.export": "export",
     "fixel.workflows.report.write": "report",

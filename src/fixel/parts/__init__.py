@@ -1,1 +1,1 @@
-"""Parts that have hardly been pushed: what other parts teach about them, and how far off it may be."""
+"""Parts that have hardly been pushed: predictions from other parts, with bounds."""

@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from fixel.domain.features import Configurations, simulated_features
+from fixel.calibration.contacts import Configurations
+from fixel.domain.features import simulated_features
 from fixel.parts.fit import simulated
 from fixel.parts.prior import NAMES, SupportPrior
 from fixel.parts.pushes import PartPushes

@@ -76,7 +76,7 @@ def _differences(pushes: PartPushes, which: IntArray, values: FloatArray) -> Flo
     away = ends - pushes.end[which]
     away[..., 2] = ANGLE_SCALE * wrapped(away[..., 2])
     away[~good] = LOST
-    return away.reshape(len(values), -1)
+    return np.asarray(away.reshape(len(values), -1))
 
 
 def slopes(

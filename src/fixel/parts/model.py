@@ -13,7 +13,7 @@ import numpy as np
 from fixel.calibration.known_pushes import KnownPushes, push_target, texts_of, with_dataset
 from fixel.calibration.target import Target, target_of
 from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound
-from fixel.domain.push_bound import BOUNDED, UNSEEN, PushBound
+from fixel.domain.push_bound import UNSEEN, PushBound
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Pose, Scene
 from fixel.parts.choice import choose_pushes
@@ -134,7 +134,7 @@ class PartModel(Result):
         """
         target = self._named(push_target(push, conditions))
         one = PartPushes([target], self.threads)
-        prior = self.distribution(str(target.conditions.get(self.surface, "")))
+        prior = self.distribution(*_label(target, self.surface, self.part))
         features, ends, good = bound_features(one, np.zeros(1, np.int64), prior)
         pose = Pose(*(float(x) for x in ends[0]))
         return PartPrediction(pose, self._bound(target, features, bool(good[0])))
@@ -206,10 +206,10 @@ class PartModel(Result):
             raise InvalidInput("candidates", found="none", expected="at least one push")
         offered = [self._named(push_target(own, conditions)) for own in candidates]
         wanted = [self._named(push_target(own, conditions)) for own in intended or ()] or offered
-        prior = self.distribution(str(offered[0].conditions.get(self.surface, "")))
+        prior = self.distribution(*_label(offered[0], self.surface, self.part))
         first, second = PartPushes(offered, self.threads), PartPushes(wanted, self.threads)
-        tables = [slopes(own, np.arange(len(own)), prior) for own in (first, second)]
-        answer = choose_pushes(*tables, n)
+        table = slopes(first, np.arange(len(first)), prior)
+        answer = choose_pushes(table, slopes(second, np.arange(len(second)), prior), n)
         features, _, _ = bound_features(second, np.arange(len(second)), prior)
         bounds = [
             float(np.mean(own[TYPICAL].bounds(features))) if own else math.inf
@@ -229,9 +229,13 @@ class PartModel(Result):
             end=first.tip_end[answer.which],
         )
 
-    def distribution(self, surface: str) -> SupportPrior:
-        """Return the distribution of the support parameters of the new part on a surface."""
-        prior = learned_prior(self.fits, surface, self.share)
+    def distribution(self, surface: str, part: str = "") -> SupportPrior:
+        """Return the distribution of the support parameters of a part on a surface.
+
+        It comes from the other parts and the pushes of `after`; a known part counts as new.
+        """
+        others = [own for own in self.fits if not part or own.part != part]
+        prior = learned_prior(others, surface, self.share)
         if not self.pushes:
             return prior
         targets = [self._named(target_of(own)) for own in self.pushes]
@@ -239,13 +243,16 @@ class PartModel(Result):
         noise = noise_of(distinct(pushes)) * np.sqrt(len(pushes) / distinct(pushes))
         return fit_part(pushes, np.arange(len(pushes)), prior, np.full(len(pushes), noise))
 
-    def samples(self, surface: str, n: int = 64, seed: int = 0) -> dict[str, FloatArray]:
-        """Return n samples of the support parameters of the new part, (n,) by name.
+    def samples(self, k: int = 64, seed: int = 0, **conditions: str) -> dict[str, FloatArray]:
+        """Return k samples of the support parameters of a part, (k,) by name.
+
+        Conditions name its surface, and the part if it is one of the known ones.
 
         They are parameters of scenes, as for `fixel.simulate_batch`.
         """
-        z = np.random.default_rng(seed).normal(size=(n, len(NAMES)))
-        return dict(zip(NAMES, self.distribution(surface).at(z).T.copy(), strict=True))
+        z = np.random.default_rng(seed).normal(size=(k, len(NAMES)))
+        found = self.distribution(*(conditions.get(n, "") for n in (self.surface, self.part)))
+        return dict(zip(NAMES, found.at(z).T.copy(), strict=True))
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -308,7 +315,9 @@ class PartModel(Result):
             left.errors[rows, column],
             level=self.level,
             seed=self.seed,
-            units=parts,
+            # Models leave out whole parts; the unit of the bounds is a part on a surface.
+            groups=parts,
+            units=[left.group[k] for k in rows.tolist()],
             rule=TYPICAL,
         )
         return {rule: bound.with_rule(rule) for rule in (TYPICAL, CAUTIOUS)}
@@ -328,7 +337,7 @@ class PartModel(Result):
         return with_dataset(target._replace(conditions={**blank, **target.conditions}))
 
     def _bound(self, target: Target, features: FloatArray, good: bool) -> PushBound:
-        surface, part = _label(target, self.surface, self.part)
+        _, part = _label(target, self.surface, self.part)
         given = {name: x for name, x in target.conditions.items() if x != ""}
         texts = list(texts_of(self._known.unseen(target._replace(conditions=given))))
         if self.pushes:

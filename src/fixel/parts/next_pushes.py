@@ -59,12 +59,16 @@ class NextPushes(Result):
         total = self.misfit**2 + self.variance
         return np.asarray(np.sqrt(total[1:] / total[0]))
 
+    def _name(self, k: int) -> str:
+        name = self.names[k]
+        return f"candidate {self.order[k] + 1}" if name == "scene" else name
+
     def _summary(self) -> Summary:
         rows = []
         for k, ratio in enumerate(self.shrinking.tolist()):
             way = self.end[k] - self.start[k]
             rows.append(
-                (k + 1, self.names[k] if self.names[k] != "scene" else f"candidate {self.order[k] + 1}",
+                (k + 1, self._name(k),
                  1e3 * self.start[k, 0], 1e3 * self.start[k, 1],
                  math.degrees(math.atan2(way[1], way[0])), 1e3 * float(np.hypot(*way)),
                  1e3 * self.position * ratio, math.degrees(self.angle) * ratio)
@@ -76,7 +80,5 @@ class NextPushes(Result):
         return Summary(
             f"NextPushes: {len(rows)} of {self.candidates} candidates, after {self.pushes} pushes",
             [Table(("", "push", *number, *bounds), rows)],
-            [
-                f"mean typical bound of the intended pushes now: {now}; expected after each push above"
-            ],
+            [f"mean typical bound of the intended pushes: {now} now; expected after each above"],
         )

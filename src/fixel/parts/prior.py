@@ -1,4 +1,4 @@
-"""What parts on a surface have in common, and how much they differ: a prior of support parameters."""
+"""Prior of the support parameters of a part: what other parts have in common, and their spread."""
 
 from __future__ import annotations
 
@@ -56,7 +56,8 @@ class SupportPrior:
     @property
     def factor(self) -> FloatArray:
         """Lower triangle L (n, n) with L L' the covariance."""
-        return np.linalg.cholesky(self.covariance + 1e-12 * np.diag(np.diag(self.covariance)))
+        rounding = 1e-12 * np.diag(np.diag(self.covariance))
+        return np.asarray(np.linalg.cholesky(self.covariance + rounding), np.float64)
 
     def at(self, z: FloatArray) -> FloatArray:
         """Return the parameters (k, n) at standard normal coordinates (k, n), within bounds."""

@@ -70,12 +70,6 @@ class PartPushes:
         good = outcome.converged
         return Ends(np.where(good[:, None], outcome.pose[:, -1], self.start[which]), good)
 
-    def moves(self, which: IntArray, ends: FloatArray) -> FloatArray:
-        """Return displacements (n, 3) from the starts to end poses, with angles within half a turn."""
-        moved = ends - self.start[which]
-        moved[..., 2] = wrapped(moved[..., 2])
-        return moved
-
     def errors(self, which: IntArray, ends: FloatArray) -> FloatArray:
         """Return errors (n, 2) of end poses: position [m] and angle [rad]."""
         off = ends - self.end[which]

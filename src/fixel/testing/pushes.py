@@ -18,7 +18,9 @@ from fixel.model import (
     Scene,
     Trajectory,
     Tripod,
+    UniformPressure,
 )
+from fixel.parts.candidates import push_candidates
 from fixel.simulation import simulate
 from fixel.testing.scenes import box, row
 
@@ -87,3 +89,60 @@ def _scene(offset: float, duration: float) -> Scene:
         friction=0.4,
     )
     return Scene(bodies=(part,), pushers=(finger,), duration=duration)
+
+
+def example_parts(n: int = 3, pushes: int = 12, *, seed: int = 1) -> list[Experiment]:
+    """Return simulated pushes of several parts on a board, measured with noise.
+
+    Every part is a rectangle of its own size that presses on its own points. The pushes start
+    around its outline.
+
+    Parameters
+    ----------
+    n : int
+        Number of parts.
+    pushes : int
+        Number of pushes of each.
+    seed : int
+        Seed of the sizes, of the loads under the parts and of the noise.
+
+    Examples
+    --------
+    >>> sorted({push.conditions["part"] for push in example_parts(2, 3)})
+    ['part-1', 'part-2']
+    """
+    rng = np.random.default_rng(seed)
+    found = []
+    for k in range(n):
+        width, height = rng.uniform(0.08, 0.11, 2)
+        body = Body(
+            name="part",
+            shape=box(float(width), float(height)),
+            mass=0.8,
+            support=UniformPressure(friction=0.25),
+        )
+        truth = {
+            "mu_pusher": float(rng.uniform(0.2, 0.3)),
+            "pressure_rim": float(rng.normal(0.0, 1.0)),
+            "pressure_xy": float(rng.normal(0.5, 0.5)),
+        }
+        scenes = push_candidates(body, travel=0.04, contacts=max(pushes, 4))
+        for j, which in enumerate(rng.permutation(len(scenes))[:pushes].tolist()):
+            scene = scenes[which]
+            run = simulate(scene, truth, motion="quasistatic", output_interval=scene.duration)
+            noise = rng.normal(size=3) * (POSITION_NOISE, POSITION_NOISE, ANGLE_NOISE)
+            pose = run.pose["part"][[0, -1]] + [np.zeros(3), noise]
+            found.append(
+                Experiment(
+                    dataset="example",
+                    name=f"part-{k + 1}-{j + 1:02d}",
+                    real=False,
+                    simulated_by="fixel",
+                    provenance=Provenance(version=version("fixel"), seed=seed),
+                    trajectory=Trajectory(time=[0.0, scene.duration], pose=pose),
+                    object_name="part",
+                    scene=scene,
+                    conditions={"part": f"part-{k + 1}", "surface": "board"},
+                )
+            )
+    return found
