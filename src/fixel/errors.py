@@ -155,7 +155,7 @@ class DatasetMissing(FixelError, LookupError):
     folder : str or path
         Path of the folder.
     expected : str
-        Expected content: `"an inputs.csv"`.
+        Expected content: `"an inputs.csv"`; None if there is no such file or folder.
     hint : str
         Source of the data.
     """
@@ -166,8 +166,9 @@ class DatasetMissing(FixelError, LookupError):
         self.folder = str(folder)
         self.expected = expected
         self.hint = hint
-        what = expected or "a dataset"
-        sentence = f"found no dataset in {self.folder}, expected {what}"
+        sentence = f"{self.folder}: no such file or folder"
+        if expected:
+            sentence = f"found no dataset in {self.folder}, expected {expected}"
         super().__init__(f"{sentence}; {hint}" if hint else sentence)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -13,7 +13,7 @@ from tests.datasets import push_files, recordings
 from fixel.datasets import IMPORTERS, importer_for
 from fixel.datasets.mit_plates import plate
 from fixel.datasets.rpi_2dgad import lab_simulation
-from fixel.errors import DatasetMissing, InvalidInput
+from fixel.errors import InvalidInput
 from fixel.model import Disk, Experiment, Polygon
 from fixel.replay.mit_pushes import read_mit_pushes
 from fixel.replay.runs import read_runs
@@ -116,12 +116,13 @@ def test_a_raw_record_is_read(tmp_path: Path) -> None:
     assert push.trajectory.pose[4].tolist() == [0.004, 0.0, 0.1]
 
 
-def test_trials_without_their_files_are_missing(tmp_path: Path) -> None:
+def test_trials_without_their_files_are_left_out(tmp_path: Path) -> None:
     folder = recordings.rpi_2dgad(tmp_path)
     (folder / "exp7_frames.csv").unlink()
+    plan = importer_for(folder).read(folder)
 
-    with pytest.raises(DatasetMissing, match=r"exp7_frames\.csv"):
-        imported(folder)
+    assert [experiment.name for experiment in plan] == ["8", "9"]
+    assert "exp7_frames.csv" in plan.skipped[0]
 
 
 @pytest.mark.parametrize(
@@ -164,13 +165,15 @@ def test_a_broken_file_is_refused(tmp_path: Path) -> None:
         imported(folder)
 
 
-def test_times_that_go_back_are_refused(tmp_path: Path) -> None:
+def test_trials_with_times_that_go_back_are_left_out(tmp_path: Path) -> None:
     folder = recordings.rpi_2dgad(tmp_path)
     lines = (folder / "exp7_frames.csv").read_text().splitlines()
     (folder / "exp7_frames.csv").write_text("\n".join([lines[0], lines[2], lines[1]]))
 
-    with pytest.raises(InvalidInput, match="increasing times"):
-        imported(folder)
+    plan = importer_for(folder).read(folder)
+
+    assert len(plan) == 2
+    assert "increasing times" in plan.skipped[0]
 
 
 def test_outlines_without_the_square_of_the_runs_are_refused(tmp_path: Path) -> None:

@@ -8,10 +8,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model import Experiment, LineDrive, Scene
+from fixel.model import Experiment, LineDrive, Scene, Trajectory, pose_error
 from fixel.simulation.ensemble import RolloutCase
 from fixel.typing import BoolArray, FloatArray
 
+ANGLE_SCALE: Final = 35.0  # [mm/rad], length that the thesis's E counts an angle as
 ON_CLOCK: Final = 1e-9  # [s]; ends of `effective` are rounded like frames, but not by the same sum
 
 
@@ -91,6 +92,21 @@ def useful_poses(experiment: Experiment) -> BoolArray:
             expected="at least one experiment, after the first",
         )
     return useful
+
+
+def errors_of(
+    experiment: Experiment, simulated: Trajectory
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return measured instants (n,) within `effective` [s], and the errors of simulated poses
+    there: distance [m], and wrapped angle [rad]."""
+    useful = useful_poses(experiment)
+    time = experiment.trajectory.time[useful]
+    return time, *pose_error(simulated.at(time), experiment.trajectory.pose[useful])
+
+
+def squared_error(position: FloatArray, angle: FloatArray) -> float:
+    """E of the thesis: mean of squared distances [m] and angles (n,), at 35 mm/rad [mm^2]."""
+    return float(np.mean((1e3 * position) ** 2 + (ANGLE_SCALE * angle) ** 2))
 
 
 def clock_start(experiment: Experiment, scene: Scene) -> float:

@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+from collections.abc import Sequence
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -99,12 +100,15 @@ def import_(
     lines = [f"{source}: {plan.n_experiments} experiments, read as {plan.importer}"]
     lines += [f"  {sentence}" for sentence in plan.understood]
     if dry_run:
+        content["experiments"] = sum(1 for _ in plan)
+        content["skipped"] = list(plan.skipped)
         following = f"Next: {_without_dry_run()}"
-        print_answer(as_json, lambda: content, lambda: [*lines, following])
+        print_answer(as_json, lambda: content, lambda: [*lines, *_skipped(plan.skipped), following])
         return
     if not as_json:
         typer.echo("\n".join(lines))
     done = project.add(plan)
+    content["skipped"] = list(plan.skipped)
     template = write_template(plan, project.folder)
     if template is not None:
         content |= {
@@ -112,6 +116,18 @@ def import_(
             "next": shlex.join(["fixel", *sys.argv[1:], "--scene", str(template)]),
         }
     print_imported(done, content, as_json, folder)
+
+
+def _skipped(names: Sequence[str]) -> list[str]:
+    """List what an import left out, with the reasons."""
+    if not names:
+        return []
+    more = len(names) - MAX_ROWS
+    return [
+        f"skipped {len(names)}:",
+        *(f"  {name}" for name in names[:MAX_ROWS]),
+        *([f"  ... and {more} more; --json lists all"] if more > 0 else []),
+    ]
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -146,7 +162,10 @@ def print_imported(
 ) -> None:
     """Print how many experiments were stored; `content` is more for the JSON answer."""
     known = f", {done.known} were already stored" if done.known else ""
-    lines = [f"stored {done.new} experiments in {seconds(done.wall_time_s)}{known}"]
+    lines = [
+        f"stored {done.new} experiments in {seconds(done.wall_time_s)}{known}",
+        *_skipped(content.get("skipped", ())),
+    ]
     if "template" in content:
         lines.insert(
             0,

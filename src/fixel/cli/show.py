@@ -23,8 +23,9 @@ from fixel.errors import InvalidInput
 from fixel.table import Column, Table
 
 if TYPE_CHECKING:
+    from fixel.database.store import Store
     from fixel.model import Experiment, Parameters
-    from fixel.workflows.project.compare import RunComparison
+    from fixel.workflows.project.compare import PathComparison, RunComparison
 
 MAX_ROWS = 20
 
@@ -91,6 +92,7 @@ def compare(
     from fixel.database.project import Project
     from fixel.simulation.motion import motion_model
     from fixel.workflows.calibration.stored import known_pushes, load_values, parameters_of
+    from fixel.workflows.project.compare import RunComparison
     from fixel.workflows.project.comparison import compare as compare_experiments
 
     require_picture(plot)
@@ -99,6 +101,10 @@ def compare(
     with Project(project).store() as store:
         number = store.find(key)
         experiment = store.experiment(number)
+        published = _published(store, number, experiment)
+        if experiment.scene is None and published is not None and not save:
+            _print_published(published, number, plot, as_json)
+            return
         model = motion_model(motion.value) if motion else None
         if calibration is not None:
             parameters, model = parameters_of(store, calibration, experiment, parameters, model)
@@ -107,21 +113,65 @@ def compare(
         _compile(experiment, as_json)
         found = compare_experiments(experiment, {"given": parameters}, motion=model, progress=False)
         answer = found.rows[0].run
+        assert isinstance(answer, RunComparison)
         command = _command("compare", experiment, project, set_ or [], motion, calibration)
         saved = store.add_simulation(answer.record(number, command)) if save else None
     if plot is not None:
         _draw(answer, plot)
     more = {"experiment_id": number, "simulation_id": saved, "files": _files(plot)}
+    if published is not None:
+        more["by_publisher"] = published.errors()
     print_answer(
         as_json,
         lambda: {"unseen": list(unseen)} | answer.summary() | more,
         lambda: (
             [f"Unseen: {text}" for text in unseen]
-            + _compare_lines(answer, project, plot, saved, command)
+            + _compare_lines(answer, published, project, plot, saved, command)
         ),
     )
     if not answer.complete:
         raise typer.Exit(NOT_SOLVED)
+
+
+def _published(
+    store: "Store", experiment_id: int, experiment: "Experiment"
+) -> "PathComparison | None":
+    """Compare the simulation by the publisher of an experiment, if one is stored."""
+    from fixel.workflows.project.compare import compare_path
+
+    simulation_id = store.published_simulations().get(experiment_id)
+    return (
+        None if simulation_id is None else compare_path(experiment, store.simulation(simulation_id))
+    )
+
+
+def _print_published(
+    published: "PathComparison", experiment_id: int, plot: Path | None, as_json: bool
+) -> None:
+    """Print the errors of a simulation by the publisher, of an experiment without a scene."""
+    if plot is not None:
+        _draw(published, plot)
+    experiment = published.experiment
+    print_answer(
+        as_json,
+        lambda: {
+            "experiment": experiment.key,
+            "experiment_id": experiment_id,
+            "by_publisher": published.errors(),
+            "files": _files(plot),
+        },
+        lambda: paragraphs(
+            [origin_of(experiment), "no scene, so fixel cannot simulate it"],
+            _published_lines(published),
+            wrote([plot]),
+        ),
+    )
+
+
+def _published_lines(published: "PathComparison | None") -> list[str]:
+    if published is None:
+        return []
+    return ["simulation by the publisher of the data:", *_errors(published), *_modes(published)]
 
 
 def _files(plot: Path | None) -> dict[str, str]:
@@ -264,7 +314,7 @@ def _compile(experiment: "Experiment", as_json: bool) -> None:
         get_ready(experiment.scene, notice(as_json))
 
 
-def _draw(answer: "RunComparison", plot: Path) -> None:
+def _draw(answer: "PathComparison", plot: Path) -> None:
     from fixel.drawing.experiment import draw_comparison
     from fixel.io.atomic import written_whole
 
@@ -273,7 +323,12 @@ def _draw(answer: "RunComparison", plot: Path) -> None:
 
 
 def _compare_lines(
-    answer: "RunComparison", project: Path, plot: Path | None, saved: int | None, command: str
+    answer: "RunComparison",
+    published: "PathComparison | None",
+    project: Path,
+    plot: Path | None,
+    saved: int | None,
+    command: str,
 ) -> list[str]:
     """About a screen of text."""
     kept = [] if saved is None else [f"stored as simulation {saved}"]
@@ -283,6 +338,7 @@ def _compare_lines(
         _status(answer),
         _errors(answer),
         _modes(answer),
+        _published_lines(published),
         wrote([plot]) + kept,
         [f"Next: {_next_compare(answer, project, plot, saved, command)}"],
     )
@@ -299,7 +355,7 @@ def _status(answer: "RunComparison") -> list[str]:
     ]
 
 
-def _errors(answer: "RunComparison") -> list[str]:
+def _errors(answer: "PathComparison") -> list[str]:
     rms, final, angle = answer.position_rms, answer.final_position, answer.final_angle
     if rms is None or final is None or angle is None:
         return []
@@ -315,8 +371,8 @@ def _errors(answer: "RunComparison") -> list[str]:
     return lines + ([f"E, 35 mm/rad       {answer.error_mm2:.3f} mm^2"] if unit == "mm" else [])
 
 
-def _modes(answer: "RunComparison") -> list[str]:
-    if answer.contacts is None:
+def _modes(answer: "PathComparison") -> list[str]:
+    if not answer.contact_mode:
         return []
     measured = answer.experiment.contact_mode or "not known"
     verdict = {True: ", the same", False: ", different", None: ""}[answer.same_contact_mode]

@@ -38,4 +38,11 @@ def stored_experiments(store: Store, query: ExperimentQuery) -> Experiments:
     page = store.experiments(query, details=True)
     entries = tuple(map(ExperimentEntry, page.rows, page.details))
     skipped = [f"{page.left_out} with faults in their data"] if page.left_out else []
-    return Experiments(entries, StoredExperiment(store.url, store.media), (), tuple(skipped))
+    published = store.published_simulations()
+    simulations = {
+        entry.row.key: store.simulation(published[entry.row.id])
+        for entry in entries
+        if entry.row.id in published
+    }
+    load = StoredExperiment(store.url, store.media)
+    return Experiments(entries, load, (), tuple(skipped), simulations)

@@ -32,7 +32,7 @@ from fixel.io.atomic import written_whole
 from fixel.io.document import read_document
 from fixel.model import Experiment
 from fixel.model.fields import instance
-from fixel.model.records import CalibrationRecord
+from fixel.model.records import CalibrationRecord, SimulationRecord
 from fixel.model.selection import KnownNames, parse_filter, refuse_unknown
 from fixel.progress import ProgressOption, show_progress
 from fixel.results import Result, Summary
@@ -463,12 +463,16 @@ def add_experiments(
     """
     begun = time.monotonic()
     command = typed()
+    published: Mapping[str, SimulationRecord] = getattr(experiments, "simulations", {})
     total = len(experiments) if isinstance(experiments, Sized) else total
     new = known = faulty = 0
     for made in experiments:
         instance(made, Experiment, "what", "experiments, or a result")
         experiment = replace(made, provenance=replace(made.provenance, command=command))
-        if store.add_experiment(experiment).new:
+        stored = store.add_experiment(experiment)
+        if (simulation := published.get(experiment.key)) is not None:
+            _add_published(store, stored.id, simulation)
+        if stored.new:
             new += 1
             faulty += any(flag.fault for flag in experiment.flags)
         else:
@@ -476,6 +480,13 @@ def add_experiments(
         if report is not None:
             report(new + known, max(total, new + known))
     return AddSummary(new, known, faulty, time.monotonic() - begun)
+
+
+def _add_published(store: Store, experiment_id: int, simulation: SimulationRecord) -> None:
+    """Store a simulation by the publisher of an experiment, if it is not stored yet."""
+    known = [store.simulation(one).provenance for one in store.simulations(experiment_id)]
+    if all(own.sha256 != simulation.provenance.sha256 for own in known):
+        store.add_simulation(replace(simulation, experiment_id=experiment_id))
 
 
 def typed() -> str:

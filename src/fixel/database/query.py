@@ -31,7 +31,11 @@ _NOMINAL: Final = rows.parameters_row({})["content_sha256"]
 NEWEST_NOMINAL = (
     sa.select(simulation.c.experiment_id, sa.func.max(simulation.c.id).label("id"))
     .join(system_parameters, system_parameters.c.id == simulation.c.system_parameters_id)
-    .where(simulation.c.deleted_at_utc.is_(None), system_parameters.c.content_sha256 == _NOMINAL)
+    .where(
+        simulation.c.deleted_at_utc.is_(None),
+        system_parameters.c.content_sha256 == _NOMINAL,
+        simulation.c.source_file == "",  # not by the publisher of the data
+    )
     .group_by(simulation.c.experiment_id)
     .subquery("newest_nominal")
 )

@@ -419,6 +419,15 @@ class Store:
         """Ids of the simulations of an experiment, oldest first."""
         return self._ids(tables.simulation, tables.simulation.c.experiment_id == experiment_id)
 
+    def published_simulations(self) -> dict[int, int]:
+        """Ids of the simulations by the publishers of the data, by experiment."""
+        table = tables.simulation
+        chosen = sa.select(table.c.experiment_id, sa.func.max(table.c.id)).where(
+            table.c.source_file != "", table.c.deleted_at_utc.is_(None)
+        )
+        with reading(self._engine) as connection:
+            return {k: n for k, n in connection.execute(chosen.group_by(table.c.experiment_id))}
+
     def add_calibration(self, record: CalibrationRecord) -> int:
         """Store a finished calibration; return its id."""
         tried = record.evaluations

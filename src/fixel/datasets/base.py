@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -13,8 +13,10 @@ from typing import ClassVar, final
 
 import numpy as np
 
+from fixel.datasets.files import Problems
 from fixel.errors import DatasetMissing, FixelError, InvalidInput
 from fixel.model import Experiment, Flag, Provenance, Scene, Trajectory
+from fixel.model.records import SimulationRecord
 from fixel.typing import FloatArray
 
 # Exceptions that a reader may raise on a file that violates its format.
@@ -42,19 +44,47 @@ class ImportPlan:
         File or folder to import.
     understood : tuple of str
         How the source was interpreted: rows, rates, units, frames, quirks, guesses; sentences.
-    n_experiments : int
-    make : callable
-        Function that yields the experiments, built one at a time.
-    skipped : tuple of str
-        Experiments that were left out, with the reason.
+    names : sequence of str
+        Names of the experiments that are built: dataset/name.
+    build : callable
+        Function that builds the experiment at a position of `names`.
+    problems : dict of str to FixelError
+        Error of each experiment or file that is left out, by its name. Building the experiments
+        adds those that cannot be built.
+    simulate : callable, optional
+        Function that returns the simulation that the publisher of the data made of an experiment,
+        or None; from the position and the experiment.
+    simulations : dict of str to SimulationRecord
+        Simulations by the publisher, for the experiments built so far.
+
+    Raises
+    ------
+    FixelError
+        There is no sound experiment: the first problem.
     """
 
     importer: str
     source: Path
     understood: tuple[str, ...]
-    n_experiments: int
-    make: Callable[[], Iterator[Experiment]] = field(repr=False, compare=False)
-    skipped: tuple[str, ...] = ()
+    names: Sequence[str]
+    build: Callable[[int], Experiment] = field(repr=False, compare=False)
+    problems: Problems = field(default_factory=dict, repr=False)
+    simulate: Callable[[int, Experiment], SimulationRecord | None] | None = None
+    simulations: dict[str, SimulationRecord] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        if not self.names:
+            raise next(iter(self.problems.values()))
+
+    @property
+    def n_experiments(self) -> int:
+        """Number of experiments to build."""
+        return len(self.names)
+
+    @property
+    def skipped(self) -> tuple[str, ...]:
+        """Experiments and files that are left out, with the reason."""
+        return tuple(f"{name}: {problem}" for name, problem in self.problems.items())
 
     def __len__(self) -> int:
         return self.n_experiments
@@ -63,21 +93,46 @@ class ImportPlan:
         return self.experiments()
 
     def experiments(self) -> Iterator[Experiment]:
-        """Yield the experiments, built one at a time.
+        """Yield the experiments, built one at a time; invalid ones are added to `problems`.
 
         Raises
         ------
-        InvalidInput
-            An invalid record; those before it have been yielded.
+        FixelError
+            No experiment can be built: the error of the first.
         """
-        making = self.make()
-        while True:
+        first: FixelError | None = None
+        sound = False
+        for k, name in enumerate(self.names):
             # Guard each step, not the whole loop: errors of the caller in between must pass.
-            with guarded(self.source.name):
-                experiment = next(making, None)
-            if experiment is None:
-                return
+            try:
+                with guarded(self.source.name):
+                    experiment = self.build(k)
+            except FixelError as problem:
+                first = first or problem
+                self.problems[name] = problem
+                continue
+            self._add_simulation(k, experiment)
+            sound = True
             yield experiment
+        if first is not None and not sound:
+            raise first
+
+    def _add_simulation(self, k: int, experiment: Experiment) -> None:
+        if self.simulate is None:
+            return
+        try:
+            with guarded(self.source.name):
+                found = self.simulate(k, experiment)
+        except FixelError as problem:
+            self.problems[f"simulation of {experiment.key}"] = problem
+            return
+        if found is not None:
+            self.simulations[experiment.key] = found
+
+
+def named(dataset: str, problems: Problems) -> Problems:
+    """Return problems of the experiments of a dataset under the full names of the experiments."""
+    return {f"{dataset}/{name}": problem for name, problem in problems.items()}
 
 
 class Importer(ABC):
@@ -121,7 +176,7 @@ class Importer(ABC):
         source = Path(source)
         self.check_options(options)
         if not source.exists():
-            raise DatasetMissing(source, f"data for {self.name}", "there is no such file or folder")
+            raise DatasetMissing(source)
         with guarded(source.name):
             return self._plan(source, options)
 

@@ -9,21 +9,22 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.datasets.base import Importer, ImportPlan, Origin, remark
+from fixel.datasets.base import Importer, ImportPlan, Origin, guarded, named, remark
 from fixel.datasets.contact import pushed_scene
 from fixel.datasets.files import (
     MM,
     CsvRows,
+    Problems,
     advancing,
     member,
+    missing_rows,
     only_file,
     rate_of,
     read_json,
     read_table,
-    refuse_repeated,
     rows_of,
 )
-from fixel.errors import InvalidInput
+from fixel.errors import FixelError, InvalidInput
 from fixel.model import (
     Body,
     Channel,
@@ -53,6 +54,10 @@ LARGEST_GAP = 1.3e-3
 # Duration of the correction of a path that starts inside the object [s].
 FADE = 0.5
 
+PUSH: Final = "push_id"
+GAPS = ("tip_gap0_mm", "tip_gap1_mm")
+FORCES = ("t", "fx_on_object", "fy_on_object")
+FINGER_POSE = ("t", "x_mm", "y_mm", "qz", "qw")
 POSES = tuple(f"obj_{axis}{end}" for end in "01" for axis in ("x", "y", "th"))
 
 
@@ -95,8 +100,9 @@ class CmuTripod(Importer):
                 "is assumed at the finger.",
                 f"Final gaps beyond {LARGEST_GAP / MM:g} mm are flagged (tip-gap).",
             ),
-            len(pushes),
-            lambda: (_push(data, row, origin.of(path)) for row in range(len(pushes))),
+            [f"{DATASET}/{name}" for name in data.names],
+            lambda row: _push(data, row, origin.of(path)),
+            named(DATASET, data.problems),
         )
 
 
@@ -116,31 +122,54 @@ class _TripodData:
     robot: Mapping[str, FloatArray]  # (n, 4) of each push [s, m, m, rad]
     bodies: Mapping[tuple[str, str], Body]
     finger: Disk
+    problems: Problems  # of pushes that are left out
 
 
 def _read(folder: Path) -> _TripodData:
-    table, setup = read_table(only_file(folder, PUSHES)), read_json(only_file(folder, SETUP))
-    force, robot = read_table(only_file(folder, *FORCE)), read_table(only_file(folder, *ROBOT))
-    names = table.text("push_id").tolist()
-    refuse_repeated(names, table.source, "push_id")
-    surface, support = table.text("surface").tolist(), table.text("support").tolist()
-
-    def readings(table_of: CsvRows, values: FloatArray) -> dict[str, FloatArray]:
-        rows = rows_of(table_of.text("push_id"), table_of.source, names, table.source)
-        return {name: values[own] for name, own in rows.items()}
-
+    setup = read_json(only_file(folder, SETUP))
+    table, problems = read_table(only_file(folder, PUSHES), torn=True).sound(
+        PUSH, (*POSES, *GAPS), once=True
+    )
+    table.require(["surface", "support", "source_log"])
+    series, rows = [], []
+    for files, columns in ((FORCE, FORCES), (ROBOT, FINGER_POSE)):
+        read = read_table(only_file(folder, *files), torn=True)
+        readings, damaged = read.sound(PUSH, columns)
+        rows.append(rows_of(readings, PUSH))
+        series.append(readings)
+        problems = missing_rows(rows[-1], readings.source, table, PUSH) | problems | damaged
+    bodies: dict[tuple[str, str], Body] = {}
+    for name, *key in zip(*(table.columns[c] for c in (PUSH, "surface", "support")), strict=True):
+        kind = (key[0], key[1])
+        try:
+            if kind not in bodies:
+                with guarded(SETUP):
+                    bodies[kind] = _body(setup, *kind)
+        except FixelError as problem:
+            problems.setdefault(name, problem)
+    kept = [row for row, name in enumerate(table.columns[PUSH]) if name not in problems]
+    if not kept:
+        raise next(iter(problems.values()))
+    table = table.only(kept)
+    names = list(table.columns[PUSH])
+    values = series[0].stacked(*FORCES), _finger_path(series[1])
+    force, robot = (
+        {name: all_rows[own[name]] for name in names}
+        for all_rows, own in zip(values, rows, strict=True)
+    )
     return _TripodData(
         table=table,
         names=names,
         poses=table.stacked(*POSES),
-        gaps=table.stacked("tip_gap0_mm", "tip_gap1_mm") * MM,
-        surface=surface,
-        support=support,
-        log=table.text("source_log").tolist(),
-        force=readings(force, force.stacked("t", "fx_on_object", "fy_on_object")),
-        robot=readings(robot, _finger_path(robot)),
-        bodies={key: _body(setup, *key) for key in sorted(set(zip(surface, support, strict=True)))},
+        gaps=table.stacked(*GAPS) * MM,
+        surface=list(table.columns["surface"]),
+        support=list(table.columns["support"]),
+        log=list(table.columns["source_log"]),
+        force=force,
+        robot=robot,
+        bodies=bodies,
         finger=Disk(member(setup, "pusher.radius_m_assumed_by_authors", SETUP)),
+        problems=problems,
     )
 
 

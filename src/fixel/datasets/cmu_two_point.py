@@ -9,14 +9,14 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.datasets.base import Importer, ImportPlan, Origin, remark, trajectory_of
+from fixel.datasets.base import Importer, ImportPlan, Origin, named, remark, trajectory_of
 from fixel.datasets.files import (
     MM,
     advancing,
+    missing_rows,
     only_file,
     rate_of,
     read_table,
-    refuse_repeated,
     rows_of,
 )
 from fixel.errors import InvalidInput
@@ -55,36 +55,34 @@ class CmuTwoPoint(Importer):
         return (source / RUNS).is_file() and any((source / name).is_file() for name in POSES)
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
-        runs = read_table(only_file(source, RUNS))
-        runs.require(["run_id", "object", "start_pose"])
-        names = runs.text("run_id").tolist()
-        refuse_repeated(names, runs.source, "run_id")
+        runs, problems = read_table(only_file(source, RUNS), torn=True).sound(
+            "run_id", (), once=True
+        )
+        runs.require(["object", "start_pose"])
         file = only_file(source, *POSES)
-        table = read_table(file)
+        table, damaged = read_table(file, torn=True).sound(
+            "run_id", MEASURED, ("obj_lost", "action_id")
+        )
         readings = table.stacked(*MEASURED) * (1.0, MM, MM, 1.0, MM, MM, 1.0)
         lost, action = table.whole_numbers("obj_lost") > 0, table.whole_numbers("action_id")
-        rows = rows_of(table.text("run_id"), table.source, names, runs.source, least=2)
+        rows = rows_of(table, "run_id")
+        problems |= missing_rows(rows, table.source, runs, "run_id", least=2) | damaged
+        listed = [k for k, name in enumerate(runs.columns["run_id"]) if name not in problems]
+        names = [runs.columns["run_id"][k] for k in listed]
         origin = Origin()
 
-        def make() -> Iterator[Experiment]:
-            for row, name in enumerate(names):
-                own = rows[name][1:]  # the first row belongs to the previous action
-                yield _run(
-                    name,
-                    {key: runs.columns[key][row] for key in ("object", "start_pose")},
-                    readings[own],
-                    lost[own],
-                    action[own],
-                    origin.of(file),
-                )
+        def build(k: int) -> Experiment:
+            own = rows[names[k]][1:]  # the first row belongs to the previous action
+            about = {key: runs.columns[key][listed[k]] for key in ("object", "start_pose")}
+            return _run(names[k], about, readings[own], lost[own], action[own], origin.of(file))
 
+        rate = rate_of(readings[rows[names[0]], 0]) if names else 0.0
         return ImportPlan(
             DATASET,
             source,
             (
-                f"{len(names)} runs, {len(table)} rows at"
-                f" {rate_of(readings[rows[names[0]], 0]):.0f} Hz; the first row of each run belongs"
-                " to the action before and is dropped. Times in s from the second.",
+                f"{len(names)} runs, {len(table)} rows at {rate:.0f} Hz; the first row of each run"
+                " belongs to the action before and is dropped. Times in s from the second.",
                 "Positions from mm to m, angles in rad and unwrapped, in the frame of the robot.",
                 f"{int(lost.sum())} rows without the object hold the pose (0, 0, 0): they are"
                 " dropped from its trajectory (tracking-lost).",
@@ -92,8 +90,9 @@ class CmuTwoPoint(Importer):
                 " actions; the number of the action is a channel.",
                 "No scenes: masses, and most supports, were not recorded (no-mass, no-support).",
             ),
-            len(names),
-            make,
+            [f"{DATASET}/{name}" for name in names],
+            build,
+            named(DATASET, problems),
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from math import degrees
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.model.fields import instance
+from fixel.model.records import SimulationRecord
 from fixel.model.scene import SceneChoice
 from fixel.model.selection import (
     ERRORS,
@@ -58,6 +59,9 @@ class Experiments(Result, Sequence[Experiment]):
         How the source was interpreted: units, frames, guesses.
     skipped : tuple of str
         Experiments of the source that were left out, with the reason.
+    simulations : mapping of str to SimulationRecord
+        Simulations by the publisher of the data, for some of the experiments by their full name.
+        `fixel.compare(experiments, {"laboratory": experiments.simulations})` computes their errors.
 
     Examples
     --------
@@ -74,6 +78,7 @@ class Experiments(Result, Sequence[Experiment]):
     load: Callable[[int], Experiment] | None = field(default=None, compare=False)
     notes: tuple[str, ...] = ()
     skipped: tuple[str, ...] = ()
+    simulations: Mapping[str, SimulationRecord] = field(default_factory=dict)
 
     _drawings: ClassVar[Mapping[str, str]] = {"paths": "fixel.drawing.experiment:plot_paths"}
 
@@ -83,6 +88,7 @@ class Experiments(Result, Sequence[Experiment]):
         experiments: Experiment | Iterable[Experiment],
         notes: Sequence[str] = (),
         skipped: Sequence[str] = (),
+        simulations: Mapping[str, SimulationRecord] | None = None,
     ) -> Experiments:
         """Make a sequence of one experiment, or of several in memory.
 
@@ -90,6 +96,7 @@ class Experiments(Result, Sequence[Experiment]):
         ----------
         experiments : Experiment or iterable of Experiment
         notes, skipped : sequence of str
+        simulations : mapping of str to SimulationRecord, optional
 
         Returns
         -------
@@ -102,7 +109,7 @@ class Experiments(Result, Sequence[Experiment]):
         for k, one in enumerate(several):
             instance(one, Experiment, f"experiments[{k}]", "an Experiment")
         entries = (ExperimentEntry(*described(one, k), one) for k, one in enumerate(several))
-        return cls(tuple(entries), None, tuple(notes), tuple(skipped))
+        return cls(tuple(entries), None, tuple(notes), tuple(skipped), dict(simulations or {}))
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -129,7 +136,7 @@ class Experiments(Result, Sequence[Experiment]):
         return tuple(entry.row.key for entry in self.entries)
 
     def _with(self, entries: Iterable[ExperimentEntry]) -> Experiments:
-        return Experiments(tuple(entries), self.load, self.notes, self.skipped)
+        return replace(self, entries=tuple(entries))
 
     def where(self, *filters: str) -> Experiments:
         """Return the experiments that match all terms of a filter.
@@ -266,14 +273,14 @@ class Experiments(Result, Sequence[Experiment]):
             completed, sentences = complete(one, choice, object_name)
             made.append(completed)
             notes |= dict.fromkeys(sentences[:1])
-        return Experiments.of(made, tuple(notes), self.skipped)
+        return Experiments.of(made, tuple(notes), self.skipped, self.simulations)
 
     def in_memory(self) -> Experiments:
         """Return the same experiments, all of them read."""
         if self.load is None:
             return self
         entries = (entry._replace(experiment=self[k]) for k, entry in enumerate(self.entries))
-        return Experiments(tuple(entries), None, self.notes, self.skipped)
+        return replace(self, entries=tuple(entries), load=None)
 
     def save(self, path: str | Path) -> Path:
         """Save the experiments to a file, which `fixel.load` reads."""
@@ -286,7 +293,7 @@ class Experiments(Result, Sequence[Experiment]):
         n_scene = sum(entry.details.has_scene for entry in self.entries)
         kind = next(iter(kinds)) if len(kinds) == 1 else f"{kinds['real']} real"
         heading = f"Experiments: {len(self)} of {of} ({kind}), {n_scene} with scene"
-        skipped = [f"skipped {len(self.skipped)}: {self.skipped[0]}, ..."] if self.skipped else []
+        skipped = [f"skipped {len(self.skipped)}: {self.skipped[0]}"] if self.skipped else []
         more = max(0, len(self) - MAX_LISTED)
         notes = [f"note: {note}" for note in self.notes if note.startswith("Guess")]
         return Summary(

@@ -8,21 +8,26 @@ import json
 import math
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, TextIO, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.errors import DatasetMissing, InvalidInput
+from fixel.errors import DatasetMissing, FixelError, InvalidInput
 from fixel.typing import BoolArray, FloatArray
 
 MM: Final = 1e-3
 
+# Experiment, or part of a folder, that cannot be read, and the reason.
+Problems = dict[str, FixelError]
+
 # Larger numbers cannot be readings, not even microseconds since 1970. Squares of smaller ones stay
 # far inside float64.
 LARGEST_NUMBER: Final = 1e18
+MAX_WHOLE: Final = 2**31
 
 # Maximum length of an unpacked file and of one line [characters]: a few kilobytes of gzip can
 # unpack to more than fits in memory.
@@ -42,10 +47,16 @@ class CsvRows:
         Name of the file, for messages.
     columns : mapping from name to list of str
         Columns of equal length.
+    lines : sequence of int, optional
+        Number of each row in the file, from 0; by default they are in order.
+    torn : mapping of int to InvalidInput
+        Rows with a wrong number of cells.
     """
 
     source: str
     columns: Mapping[str, Sequence[str]]
+    lines: Sequence[int] = ()
+    torn: Mapping[int, InvalidInput] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
@@ -66,18 +77,94 @@ class CsvRows:
             dtype=np.float64,
         )
 
-    def whole_numbers(self, name: str, largest: int = 2**31) -> NDArray[np.int64]:
+    def whole_numbers(self, name: str, largest: int = MAX_WHOLE) -> NDArray[np.int64]:
         """Return one column as whole numbers (n,) from 0 to `largest`; raise for others."""
         numbers = self.numbers(name)
         wrong = (numbers < 0.0) | (numbers > largest) | (numbers != np.round(numbers))
         if wrong.any():
-            row = int(np.argmax(wrong))
-            raise InvalidInput(
-                self._place(name, row),
-                found=float(numbers[row]),
-                expected=f"a whole number from 0 to {largest}",
-            )
+            raise self._not_whole(name, int(np.argmax(wrong)), largest)
         return numbers.astype(np.int64)
+
+    def sound(
+        self, key: str, numbers: Iterable[str], whole: Iterable[str] = (), *, once: bool = False
+    ) -> tuple[CsvRows, Problems]:
+        """Return the rows whose key has no damaged row, and the first error of each other key.
+
+        Parameters
+        ----------
+        key : str
+            Column that names the experiment of each row.
+        numbers, whole : iterable of str
+            Columns of numbers, and of whole numbers.
+        once : bool
+            Whether each key belongs to one row; a repeated one is damaged.
+
+        Raises
+        ------
+        InvalidInput
+            A column is missing, or every key has a damaged row.
+        """
+        whole = list(whole)
+        self.require([key, *(columns := [*numbers, *whole])])
+        damage = dict(self.torn)
+        for name in columns:
+            for row, problem in self._damaged(name, whole=name in whole):
+                damage.setdefault(row, problem)
+        keys = self.columns[key]
+        seen: set[str] = set()
+        for row, one in enumerate(keys if once else ()):
+            if one in seen:
+                damage.setdefault(row, self._repeated(key, row))
+            seen.add(one)
+        if not damage:
+            return self, {}
+        problems: Problems = {}
+        for row in sorted(damage):
+            problems.setdefault(keys[row] or f"{self.source}, row {row + 1}", damage[row])
+        rows = [row for row, one in enumerate(keys) if one not in problems and row not in damage]
+        if not rows:
+            raise damage[min(damage)]
+        return self.only(rows), problems
+
+    def only(self, rows: Sequence[int]) -> CsvRows:
+        """Return some of the rows."""
+        columns = {name: [cells[row] for row in rows] for name, cells in self.columns.items()}
+        lines = [self.lines[row] if self.lines else row for row in rows]
+        torn = {k: self.torn[row] for k, row in enumerate(rows) if row in self.torn}
+        return CsvRows(self.source, columns, lines, torn)
+
+    def _damaged(self, name: str, *, whole: bool) -> Iterator[tuple[int, InvalidInput]]:
+        """Yield the rows in which a cell is no number."""
+        cells = self.columns[name]
+        with suppress(ValueError):
+            values = np.array([*map(float, cells)])
+            wrong = ~(np.abs(values) <= LARGEST_NUMBER)
+            if whole:
+                wrong |= (values < 0.0) | (values > MAX_WHOLE) | (values != np.round(values))
+            if not wrong.any():
+                return
+        for row, cell in enumerate(cells):
+            try:
+                value = self._number(name, row, cell)
+            except InvalidInput as problem:
+                yield row, problem
+                continue
+            if whole and not (0.0 <= value <= MAX_WHOLE and value == round(value)):
+                yield row, self._not_whole(name, row, MAX_WHOLE)
+
+    def _repeated(self, name: str, row: int) -> InvalidInput:
+        return InvalidInput(
+            self.place(name, row),
+            found=f"{self.columns[name][row]!r} again",
+            expected="each name once",
+        )
+
+    def _not_whole(self, name: str, row: int, largest: int) -> InvalidInput:
+        return InvalidInput(
+            self.place(name, row),
+            found=float(self.columns[name][row]),
+            expected=f"a whole number from 0 to {largest}",
+        )
 
     def stacked(self, *names: str, blank: bool = False) -> FloatArray:
         """Return several columns as numbers, (n, n_name)."""
@@ -93,8 +180,10 @@ class CsvRows:
                     expected=f"a column {name}",
                 )
 
-    def _place(self, name: str, row: int) -> str:
-        return f"{self.source}, row {row + 1}, column {name}"
+    def place(self, name: str, row: int) -> str:
+        """Return the place of a cell, for messages."""
+        line = self.lines[row] if self.lines else row
+        return f"{self.source}, row {line + 1}, column {name}"
 
     def _number(self, name: str, row: int, cell: str) -> float:
         try:
@@ -104,7 +193,7 @@ class CsvRows:
         if not abs(value) <= LARGEST_NUMBER:
             giant = math.isfinite(value)
             raise InvalidInput(
-                self._place(name, row),
+                self.place(name, row),
                 found=repr(cell),
                 expected=f"a number within {LARGEST_NUMBER:g}" if giant else "a finite number",
             )
@@ -141,8 +230,11 @@ def _cell(value: Any) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def read_table(path: Path) -> CsvRows:
-    """Load the rows of a Parquet file, or of a CSV file, plain or compressed with gzip."""
+def read_table(path: Path, *, torn: bool = False) -> CsvRows:
+    """Load the rows of a Parquet file, or of a CSV file, plain or compressed with gzip.
+
+    Rows with a wrong number of cells are errors; with `torn`, they are listed as such.
+    """
     if path.suffix == ".parquet":
         import pyarrow
         import pyarrow.parquet
@@ -166,14 +258,19 @@ def read_table(path: Path) -> CsvRows:
         raise InvalidInput(
             f"{path.name}, header", found=f"{twice!r} twice", expected="different names"
         )
+    wrong: dict[int, InvalidInput] = {}
     for number, row in enumerate(body):
         if len(row) != len(header):
-            raise InvalidInput(
+            wrong[number] = InvalidInput(
                 f"{path.name}, row {number + 1}",
                 found=f"{len(row)} cells",
                 expected=f"{len(header)}, as in the header",
             )
-    return CsvRows(path.name, dict(zip(header, zip(*body, strict=True), strict=True)))
+            if not torn:
+                raise wrong[number]
+            body[number] = [*row, *[""] * len(header)][: len(header)]
+    columns = dict(zip(header, zip(*body, strict=True), strict=True))
+    return CsvRows(path.name, columns, torn=wrong)
 
 
 def _bounded_lines(stream: TextIO, source: str) -> Iterator[str]:
@@ -251,42 +348,27 @@ def increasing(time: FloatArray, source: str, hint: str = "") -> FloatArray:
     return time
 
 
-def refuse_repeated(names: Iterable[str], source: str, column: str) -> None:
-    """Raise `InvalidInput` if a name of an experiment is repeated."""
-    seen: set[str] = set()
-    for row, name in enumerate(names):
-        if name in seen:
-            raise InvalidInput(
-                f"{source}, row {row + 1}, column {column}",
-                found=f"{name!r} again",
-                expected="each name once",
-            )
-        seen.add(name)
-
-
-def rows_of(
-    keys: NDArray[np.str_], source: str, names: Sequence[str], listing: str, least: int = 1
-) -> dict[str, NDArray[np.intp]]:
-    """Row numbers of each key of a table; raise if a listed name has fewer rows than `least`.
-
-    Parameters
-    ----------
-    keys : (n,) str
-        Key of each row of the table `source`.
-    names : sequence of str
-        Names in the table `listing`, one in each row.
-    """
+def rows_of(series: CsvRows, key: str) -> dict[str, NDArray[np.intp]]:
+    """Row numbers of each key of a table."""
+    keys = series.text(key)
     order = np.argsort(keys, kind="stable")
     found, first = np.unique(keys[order], return_index=True)
-    rows = dict(zip(found.tolist(), np.split(order, first[1:]), strict=True))
-    for row, name in enumerate(names):
-        if len(rows.get(name, ())) < least:
-            raise InvalidInput(
-                f"{listing}, row {row + 1}",
-                found=f"{name}, of which {source} has {len(rows.get(name, ()))} rows",
-                expected=f"at least {least} readings of every listed name",
-            )
-    return rows
+    return dict(zip(found.tolist(), np.split(order, first[1:]), strict=True))
+
+
+def missing_rows(
+    rows: Mapping[str, NDArray[np.intp]], source: str, listed: CsvRows, key: str, least: int = 1
+) -> Problems:
+    """Return an error for each listed key with fewer than `least` rows in the table `source`."""
+    return {
+        name: InvalidInput(
+            listed.place(key, row),
+            found=f"{name}, of which {source} has {len(rows.get(name, ()))} rows",
+            expected=f"at least {least} readings of every listed name",
+        )
+        for row, name in enumerate(listed.columns[key])
+        if len(rows.get(name, ())) < least
+    }
 
 
 def advancing(time: FloatArray) -> BoolArray:

@@ -33,18 +33,17 @@ def importer_for(source: Path, name: str | None = None) -> Importer:
     DatasetMissing
         The source does not exist, or no importer recognises it.
     """
-    known = ", ".join(IMPORTERS)
     if name is not None:
         if name not in IMPORTERS:
             raise unknown_name("format", name, IMPORTERS)
         return IMPORTERS[name]
     source = Path(source)
     if not source.exists():
-        raise DatasetMissing(source, f"data for one of {known}", "there is no such file or folder")
+        raise DatasetMissing(source)
     for importer in IMPORTERS.values():
         if importer.recognised(source):
             return importer
-    raise DatasetMissing(source, f"data for one of {known}", _hint(source))
+    raise DatasetMissing(source, f"data for one of {', '.join(IMPORTERS)}", _hint(source))
 
 
 def _hint(source: Path) -> str:

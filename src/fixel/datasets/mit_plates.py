@@ -7,14 +7,14 @@ IROS.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
 
-from fixel.datasets.base import remark
-from fixel.datasets.files import member
-from fixel.errors import InvalidInput
+from fixel.datasets.base import guarded, remark
+from fixel.datasets.files import Problems, member
+from fixel.errors import FixelError, InvalidInput
 from fixel.model import Body, Disk, Flag, Polygon, Shape, UniformPressure
 from fixel.typing import FloatArray
 
@@ -57,14 +57,24 @@ def plate(name: str, shape: Shape, start: FloatArray) -> Body:
     )
 
 
-def shapes_of(content: dict[str, Any]) -> dict[str, Shape]:
-    """Return the outlines in a shapes.json."""
-    return {name: _shape(f"{SHAPES}: {name}", value) for name, value in content.items()}
+def shapes_of(content: Mapping[str, Any]) -> tuple[dict[str, Shape], Problems]:
+    """Return the outlines in a shapes.json, and the errors of those that cannot be read."""
+    shapes: dict[str, Shape] = {}
+    problems: Problems = {}
+    for name, value in content.items():
+        try:
+            with guarded(f"{SHAPES}: {name}"):
+                shapes[name] = _shape(f"{SHAPES}: {name}", value)
+        except FixelError as problem:
+            problems[name] = problem
+    return shapes, problems
 
 
 def _shape(where: str, value: Any) -> Shape:
-    kind = member(value, "type", where)
     try:
+        if isinstance(value, list):
+            return Polygon(np.array(value, dtype=np.float64))
+        kind = member(value, "type", where)
         if kind == "ellipse":
             axes = (member(value, f"semi_axis_{axis}_m", where) for axis in "xy")
             return _ellipse(*axes)

@@ -6,7 +6,7 @@ predictions of the quasi-static simulator of J. Zhou.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,9 +15,9 @@ from typing import ClassVar, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.datasets.base import Importer, ImportPlan, Origin
+from fixel.datasets.base import Importer, ImportPlan, Origin, named
 from fixel.datasets.contact import MAX_CORRECTION, moved_to_contact, pushed_scene
-from fixel.datasets.files import MM, only_file, read_json, read_table, refuse_repeated
+from fixel.datasets.files import MM, Problems, only_file, read_json, read_table
 from fixel.datasets.mit_plates import (
     DATASET,
     MU_PUSHER,
@@ -30,11 +30,15 @@ from fixel.datasets.mit_plates import (
     shapes_of,
 )
 from fixel.datasets.mit_push_records import PUBLISHED, RECORDS, plan_of_records
-from fixel.errors import InvalidInput
+from fixel.errors import FixelError, InvalidInput
 from fixel.model import Body, Experiment, Flag, Provenance, Trajectory
 from fixel.typing import BoolArray, FloatArray
 
 TABLES: Final = ("pushes.csv.gz", "pushes.csv")
+NUMBERS: Final = (
+    *("speed_mm_s", "obj_x0", "obj_y0", "obj_th0", "obj_x1", "obj_y1", "obj_th1"),
+    *("tip_x0", "tip_y0", "tip_x1", "tip_y1", "gap0_mm", "gap1_mm"),
+)
 STROKE: Final = 50e-3  # nominal length of a stroke [m]
 
 # A larger gap means that a record contradicts its own geometry [m].
@@ -94,6 +98,7 @@ class _Pushes:
     gap: FloatArray  # (n,) at the start, computed by fixel [m]
     offset: FloatArray  # (n, 2) shift of the start of the tip in the scene [m]
     bodies: Mapping[str, Body]  # by shape
+    problems: Problems  # of pushes that are left out
 
     @cached_property
     def misregistered(self) -> BoolArray:
@@ -106,6 +111,7 @@ def _plan_of_table(folder: Path) -> ImportPlan:
     n = len(pushes.names)
     origin = Origin()
     path = folder / pushes.source
+    names = [f"{DATASET}/{name}" for name in pushes.names]
     corrected = int((pushes.gap < 0.0).sum())
     hopeless = int((pushes.gap < -MAX_CORRECTION).sum())
     return ImportPlan(
@@ -126,37 +132,41 @@ def _plan_of_table(folder: Path) -> ImportPlan:
             " (misregistered).",
             "Intermediate poses and predictions of the published simulator are not imported.",
         ),
-        n,
-        lambda: (_push(pushes, row, origin.of(path)) for row in range(n)),
+        names,
+        lambda row: _push(pushes, row, origin.of(path)),
+        named(DATASET, pushes.problems),
     )
 
 
 def _read(folder: Path) -> _Pushes:
-    """Load all pushes of a folder."""
-    table = read_table(only_file(folder, *TABLES))
-    table.require(["push_id", "surface", "shape"])
-    shapes = shapes_of(read_json(only_file(folder, SHAPES)))
-    names, shape = table.text("push_id"), table.text("shape")
-    used = np.unique(shape).tolist()
-    for name in used:
-        if name not in shapes:
-            raise InvalidInput(
-                table.source,
-                found=f"the shape {name}",
-                expected=f"a shape in {SHAPES}: {', '.join(shapes)}",
-            )
-    speed = table.numbers("speed_mm_s") * MM
-    if (speed <= 0.0).any():
-        raise InvalidInput(
-            f"{table.source}, row {int(np.argmax(speed <= 0.0)) + 1}, column speed_mm_s",
-            found=float(speed.min() / MM),
-            expected="a positive speed [mm/s]",
-        )
-    refuse_repeated(names.tolist(), table.source, "push_id")
-    start, tip_start = (
-        table.stacked("obj_x0", "obj_y0", "obj_th0"),
-        table.stacked("tip_x0", "tip_y0"),
+    """Load all pushes of a folder, and the errors of those that cannot be read."""
+    table, problems = read_table(only_file(folder, *TABLES), torn=True).sound(
+        "push_id", NUMBERS, once=True
     )
+    table.require(["surface", "shape"])
+    shapes, damaged = shapes_of(read_json(only_file(folder, SHAPES)))
+    wrong: dict[int, FixelError] = {}
+    for row, name in enumerate(table.columns["shape"]):
+        if name not in shapes:
+            expected = f"a shape in {SHAPES}: {', '.join(shapes)}"
+            unknown = InvalidInput(table.source, found=f"the shape {name}", expected=expected)
+            wrong[row] = damaged.get(name, unknown)
+    speed = table.numbers("speed_mm_s") * MM
+    for row in np.flatnonzero(speed <= 0.0).tolist():
+        found, where = float(speed[row] / MM), table.place("speed_mm_s", row)
+        wrong[row] = InvalidInput(where, found=found, expected="a positive speed [mm/s]")
+    problems |= {table.columns["push_id"][row]: problem for row, problem in wrong.items()}
+    if len(wrong) == len(table):
+        raise wrong[0]
+    table = table.only([row for row in range(len(table)) if row not in wrong])
+    names, shape, speed = (
+        table.text("push_id"),
+        table.text("shape"),
+        table.numbers("speed_mm_s") * MM,
+    )
+    used = np.unique(shape).tolist()
+    start = table.stacked("obj_x0", "obj_y0", "obj_th0")
+    tip_start = table.stacked("tip_x0", "tip_y0")
     gap, offset = np.zeros(len(table)), np.zeros((len(table), 2))
     for name in used:
         rows = np.flatnonzero(shape == name)
@@ -178,15 +188,18 @@ def _read(folder: Path) -> _Pushes:
         gap=gap,
         offset=offset,
         bodies={name: plate(name, shapes[name], np.zeros(3)) for name in used},
+        problems=problems,
     )
 
 
-def published_ends(folder: Path) -> dict[str, FloatArray]:
-    """Load end poses (n, 3) by the published simulator, for each of its limit surfaces.
+def published_ends(folder: Path, names: Sequence[str]) -> dict[str, FloatArray]:
+    """Load end poses (n, 3) of n pushes by the published simulator, for each limit surface.
 
-    They are in the order of the experiments; NaN where the table has none.
+    They are NaN where the table has none.
     """
-    table = read_table(only_file(folder, *TABLES))
+    table = read_table(only_file(folder, *TABLES), torn=True)
+    rows = {name: row for row, name in enumerate(table.columns["push_id"])}
+    table = table.only([rows[name] for name in names])
     return {
         name: table.stacked(*(f"author_{name}_{axis}1" for axis in ("x", "y", "th")), blank=True)
         for name in ("poly4", "quad")

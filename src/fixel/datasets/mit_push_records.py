@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import numpy as np
 
 from fixel.datasets.base import ImportPlan, Origin, remark
 from fixel.datasets.contact import pushed_scene
-from fixel.datasets.files import LARGEST_NUMBER, MM, advancing, read_json, refuse_repeated
+from fixel.datasets.files import LARGEST_NUMBER, MM, Problems, advancing, read_json
 from fixel.datasets.mit_plates import (
     DATASET,
     MU_PUSHER,
@@ -29,7 +30,7 @@ from fixel.datasets.mit_plates import (
     shapes_of,
 )
 from fixel.errors import DatasetMissing, InvalidInput
-from fixel.model import Channel, Experiment, Flag, Polygon, Scene, Shape, Trajectory
+from fixel.model import Channel, Experiment, Flag, Scene, Shape, Trajectory
 from fixel.typing import FloatArray
 
 RECORDS = ("motion_surface=*.h5", "motion_surface=*.json", "push_*.json", "push_*.h5")
@@ -67,10 +68,15 @@ def plan_of_records(source: Path, shapes_file: Path | None) -> ImportPlan:
         raise DatasetMissing(
             source, "pushes.csv.gz and shapes.json, or files " + " or ".join(RECORDS)
         )
-    if any(path.suffix == ".h5" for path in files):
-        _h5py(files[0])
-    refuse_repeated((_stem(path) for path in files), source.name, "file name")
-    shapes = _shapes_near(files[0], shapes_file)
+    problems: Problems = {}
+    stems = Counter(map(_stem, files))
+    for stem, n in stems.items():
+        if n > 1:
+            found, expected = f"{n} files of this name", "each name once"
+            problems[f"{DATASET}/{stem}"] = InvalidInput(stem, found=found, expected=expected)
+    shapes, damaged = _shapes_near(files[0], shapes_file)
+    files = [path for path in files if stems[_stem(path)] == 1]
+    problems |= {f"{SHAPES}: {name}": problem for name, problem in damaged.items()}
     origin = Origin()
     known = "outlines from shapes.json" if shapes else "no shapes.json found: no scenes (no-shape)"
     return ImportPlan(
@@ -85,8 +91,9 @@ def plan_of_records(source: Path, shapes_file: Path | None) -> ImportPlan:
             " plane.",
             "Rows whose time does not advance are dropped, with a flag (repeated-times).",
         ),
-        len(files),
-        lambda: (_experiment_of(path, shapes, origin) for path in files),
+        [f"{DATASET}/{_stem(path)}" for path in files],
+        lambda k: _experiment_of(files[k], shapes, origin),
+        problems,
     )
 
 
@@ -101,20 +108,28 @@ def _stem(path: Path) -> str:
     return path.name.removesuffix(path.suffix)
 
 
-def _shapes_near(path: Path, given: Path | None) -> dict[str, Shape]:
-    """Load outlines from a given file, or from a shapes.json in the folder or up to three above."""
+def _shapes_near(path: Path, given: Path | None) -> tuple[dict[str, Shape], Problems]:
+    """Load outlines from a given file, or from a shapes.json in the folder or up to three above.
+
+    Return also the errors of those that cannot be read; a given file must be sound as a whole.
+    """
     if given is not None and not given.is_file():
         raise DatasetMissing(given, "a file with outlines")
     near = [folder / SHAPES for folder in path.resolve().parents[:4]]
     found = given or next((file for file in near if file.is_file()), None)
     if found is None:
-        return {}
-    content = read_json(found)
-    shapes = shapes_of({k: v for k, v in content.items() if isinstance(v, dict)})
-    for name, corners in content.items():
-        if isinstance(corners, list):
-            shapes[name] = Polygon(np.array(corners, dtype=np.float64))
-    return shapes
+        return {}, {}
+    try:
+        content = read_json(found)
+    except InvalidInput as problem:
+        if given is not None:
+            raise
+        return {}, {"the whole file": problem}
+    outlines = {k: v for k, v in content.items() if isinstance(v, dict | list)}
+    shapes, problems = shapes_of(outlines)
+    if given is not None and problems:
+        raise next(iter(problems.values()))
+    return shapes, problems
 
 
 def _experiment_of(path: Path, shapes: dict[str, Shape], origin: Origin) -> Experiment:

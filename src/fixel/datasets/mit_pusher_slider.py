@@ -11,10 +11,19 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.datasets.base import Importer, ImportPlan, Origin, trajectory_of
+from fixel.datasets.base import Importer, ImportPlan, Origin, guarded, remark, trajectory_of
 from fixel.datasets.contact import pushed_scene
-from fixel.datasets.files import MM, CsvRows, increasing, member, rate_of, read_json, read_table
-from fixel.errors import DatasetMissing, InvalidInput
+from fixel.datasets.files import (
+    MM,
+    CsvRows,
+    Problems,
+    increasing,
+    member,
+    rate_of,
+    read_json,
+    read_table,
+)
+from fixel.errors import DatasetMissing, FixelError, InvalidInput
 from fixel.model import Body, Channel, Disk, Experiment, Flag, Polygon, Trajectory, UniformPressure
 from fixel.typing import BoolArray, FloatArray
 
@@ -29,6 +38,9 @@ DENSITY, THICKNESS = 10_000.0, 0.013  # [kg/m^3], [m]
 
 # A tip measured deeper in the object than this means that the tracker had lost the object [m].
 DROPOUT = -3e-3
+
+# Largest share of such rows in a run whose other rows are used.
+MAX_LOST = 0.05
 
 # Duration of the correction of a path that starts inside the object [s].
 FADE = 0.5
@@ -63,14 +75,24 @@ class MitPusherSlider(Importer):
                 SHAPES, found=", ".join(outlines), expected=f"an outline of {OUTLINE}"
             )
         shape = Polygon(np.asarray(outlines[OUTLINE], dtype=np.float64))
-        runs = [_read(path) for path in files]
+        runs: list[_Run] = []
+        problems: Problems = {}
+        for path in files:
+            try:
+                with guarded(path.name):
+                    runs.append(_read(path))
+            except FixelError as problem:
+                problems[f"{DATASET}/{_stem(path)}"] = problem
+        if not runs:
+            raise next(iter(problems.values()))
         origin = Origin()
         return ImportPlan(
             DATASET,
             source,
             _understood(runs),
-            len(runs),
-            lambda: (_experiment(run, shape, tip, origin) for run in runs),
+            [f"{DATASET}/{_stem(run.path)}" for run in runs],
+            lambda k: _experiment(runs[k], shape, tip, origin),
+            problems,
         )
 
 
@@ -80,8 +102,10 @@ class _Run(NamedTuple):
     path: Path
     table: CsvRows
     time: FloatArray  # (n,) [s] of every row
-    object: FloatArray  # (k, 4) time and pose, one row per new reading [s, m, m, rad]
+    object: FloatArray  # (k, 4) time and pose, one row per sound reading [s, m, m, rad]
     pusher: FloatArray  # (m, 3) time and centre of the tip, one row per new reading [s, m, m]
+    gap: FloatArray  # (n,) from the tip to the object, where the table has it, else NaN [m]
+    lost: BoolArray  # (n,) rows in which the tracker had lost the object
 
 
 def _read(path: Path) -> _Run:
@@ -89,7 +113,16 @@ def _read(path: Path) -> _Run:
     time = increasing(table.numbers("t"), table.source)
     pose = np.column_stack((time, table.stacked("slider_x", "slider_y", "slider_th")))
     tip = np.column_stack((time, table.stacked("pusher_x", "pusher_y")))
-    return _Run(path, table, time, pose[_new_readings(pose)], tip[_new_readings(tip)])
+    known = "gap_mm" in table.columns
+    gap = table.numbers("gap_mm", blank=True) * MM if known else np.full(len(time), np.nan)
+    lost = gap < DROPOUT
+    # A run that was lost as a whole is imported as it is, with a fault.
+    sound = _new_readings(pose) & ~(lost if lost.mean() <= MAX_LOST else np.zeros_like(lost))
+    return _Run(path, table, time, pose[sound], tip[_new_readings(tip)], gap, lost)
+
+
+def _stem(path: Path) -> str:
+    return path.name.split(".")[0]
 
 
 def _new_readings(rows: FloatArray) -> BoolArray:
@@ -117,8 +150,9 @@ def _understood(runs: list[_Run]) -> tuple[str, ...]:
         f" friction {MU_PUSHER:g} at the tip and {MU_SUPPORT:g} on the plane; the tip follows its"
         " measured path, from contact where it starts inside the object"
         " (pusher-moved-to-contact).",
-        f"Runs in which the tip is more than {-DROPOUT / MM:g} mm inside the object have lost the"
-        " tracker for moments (tracking-dropouts).",
+        f"Where the tip is more than {-DROPOUT / MM:g} mm inside the object, the tracker had lost"
+        f" it: these rows are left out; runs with more than {100 * MAX_LOST:g} % of them have a"
+        " fault (tracking-dropouts).",
     )
 
 
@@ -136,7 +170,7 @@ def _experiment(run: _Run, shape: Polygon, tip: Disk, origin: Origin) -> Experim
     scene, flags = pushed_scene(body, tip, path, friction=MU_PUSHER, fade=FADE)
     return Experiment(
         dataset=DATASET,
-        name=run.path.name.split(".")[0],
+        name=_stem(run.path),
         real=True,
         provenance=origin.of(run.path),
         object_name=OBJECT,
@@ -149,7 +183,7 @@ def _experiment(run: _Run, shape: Polygon, tip: Disk, origin: Origin) -> Experim
             "shape": OUTLINE,
             "raw_readings": float(len(run.time)),
         },
-        flags=(*flags, *_dropouts(run.table)),
+        flags=(*flags, *_dropouts(run)),
     )
 
 
@@ -171,14 +205,17 @@ def _channels(rows: CsvRows, time: FloatArray) -> Iterator[Channel]:
         )
 
 
-def _dropouts(rows: CsvRows) -> Iterator[Flag]:
-    if "gap_mm" not in rows.columns:
+def _dropouts(run: _Run) -> Iterator[Flag]:
+    """Yield a flag if the tracker had lost the object; a fault if for a large share of the run."""
+    n, lost = len(run.gap), int(run.lost.sum())
+    if not lost:
         return
-    gap = rows.numbers("gap_mm", blank=True) * MM
-    lost = int((gap < DROPOUT).sum())
-    if lost:
-        yield Flag(
-            "tracking-dropouts",
-            f"in {lost} of {len(gap)} rows the tip is more than {-DROPOUT / MM:g} mm inside the"
-            f" object, at most {-float(np.nanmin(gap)) / MM:.2g} mm",
-        )
+    deepest = -float(np.nanmin(run.gap)) / MM
+    found = (
+        f"{lost} of {n} rows ({100.0 * lost / n:.2g} %): the tip is more than {-DROPOUT / MM:g} mm"
+        f" inside the object there, at most {deepest:.2g} mm"
+    )
+    if lost > MAX_LOST * n:
+        yield Flag("tracking-dropouts", found)
+    else:
+        yield remark("tracking-dropouts", f"left out {found}")

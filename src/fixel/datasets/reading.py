@@ -15,7 +15,7 @@ from fixel.datasets.files import read_table, table_rows
 from fixel.datasets.importers import IMPORTERS, importer_for
 from fixel.datasets.table import DATASET as TABLE
 from fixel.datasets.table import CsvTable, plan_table, refuse_unknown_name
-from fixel.errors import InvalidInput
+from fixel.errors import DatasetMissing, InvalidInput
 from fixel.model import Body, Disk, Polygon, Provenance, Pusher, Scene, Tripod
 from fixel.model.scene import SceneChoice
 from fixel.progress import ProgressOption, show_progress
@@ -83,10 +83,13 @@ def _plan_table(
     columns: Mapping[str, str] | None,
 ) -> ImportPlan:
     if isinstance(table, Path):
+        if not table.exists():
+            raise DatasetMissing(table)
         if not table.is_file():
             raise InvalidInput(table.name, found="a folder", expected="one table")
         with guarded(table.name):
-            rows, source, provenance = read_table(table), table, Origin().of(table)
+            rows, source = read_table(table, torn=split_by is not None), table
+            provenance = Origin().of(table)
             return plan_table(rows, source, provenance, options, scene, split_by, columns)
     rows, source = table_rows(table), Path("table")
     digest = hashlib.sha256(repr(rows.columns).encode()).hexdigest()
@@ -100,14 +103,16 @@ def collected(
     """Read the experiments of plans, at most `limit`."""
     total = sum(plan.n_experiments for plan in plans)
     total = total if limit is None else min(limit, total)
-    every = (experiment for plan in plans for experiment in plan.experiments())
+    every = (experiment for plan in plans for experiment in plan)
     found = []
     with show_progress(progress, "reading experiments") as report:
         for done, experiment in enumerate(islice(every, limit), start=1):
             found.append(experiment)
             report(done, total)
     notes = dict.fromkeys(sentence for plan in plans for sentence in plan.understood)
-    return Experiments.of(found, tuple(notes), [name for plan in plans for name in plan.skipped])
+    skipped = [name for plan in plans for name in plan.skipped]
+    simulations = {key: one for plan in plans for key, one in plan.simulations.items()}
+    return Experiments.of(found, tuple(notes), skipped, simulations)
 
 
 def example() -> Experiments:

@@ -7,17 +7,20 @@ with the path of the actuator and the positions of the fixels.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fixel.calibration.target import errors_of, squared_error
 from fixel.datasets.base import (
     Importer,
     ImportPlan,
     Origin,
+    guarded,
+    named,
     remark,
     scene_or_flag,
     trajectory_of,
@@ -25,15 +28,16 @@ from fixel.datasets.base import (
 from fixel.datasets.files import (
     MM,
     CsvRows,
+    Problems,
     increasing,
     member,
+    missing_rows,
     only_file,
     read_json,
     read_table,
-    refuse_repeated,
     rows_of,
 )
-from fixel.errors import DatasetMissing, InvalidInput
+from fixel.errors import DatasetMissing, FixelError, InvalidInput
 from fixel.model import (
     Body,
     Channel,
@@ -41,6 +45,7 @@ from fixel.model import (
     Experiment,
     Fixel,
     Flag,
+    Parameters,
     PathDrive,
     Polygon,
     Provenance,
@@ -49,12 +54,19 @@ from fixel.model import (
     Trajectory,
     Tripod,
 )
+from fixel.model.records import SimulationRecord
 from fixel.typing import FloatArray, IntArray
 
 DATASET: Final = "rpi-2dgad"
 OBJECT, ACTUATOR = "object", "actuator"
 EXPERIMENTS = "experiments.csv"
 TRACKS = ("object_trajectory.csv.gz", "object_trajectory.csv")
+
+SIMULATED = ("author_simulation_trajectory.csv.gz", "author_simulation_trajectory.csv")
+ID: Final = "experiment_id"
+WHOLE = ("object_id", "final_contact_mode_experiment", "start_frame", "end_frame")
+POSE = ("x_mm", "y_mm", "theta_rad", "z_mm")
+ORIENTATION: Final = "actuator.orientation_rad"
 
 FRAME_RATE: Final = 30.0  # frame rate of the overhead camera [1/s]
 
@@ -86,48 +98,50 @@ class Rpi2dgad(Importer):
         return tracked and (source / EXPERIMENTS).is_file()
 
     def _plan(self, source: Path, options: Mapping[str, object]) -> ImportPlan:
-        listed = read_table(only_file(source, EXPERIMENTS))
-        tracks_file = only_file(source, *TRACKS)
-        tracks = read_table(tracks_file)
-        frame = tracks.whole_numbers("frame")
-        readings = tracks.stacked("x_mm", "y_mm", "theta_rad", "z_mm") * (MM, MM, 1.0, MM)
-        numbers = listed.whole_numbers("experiment_id").tolist()
-        refuse_repeated(map(str, numbers), listed.source, "experiment_id")
-        tracked = tracks.whole_numbers("experiment_id").astype(np.str_)
-        rows = rows_of(tracked, tracks.source, [*map(str, numbers)], listed.source)
-        complete = _complete(source)
-        whole = sorted(set(complete) & set(numbers))
-        origin = Origin()
-
-        def make() -> Iterator[Experiment]:
-            for row, number in enumerate(numbers):
-                if number in complete:
-                    trial = complete[number]
-                    yield _whole(number, trial, listed, row, origin.of(source / trial.source))
-                else:
-                    own = rows[str(number)]
-                    yield _track(listed, row, frame[own], readings[own], origin.of(tracks_file))
-
+        listed, unread = read_table(only_file(source, EXPERIMENTS), torn=True).sound(
+            ID, (), (ID, *WHOLE), once=True
+        )
+        folder, problems = _read(source, listed)
+        names = listed.columns[ID]
+        for name in sorted({*folder.complete, *folder.broken} - {*names, *unread}):
+            file = f"exp{name}_setup.json"
+            stranger = InvalidInput(file, found="no such row", expected=f"one in {EXPERIMENTS}")
+            problems[file] = folder.broken.get(name, stranger)
+        failed = {**folder.untracked, **folder.broken}
+        rows = [
+            row for row, name in enumerate(names) if name in folder.complete or name not in failed
+        ]
+        sound = [names[row] for row in rows]
+        lost = {name: failed[name] for name in names if name not in sound}
+        problems |= named(DATASET, unread | lost)
+        whole = sorted(int(name) for name in sound if name in folder.complete)
         return ImportPlan(
-            DATASET, source, _understood(len(numbers), len(tracks), whole), len(numbers), make
+            DATASET,
+            source,
+            _understood(len(rows), len(folder.tracks.frame), whole),
+            [f"{DATASET}/{name}" for name in sound],
+            lambda k: _experiment(folder, rows[k]),
+            problems,
+            lambda k, experiment: _simulation(folder, rows[k], experiment),
         )
 
 
 def _understood(n: int, n_frames: int, whole: list[int]) -> tuple[str, ...]:
-    named = ", ".join(map(str, whole)) or "none"
+    known = ", ".join(map(str, whole)) or "none"
     return (
         f"{n} experiments, {n_frames} video frames at {FRAME_RATE:g} Hz; the clock of each starts"
         " at its first frame.",
         "Positions from mm to m, angles in rad, in the calibrated frame of the plate; z is the"
         " height of the object above the plate and no angle.",
         "Contact modes from 3 bits: 4 is fixel 1, 2 is fixel 2, 1 is fixel 3; 8 means invalid.",
-        f"Complete with actuator, fixels and tactile signals: {named}; the others have the object"
+        f"Complete with actuator, fixels and tactile signals: {known}; the others have the object"
         " alone (no-actuator, no-fixels) and no scene.",
         "The actuator is the marker as seen: the smoothed one runs on after it has stalled"
         " (actuator-filter-runs-on) and is a channel.",
         f"Scenes: the authors' calibrated parameters as nominal friction, force limit"
         f" {FORCE_LIMIT:g} N.",
-        "Simulated and filtered trajectories of the authors are not imported.",
+        "Simulated trajectories of the authors are stored as simulations of the experiments;"
+        " filtered ones are not imported.",
     )
 
 
@@ -154,14 +168,85 @@ class _Trial(NamedTuple):
         return _points(self.value(path), self.setup_file)
 
 
-def _complete(folder: Path) -> dict[int, _Trial]:
-    """Load all complete trials of a folder, by their numbers."""
-    numbered = [
-        int(match[1])
-        for path in sorted(folder.glob("exp*_setup.json"))
-        if (match := re.fullmatch(r"exp(\d+)_setup\.json", path.name))
-    ]
-    return {number: _trial(folder, number) for number in numbered}
+class _Tracks(NamedTuple):
+    """Poses of the object in several experiments, measured or simulated."""
+
+    path: Path
+    frame: IntArray  # (n,)
+    poses: FloatArray  # (n, 4) x, y, angle, height [m, m, rad, m]
+    rows: Mapping[str, NDArray[np.intp]]  # of each experiment
+    problems: Problems  # of experiments with a damaged row
+
+
+class _Folder(NamedTuple):
+    """Content of the folder, with the reasons for which experiments cannot be built."""
+
+    path: Path
+    listed: CsvRows
+    complete: Mapping[str, _Trial]
+    broken: Problems  # of experiments with a setup that cannot be read
+    tracks: _Tracks
+    untracked: Problems  # of experiments without a trajectory
+    simulated: _Tracks  # by the laboratory
+    origin: Origin
+
+
+def _read(source: Path, listed: CsvRows) -> tuple[_Folder, Problems]:
+    """Load the files of a folder; return also the problems of files that no experiment needs."""
+    complete, broken, problems = _complete(source)
+    path = only_file(source, *TRACKS)
+    names = listed.columns[ID]
+    try:
+        tracks = _tracks(path)
+        short = missing_rows(tracks.rows, path.name, listed, ID)
+        untracked = short | tracks.problems
+    except FixelError as problem:  # complete trials do not need it
+        if not complete:
+            raise
+        tracks, untracked = _no_tracks(path), dict.fromkeys(names, problem)
+    file = next((source / name for name in SIMULATED if (source / name).is_file()), None)
+    simulated = _no_tracks(source)
+    if file is not None:
+        try:
+            simulated = _tracks(file)
+        except FixelError as problem:
+            problems[file.name] = problem
+    return _Folder(
+        source, listed, complete, broken, tracks, untracked, simulated, Origin()
+    ), problems
+
+
+def _tracks(path: Path) -> _Tracks:
+    """Load a table of poses of several experiments."""
+    with guarded(path.name):
+        table, problems = read_table(path, torn=True).sound(ID, POSE, ("frame",))
+        poses = table.stacked(*POSE) * (MM, MM, 1.0, MM)
+        return _Tracks(path, table.whole_numbers("frame"), poses, rows_of(table, ID), problems)
+
+
+def _no_tracks(path: Path) -> _Tracks:
+    return _Tracks(path, np.zeros(0, np.int64), np.zeros((0, 4)), {}, {})
+
+
+def _complete(folder: Path) -> tuple[dict[str, _Trial], Problems, Problems]:
+    """Load all complete trials of a folder; return also those with an error, and other files."""
+    trials: dict[str, _Trial] = {}
+    broken: Problems = {}
+    strange: Problems = {}
+    for path in sorted(folder.glob("exp*_setup.json")):
+        match = re.fullmatch(r"exp(\d+)_setup\.json", path.name)
+        if match is None:
+            expected = "exp<number>_setup.json"
+            strange[path.name] = InvalidInput(
+                path.name, found="a name without a number", expected=expected
+            )
+            continue
+        try:
+            with guarded(path.name):
+                trials[match[1]] = _trial(folder, int(match[1]))
+        except FixelError as problem:
+            broken[match[1]] = problem
+    return trials, broken, strange
 
 
 def _trial(folder: Path, number: int) -> _Trial:
@@ -212,7 +297,7 @@ class LabSimulation(NamedTuple):
 
 def lab_simulation(folder: Path, number: int) -> LabSimulation | None:
     """Load the laboratory's simulation of a complete trial; None if it was not stored."""
-    path = folder / f"exp{number}_author_simulation.csv"
+    path = folder / _lab_file(number)
     if not path.is_file():
         return None
     first = int(_frames(folder, number).whole_numbers("frame")[0])
@@ -224,36 +309,77 @@ def lab_simulation(folder: Path, number: int) -> LabSimulation | None:
     )
 
 
-def _track(
-    listed: CsvRows,
-    row: int,
-    frame: NDArray[np.int64],
-    readings: FloatArray,
-    provenance: Provenance,
-) -> Experiment:
-    """Build an experiment from the tracked object alone: x, y, angle, height at frames."""
-    number, object_id, mode, start, end = (
-        int(listed.whole_numbers(name)[row])
-        for name in (
-            "experiment_id",
-            "object_id",
-            "final_contact_mode_experiment",
-            "start_frame",
-            "end_frame",
+def _lab_file(number: int) -> str:
+    return f"exp{number}_author_simulation.csv"
+
+
+def _experiment(folder: _Folder, row: int) -> Experiment:
+    """Build the experiment in a row of the list."""
+    name = folder.listed.columns[ID][row]
+    if name in folder.complete:
+        trial = folder.complete[name]
+        origin = folder.origin.of(folder.path / trial.source)
+        return _whole(int(name), trial, folder.listed, row, origin)
+    return _track(folder, row)
+
+
+def _simulation(folder: _Folder, row: int, experiment: Experiment) -> SimulationRecord | None:
+    """Return the laboratory's simulation of an experiment, on the clock of the experiment."""
+    name, pusher = experiment.name, None
+    lab = lab_simulation(folder.path, int(name)) if name in folder.complete else None
+    if lab is not None:
+        path = folder.path / _lab_file(int(name))
+        trajectory = trajectory_of(lab.time, lab.pose)
+        angle = np.full((len(lab.time), 1), folder.complete[name].value(ORIENTATION))
+        pusher = Trajectory(time=lab.time, pose=np.hstack((lab.actuator, angle)))
+    elif name in folder.simulated.problems:
+        raise folder.simulated.problems[name]
+    elif name in folder.simulated.rows:
+        own, path = folder.simulated.rows[name], folder.simulated.path
+        first = _first_frame(folder, name)
+        trajectory = trajectory_of(
+            _time(folder.simulated.frame[own], first), folder.simulated.poses[own, :3]
         )
+    else:
+        return None
+    modes = folder.listed.columns.get("final_contact_mode_author_sim")
+    return SimulationRecord(
+        experiment_id=0,
+        parameters=Parameters(),
+        provenance=folder.origin.of(path),
+        trajectory=trajectory,
+        pusher=pusher,
+        method={"simulated_by": "laboratory"},
+        contact_mode=_mode(int(modes[row]))[0] if modes and modes[row].isdecimal() else "",
+        error_mm2=squared_error(*errors_of(experiment, trajectory)[1:]),
     )
+
+
+def _first_frame(folder: _Folder, name: str) -> int:
+    """Frame at which the clock of an experiment starts."""
+    if name in folder.complete:
+        return int(folder.complete[name].frame[0])
+    return int(folder.tracks.frame[folder.tracks.rows[name][0]])
+
+
+def _track(folder: _Folder, row: int) -> Experiment:
+    """Build an experiment from the tracked object alone."""
+    name = folder.listed.columns[ID][row]
+    own = folder.tracks.rows[name]
+    frame, poses = folder.tracks.frame[own], folder.tracks.poses[own]
+    object_id, mode, start, end = (int(folder.listed.columns[column][row]) for column in WHOLE)
     time = _time(frame, int(frame[0]))
     digits, flags = _mode(mode)
     if object_id == OUTLINE_UNKNOWN:
         flags = (*flags, remark("no-shape", f"the outline of object {object_id} was not recovered"))
     return Experiment(
         dataset=DATASET,
-        name=str(number),
+        name=name,
         real=True,
-        provenance=provenance,
+        provenance=folder.origin.of(folder.tracks.path),
         object_name=OBJECT,
-        trajectory=trajectory_of(time, readings[:, :3]),
-        height=float(readings[0, 3]),
+        trajectory=trajectory_of(time, poses[:, :3]),
+        height=float(poses[0, 3]),
         contact_mode=digits,
         effective=_effective(frame, start, end),
         conditions={"object_id": float(object_id)},
@@ -273,7 +399,7 @@ def _whole(
     first = int(trial.frame[0])
     effective = _effective(trial.frame, trial.value("start_frame"), trial.value("end_frame"))
     time = _time(trial.frame, first)
-    angle: FloatArray = np.full(len(time), trial.value("actuator.orientation_rad"))
+    angle: FloatArray = np.full(len(time), trial.value(ORIENTATION))
     marker = np.column_stack((time, trial.marker, angle))
     scene, why_not = scene_or_flag(lambda: _scene(trial, marker, effective[1]))
     runs_on = float(np.hypot(*(trial.filtered - trial.marker).T).max())

@@ -6,14 +6,14 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
 from fixel.datasets.base import Importer, ImportPlan, Origin, remark
-from fixel.datasets.files import CsvRows, increasing, rate_of, read_table
+from fixel.datasets.files import CsvRows, Problems, increasing, rate_of, read_table
 from fixel.datasets.own_scene import with_scene
 from fixel.datasets.plausible import refuse_implausible
 from fixel.errors import InvalidInput, unknown_name
@@ -115,7 +115,7 @@ class CsvTable(Importer):
             raise InvalidInput(source.name, found="a folder", expected="one table")
         texts = {name: _text_option(name, value) for name, value in options.items()}
         scene, split_by = texts.pop("scene", None), texts.pop("split_by", None)
-        table = read_table(source)
+        table = read_table(source, torn=split_by is not None)
         choice = None if scene is None else Path(scene)
         return plan_table(table, source, Origin().of(source), texts, choice, split_by)
 
@@ -154,26 +154,39 @@ def plan_table(
     chosen = _chosen_columns(table, columns or {})
     stem = options.get("name", _stem(source))
     experiments: list[Experiment] = []
-    skipped: list[str] = []
+    problems: Problems = {}
     sentences: list[tuple[str, ...]] = []
     for value, part in _parts(table, split_by):
-        if value is not None and len(part) < 2:
-            skipped.append(f"{stem}/{value}: one row")
-            continue
         key = (DATASET, stem) if value is None else (stem, value)
+        if value is not None and len(part) < 2 and not part.torn:
+            problems[f"{stem}/{value}"] = InvalidInput("one row")
+            continue
         try:
+            if part.torn:
+                raise next(iter(part.torn.values()))
             experiment, understood = _experiment(key, part, options, provenance, chosen)
             experiment, more = _on_plate(experiment, scene, options)
         except InvalidInput as problem:
-            raise problem if value is None else problem.within(f"{split_by} {value}") from None
+            if value is None:
+                raise
+            problems[f"{stem}/{value}"] = problem.within(f"{split_by} {value}")
+            continue
         experiments.append(experiment)
         sentences.append(understood + more)
-    if not experiments:
-        raise InvalidInput(table.source, found="one row each", expected="poses of a motion")
+    _refuse_common(problems, len(experiments), table.source)
     understood = sentences[0] if split_by is None else _common(sentences, split_by)
-    return ImportPlan(
-        DATASET, source, understood, len(experiments), lambda: iter(experiments), tuple(skipped)
-    )
+    names = [experiment.key for experiment in experiments]
+    return ImportPlan(DATASET, source, understood, names, experiments.__getitem__, problems)
+
+
+def _refuse_common(problems: Problems, n_sound: int, source: str) -> None:
+    """Raise for a defect of the table: a doubtful unit, or one that most experiments have."""
+    damage = [p for p in problems.values() if str(p) != "one row"]
+    doubts = [p for p in damage if isinstance(p, InvalidInput) and "angle_unit" in (p.hint or "")]
+    if doubts or len(damage) > n_sound:
+        raise (doubts or damage)[0]
+    if not n_sound:
+        raise InvalidInput(source, found="one row each", expected="poses of a motion")
 
 
 def _chosen_columns(table: CsvRows, columns: Mapping[str, str]) -> dict[str, str]:
@@ -195,9 +208,9 @@ def _parts(table: CsvRows, split_by: str | None) -> Iterator[tuple[str | None, C
     for row, value in enumerate(table.columns[split_by]):
         rows.setdefault(value.strip(), []).append(row)
     for value, own in rows.items():
-        others = ((name, column) for name, column in table.columns.items() if name != split_by)
-        cells = {name: [column[row] for row in own] for name, column in others}
-        yield value, CsvRows(table.source, cells)
+        part = table.only(own)
+        columns = {name: cells for name, cells in part.columns.items() if name != split_by}
+        yield value, replace(part, columns=columns)
 
 
 def _on_plate(

@@ -115,5 +115,5 @@ def read_mit_pushes(folder: Path) -> MitPushes:
         speed=np.asarray(condition("speed_m_s"), dtype=np.float64),
         gap_start=np.asarray(condition("gap0_m"), dtype=np.float64),
         gap_end=np.asarray(condition("gap1_m"), dtype=np.float64),
-        published=published_ends(folder),
+        published=published_ends(folder, [experiment.name for experiment in experiments]),
     )

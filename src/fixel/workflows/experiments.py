@@ -69,13 +69,14 @@ def read_experiments(
     Returns
     -------
     Experiments
-        With `notes` on how the source was read, and experiments that were `skipped`.
+        With `notes` on how the source was read. Experiments that cannot be read are left out;
+        `skipped` has their names and reasons.
 
     Raises
     ------
     InvalidInput
         A table without times, positions or a known column; poses that do not fit the scene; lengths
-        or angles whose unit in the header cannot be right.
+        or angles whose unit in the header cannot be right; no experiment that can be read.
     DatasetMissing
         The source does not exist or is not recognised.
 
@@ -127,7 +128,7 @@ def read_experiments(
     if not found:
         return read
     every = [one for some in (*found, read) for one in some]
-    return Experiments.of(every[:limit], read.notes, read.skipped)
+    return Experiments.of(every[:limit], read.notes, read.skipped, read.simulations)
 
 
 def _ready(place: Any, scene: SceneChoice | None) -> Experiments | None:

@@ -211,7 +211,7 @@ class LiveComparison:
     def simulated(self, experiment_id: int, simulation: int) -> MotionView:
         """Return the motion of a stored simulation of an experiment."""
         record = self._record(experiment_id, simulation)
-        label, name = f"simulation {simulation}", f"simulation-{simulation}"
+        label, name = simulation_label(simulation, record), f"simulation-{simulation}"
         return stored_motion(self.experiment(experiment_id), record, label, id=name)
 
     def _record(self, experiment_id: int, simulation: int) -> SimulationRecord:
@@ -315,10 +315,16 @@ def _calibrated_set(
     )
 
 
+def simulation_label(number: int, record: SimulationRecord) -> str:
+    """Return the name of a stored simulation on pages."""
+    by = " by the publisher of the data" if record.provenance.source else ""
+    return f"simulation {number}{by}"
+
+
 def _simulated_set(number: int, record: SimulationRecord) -> StoredSet:
     return StoredSet(
         id=f"simulation-{number}",
-        label=f"simulation {number}",
+        label=simulation_label(number, record),
         kind="simulation",
         parameters=dict(record.parameters),
         motion=str(record.method.get("motion", DYNAMIC)),

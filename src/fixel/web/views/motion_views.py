@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field, PlainSerializer, PlainValidator
 
-from fixel.calibration.target import scene_of
+from fixel.calibration.target import errors_of, scene_of
 from fixel.drawing.view import forces
 from fixel.model import Body, Channel, Disk, Experiment, Fixel, Pusher, Scene, Trajectory
 from fixel.model.records import SimulationRecord
@@ -20,7 +20,7 @@ from fixel.model.shape import Shape, placed
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray, IntArray
 from fixel.web.values import Answer, Array, IndexArray, Numbers
-from fixel.workflows.project.compare import RunComparison, errors_of
+from fixel.workflows.project.compare import RunComparison
 
 Role = Literal["object", "body", "pusher", "fixel"]
 

@@ -8,7 +8,13 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.calibration.target import clock_start, scene_of, useful_poses
+from fixel.calibration.target import (
+    clock_start,
+    errors_of,
+    scene_of,
+    squared_error,
+    useful_poses,
+)
 from fixel.errors import InvalidInput
 from fixel.model import (
     Channel,
@@ -16,35 +22,34 @@ from fixel.model import (
     Parameters,
     Provenance,
     Trajectory,
-    pose_error,
 )
 from fixel.model.experiment import unit_of
 from fixel.model.records import SimulationRecord
 from fixel.simulation import AbstractMotionModel, AbstractStepper, Simulation, simulate
 from fixel.typing import FloatArray
 
-ANGLE_SCALE: Final = 35.0  # [mm/rad], length that the thesis's E counts an angle as
 SAMPLES: Final = 200  # samples of a simulation, for an experiment with few poses
 MICRO: Final = 3e-3  # [m], radius of objects below which lengths are shown in micrometres
 NOISE: Final = 1e-3  # [m], shortest stride that counts in the length of a path
 
 
-@final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RunComparison:
-    """Simulation of an experiment, compared with the measurement.
+class PathComparison:
+    """Simulated path of an experiment, compared with the measurement.
 
     Attributes
     ----------
     experiment : Experiment
-    parameters : Parameters
-    simulation : Simulation
+    status : str
+        Status of the simulation, as in `Simulation.status`.
     simulated : Trajectory
         Poses of the object, on the experiment's clock.
     pusher : Trajectory, optional
         Simulated poses of the pusher, on the same clock.
     contacts : Channel, optional
-        Simulated contacts with each fixel, on the same clock; None without fixels.
+        Simulated contacts with each fixel, on the same clock; None if they are not known.
+    contact_mode : str
+        Simulated contact mode at the end, one digit per fixel.
     time : (n,) float64
         Measured instants within `effective` [s], without the first measured pose: there the
         simulation starts, so its error is zero by construction.
@@ -55,24 +60,19 @@ class RunComparison:
     """
 
     experiment: Experiment
-    parameters: Parameters
-    simulation: Simulation
+    status: str
     simulated: Trajectory
     pusher: Trajectory | None
     contacts: Channel | None
+    contact_mode: str
     time: FloatArray
     position: FloatArray
     angle: FloatArray
 
     @property
-    def status(self) -> str:
-        """Status of the simulation, as in `Simulation.status`."""
-        return self.simulation.status
-
-    @property
     def complete(self) -> bool:
         """Whether the simulation reached its end; only then does it have errors."""
-        return self.simulation.converged
+        return self.status == "converged"
 
     @property
     def position_rms(self) -> float | None:
@@ -94,31 +94,19 @@ class RunComparison:
         """E of the thesis: mean of squared errors [mm^2]; None if the simulation stopped early."""
         if not self.complete:
             return None
-        return float(np.mean((1e3 * self.position) ** 2 + (ANGLE_SCALE * self.angle) ** 2))
-
-    @property
-    def contact_mode(self) -> str:
-        """Simulated contact mode at the end, one digit per fixel."""
-        if self.contacts is None:
-            return ""
-        return "".join(str(int(touch)) for touch in self.contacts.values[-1])
+        return squared_error(self.position, self.angle)
 
     @property
     def same_contact_mode(self) -> bool | None:
         """Agreement with the measured contact mode; None if unknown or not simulated."""
         measured = self.experiment.contact_mode
-        return self.contact_mode == measured if measured and self.complete else None
+        known = measured and self.contact_mode and self.complete
+        return self.contact_mode == measured if known else None
 
-    def summary(self) -> dict[str, Any]:
-        """Return all results as plain values, for `--json`."""
-        simulation = self.simulation
+    def errors(self) -> dict[str, Any]:
+        """Return the errors as plain values, for `--json`."""
         return {
-            "experiment": self.experiment.key,
-            "real": self.experiment.real,
-            "parameters": dict(self.parameters),
             "status": self.status,
-            "stopped_at": simulation.stopped_at,
-            "advice": simulation.advice,
             "frames": len(self.time),
             "from_s": float(self.time[0]),
             "to_s": float(self.time[-1]),
@@ -131,6 +119,33 @@ class RunComparison:
                 "simulated": self.contact_mode,
                 "same": self.same_contact_mode,
             },
+        }
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunComparison(PathComparison):
+    """Simulation of an experiment by fixel, compared with the measurement.
+
+    Attributes
+    ----------
+    parameters : Parameters
+    simulation : Simulation
+    """
+
+    parameters: Parameters
+    simulation: Simulation
+
+    def summary(self) -> dict[str, Any]:
+        """Return all results as plain values, for `--json`."""
+        simulation = self.simulation
+        return {
+            "experiment": self.experiment.key,
+            "real": self.experiment.real,
+            "parameters": dict(self.parameters),
+            "stopped_at": simulation.stopped_at,
+            "advice": simulation.advice,
+            **self.errors(),
             "method": dict(simulation.method),
             "wall_time_s": simulation.wall_time_s,
         }
@@ -199,28 +214,44 @@ def compare_run(
         output_interval=_interval(experiment.trajectory.time, duration),
     )
     simulated = _track(simulation, experiment.object_name, start)
+    contacts = _contacts(simulation, experiment.object_name, start)
+    last = [] if contacts is None else contacts.values[-1]
     time, position, angle = errors_of(experiment, simulated)
     return RunComparison(
         experiment=experiment,
+        status=simulation.status,
         parameters=parameters,
         simulation=simulation,
         simulated=simulated,
         pusher=_track(simulation, scene.pushers[0].name, start) if scene.pushers else None,
-        contacts=_contacts(simulation, experiment.object_name, start),
+        contacts=contacts,
+        contact_mode="".join(str(int(touch)) for touch in last),
         time=time,
         position=position,
         angle=angle,
     )
 
 
-def errors_of(
-    experiment: Experiment, simulated: Trajectory
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return measured instants (n,) within `effective` [s], and the errors of simulated poses
-    there: distance [m], and wrapped angle [rad]."""
-    useful = useful_poses(experiment)
-    time = experiment.trajectory.time[useful]
-    return time, *pose_error(simulated.at(time), experiment.trajectory.pose[useful])
+def compare_path(experiment: Experiment, record: SimulationRecord) -> PathComparison:
+    """Compare a simulation by another program with an experiment, which needs no scene.
+
+    Raises
+    ------
+    InvalidInput
+        No pose within `effective`.
+    """
+    time, position, angle = errors_of(experiment, record.trajectory)
+    return PathComparison(
+        experiment=experiment,
+        status=record.status,
+        simulated=record.trajectory,
+        pusher=record.pusher,
+        contacts=None,
+        contact_mode=record.contact_mode,
+        time=time,
+        position=position,
+        angle=angle,
+    )
 
 
 def _interval(time: FloatArray, duration: float) -> float:

@@ -13,12 +13,13 @@ import numpy as np
 from fixel.datasets.experiments import Experiments
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters
+from fixel.model.records import SimulationRecord
 from fixel.progress import ProgressOption, show_progress
 from fixel.results import Result, Summary
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model
 from fixel.table import Column, Table
-from fixel.workflows.project.compare import RunComparison, compare_run
+from fixel.workflows.project.compare import PathComparison, compare_path, compare_run
 
 Model = Mapping[str, float] | None  # values of parameters, a Calibration, or the scene's own values
 
@@ -32,7 +33,7 @@ class ComparedModel(NamedTuple):
 
     model: str
     use: str  # "fitted", "held out", or empty for a model that was not fitted
-    run: RunComparison
+    run: PathComparison
     unseen: tuple[str, ...] = ()  # what no experiment of the calibration has
 
     @property
@@ -191,7 +192,7 @@ class Comparison(Result):
         return Table(head, rows)
 
 
-def _positions(run: RunComparison) -> tuple[float | None, float | None]:
+def _positions(run: PathComparison) -> tuple[float | None, float | None]:
     return run.position_rms, run.final_position
 
 
@@ -214,7 +215,8 @@ def compare(
         Experiments with a scene.
     models : mapping, Calibration or mapping of str to one of them, optional
         Values of parameters, such as `{"mu_pusher": 0.2}`; or a calibration, which is compared with
-        the nominal values of the scenes; or several of them by name. None: the nominal values.
+        the nominal values of the scenes; simulations by another program, as a `SimulationRecord`
+        for each experiment by its full name; or several of these by name. None: the nominal values.
     motion : AbstractMotionModel or str, optional
         Motion model, such as `"quasistatic"`; by default that of the calibration, else dynamic.
     progress : bool or callable, optional
@@ -289,6 +291,11 @@ def _compared(
 ) -> ComparedModel:
     """Simulate an experiment with one of the models; nominal values move as calibrated ones do."""
     model = models[name]
+    if isinstance(model, Mapping) and any(isinstance(v, SimulationRecord) for v in model.values()):
+        if experiment.key not in model:
+            found = f"no simulation by {name!r}"
+            raise InvalidInput(f"experiment {experiment.key}", found=found, expected="one")
+        return ComparedModel(name, "", compare_path(experiment, model[experiment.key]))
     fitted = model if hasattr(model, "values_for") else None
     like = fitted or next((m for m in models.values() if hasattr(m, "values_for")), None)
     own = like.motion if motion is None and like is not None else motion
