@@ -1,12 +1,16 @@
 """`fixel new`, `import`, `list` and `testbed run`, as typed."""
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.datasets import push_files, recordings
 
 from fixel.cli.main import run
+from fixel.database.project import Project
+from fixel.database.query import ALL_EXPERIMENTS
 
 
 def fixel(capsys, *arguments):
@@ -136,3 +140,78 @@ def test_a_bundle_goes_from_one_project_to_another(lab, recording, tmp_path, cap
     assert answer(capsys, "import", tmp_path / "all.zip", "-p", other)["experiments"] == 3
     assert answer(capsys, "import", tmp_path / "all.zip", "-p", other)["known"] == 3
     assert answer(capsys, "list", "-p", other, "--simulated")["total"] == 2
+
+
+def test_import_lists_what_is_left_out(lab, tmp_path, capsys):
+    folder = push_files.mit_push(
+        tmp_path / "pushes", push_files.push(0), push_files.push(1, obj_x1="?"), push_files.push(2)
+    )
+    expected = "mit-push/felt_block_1: pushes.csv.gz, row 2, column obj_x1: found '?'"
+
+    dry = answer(capsys, "import", folder, "--project", lab, "--dry-run")
+    assert (dry["experiments"], len(dry["skipped"])) == (2, 1)
+    assert dry["skipped"][0].startswith(expected)
+
+    code, out, _ = fixel(capsys, "import", folder, "--project", lab)
+    assert code == 0
+    assert "skipped 1:" in out
+    assert expected in out
+    assert answer(capsys, "import", folder, "--project", lab)["skipped"] == dry["skipped"]
+
+    push_files.mit_push(folder, push_files.push(0), push_files.push(1), push_files.push(2))
+    mended = answer(capsys, "import", folder, "--project", lab)
+    assert (mended["new"], mended["known"], mended["skipped"]) == (1, 2, [])
+
+
+def test_import_of_nothing_sound_is_refused_and_stores_nothing(lab, tmp_path, capsys):
+    folder = push_files.mit_push(tmp_path / "pushes", push_files.push(0, obj_x1="?"))
+
+    code, _, err = fixel(capsys, "import", folder, "--project", lab)
+
+    assert code == 2
+    assert "column obj_x1" in err
+    assert answer(capsys, "list", "--project", lab)["total"] == 0
+
+
+def test_simulations_of_the_publisher_are_stored_and_compared(lab, tmp_path, capsys):
+    folder = recordings.rpi_2dgad(tmp_path / "trials")
+    frames = range(2, 31)
+    push_files.write_table(
+        folder / "author_simulation_trajectory.csv",
+        [
+            {"experiment_id": 9, "frame": k, "x_mm": 13.0, "y_mm": 201.0 - k, "z_mm": 45.0,
+             "theta_rad": math.pi - 0.02 + 0.01 * (k - 1) - 2 * math.pi * (k > 3)}
+            for k in frames
+        ],
+    )  # fmt: skip
+    assert answer(capsys, "import", folder, "--project", lab)["skipped"] == []
+    assert answer(capsys, "import", folder, "--project", lab)["known"] == 3
+
+    found = answer(capsys, "compare", "9", "--project", lab)["by_publisher"]
+
+    # The measured path of the trial, moved by 3 mm.
+    assert found["position_rms_m"] == pytest.approx(0.003)
+    assert found["final_angle_rad"] == pytest.approx(0.0, abs=1e-9)
+    assert found["error_mm2"] == pytest.approx(9.0)
+    code, out, _ = fixel(capsys, "compare", "9", "--project", lab)
+    assert code == 0
+    assert "simulation by the publisher of the data:" in out
+    with Project(lab).store() as store:
+        assert [
+            store.simulations(number) for number in store.experiment_ids(ALL_EXPERIMENTS)
+        ].count([]) == 1  # 7 has its own file, 9 a row of the table
+        assert store.unsimulated_ids(ALL_EXPERIMENTS) == [1]  # not by fixel
+
+
+def test_simulations_of_the_publisher_go_from_project_to_project(lab, tmp_path, capsys):
+    folder = recordings.rpi_2dgad(tmp_path / "trials")
+    answer(capsys, "import", folder, "--project", lab)
+    other = tmp_path / "other"
+    answer(capsys, "new", other)
+    answer(capsys, "export", lab, tmp_path / "all.zip")
+    answer(capsys, "import", tmp_path / "all.zip", "--project", other)
+
+    both = [Project(place).experiments().simulations for place in (lab, other)]
+
+    assert [*both[0]] == ["rpi-2dgad/7"]
+    assert both[0]["rpi-2dgad/7"].trajectory == both[1]["rpi-2dgad/7"].trajectory

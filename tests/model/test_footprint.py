@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from timeit import repeat
+
 import numpy as np
 import pytest
 import shapely
 
 from fixel.errors import InvalidInput
-from fixel.model import Disk, Polygon, SupportPoints
-from fixel.model.footprint import INNER, OUTER, support_grid
+from fixel.model import Body, Disk, Polygon, SupportPoints, UniformPressure
+from fixel.model.footprint import INNER, OUTER, cells, support_grid
 
 SQUARE = Polygon([[0.03, 0.03], [-0.03, 0.03], [-0.03, -0.03], [0.03, -0.03]])
 TURN = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
@@ -52,3 +55,26 @@ def test_points_lie_inside_and_can_carry_a_body(shape: Polygon | Disk) -> None:
 def test_rings_beyond_the_outline_are_refused(sizes: dict[str, float]) -> None:
     with pytest.raises(InvalidInput, match="fraction between 0 and 1"):
         support_grid(SQUARE, **sizes)
+
+
+def test_cells_are_the_same_for_equal_shapes_and_cannot_be_written_to() -> None:
+    points, share = cells(Polygon(ELLIPSE.vertices), 64)
+
+    assert cells(ELLIPSE, 64)[0] is points
+    with pytest.raises(ValueError, match="read-only"):
+        points[0] = 0.0
+    assert share @ points == pytest.approx(
+        np.array(shapely.Polygon(ELLIPSE.outline).centroid.coords[0]), abs=1e-12
+    )
+
+
+def test_bodies_of_many_corners_are_built_again_as_fast_as_others() -> None:
+    """A dataset builds its body once for every push, so the cells must not be cut each time."""
+    took = {}
+    for n in (4, 500):
+        turn = np.arange(n) * (2.0 * np.pi / n)
+        shape = Polygon(np.column_stack((0.05 * np.cos(turn), 0.04 * np.sin(turn))))
+        body = Body("part", shape, mass=1.0, support=UniformPressure(friction=0.3))
+        took[n] = min(repeat(lambda body=body: replace(body, pose=(0.1, 0.0, 0.0)), number=5))
+
+    assert took[500] < 10.0 * took[4]  # 3 times; 40 times without the cells in memory

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import pi
 from typing import Final, NamedTuple
 
@@ -17,6 +18,8 @@ from fixel.typing import FloatArray
 
 # Outlines with more corners than this count as smooth curves.
 MAX_CORNERS: Final = 12
+# Shapes whose cells are kept, and triangles whose division is.
+MAX_KEPT: Final = 64
 # Points of the outer and of the inner ring under a smooth outline.
 SMOOTH_RINGS: Final = (10, 6)
 # Sizes of the two rings relative to the outline, about its centroid. The exact value is irrelevant:
@@ -25,10 +28,12 @@ OUTER: Final = 0.93
 INNER: Final = 0.48
 
 
+@lru_cache(MAX_KEPT)
 def cells(shape: Shape, n_points: int) -> tuple[FloatArray, FloatArray]:
     """Compute centroids of small cells that tile a shape, and their shares of the area.
 
-    The weighted mean of the points is the centroid of the shape, to rounding.
+    The weighted mean of the points is the centroid of the shape, to rounding. The arrays are
+    read-only, since the cells of the latest shapes are kept: bodies are often built again.
 
     Parameters
     ----------
@@ -45,8 +50,11 @@ def cells(shape: Shape, n_points: int) -> tuple[FloatArray, FloatArray]:
         Shares, positive with sum 1 [-].
     """
     if isinstance(shape, Disk):
-        return _disk_cells(shape, n_points)
-    return _polygon_cells(shape, n_points)
+        points, share = _disk_cells(shape, n_points)
+    else:
+        points, share = _polygon_cells(shape, n_points)
+    points.flags.writeable = share.flags.writeable = False
+    return points, share
 
 
 def _disk_cells(disk: Disk, n_points: int) -> tuple[FloatArray, FloatArray]:
@@ -78,12 +86,13 @@ def _fans(polygon: Polygon) -> list[FloatArray]:
     """Return triangles (3, 2) that tile a polygon."""
     triangles = []
     for vertices, _ in polygon.pieces:
-        centre = Polygon(vertices).centroid
+        centre = polygon.centroid if polygon.is_convex else Polygon(vertices).centroid
         following = np.roll(vertices, -1, axis=0)
         triangles += [np.array([centre, a, b]) for a, b in zip(vertices, following, strict=True)]
     return triangles
 
 
+@lru_cache(MAX_KEPT)
 def _similar_cells(per_side: int) -> FloatArray:
     """Barycentric centroids (per_side^2, 3) of the equal triangles that tile one."""
     upright = [(i + 1 / 3, j + 1 / 3) for i in range(per_side) for j in range(per_side - i)]

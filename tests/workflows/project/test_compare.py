@@ -6,13 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fixel.calibration.target import ANGLE_SCALE
 from fixel.datasets import importer_for
 from fixel.errors import InvalidInput
 from fixel.model import Flag, Parameters, PlannedExperiment, Trajectory
 from fixel.simulation.motion import QuasiStatic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import grasp
-from fixel.workflows.project.compare import ANGLE_SCALE, compare_run, frame_rate, summary, travelled
+from fixel.workflows.project.compare import compare_run, frame_rate, summary, travelled
 
 
 def bench(**settings):
@@ -100,7 +101,11 @@ def test_parameters_and_motion_reach_the_simulation(perfect):
 
 def test_a_simulation_that_stopped_has_no_errors(perfect):
     answer = compare_run(perfect)
-    jammed = replace(answer, simulation=replace(answer.simulation, status="jammed", stopped_at=1.0))
+    jammed = replace(
+        answer,
+        status="jammed",
+        simulation=replace(answer.simulation, status="jammed", stopped_at=1.0),
+    )
 
     assert jammed.error_mm2 is jammed.position_rms is jammed.final_angle is None
     assert jammed.same_contact_mode is None

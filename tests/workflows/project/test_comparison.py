@@ -103,3 +103,42 @@ def test_progress_is_reported(pushes):
 
 def test_it_is_saved(found, tmp_path):
     assert fixel.load(found.save(tmp_path / "errors.fixel")).to_dict() == found.to_dict()
+
+
+def test_simulations_of_the_laboratory_are_compared_next_to_ours(data_root):
+    """E of the laboratory's simulations, computed from the files with the thesis's formula."""
+    trials = fixel.read_experiments(data_root / "rpi_2dgad", progress=False)
+    alone = compare(trials, {"laboratory": trials.simulations}, progress=False)
+    both = compare(trials, {"fixel": None, "laboratory": trials.simulations}, progress=False)
+
+    assert len(alone.rows) == 20
+    assert both.models == ("fixel", "laboratory")
+    assert [row.run.experiment.name for row in both.of("laboratory")] == ["141"]
+    assert len(both.skipped) == 19
+    table = np.genfromtxt(
+        data_root / "rpi_2dgad" / "author_simulation_trajectory.csv.gz", delimiter=",", names=True
+    )
+    measured = np.genfromtxt(
+        data_root / "rpi_2dgad" / "object_trajectory.csv.gz", delimiter=",", names=True
+    )
+    listed = np.genfromtxt(
+        data_root / "rpi_2dgad" / "experiments.csv", delimiter=",", names=True, dtype=float
+    )
+    for row in alone.rows:
+        number = float(row.run.experiment.name)
+        about = listed[listed["experiment_id"] == number][0]
+        if number == 141:
+            continue  # from its own files
+        own, theirs = (part[part["experiment_id"] == number] for part in (measured, table))
+        own = own[(own["frame"] >= about["start_frame"]) & (own["frame"] <= about["end_frame"])]
+        path = {
+            name: np.interp(
+                own["frame"],
+                theirs["frame"],
+                np.unwrap(theirs[name]) if name == "theta_rad" else theirs[name],
+            )
+            for name in ("x_mm", "y_mm", "theta_rad")
+        }
+        turned = (path["theta_rad"] - own["theta_rad"] + np.pi) % (2.0 * np.pi) - np.pi
+        squares = (path["x_mm"] - own["x_mm"]) ** 2 + (path["y_mm"] - own["y_mm"]) ** 2
+        assert row.run.error_mm2 == pytest.approx(np.mean(squares + (35.0 * turned) ** 2), rel=1e-6)

@@ -19,11 +19,16 @@ const address = `/experiments/${number}`;
 
 // --- motion and simulation --------------------------------------------------------------------
 
+/** @typedef {{id: number, method: Record<string, string>, parameters: Record<string, number>}} Stored */
+/** Whether the publisher of the data made a stored simulation. @param {Stored} one */
+const byPublisher = (one) => Boolean(one.method.simulated_by);
+
 async function show() {
   const player = new Player(at("player"));
   const charts = new Charts(at("charts"));
   inStep(player, charts);
-  const story = await get(`${address}/motion`);
+  const { simulations } = await get(`${address}/simulations`);
+  const story = await get(`${address}/motion`, { simulation: simulations.find(byPublisher)?.id });
   player.show(story);
   const draw = () => charts.show(usualPanels(at("charts"), player.motions, player.object), /** @type {[number, number]} */ ([player.start, player.end]));
   draw();
@@ -72,7 +77,8 @@ async function both(player, sets) {
 
 /** The newest stored simulation, made again for its forces; without one, with nominal values. @param {Player} player */
 async function newest(player) {
-  const [stored] = (await get(`${address}/simulations`, { limit: 1 })).simulations;
+  const { simulations } = await get(`${address}/simulations`);
+  const stored = simulations.find((/** @type {Stored} */ one) => !byPublisher(one));
   const parameters = stored?.parameters ?? {};
   const motion = ["dynamic", "quasistatic", "first-order"].find((name) => name === stored?.method?.motion) ?? "dynamic";
   const label = stored ? `simulation ${stored.id}` : "simulated now";

@@ -32,10 +32,11 @@ export function offerImport(done) {
   });
   at("import-do").addEventListener("click", async () => {
     try {
-      const answers = await each(false);
+      const { read, skipped } = await each(false);
       dialog.close();
-      const known = answers.filter((answer) => answer.known).length;
-      toast(`Imported ${several(answers.length - known, "experiment")}${known ? `; ${known} were already stored` : ""}.`);
+      const known = read.filter(({ answer }) => answer.known).length;
+      toast(`Imported ${several(read.length - known, "experiment")}${known ? `; ${known} were already stored` : ""}${
+        skipped.length ? `; skipped ${skipped.join("; ")}` : ""}.`);
       done();
     } catch (problem) {
       refused(problem);
@@ -75,12 +76,16 @@ async function read() {
   go.disabled = true;
   if (!tables.length) return;
   try {
-    const answers = await each(true);
-    at("import-read").replaceChildren(...answers.slice(0, 1).map((answer, k) => make("details", { open: true },
-      make("summary", {}, tables[k].name + (tables.length > 1 ? `, and ${several(tables.length - 1, "table")} more` : "")),
-      make("ul", {}, ...answer.understood.map((/** @type {string} */ sentence) => make("li", {}, sentence))))));
+    const { read, skipped } = await each(true);
+    const [{ name, answer }] = read;
+    at("import-read").replaceChildren(
+      make("details", { open: true },
+        make("summary", {}, name + (read.length > 1 ? `, and ${several(read.length - 1, "table")} more` : "")),
+        make("ul", {}, ...answer.understood.map((/** @type {string} */ sentence) => make("li", {}, sentence)))),
+      ...(skipped.length ? [make("p", {}, `Skipped ${several(skipped.length, "table")}:`),
+        make("ul", { id: "import-skipped" }, ...skipped.map((sentence) => make("li", {}, sentence)))] : []));
     go.disabled = false;
-    if (answers[0].template) template(answers[0].template, tables[0].name);
+    if (answer.template) template(answer.template, name);
   } catch (problem) {
     refused(problem);
   }
@@ -102,16 +107,30 @@ function refused(problem) {
   at("import-problem").textContent = problem.message;
 }
 
-/** Sends each table with the scene. @param {boolean} dry */
+/** Sends each table with the scene; tables that cannot be read are skipped. @param {boolean} dry */
 async function each(dry) {
   const shared = scene ? await scene.text() : null;
-  const answers = [];
+  /** @type {{name: string, answer: any}[]} */
+  const read = [];
+  /** @type {string[]} */
+  const skipped = [];
   for (const file of tables) {
-    const text = await file.text();
-    if (text.length > MOST) {
-      throw new Refusal({ status: 413, sentence: `${file.name} is too large for this page; run: fixel import ${file.name} --scene FILE` });
+    try {
+      read.push({ name: file.name, answer: await sent(file, shared, dry) });
+    } catch (problem) {
+      if (!(problem instanceof Refusal) || tables.length === 1) throw problem;
+      skipped.push(`${file.name}: ${problem.message}`);
     }
-    answers.push(await send("/import", { name: file.name, table: text, scene: shared, dry_run: dry }));
   }
-  return answers;
+  if (!read.length) throw new Refusal({ status: 422, sentence: skipped.join("; ") });
+  return { read, skipped };
+}
+
+/** @param {File} file @param {string | null} shared the scene @param {boolean} dry */
+async function sent(file, shared, dry) {
+  const text = await file.text();
+  if (text.length > MOST) {
+    throw new Refusal({ status: 413, sentence: `${file.name} is too large for this page; run: fixel import ${file.name} --scene FILE` });
+  }
+  return send("/import", { name: file.name, table: text, scene: shared, dry_run: dry });
 }
