@@ -13,7 +13,7 @@ from fixel.model import Experiment
 from fixel.testbed.simulated import TRUTH
 from fixel.units import displayed, split_unit
 from fixel.web.values import MAX_ID
-from fixel.workflows.project.compare import summary
+from fixel.workflows.project.compare import compare_path, summary
 
 if TYPE_CHECKING:
     from fixel.web.context import ProjectContext
@@ -50,6 +50,7 @@ def experiment_page(context: ProjectContext, request: Request) -> dict[str, Any]
         "has_scene": experiment.scene is not None,
         "has_video": bool(experiment.video),
         "facts": facts(experiment),
+        "published": published_facts(context, number, experiment),
         "conditions": conditions(experiment, truth=False),
         "truth": conditions(experiment, truth=True),
         "provenance": provenance(experiment),
@@ -76,6 +77,22 @@ def facts(experiment: Experiment) -> list[Fact]:
         found.append(Fact("contacts at the end", _touched(known["contact_mode"])))
     channels = ", ".join(channel.name for channel in experiment.channels)
     return [*found, Fact("signals", channels)] if channels else found
+
+
+def published_facts(context: ProjectContext, number: int, experiment: Experiment) -> list[Fact]:
+    """Facts on the simulation by the publisher of the experiment; none without one."""
+    simulation = context.store.published_simulations().get(number)
+    if simulation is None:
+        return []
+    found = compare_path(experiment, context.store.simulation(simulation))
+    shown = [
+        Fact("error, root of E", _fixed((found.error_mm2 or 0.0) ** 0.5, 2), "mm"),
+        Fact("distance, rms", _fixed(1e3 * (found.position_rms or 0.0), 2), "mm"),
+        Fact("distance, end", _fixed(1e3 * (found.final_position or 0.0), 2), "mm"),
+        Fact("angle, end", _fixed(degrees(found.final_angle or 0.0), 2), "deg"),
+    ]
+    mode = found.contact_mode
+    return [*shown, Fact("contacts at the end", _touched(mode))] if mode else shown
 
 
 def conditions(experiment: Experiment, truth: bool) -> list[Fact]:

@@ -119,7 +119,7 @@ async function each(dry) {
       read.push({ name: file.name, answer: await sent(file, shared, dry) });
     } catch (problem) {
       if (!(problem instanceof Refusal) || tables.length === 1) throw problem;
-      skipped.push(`${file.name}: ${problem.message}`);
+      skipped.push(problem.message.includes(file.name) ? problem.message : `${file.name}: ${problem.message}`);
     }
   }
   if (!read.length) throw new Refusal({ status: 422, sentence: skipped.join("; ") });
