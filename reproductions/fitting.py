@@ -53,11 +53,6 @@ class FittedPushes(NamedTuple):
         """Fitted values by name."""
         return dict(zip(self.names, self.point.tolist(), strict=True))
 
-    def beside(self, known: Mapping[str, float]) -> FittedPushes:
-        """Add values that were known already."""
-        point = np.concatenate((self.point, list(known.values())))
-        return self._replace(names=(*self.names, *known), point=point)
-
 
 # --- priors ---------------------------------------------------------------------------------------
 

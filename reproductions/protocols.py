@@ -12,9 +12,12 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache, listed
 from fixel.model import wrapped
+from fixel.parts.model import PartModel
+from fixel.parts.prior import NAMES
 from fixel.replay.base import Row
 from fixel.replay.mit_pushes import MitPushes, read_mit_pushes
 from fixel.typing import BoolArray, FloatArray, IntArray, ProgressCallback
+from fixel.workflows.parts import part_model
 from reproductions.fitting import (
     Belief,
     FitMember,
@@ -46,8 +49,8 @@ FEW_PUSHES: Final = 10
 # Standard deviations of the loads on the net.
 FREE: Final = 1.0
 FREEDOMS: Final = (1.5, 0.3, 3.0)
-# Maximum number of pushes of each other shape in the joint fit of a surface.
-MAX_OF_OTHERS: Final = 100
+# Maximum number of pushes of each other shape on a surface that teach about a new one.
+MAX_OF_OTHERS: Final = 250
 QUICK_SHAPES, QUICK_PUSHES, QUICK_ITERATIONS = 3, 60, 4
 ITERATIONS: Final = 10
 
@@ -56,7 +59,7 @@ PROTOCOLS: Final[dict[str, str]] = {
     "learned": "the same, and a Gaussian process on what it leaves over",
     "few": f"physics calibrated on {FEW_PUSHES} pushes of the plate and surface",
     "unregistered": "physics calibrated without any registration of tracker to robot",
-    "new-shape": "a plate never seen: what other plates on the surface have in common",
+    "new-shape": "a plate never seen: what other plates have in common",
 }
 
 
@@ -137,6 +140,7 @@ class BenchmarkData:
         self.rows = _quick(rows) if request.quick else rows
         self.names = data.names
         self._groups: dict[Key, PushGroup] = {}
+        self._part_models: dict[str, PartModel] = {}
         self._done, self.total = 0, 0
 
     def advance(self, what: str) -> None:
@@ -151,6 +155,27 @@ class BenchmarkData:
     def on_surface(self, key: Key) -> list[Key]:
         """Keys of all plates on the same surface as a given one."""
         return [own for own in self.rows if own[0] == key[0]]
+
+    def part_model_without(self, shape: str) -> PartModel:
+        """Return what the other plates teach about a plate, from 250 pushes of each at most."""
+        if shape not in self._part_models:
+            rng = np.random.default_rng(0)
+            experiments = [
+                self.data.experiments[row]
+                for own, rows in self.rows.items()
+                if own[1] != shape
+                for row in np.sort(rng.permutation(rows)[:MAX_OF_OTHERS]).tolist()
+            ]
+            folder = self.finished.folder
+            self._part_models[shape] = part_model(
+                experiments,
+                part="shape",
+                surface="surface",
+                threads=self.request.threads,
+                store=None if folder is None else folder / "parts",
+                progress=False,
+            )
+        return self._part_models[shape]
 
     def splits(self, key: Key) -> list[Split]:
         speeds = np.round(self.data.speed[self.rows[key]] * 1e3, 6).tolist()
@@ -254,7 +279,7 @@ def _few(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
         few = {
             own: few_of(bench.splits(own)[k], FEW_PUSHES, k).train for own in bench.on_surface(key)
         }
-        shift, common = _in_common(bench, f"few_{k}", key[0], few, quarter=0.3)
+        shift, common = _in_common(bench, f"few_{k}", key[0], few)
         shift = gap_registration(group, few[key], shift, 0.7e-3).shift
         known = [
             *tip_beliefs(0.02),
@@ -272,7 +297,7 @@ def _few(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
 
 
 def _in_common(
-    bench: BenchmarkData, name: str, surface: str, train: Mapping[Key, IntArray], quarter: float
+    bench: BenchmarkData, name: str, surface: str, train: Mapping[Key, IntArray]
 ) -> tuple[FloatArray, FittedPushes]:
     """Common parameters of plates on a surface: median of their registrations (2,), and a joint
     fit of tip friction and load distribution."""
@@ -282,24 +307,26 @@ def _in_common(
         group = bench.group(own)
         shifts.append(gap_registration(group, some).shift)
         members.append(FitMember(group, some, _shifted(shifts[-1])))
-    table = table_beliefs(bend=0.5, quarter=quarter, slope=0.0)
+    table = table_beliefs(bend=0.5, quarter=0.3, slope=0.0)
     beliefs = [*tip_beliefs(), *table, *part_beliefs(0.7)]
     found = bench.fitted(name, (surface, "common"), members, beliefs)
     return np.median(shifts, axis=0), found
 
 
 def _new_shape(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
-    """Predict a plate from other plates on the surface only."""
-    others = [own for own in bench.on_surface(key) if own != key]
-    if others:
-        rng = np.random.default_rng(0)
-        some = {
-            own: np.sort(rng.permutation(len(bench.rows[own]))[:MAX_OF_OTHERS]) for own in others
-        }
-        shift, common = _in_common(bench, f"without_{key[1]}", key[0], some, quarter=0.0)
+    """Predict a plate from the other plates on all surfaces, as `fixel.part_model` does."""
+    if any(own != key for own in bench.on_surface(key)):
         group = bench.group(key)
-        found = common.beside(_shifted(shift))
-        yield _piece(bench, group, 0, np.arange(len(group)), found)
+        model = bench.part_model_without(key[1])
+        end = np.full((len(group), 3), np.nan)
+        pushes = [bench.data.experiments[row] for row in group.rows.tolist()]
+        with_scene = [k for k, own in enumerate(pushes) if own.scene is not None]
+        found = model.predict([pushes[k] for k in with_scene])
+        end[with_scene] = [tuple(own.pose) for own in found]
+        values = model.distribution(*key).mean.tolist()
+        fit = {"surface": key[0], "shape": key[1], "split": 0, "pushes_simulated": 0}
+        fit["values"] = dict(zip(NAMES, values, strict=True))
+        yield Piece(group, 0, np.arange(len(group)), end, fit)
     bench.advance(f"new-shape {' '.join(key)}")
 
 

@@ -25,7 +25,7 @@ from fixel.parts.prior import NAMES, PartValues, SupportPrior, learned_prior
 from fixel.parts.pushes import PartPushes
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
-from fixel.typing import FloatArray
+from fixel.typing import BoolArray, FloatArray
 
 MIN_PARTS: Final = 3  # with fewer, leaving one out says nothing
 # Two pushes count as one if contact and direction are as close as this.
@@ -132,12 +132,29 @@ class PartModel(Result):
         InvalidInput
             The scene has several bodies or pushers, or a support that is not modelled.
         """
-        target = self._named(push_target(push, conditions))
-        one = PartPushes([target], self.threads)
-        prior = self.distribution(*_label(target, self.surface, self.part))
-        features, ends, good = bound_features(one, np.zeros(1, np.int64), prior)
-        pose = Pose(*(float(x) for x in ends[0]))
-        return PartPrediction(pose, self._bound(target, features, bool(good[0])))
+        return self.predict([push], **conditions)[0]
+
+    def predict(
+        self, pushes: Sequence[Scene | Experiment], **conditions: str | float
+    ) -> tuple[PartPrediction, ...]:
+        """Predict the ends of several pushes, as `at` does for one.
+
+        Pushes of one part on one surface are simulated together.
+        """
+        targets = [self._named(push_target(own, conditions)) for own in pushes]
+        groups: dict[tuple[object, ...], list[int]] = {}
+        for k, target in enumerate(targets):
+            label = _label(target, self.surface, self.part)
+            groups.setdefault((*label, target.case.scene.bodies[0].shape), []).append(k)
+        found: dict[int, PartPrediction] = {}
+        for (surface, part, _), rows in groups.items():
+            own = PartPushes([targets[k] for k in rows], self.threads)
+            prior = self.distribution(str(surface), str(part))
+            features, ends, good = bound_features(own, np.arange(len(own)), prior)
+            bounds = self._bounds_of([targets[k] for k in rows], features, good)
+            for k, end, bound in zip(rows, ends.tolist(), bounds, strict=True):
+                found[k] = PartPrediction(Pose(*end), bound)
+        return tuple(found[k] for k in range(len(targets)))
 
     def after(self, pushes: Iterable[Experiment], *, chosen: bool = False) -> PartModel:
         """Return the model of one new part after some of its pushes.
@@ -336,45 +353,46 @@ class PartModel(Result):
         blank = dict.fromkeys((self.part, self.surface), "")
         return with_dataset(target._replace(conditions={**blank, **target.conditions}))
 
-    def _bound(self, target: Target, features: FloatArray, good: bool) -> PushBound:
+    def _bounds_of(
+        self, targets: Sequence[Target], features: FloatArray, good: BoolArray
+    ) -> list[PushBound]:
+        """Return the bounds of predicted pushes, with what is unseen about them."""
+        n, k = len(set(self.left_out.part)), self.left_out.pushes
+        if self._bounds[0]:
+            ends = np.array(
+                [own[rule].bounds(features) for own in self._bounds for rule in (TYPICAL, CAUTIOUS)]
+            ).T
+            far = self._bounds[0][TYPICAL].reasons(features)
+        else:
+            ends = np.full((len(targets), 4), np.inf)
+            few = f"{n} parts were pushed often enough; a bound needs {MIN_PARTS} at least"
+            far = (few,) * len(targets)
+        judged = f"judged by {n} parts that were left out, each after {_count(k)} of its own"
+        found = []
+        for target, end, why, ended in zip(targets, ends.tolist(), far, good, strict=True):
+            texts = self._unseen(target)
+            reason = "its simulation failed" if not ended else self._out_of_range(target) or why
+            if reason or not np.isfinite(end).all():
+                why = reason or "too many simulations failed"
+                found.append(PushBound(None, None, NO_DATA, why, texts))
+                continue
+            proved = n / (n + 1.0)
+            bound = PushBound(end[0], end[2], UNSEEN, judged, texts, end[1], end[3], proved)
+            found.append(bound)
+        return found
+
+    def _unseen(self, target: Target) -> tuple[str, ...]:
+        """Return what is unseen about a push, or that its part is predicted like a new one."""
         _, part = _label(target, self.surface, self.part)
         given = {name: x for name, x in target.conditions.items() if x != ""}
-        texts = list(texts_of(self._known.unseen(target._replace(conditions=given))))
+        texts = texts_of(self._known.unseen(target._replace(conditions=given)))
         if self.pushes:
-            own = f"{part!r}: " if part else ""
-            texts.insert(0, f"part {own}only {_count(len(self.pushes))} of it")
-        if not texts:
-            texts = [f"part {part!r}: predicted like a new one, from the other parts"]
-        reason = self._no_bound(target, features, good)
-        if reason:
-            return PushBound(None, None, NO_DATA, reason, tuple(texts))
-        ends = [
-            float(own[rule].bounds(features)[0])
-            for own in self._bounds
-            for rule in (TYPICAL, CAUTIOUS)
-        ]
-        if not np.isfinite(ends).all():
-            return PushBound(None, None, NO_DATA, "too many simulations failed", tuple(texts))
-        n = len(set(self.left_out.part))
-        k = self.left_out.pushes
-        return PushBound(
-            ends[0],
-            ends[2],
-            UNSEEN,
-            f"judged by {n} parts that were left out, each after {_count(k)} of its own",
-            tuple(texts),
-            ends[1],
-            ends[3],
-            n / (n + 1.0),
-        )
+            own = f" {part!r}" if part else ""
+            return (f"part{own}: only {_count(len(self.pushes))} of it", *texts)
+        return texts or (f"part {part!r}: predicted like a new one, from the other parts",)
 
-    def _no_bound(self, target: Target, features: FloatArray, good: bool) -> str:
-        """Return why there is no bound for a push; empty where there is one."""
-        if not self._bounds[0]:
-            n = len(set(self.left_out.part))
-            return f"{n} parts were pushed often enough; a bound needs {MIN_PARTS} at least"
-        if not good:
-            return "its simulation failed"
+    def _out_of_range(self, target: Target) -> str:
+        """Return why a push is too far from the known ones for a bound; empty if it is not."""
         own = KnownPushes.of([target])
         for what, known, value in (
             ("size", self._known.size[:, 0], float(own.size[0, 0])),
@@ -386,7 +404,7 @@ class PartModel(Result):
                     f"its {what} of {1e3 * value:.3g} mm is far from those of the parts that were"
                     f" pushed, {1e3 * low:.3g} to {1e3 * high:.3g} mm"
                 )
-        return self._bounds[0][TYPICAL].reasons(features)[0]
+        return ""
 
     def _summary(self) -> Summary:
         left = self.left_out

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.objective import ANGLE_SCALE
+from fixel.calibration.registration import gaps_and_normals
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput
 from fixel.model import Disk, PathDrive, Pusher, Scene, wrapped
@@ -74,6 +75,11 @@ class PartPushes:
         """Return errors (n, 2) of end poses: position [m] and angle [rad]."""
         off = ends - self.end[which]
         return np.column_stack((np.hypot(off[:, 0], off[:, 1]), np.abs(wrapped(off[:, 2]))))
+
+    def first_normal(self) -> FloatArray:
+        """Return the directions (n,) of the outward normals where pushes begin [rad]."""
+        _, normal = gaps_and_normals(self.body.shape, self.radius, self.start, self.tip_start)
+        return np.arctan2(normal[:, 1], normal[:, 0])
 
     def distance(self, which: IntArray, ends: FloatArray, good: BoolArray) -> float:
         """Return the mean distance of end poses (n, 3) from the measured ones [m]; angles times

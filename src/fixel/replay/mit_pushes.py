@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 from fixel.datasets.mit_plates import MU_PUSHER, MU_SUPPORT
 from fixel.datasets.mit_push import LARGEST_GAP, STROKE, MitPush, published_ends
 from fixel.errors import InvalidInput
-from fixel.model import (
-    Body,
-)
+from fixel.model import Body, Experiment
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 # Nothing is fitted: friction at the tip as in the published simulator, even pressure. Friction of
@@ -47,6 +45,8 @@ class MitPushes:
         Gap from the surface of the tip to the outline [m].
     published : mapping from name to (n, 3) float64
         End pose by the published simulator, one per limit surface; NaN if missing.
+    experiments : tuple of Experiment
+        The imported pushes, in the same order.
     """
 
     names: NDArray[np.str_]
@@ -61,6 +61,7 @@ class MitPushes:
     gap_start: FloatArray
     gap_end: FloatArray
     published: dict[str, FloatArray]
+    experiments: tuple[Experiment, ...]
 
     def __len__(self) -> int:
         return len(self.start)
@@ -116,4 +117,5 @@ def read_mit_pushes(folder: Path) -> MitPushes:
         gap_start=np.asarray(condition("gap0_m"), dtype=np.float64),
         gap_end=np.asarray(condition("gap1_m"), dtype=np.float64),
         published=published_ends(folder, [experiment.name for experiment in experiments]),
+        experiments=tuple(experiments),
     )

@@ -1,0 +1,76 @@
+"""What other parts teach: against a direct simulation of parts that differ about a mean."""
+
+import numpy as np
+import pytest
+
+from fixel.parts.prior import NAMES, UNPUSHED, PartValues, SupportPrior, learned_prior
+
+RIM, CORNER = NAMES.index("pressure_rim"), NAMES.index("pressure_corner")
+SHIFT, BEND = NAMES.index("registration_x"), NAMES.index("table_bend_xy")
+
+
+def fits(n, seed=0, **means):
+    """n parts on two surfaces, each drawn about the means with the spread before any push."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for k in range(n):
+        for surface in ("wood", "steel"):
+            own = {name: rng.normal(spread.mean, spread.sd) for name, spread in UNPUSHED.items()}
+            for name, value in means.items():
+                where, _, surface_only = name.partition("__")
+                if not surface_only or surface_only == surface:
+                    own[where] += value
+            rows.append(PartValues(f"part-{k}", surface, np.array([own[n] for n in NAMES])))
+    return rows
+
+
+def test_without_parts_it_is_equal_loads():
+    prior = learned_prior([], "wood", 1.0)
+    np.testing.assert_array_equal(prior.mean, SupportPrior.unpushed().mean)
+
+
+def test_the_mean_of_many_parts_is_found_and_the_share_scales_it():
+    rows = fits(200, pressure_rim=1.5)
+    full, half, none = (learned_prior(rows, "wood", share).mean[RIM] for share in (1.0, 0.5, 0.0))
+    assert full == pytest.approx(1.5, abs=0.2)
+    assert half == pytest.approx(0.5 * full)
+    assert none == 0.0
+
+
+def test_what_belongs_to_a_surface_is_learned_from_its_parts_only():
+    rows = fits(100, table_bend_xy__wood=-1.5, registration_x__steel=2e-3)
+    wood, steel = (learned_prior(rows, surface, 1.0).mean for surface in ("wood", "steel"))
+    assert wood[BEND] == pytest.approx(-1.5, abs=0.2)
+    assert steel[BEND] == pytest.approx(0.0, abs=0.2)
+    assert steel[SHIFT] - wood[SHIFT] == pytest.approx(2e-3, abs=4e-4)
+    unknown = learned_prior(rows, "felt", 1.0).mean
+    assert unknown[BEND] == pytest.approx(-0.75, abs=0.2)
+
+
+def test_signs_that_mean_nothing_on_another_part_stay_centred():
+    rows = fits(50, pressure_diagonal=2.0)
+    assert learned_prior(rows, "wood", 1.0).mean[NAMES.index("pressure_diagonal")] == 0.0
+
+
+def test_new_parts_are_within_the_spread_as_often_as_a_normal_distribution_says():
+    """Of six parts; the seventh is drawn from the same distribution."""
+    inside, n = 0, 0
+    for seed in range(200):
+        rows = fits(7, seed)
+        prior = learned_prior(rows[:12], "wood", 1.0)
+        away = rows[12].values - prior.mean
+        sd = np.sqrt(np.diag(prior.covariance))
+        inside += int((np.abs(away) <= 1.645 * sd).sum())
+        n += len(away)
+    assert 0.9 < inside / n < 0.99  # wider than 90 %, because the model is known to misfit
+
+
+def test_samples_have_the_mean_and_covariance_and_stay_within_bounds():
+    prior = learned_prior(fits(6), "wood", 1.0)
+    values = prior.at(np.random.default_rng(0).normal(size=(20000, len(NAMES))))
+    free = [RIM, CORNER, SHIFT]
+    np.testing.assert_allclose(values[:, free].mean(axis=0), prior.mean[free], atol=0.15)
+    low = np.array([spread.low for spread in UNPUSHED.values()])
+    high = np.array([spread.high for spread in UNPUSHED.values()])
+    assert (values >= low).all()
+    assert (values <= high).all()
