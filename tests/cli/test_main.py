@@ -49,7 +49,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
             2,
             "bodies[0].mass: found -1",
         ),
-        (DatasetMissing("pushes"), 2, "found no dataset in pushes"),
+        (DatasetMissing("pushes"), 2, "pushes: no such file or folder"),
         (SolveFailed("the pusher is jammed"), 3, "the pusher is jammed"),
         (KeyboardInterrupt(), 130, "stopped"),
     ],

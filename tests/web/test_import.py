@@ -105,8 +105,12 @@ def test_a_simulation_by_the_publisher_is_on_the_page(bench, tmp_path):
     bench.context.project.add(plan_import(folder))
     stored = bench.context.store.find("rpi-2dgad/7")
 
-    assert "Simulation by the publisher of the data" in bench.client.get(f"/experiments/{stored}").text
-    (simulation,) = bench.client.get(f"/api/v1/experiments/{stored}/simulations").json()["simulations"]
+    assert (
+        "Simulation by the publisher of the data" in bench.client.get(f"/experiments/{stored}").text
+    )
+    (simulation,) = bench.client.get(f"/api/v1/experiments/{stored}/simulations").json()[
+        "simulations"
+    ]
     assert simulation["method"] == {"simulated_by": "laboratory"}
     offered = bench.client.get(f"/api/v1/experiments/{stored}/comparison").json()["sets"]
     assert [one["label"] for one in offered if one["kind"] == "simulation"] == [
