@@ -17,6 +17,8 @@ from fixel.domain.error_bound import LEVEL, ConformalBound, Experience, constant
 from fixel.replay.base import Row
 from fixel.typing import BoolArray, FloatArray, IntArray
 from reproductions.charts.error_bounds import error_bounds_figure
+from reproductions.map_cells import PLACES, Half, map_rows
+from reproductions.new_sides import trusted_rows
 from reproductions.protocols import BenchmarkData, calibrated_bench, full_fit
 from reproductions.residuals import PushErrors, Split, evidence_of
 from reproductions.result import Reproduction, RunOptions
@@ -74,8 +76,16 @@ def run(options: RunOptions) -> Reproduction:
     overall = [row for what in WHAT for row in _overall(what, counted[what])]
     groups = [row for what in WHAT for row in _by_group(what, counted[what], names)]
     curve = [row for what in WHAT for row in _curve(what, _reported(counted[what]))]
+    trusted = [row for what in WHAT for row in _trusted(what, _reported(counted[what]), names)]
+    maps = map_rows(_map_halves(tables, features, names))
     return Reproduction(
-        tables={"overall": overall, "groups": groups, "reliability": curve},
+        tables={
+            "overall": overall,
+            "groups": groups,
+            "reliability": curve,
+            "trusted": trusted,
+            "maps": maps,
+        },
         conclusions=_conclusions(overall, groups),
         settings={
             "level": LEVEL,
@@ -135,6 +145,27 @@ def _halves(table: PushTable, seed: int) -> tuple[IntArray, IntArray]:
         for k, half in enumerate(halves):
             half += own[k::2].tolist()
     return np.sort(halves[0]), np.sort(halves[1])
+
+
+def _map_halves(
+    tables: Sequence[PushTable], features: Sequence[str], names: Sequence[str]
+) -> list[tuple[Half, Half]]:
+    """Pairs of halves of the reported splits, each used both ways."""
+    columns = [features.index(name) for name in PLACES]
+    found = []
+    for repeat, table in enumerate(tables):
+        if repeat == CHOSEN_ON and len(tables) > 1:
+            continue
+        first, second = (
+            Half(
+                table.features[rows][:, columns],
+                table.errors[rows, list(WHAT).index("both")],
+                [names[g] for g in table.group[rows]],
+            )
+            for rows in _halves(table, 100 * repeat)
+        )
+        found += [(first, second), (second, first)]
+    return found
 
 
 def _counted(
@@ -222,6 +253,13 @@ def _row(what: str, counted: Sequence[HalfCount]) -> Row:
         row["constant_by_group_mean"] = factor * by_group
         row["sharper_than_by_group"] = 1.0 - _mean(bound[known]) / by_group
     return row
+
+
+def _trusted(what: str, counted: Sequence[HalfCount], names: Sequence[str]) -> list[Row]:
+    error, bound, group, _ = _joined(counted)
+    unit, factor = WHAT[what]
+    own = [names[g] for g in group.tolist()]
+    return trusted_rows(what, "random pushes", own, factor * error, {"bound": factor * bound}, unit)
 
 
 def _coverage(own: HalfCount) -> float:

@@ -8,16 +8,23 @@ labels of sides dealt out at random shows how much of the error the side itself 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from fixel.calibration.contacts import Configurations, PushedContacts, TouchedPlaces, contacts_of
 from fixel.calibration.registration import gaps_and_normals
 from fixel.datasets.mit_plates import TIP
-from fixel.domain.error_bound import LEVEL, ConformalBound, Experience, min_experiments
+from fixel.domain.error_bound import (
+    CAUTIOUS,
+    LEVEL,
+    TYPICAL,
+    ConformalBound,
+    Experience,
+    min_experiments,
+)
 from fixel.model import wrapped
 from fixel.replay.base import Row
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -32,6 +39,8 @@ SIDE: Final = "side"
 SPEED: Final = "speed"
 RANDOM: Final = "random"  # sides of the same sizes, dealt out at random
 ERRORS: Final = {"position": ("mm", 1e3), "angle": ("deg", 180.0 / np.pi)}
+BOUNDS: Final = ("blind", "bound", "typical", "cautious")
+THRESHOLDS: Final = (3, 4, 5, 7)  # [mm] or [deg]
 SMOOTH_SIDES: Final = 4  # of outlines with more corners than this many sides
 MAX_SIDES: Final = 8
 MIN_PUSHES: Final = 15  # on a side of its own
@@ -91,18 +100,22 @@ def run(options: RunOptions) -> Reproduction:
     left = {kind: _left_out(bench, kind, own) for kind, own in labels.items()}
     overall: list[Row] = []
     groups: list[Row] = []
+    trusted: list[Row] = []
     for column, name in enumerate(ERRORS):
         beyond = _beyond(bench, plates, left[SIDE] + left[SPEED], column)
         for kind in (SIDE, SPEED):
             counted = _counted(bench, left[kind], beyond, column)
             if counted is None:
                 continue
+            unit, factor = ERRORS[name]
+            bounds = {what: factor * getattr(counted, what) for what in BOUNDS}
+            trusted += trusted_rows(name, kind, counted.group, factor * counted.error, bounds, unit)
             overall += _overall(name, kind, counted)
             groups += _by_group(name, kind, counted)
     transfer = _transfer(left[SIDE], left[RANDOM])
     return Reproduction(
-        tables={"overall": overall, "groups": groups, "transfer": transfer},
-        conclusions=_conclusions(overall, transfer),
+        tables={"overall": overall, "groups": groups, "trusted": trusted, "transfer": transfer},
+        conclusions=_conclusions(overall, transfer, trusted),
         settings={"level": LEVEL, "quick": options.quick},
         figure=partial(new_sides_figure, groups, LEVEL),
     )
@@ -174,6 +187,8 @@ class CoverageCount(NamedTuple):
     error: FloatArray  # (m,)
     blind: FloatArray  # (m,) bound that ignores contacts
     bound: FloatArray  # (m,) bound for the contact; inf without data
+    typical: FloatArray  # (m,) the same by the rule for an average new unit
+    cautious: FloatArray  # (m,) the same by the rule for nearly any new unit
     new: BoolArray  # (m,) whether the contact is new
 
 
@@ -207,7 +222,7 @@ def _counted(
     plates: dict[Key, list[LeftOut]] = {}
     for own in left:
         plates.setdefault(own.key, []).append(own)
-    parts: list[tuple[list[str], FloatArray, FloatArray, FloatArray, BoolArray]] = []
+    parts: list[tuple[Any, ...]] = []
     for k in range(max((len(own) for own in plates.values()), default=0)):
         # Every plate with its k-th side left out; of fewer sides the last judges again.
         use = [own[min(k, len(own) - 1)] for own in plates.values()]
@@ -228,13 +243,17 @@ def _counted(
             contact = own.contacts.rows(rows)
             bounds = plain.for_contacts(contacts, names, beyond[own.key[1]])
             kind = pushed.novelty(contact, name).kind
+            other = [
+                bounds.with_rule(rule).bounds(table, name, contact) for rule in (TYPICAL, CAUTIOUS)
+            ]
             parts.append((name, own.errors[rows, column], plain.bounds(table, name),
-                          bounds.bounds(table, name, contact), np.array(kind) != ""))  # fmt: skip
+                          bounds.bounds(table, name, contact), *other,
+                          np.array(kind) != ""))  # fmt: skip
     if not parts:
         return None
     return CoverageCount(
         [name for part in parts for name in part[0]],
-        *(np.concatenate([part[j] for part in parts]) for j in range(1, 5)),
+        *(np.concatenate([part[j] for part in parts]) for j in range(1, 7)),
     )
 
 
@@ -280,7 +299,8 @@ def _row(name: str, counted: CoverageCount, which: BoolArray) -> Row:
     group = np.array(counted.group)
     row: Row = {"counted": int(which.sum()), "unit": unit}
     row["error_mean"] = factor * float(counted.error[which & np.isfinite(counted.error)].mean())
-    for what, bound in (("blind", counted.blind), ("bound", counted.bound)):
+    for what in BOUNDS:
+        bound = getattr(counted, what)
         known = which & np.isfinite(bound)
         held = counted.error <= bound
         by_group = [
@@ -293,6 +313,45 @@ def _row(name: str, counted: CoverageCount, which: BoolArray) -> Row:
             row[f"{what}_worst"], row[f"{what}_worst_group"] = min(by_group)
             row[f"{what}_mean"] = factor * float(bound[known].mean())
     return row
+
+
+def trusted_rows(
+    name: str,
+    kind: str,
+    group: Sequence[str],
+    error: FloatArray,
+    bounds: Mapping[str, FloatArray],
+    unit: str,
+) -> list[Row]:
+    """Count the pushes whose verdict is "trusted", and those of them that stay within tau.
+
+    Parameters
+    ----------
+    name, kind : str
+        Names of the error, and of what was held out.
+    group : (m,) sequence of str
+    error : (m,) float64
+        Errors, in `unit`.
+    bounds : mapping of str to (m,) float64
+        Bounds of the errors by name, in `unit`.
+    unit : str
+    """
+    names = np.array(group)
+    rows: list[Row] = []
+    for tau in THRESHOLDS:
+        for what, bound in bounds.items():
+            chosen = bound <= tau
+            row: Row = {"error": name, "left_out": kind, "tau": tau, "unit": unit, "bound": what}
+            rows.append(row | {"trusted": int(chosen.sum()), "pushes": len(error)})
+            if chosen.any():
+                by_group = [
+                    (float((error <= tau)[chosen & (names == own)].mean()), own)
+                    for own in dict.fromkeys(names[chosen].tolist())
+                ]
+                rows[-1]["within"] = float((error <= tau)[chosen].mean())
+                rows[-1]["within_worst"], rows[-1]["within_worst_group"] = min(by_group)
+            rows[-1]["all_within"] = float((error <= tau).mean())
+    return rows
 
 
 def _transfer(left: Sequence[LeftOut], control: Sequence[LeftOut]) -> list[Row]:
@@ -323,7 +382,9 @@ def _held_out_once(left: Sequence[LeftOut]) -> dict[Key, FloatArray]:
     return found
 
 
-def _conclusions(overall: Sequence[Row], transfer: Sequence[Row]) -> list[str]:
+def _conclusions(
+    overall: Sequence[Row], transfer: Sequence[Row], trusted: Sequence[Row]
+) -> list[str]:
     sentences = []
     for row in overall:
         if row["contacts"] != "all" or "bound_coverage" not in row:
@@ -335,6 +396,12 @@ def _conclusions(overall: Sequence[Row], transfer: Sequence[Row]) -> list[str]:
             f" {row['bound_mean']:.2f} {row['unit']} on average, {100 * row['bound_no_data']:.1f} %"
             f" without data; blind to the contact {_blind(row)}."
         )
+    sentences += [
+        f"Trusted at {row['tau']} {row['unit']} ({row['error']}, a {row['left_out']} never pushed):"
+        f" {row['trusted']} of {row['pushes']} pushes, {100 * row['within']:.1f} % of them within."
+        for row in trusted
+        if row["bound"] == "bound" and row["error"] == "position" and "within" in row
+    ]
     total = transfer[-1]
     sentences.append(
         f"Errors on a new side {total['position_new_side_mm']:.2f} mm,"

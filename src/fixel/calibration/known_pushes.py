@@ -171,6 +171,10 @@ class KnownPushes(Comparable):
                 yield Unseen(name, f"{name} {value!r}: only {n} of {len(self)} experiments with it")
 
     def _missing_labels(self, given: Mapping[str, str], same: np.ndarray) -> Iterator[Unseen]:
+        for name in (*PARTS, *SURFACES):
+            if given.get(name) and name not in self.labels:
+                text = f"{name} {given[name]!r}: the experiments do not state theirs"
+                yield Unseen(name, text, is_given=False)
         for name, column in self.labels.items():
             counts = Counter(filter(None, column))
             if given.get(name) or name not in IDENTITY:

@@ -46,6 +46,7 @@ _WORDS: Final[Mapping[str, str]] = {
     PREDICTED: "with an error bound only",
 }
 
+TESTS: Final = 5  # parts of the experiments, each tested in the map of the others
 MIN_EXPERIMENTS: Final = 6  # minimum number to estimate the scatter of errors
 
 
@@ -316,21 +317,87 @@ class DomainMap(Result):
     def verdicts(self, claim: Claim) -> list[list[CellVerdict]]:
         """Return the verdict of every cell of every map."""
         confidence, statistic = self.confidence(claim), self.statistic(claim.level)
+        least = self.required_confidence(claim)
         return [
             [
-                self._verdict(claim, g, c, float(confidence[g, c]), float(statistic[g, c]))
+                self._verdict(claim, g, c, float(confidence[g, c]), float(statistic[g, c]), least)
                 for c in range(len(self.cells))
             ]
             for g in range(len(self.groups))
         ]
 
-    def _verdict(self, claim: Claim, g: int, c: int, sure: float, seen: float) -> CellVerdict:
+    def required_confidence(self, claim: Claim, groups: Sequence[str] | None = None) -> float:
+        """Return the confidence from which cells are trusted: that of the claim, or a higher one.
+
+        Cells are trusted because their errors were small, some of them by chance. Therefore each
+        experiment is tested in the map without it: of those in cells that are trusted there, the
+        share of the claim must stay within the threshold. The confidence is raised until they do;
+        it is infinite if no confidence is high enough.
+
+        Parameters
+        ----------
+        claim : Claim
+        groups : sequence of str, optional
+            Maps whose experiments are tested; all by default.
+        """
+        which = np.isin(self.groups, list(self.groups if groups is None else groups))
+        found = [
+            self._tested(claim, rows[which[self._group[rows]]], others)
+            for rows, others in self._without
+        ]
+        if not found:
+            return claim.confidence
+        sure, good = (np.concatenate(own) for own in zip(*found, strict=True))
+        order = np.argsort(-sure, kind="stable")
+        sure, bad = sure[order], np.cumsum(~good[order])
+        enough = bad <= (1.0 - claim.level) * np.arange(1, len(bad) + 1) + 1e-9
+        enough &= np.append(sure[1:] < sure[:-1], True)  # equal confidences are accepted together
+        if not len(sure) or enough[-1]:
+            return claim.confidence
+        return float(sure[enough].min(initial=np.inf))
+
+    def _tested(
+        self, claim: Claim, rows: IntArray, others: DomainMap
+    ) -> tuple[FloatArray, BoolArray]:
+        """Return confidences (m,) of the cells of some experiments in a map without these, where
+        it trusts them, and whether their errors (m,) are within the threshold."""
+        at = (self._group[rows], self.place[rows])
+        sure = others.confidence(claim)[at]
+        trusted = (others.statistic(claim.level)[at] <= claim.threshold) & (
+            sure >= claim.confidence
+        )
+        return sure[trusted], (self.scores[rows] <= claim.score)[trusted]
+
+    @cached_property
+    def _group(self) -> IntArray:
+        number = {group: g for g, group in enumerate(self.groups)}
+        return np.array([number[name] for name in self.evidence.group])
+
+    @cached_property
+    def _without(self) -> list[tuple[IntArray, DomainMap]]:
+        """Parts of the experiments, each with the map of the others."""
+        usable = (self.place >= 0) & ~np.isnan(self.scores)
+        part = np.random.default_rng(0).permutation(len(self.evidence)) % TESTS
+        found = []
+        for k in range(TESTS):
+            others, own = usable & (part != k), np.flatnonzero(usable & (part == k))
+            if others.any() and len(own):
+                seen = _seen(self.place, self._group, self.scores, others)
+                surface = self.surface.of_other(self.cells.places, seen)
+                place = np.where(others, self.place, -1)
+                made = replace(self, place=place, surface=surface, predicted_mm=None)
+                found.append((own, made))
+        return found
+
+    def _verdict(
+        self, claim: Claim, g: int, c: int, sure: float, seen: float, least: float
+    ) -> CellVerdict:
         n = int(self.counts[g, c])
         if n == 0:
             return self._without_data(claim, g, c)
         said = f"{n} experiment{'s' if n > 1 else ''}, {claim.text(seen)}"
         below = seen <= claim.threshold
-        if below and sure >= claim.confidence:
+        if below and sure >= least:
             return CellVerdict(TRUSTED, sure, f"{said}; probability {100.0 * sure:.0f} %")
         if not below and sure <= 1.0 - claim.confidence:
             return CellVerdict(
@@ -338,6 +405,8 @@ class DomainMap(Result):
             )
         if below and sure <= 1.0 - claim.confidence:
             why = "neighbouring cells disagree"
+        elif below and sure >= claim.confidence:
+            why = "in other cells as certain as this one, too many errors exceed the threshold"
         elif below:
             why = f"too few experiments, probability {100.0 * sure:.0f} %"
         else:

@@ -80,6 +80,20 @@ class Surface:
         chance = ndtr((score - quantile) / np.sqrt(self.variance)[:, None])
         return np.asarray((self.weights * chance).sum(axis=1).mean(axis=0))
 
+    def of_other(self, places: FloatArray, seen: CellObservations) -> Surface:
+        """Return the surface of other scores in the same cells, with its likeliest values."""
+        values, n_group = np.log(self.values), self.mean.shape[1]
+        mean, variance = _SurfaceModel(places, n_group, seen).posterior(values)
+        scatter = self.values[-1:]
+        return Surface(
+            mean[None],
+            np.maximum(variance[None], 1e-9),
+            self.covariance,
+            scatter,
+            *_uneven(scatter, seen, n_group, len(places)),
+            self.values,
+        )
+
     @property
     def best(self) -> FloatArray:
         """Mean (n_group, n_cell) over the versions."""
