@@ -239,3 +239,24 @@ def test_fewer_configurations_than_folds_are_refused():
 
 def test_colours_are_all_told_apart():
     assert len(set(COLOURS)) == 5
+
+
+def test_cells_are_trusted_only_where_other_experiments_confirm_it():
+    """One error in five is four times as large, in every cell: cells look good by chance only."""
+    rng = np.random.default_rng(0)
+    claim, steps, n_map = Claim(threshold=3.0), np.tile(STEPS, 8), 8
+
+    def errors(n):
+        return np.where(rng.random(n) < 0.2, 4.8, 1.2)
+
+    group = tuple(f"map {g}" for g in range(n_map) for _ in range(len(STEPS) * 6))
+    domain = mapped(line(errors(6 * len(steps)), steps, repetitions=6, group=group))
+    stated = (domain.statistic(claim.level) <= 3.0) & (domain.confidence(claim) >= 0.95)
+    kept = np.array(colours(domain, claim)) == TRUSTED
+    assert stated.sum() >= 10  # all of them by chance
+    assert kept.sum() <= 0.3 * stated.sum()
+    assert (stated | ~kept).all()
+    # Where errors are alike, nothing is taken away.
+    fine = mapped(line(1.0 + 0.2 * rng.random(6 * len(steps)), steps, repetitions=6, group=group))
+    assert fine.required_confidence(claim) == claim.confidence
+    assert (np.array(colours(fine, claim)) == TRUSTED).all()

@@ -46,7 +46,7 @@ _WORDS: Final[Mapping[str, str]] = {
     PREDICTED: "with an error bound only",
 }
 
-TESTS: Final = 5  # parts of the experiments, each tested in the map of the others
+TESTS: Final = 10  # parts of the experiments, each tested in the map of the others
 MIN_EXPERIMENTS: Final = 6  # minimum number to estimate the scatter of errors
 
 
