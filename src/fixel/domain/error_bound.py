@@ -53,7 +53,7 @@ COLOURS: Final = (TRUSTED, DOUBTFUL, NOT_TRUSTED, NO_DATA)
 # How scores of units that were left out as a whole bound the error in a new unit.
 GUARANTEED: Final = "guaranteed"  # a new unit is one more draw; it has a weight at infinity
 TYPICAL: Final = "typical"  # for an average new unit: all units together, each with equal weight
-CAUTIOUS: Final = "cautious"  # for nearly any new unit: the unit with the largest quantile
+CAUTIOUS: Final = "cautious"  # for nearly any: the group, or unit, with the largest quantile
 RULES: Final = (GUARANTEED, TYPICAL, CAUTIOUS)
 MIN_UNITS: Final = 2
 
@@ -184,10 +184,13 @@ class ConformalBound:
         """Probability that n units can prove at most, if new units are drawn like them.
 
         Guaranteed: the level, or n / (n + 1) if that is less. Typical: n / (n + 1) of the level,
-        for a push of a new unit. Cautious: n / (n + 1), for the event that a new unit has `level`
-        of its pushes within.
+        for a push of a new unit. Cautious: n / (n + 1), for the event that a new unit (a new group
+        of n, if it was fitted with groups) has `level` of its pushes within.
         """
-        most = 1.0 if self._unit is None else self.n_unit / (self.n_unit + 1.0)
+        n = self.n_unit
+        if self.rule == CAUTIOUS and len(self._groups) >= MIN_UNITS:
+            n = len(self._groups)
+        most = 1.0 if self._unit is None else n / (n + 1.0)
         return {GUARANTEED: min(self.level, most), TYPICAL: most * self.level}.get(self.rule, most)
 
     def with_rule(self, rule: str) -> ConformalBound:
@@ -369,8 +372,12 @@ class ConformalBound:
         """Return quantiles (n_level, m) of values (n, m), which the experiments reach."""
         if self._unit is None or self.rule != CAUTIOUS:
             return _weighted(reached, *self._weights(label), levels)
-        units = [reached[self._unit == u] for u in range(self.n_unit)]
-        found = [_weighted(own, np.ones(len(own)), 0.0, levels) for own in units]
+        whole = self._unit if len(self._groups) < MIN_UNITS else self._group
+        weight = 1.0 / np.bincount(self._unit)[self._unit]
+        found = [
+            _weighted(reached[own], weight[own], 0.0, levels)
+            for own in (whole == k for k in range(int(whole.max()) + 1))
+        ]
         return np.asarray(np.max(found, axis=0))
 
     def _weights(self, label: Hashable) -> tuple[FloatArray, float]:
