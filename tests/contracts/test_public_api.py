@@ -27,7 +27,7 @@ from fixel.model import PlannedExperiment
 from fixel.results import MAX_COLUMNS, MAX_HTML, MAX_LINES, Result
 from fixel.simulation import StewartTrinkle
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.testing.pushes import example_pushes
+from fixel.testing.pushes import example_parts, example_pushes
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.units import deg, mm
 
@@ -89,6 +89,13 @@ CASES = {
     "ErrorBound": Case(
         lambda: (example_pushes(10, duration=0.2), SPACE),
         functools.partial(fixel.error_bound, folds=2, **QUIET),
+    ),
+    "PartModel": Case(lambda: (example_parts(3, 8),), functools.partial(fixel.part_model, **QUIET)),
+    "NextPushes": Case(
+        lambda: (example_parts(3, 8), fixel.push_candidates(pushed_square(0.5), contacts=4)),
+        lambda pushes, candidates: fixel.part_model(pushes, **QUIET).next_pushes(
+            candidates, part="square", surface="board"
+        ),
     ),
     "FilterRun": Case(lambda: (grasped(),), functools.partial(fixel.filter, particles=10, **QUIET)),
 }

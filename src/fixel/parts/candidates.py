@@ -10,8 +10,8 @@ import numpy as np
 import shapely
 
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, LineDrive, Pusher, Scene
-from fixel.model.fields import non_negative, positive
+from fixel.model import Body, Disk, LineDrive, Pusher, Scene, placed
+from fixel.model.fields import instance, non_negative, positive
 
 GAP: Final = 1e-4  # from the tip to the outline at the start [m]
 DIRECTIONS: Final = (-20.0, 0.0, 20.0)  # of the push from the inward normal [deg]
@@ -42,7 +42,8 @@ def push_candidates(
         Friction of the tip on the part [-].
     contacts : int
         Number of contacts, evenly spaced along the outline; each is pushed along the inward normal
-        and at 20 degrees to either side.
+        and at 20 degrees to either side. Contacts that the tip cannot reach are left out: in a
+        narrow notch, or behind a fixel.
 
     Returns
     -------
@@ -51,7 +52,8 @@ def push_candidates(
     Raises
     ------
     InvalidInput
-        A length is not positive, or the scene has several parts.
+        A length is not positive, the scene has several parts or pushers, its pusher is not round,
+        or the tip fits nowhere.
 
     Examples
     --------
@@ -61,44 +63,52 @@ def push_candidates(
     >>> len(push_candidates(part, contacts=8))
     24
     """
-    if isinstance(part, Scene):
-        scene = part
-        if len(scene.bodies) != 1:
-            raise InvalidInput("part", found=f"{len(scene.bodies)} bodies", expected="one part")
-        body = scene.bodies[0]
-        tip = scene.pushers[0] if scene.pushers else None
-        if tip is not None and isinstance(tip.shape, Disk):
-            radius, friction = tip.shape.radius, tip.friction
-    else:
-        body = part
-        scene = Scene(bodies=(body,), duration=1.0)
+    scene = _scene_of(part)
+    for tip in scene.pushers:
+        radius, friction = float(getattr(tip.shape, "radius", radius)), tip.friction
     positive(radius, "radius", "m"), positive(travel, "travel", "m")
     positive(speed, "speed", "m/s"), non_negative(friction, "friction")
     if contacts < 1:
         raise InvalidInput("contacts", found=contacts, expected="1 or more")
-    outline = shapely.Polygon(body.shape.outline)
-    c, s = math.cos(body.pose[2]), math.sin(body.pose[2])
-    turn = np.array([[c, -s], [s, c]])
+    body = scene.bodies[0]
+    neighbours = [placed(own.shape.outline, own.pose) for own in scene.fixels]
+    outline = shapely.Polygon(placed(body.shape.outline, body.pose))
+    obstacles = shapely.union_all([outline, *map(shapely.Polygon, neighbours)])
     found = []
     for share in (np.arange(contacts) + 0.5) / contacts:
         point, normal = _contact(outline, float(share))
-        at = body.pose[:2] + turn @ (point + (radius + GAP) * normal)
-        for angle in DIRECTIONS:
-            a = math.radians(angle)
-            inward = -turn @ normal
-            way = (
-                math.cos(a) * inward[0] - math.sin(a) * inward[1],
-                math.sin(a) * inward[0] + math.cos(a) * inward[1],
+        at = point + (radius + GAP) * normal
+        if shapely.distance(obstacles, shapely.Point(at)) < radius:
+            continue
+        for angle in np.radians(DIRECTIONS).tolist():
+            c, s = math.cos(angle), math.sin(angle)
+            drive = LineDrive(
+                direction=-np.array([[c, -s], [s, c]]) @ normal, speed=speed, travel=travel
             )
-            pusher = Pusher(
-                name="tip",
-                shape=Disk(radius),
-                pose=(*at, 0.0),
-                drive=LineDrive(direction=way, speed=speed, travel=travel),
-                friction=friction,
-            )
+            shape = Disk(radius)
+            pusher = Pusher("tip", shape, pose=(*at, 0.0), drive=drive, friction=friction)
             found.append(replace(scene, pushers=(pusher,), duration=travel / speed))
+    if not found:
+        raise InvalidInput(
+            "radius",
+            found=f"{1e3 * radius:.3g} mm",
+            expected="a tip that fits next to the part",
+            hint="use a smaller radius or more contacts",
+        )
     return found
+
+
+def _scene_of(part: Body | Scene) -> Scene:
+    """Return a scene with one part and at most one round pusher; reject others."""
+    if isinstance(part, Body):
+        return Scene(bodies=(part,), duration=1.0)
+    instance(part, Scene, "part", "a Body or a Scene")
+    if len(part.bodies) != 1 or len(part.pushers) > 1:
+        found = f"{len(part.bodies)} bodies and {len(part.pushers)} pushers"
+        raise InvalidInput("part", found=found, expected="one part and at most one pusher")
+    if not all(isinstance(tip.shape, Disk) for tip in part.pushers):
+        raise InvalidInput("part", found="a pusher that is not round", expected="a disk")
+    return part
 
 
 def _contact(outline: shapely.Polygon, share: float) -> tuple[np.ndarray, np.ndarray]:

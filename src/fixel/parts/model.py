@@ -16,11 +16,10 @@ from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound
 from fixel.domain.push_bound import UNSEEN, PushBound
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Pose, Scene
-from fixel.parts.choice import choose_pushes
 from fixel.parts.features import bound_features
-from fixel.parts.fit import fit_part, slopes
+from fixel.parts.fit import fit_part
 from fixel.parts.left_out import LeftOutEnds, leave_parts_out, noise_of, rung
-from fixel.parts.next_pushes import NextPushes
+from fixel.parts.next_pushes import NextPushes, propose
 from fixel.parts.prior import NAMES, PartValues, SupportPrior, learned_prior
 from fixel.parts.pushes import PartPushes
 from fixel.results import Result, Summary
@@ -178,10 +177,8 @@ class PartModel(Result):
         """
         added = (*self.pushes, *pushes)
         targets = [self._named(target_of(own)) for own in added]
-        labels = {_label(target, self.surface, self.part) for target in targets}
-        if len(labels) > 1:
-            found = " and ".join(sorted(" ".join(own).strip() for own in labels))
-            raise InvalidInput("pushes", found=found, expected="pushes of one part on one surface")
+        if targets:
+            _one_label(targets, self.surface, self.part, "pushes")
         k = rung(distinct(PartPushes(targets))) if targets else 0
         left_out = self.left_out
         if k != left_out.pushes or chosen != self.chosen:
@@ -217,33 +214,30 @@ class PartModel(Result):
         Returns
         -------
         NextPushes
-            Order of the candidates, and the expected typical bound after each.
+            Order of the candidates, and the expected bounds after each.
+
+        Raises
+        ------
+        InvalidInput
+            There are no candidates, none moves the part, or they are of several parts.
         """
         if not len(candidates):
             raise InvalidInput("candidates", found="none", expected="at least one push")
+        if n < 1:
+            raise InvalidInput("n", found=n, expected="1 or more pushes")
         offered = [self._named(push_target(own, conditions)) for own in candidates]
         wanted = [self._named(push_target(own, conditions)) for own in intended or ()] or offered
-        prior = self.distribution(*_label(offered[0], self.surface, self.part))
-        first, second = PartPushes(offered, self.threads), PartPushes(wanted, self.threads)
-        table = slopes(first, np.arange(len(first)), prior)
-        answer = choose_pushes(table, slopes(second, np.arange(len(second)), prior), n)
-        features, _, _ = bound_features(second, np.arange(len(second)), prior)
-        bounds = [
-            float(np.mean(own[TYPICAL].bounds(features))) if own else math.inf
-            for own in self._bounds
-        ]
-        misfit = float(np.median(self.left_out.errors[:, 0])) if len(self.left_out.errors) else 0.0
-        return NextPushes(
-            order=tuple(answer.which.tolist()),
-            names=tuple(offered[k].key for k in answer.which.tolist()),
-            variance=answer.variance,
-            misfit=misfit,
-            position=bounds[0],
-            angle=bounds[1],
-            candidates=len(offered),
+        label = _one_label((*offered, *wanted), self.surface, self.part, "candidates")
+        errors = self.left_out.errors[:, 0]
+        some = errors[np.isfinite(errors)]
+        return propose(
+            PartPushes(offered, self.threads),
+            PartPushes(wanted, self.threads),
+            self.distribution(*label),
+            lambda features, good: self._bounds_of(wanted, features, good),
+            n=n,
             pushes=len(self.pushes),
-            start=first.tip_start[answer.which],
-            end=first.tip_end[answer.which],
+            misfit=float(np.median(some)) if len(some) else 0.0,
         )
 
     def distribution(self, surface: str, part: str = "") -> SupportPrior:
@@ -461,11 +455,9 @@ def distinct(pushes: PartPushes) -> int:
     """Return the number of pushes that differ in contact or direction: repetitions tell less."""
     if not len(pushes):
         return 0
-    c, s = np.cos(pushes.start[:, 2]), np.sin(pushes.start[:, 2])
-    x, y = (pushes.tip_start - pushes.start[:, :2]).T
-    way = pushes.tip_end - pushes.tip_start
-    heading = np.arctan2(way[:, 1], way[:, 0]) - pushes.start[:, 2]
-    rows = np.column_stack((c * x + s * y, c * y - s * x))
+    rows = pushes.in_frame(pushes.tip_start)
+    way = pushes.in_frame(pushes.tip_end) - rows
+    heading = np.arctan2(way[:, 1], way[:, 0])
     kept: list[int] = []
     for k in range(len(pushes)):
         near = np.hypot(*(rows[kept] - rows[k]).T) < SAME_PLACE
@@ -478,6 +470,15 @@ def distinct(pushes: PartPushes) -> int:
 def _label(target: Target, surface: str, part: str) -> tuple[str, str]:
     conditions: Mapping[str, str | float] = target.conditions
     return str(conditions.get(surface, "")), str(conditions.get(part, ""))
+
+
+def _one_label(targets: Sequence[Target], surface: str, part: str, where: str) -> tuple[str, str]:
+    """Return the surface and part that pushes have in common; reject several."""
+    labels = {_label(target, surface, part) for target in targets}
+    if len(labels) > 1:
+        found = " and ".join(sorted(" ".join(own).strip() for own in labels))
+        raise InvalidInput(where, found=found, expected="pushes of one part on one surface")
+    return labels.pop()
 
 
 def _count(n: int) -> str:

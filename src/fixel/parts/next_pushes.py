@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import ClassVar, Final, final
 
 import numpy as np
 
+from fixel.calibration.objective import ANGLE_SCALE
+from fixel.domain.push_bound import PushBound
+from fixel.errors import InvalidInput
+from fixel.parts.choice import choose_pushes
+from fixel.parts.features import bound_features
+from fixel.parts.fit import simulated, slopes
+from fixel.parts.prior import SupportPrior
+from fixel.parts.pushes import PartPushes
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
-from fixel.typing import FloatArray
+from fixel.typing import BoolArray, FloatArray, IntArray
+
+MOVED: Final = 1e-4  # smallest motion of a part that a candidate must cause [m]
+MAX_TEXTS: Final = 6  # sentences on what is unseen
 
 
 @final
@@ -25,60 +36,232 @@ class NextPushes(Result):
         Indices of the candidates, the best first.
     names : tuple of str
         Names of these candidates.
+    start, end : (k, 2) float64
+        Start and end of the pusher's centre in each proposed push, in the part's frame at the start
+        [m].
+    outline : (m, 2) float64
+        Outline of the part in its frame [m].
+    radius : float
+        Radius of the pusher [m].
     variance : (k + 1,) float64
         Mean variance of the predicted ends of the intended pushes before the first and after each
         [m^2]; angles at 35 mm/rad.
     misfit : float
-        Typical error that no push of the part removes [m].
-    position, angle : float
-        Mean typical bound of the intended pushes now [m], [rad]; inf without a bound.
+        Typical error of the predictions now [m].
+    position, angle : (2,) float64
+        Mean typical and mean cautious bound of the intended pushes now [m], [rad]; inf without one.
+    bounded : tuple of int
+        Number of intended pushes that have a bound, and their number.
     candidates : int
         Number of candidates.
+    idle : int
+        Number of candidates that were left out: they fail, or do not move the part.
     pushes : int
         Number of pushes of the part that were made.
-    start, end : (k, 2) float64
-        Start and end of the pusher's centre in each proposed push [m].
+    unseen : tuple of str
+        What no experiment of the known parts has: the part, a surface, a laboratory.
+    reasons : tuple of str
+        Reasons why intended pushes have no bound.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.pushes import example_parts
+    >>> model = fixel.part_model(example_parts(3), progress=False)
+    >>> part = example_parts(1, 1, seed=9)[0].scene
+    >>> found = model.next_pushes(fixel.push_candidates(part), n=3, part="new", surface="board")
+    >>> len(found.order), found.unseen[0][:10]
+    (3, "part 'new'")
+    >>> bool((found.shrinking < 1.0).all())
+    True
     """
 
     _drawings: ClassVar[Mapping[str, str]] = {"pushes": "fixel.drawing.parts:draw_next"}
 
     order: tuple[int, ...]
     names: tuple[str, ...]
-    variance: FloatArray
-    misfit: float
-    position: float
-    angle: float
-    candidates: int
-    pushes: int
     start: FloatArray
     end: FloatArray
+    outline: FloatArray
+    radius: float
+    variance: FloatArray
+    misfit: float
+    position: FloatArray
+    angle: FloatArray
+    bounded: tuple[int, int]
+    candidates: int
+    idle: int
+    pushes: int
+    unseen: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
 
     @property
     def shrinking(self) -> FloatArray:
         """Expected ratios (k,) of the bound after each push to the bound now."""
-        total = self.misfit**2 + self.variance
-        return np.asarray(np.sqrt(total[1:] / total[0]))
+        removed = self.variance[0] - self.variance[1:]
+        total = self.misfit**2 + self.variance[0]
+        return np.asarray(np.sqrt(np.maximum(total - removed, 0.0) / total))
+
+    def table(self) -> Table:
+        """Return the proposed pushes with their expected bounds, typical / cautious."""
+        rows = [
+            (k + 1, self._name(k), *row[:4], *map(_both, (row[4:6], row[6:])))
+            for k, row in enumerate(self._numbers())
+        ]
+        number = (Column(name, format=".1f") for name in
+                  ("x [mm]", "y [mm]", "direction [deg]", "travel [mm]"))  # fmt: skip
+        return Table(("", "push", *number, "bound [mm]", "bound [deg]"), rows)
+
+    def _data(self) -> Table:
+        """Candidate, place, direction and travel of each push, and bounds expected after it."""
+        names = ("x_mm", "y_mm", "direction_deg", "travel_mm", "typical_mm", "cautious_mm",
+                 "typical_deg", "cautious_deg")  # fmt: skip
+        rows = [(self._name(k), *row) for k, row in enumerate(self._numbers())]
+        return Table(("push", *names), rows)
+
+    def _numbers(self) -> list[tuple[float, ...]]:
+        """Return place x, y, direction, travel and four bounds of each push [mm], [deg]."""
+        rows = []
+        for k, ratio in enumerate(self.shrinking.tolist()):
+            way = self.end[k] - self.start[k]
+            turn = math.degrees(math.atan2(way[1], way[0]))
+            bounds = np.concatenate((1e3 * self.position, np.degrees(self.angle))) * ratio
+            place = 1e3 * np.array([*self.start[k], np.hypot(*way)])
+            rows.append((*place[:2].tolist(), turn, float(place[2]), *bounds.tolist()))
+        return rows
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on the bounds and on candidates that were left out."""
+        number, total = self.bounded
+        notes = [
+            "place of the pusher and direction in the part's frame; bounds (typical / cautious) are"
+            " expected after each push"
+        ]
+        if number:
+            notes.append(f"bounds of the intended pushes now: {self.now}")
+        if number < total:
+            notes.append(
+                f"{total - number} of {total} intended pushes have no bound: "
+                + "; ".join(self.reasons)
+            )
+        if self.idle:
+            notes.append(f"left out: {self.idle} candidates that fail or do not move the part")
+        return tuple(notes)
+
+    @property
+    def now(self) -> str:
+        """Mean bounds of the intended pushes as text."""
+        return ", ".join(
+            f"{rule} {1e3 * p:.2f} mm and {math.degrees(a):.2f} deg"
+            for rule, p, a in zip(("typical", "cautious"), self.position, self.angle, strict=True)
+        )
 
     def _name(self, k: int) -> str:
         name = self.names[k]
         return f"candidate {self.order[k] + 1}" if name == "scene" else name
 
     def _summary(self) -> Summary:
-        rows = []
-        for k, ratio in enumerate(self.shrinking.tolist()):
-            way = self.end[k] - self.start[k]
-            rows.append(
-                (k + 1, self._name(k),
-                 1e3 * self.start[k, 0], 1e3 * self.start[k, 1],
-                 math.degrees(math.atan2(way[1], way[0])), 1e3 * float(np.hypot(*way)),
-                 1e3 * self.position * ratio, math.degrees(self.angle) * ratio)
-            )  # fmt: skip
-        number = (Column(name, format=".1f") for name in
-                  ("x [mm]", "y [mm]", "direction [deg]", "travel [mm]"))  # fmt: skip
-        bounds = (Column("bound [mm]", format=".2f"), Column("[deg]", format=".2f"))
-        now = f"{1e3 * self.position:.2f} mm, {math.degrees(self.angle):.2f} deg"
         return Summary(
-            f"NextPushes: {len(rows)} of {self.candidates} candidates, after {self.pushes} pushes",
-            [Table(("", "push", *number, *bounds), rows)],
-            [f"mean typical bound of the intended pushes: {now} now; expected after each above"],
+            f"NextPushes: {len(self.order)} of {self.candidates} candidates,"
+            f" after {self.pushes} pushes",
+            [self.table()],
+            self.notes,
+            unseen=self.unseen,
         )
+
+
+def _both(bounds: tuple[float, ...]) -> str | None:
+    """Return a typical and a cautious bound as text; None without them."""
+    return " / ".join(f"{x:.2f}" for x in bounds) if np.isfinite(bounds).all() else None
+
+
+def propose(
+    offered: PartPushes,
+    wanted: PartPushes,
+    prior: SupportPrior,
+    bounds_of: Callable[[FloatArray, BoolArray], Sequence[PushBound]],
+    *,
+    n: int,
+    pushes: int,
+    misfit: float,
+) -> NextPushes:
+    """Propose pushes among candidates.
+
+    Parameters
+    ----------
+    offered : PartPushes
+        Candidates.
+    wanted : PartPushes
+        Pushes whose ends matter.
+    prior : SupportPrior
+    bounds_of : callable
+        Function that returns the bounds of the wanted pushes, by their features (m, f) and whether
+        their simulations converged (m,).
+    n : int
+        Number of pushes to propose.
+    pushes : int
+        Number of pushes that were made.
+    misfit : float
+        Typical error of the predictions now [m].
+    """
+    _refuse_other_parts(offered, wanted)
+    moving = _moving(offered, prior)
+    features, _, good = bound_features(wanted, np.arange(len(wanted)), prior)
+    bounds = bounds_of(features, good)
+    intended = slopes(wanted, np.flatnonzero(good), prior)
+    chosen = choose_pushes(slopes(offered, moving, prior), intended, n)
+    which = moving[chosen.which]
+    some = [own for own in bounds if own.position is not None]
+    position, angle = (
+        np.mean([[getattr(own, name), getattr(own, f"cautious_{name}")] for own in some], axis=0)
+        if some
+        else np.full(2, math.inf)
+        for name in ("position", "angle")
+    )
+    texts = dict.fromkeys(text for own in bounds for text in own.unseen)
+    return NextPushes(
+        order=tuple(which.tolist()),
+        names=tuple(offered.targets[k].key for k in which.tolist()),
+        start=offered.in_frame(offered.tip_start)[which],
+        end=offered.in_frame(offered.tip_end)[which],
+        outline=offered.body.shape.outline,
+        radius=offered.radius,
+        variance=chosen.variance,
+        misfit=misfit,
+        position=position,
+        angle=angle,
+        bounded=(len(some), len(bounds)),
+        candidates=len(offered),
+        idle=len(offered) - len(moving),
+        pushes=pushes,
+        unseen=tuple(texts)[:MAX_TEXTS],
+        reasons=tuple(dict.fromkeys(own.reason for own in bounds if own.position is None)),
+    )
+
+
+def _moving(offered: PartPushes, prior: SupportPrior) -> IntArray:
+    """Return the candidates that can be simulated and move the part."""
+    every = np.arange(len(offered))
+    ends, good = simulated(offered, every, prior.at(np.zeros((1, len(prior.mean)))))
+    away = ends[0] - offered.start
+    way = np.hypot(away[:, 0], away[:, 1]) + ANGLE_SCALE * np.abs(away[:, 2])
+    moving = np.flatnonzero(good[0] & (way > MOVED))
+    if not len(moving):
+        failed = int(np.sum(~good[0]))
+        raise InvalidInput(
+            "candidates",
+            found=f"{len(offered)} pushes, of which {failed} fail and the others do not move"
+            " the part",
+            expected="at least one push that moves the part",
+        )
+    return moving
+
+
+def _refuse_other_parts(offered: PartPushes, wanted: PartPushes) -> None:
+    """Reject pushes of parts with different outlines."""
+    outline = offered.body.shape.outline
+    for name, pushes in (("candidates", offered), ("intended", wanted)):
+        for target in pushes.targets:
+            if not np.array_equal(target.case.scene.bodies[0].shape.outline, outline):
+                raise InvalidInput(name, found="parts with several outlines", expected="one part")

@@ -71,6 +71,12 @@ class PartPushes:
         good = outcome.converged
         return Ends(np.where(good[:, None], outcome.pose[:, -1], self.start[which]), good)
 
+    def in_frame(self, points: FloatArray) -> FloatArray:
+        """Return points (n, 2), one per push, in the part's frame at the start of the push [m]."""
+        c, s = np.cos(self.start[:, 2]), np.sin(self.start[:, 2])
+        x, y = (points - self.start[:, :2]).T
+        return np.column_stack((c * x + s * y, c * y - s * x))
+
     def errors(self, which: IntArray, ends: FloatArray) -> FloatArray:
         """Return errors (n, 2) of end poses: position [m] and angle [rad]."""
         off = ends - self.end[which]
