@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from fixel.parts.choice import NOISE, choose_pushes
+from fixel.parts.choice import MISFIT_SHARE, NOISE, choose_pushes
 
 MM = 1e-3
 
@@ -16,8 +16,9 @@ def _slopes(rng, n, parameters=4):
 
 def _variance_after(candidates, intended, which):
     """Mean variance of the intended ends by one regression on all chosen ends at once."""
-    seen = candidates[list(which)].reshape(-1, candidates.shape[2])
-    precision = np.eye(candidates.shape[2]) + seen.T @ seen / NOISE**2
+    precision = np.eye(candidates.shape[2])
+    for seen in candidates[list(which)]:
+        precision += seen.T @ seen / (NOISE**2 + MISFIT_SHARE**2 * np.sum(seen**2))
     own = intended.reshape(-1, candidates.shape[2])
     return np.sum(own * np.linalg.solve(precision, own.T).T) / len(intended)
 
