@@ -22,7 +22,7 @@ from fixel.model import Experiment, wrapped
 from fixel.parts.choice import choose_pushes
 from fixel.parts.fit import fit_part, simulated, slopes
 from fixel.parts.left_out import halves, leave_parts_out, noise_of
-from fixel.parts.model import PartModel, PartPrediction
+from fixel.parts.model import EndPrediction, PartModel
 from fixel.parts.pushes import PartPushes
 from fixel.replay.base import Row
 from fixel.replay.mit_pushes import NOMINAL, read_mit_pushes
@@ -180,7 +180,7 @@ def _score(
     pushes: PartPushes,
     which: IntArray,
     test: IntArray,
-    found: Sequence[PartPrediction],
+    found: Sequence[EndPrediction],
     model: PartModel,
 ) -> Score:
     ends = np.array([tuple(own.pose) for own in found])

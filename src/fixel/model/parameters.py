@@ -94,7 +94,7 @@ KNOWN_PARAMETERS: Final[Mapping[str, ParameterInfo]] = MappingProxyType(
         ),
         "pressure_tilt_x": ParameterInfo(
             "-",
-            "the same, larger towards the body's x than the balance at the centre of mass asks for",
+            "the same, larger towards the body's x than the balance at the centre of mass needs",
             _ANY,
             stands_for=_LOADS,
         ),

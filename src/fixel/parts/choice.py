@@ -1,4 +1,4 @@
-"""Choice of the pushes that tell most about the ends of others."""
+"""Choice of the pushes that reduce the uncertainty of the ends of others most."""
 
 from __future__ import annotations
 

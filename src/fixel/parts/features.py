@@ -1,4 +1,4 @@
-"""What is known of the error of a predicted push before it is made."""
+"""Features of a predicted push that are known before it is made, for bounds on its error."""
 
 from __future__ import annotations
 

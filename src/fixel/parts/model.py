@@ -34,7 +34,7 @@ SAME_DIRECTION: Final = math.radians(3.0)
 MAX_RATIO: Final = 1.5
 
 
-class PartPrediction(NamedTuple):
+class EndPrediction(NamedTuple):
     """Predicted end of a push, and bounds on its error.
 
     Attributes
@@ -111,7 +111,7 @@ class PartModel(Result):
     seed: int = 0
     threads: int | None = field(default=None, compare=False)
 
-    def at(self, push: Scene | Experiment, **conditions: str | float) -> PartPrediction:
+    def at(self, push: Scene | Experiment, **conditions: str | float) -> EndPrediction:
         """Predict the end of a push of the new part, with bounds on the error.
 
         Parameters
@@ -123,7 +123,7 @@ class PartModel(Result):
 
         Returns
         -------
-        PartPrediction
+        EndPrediction
             Pose, and a `PushBound` that names what is unseen first.
 
         Raises
@@ -135,7 +135,7 @@ class PartModel(Result):
 
     def predict(
         self, pushes: Sequence[Scene | Experiment], **conditions: str | float
-    ) -> tuple[PartPrediction, ...]:
+    ) -> tuple[EndPrediction, ...]:
         """Predict the ends of several pushes, as `at` does for one.
 
         Pushes of one part on one surface are simulated together.
@@ -145,14 +145,14 @@ class PartModel(Result):
         for k, target in enumerate(targets):
             label = _label(target, self.surface, self.part)
             groups.setdefault((*label, target.case.scene.bodies[0].shape), []).append(k)
-        found: dict[int, PartPrediction] = {}
+        found: dict[int, EndPrediction] = {}
         for (surface, part, _), rows in groups.items():
             own = PartPushes([targets[k] for k in rows], self.threads)
             prior = self.distribution(str(surface), str(part))
             features, ends, good = bound_features(own, np.arange(len(own)), prior)
             bounds = self._bounds_of([targets[k] for k in rows], features, good)
             for k, end, bound in zip(rows, ends.tolist(), bounds, strict=True):
-                found[k] = PartPrediction(Pose(*end), bound)
+                found[k] = EndPrediction(Pose(*end), bound)
         return tuple(found[k] for k in range(len(targets)))
 
     def after(self, pushes: Iterable[Experiment], *, chosen: bool = False) -> PartModel:
@@ -361,7 +361,7 @@ class PartModel(Result):
             ends = np.full((len(targets), 4), np.inf)
             few = f"{n} parts were pushed often enough; a bound needs {MIN_PARTS} at least"
             far = (few,) * len(targets)
-        judged = f"judged by {n} parts that were left out, each after {_count(k)} of its own"
+        judged = f"bounds from {n} parts that were left out, each after {_count(k)} of its own"
         found = []
         for target, end, why, ended in zip(targets, ends.tolist(), far, good, strict=True):
             texts = self._unseen(target)
@@ -452,7 +452,7 @@ def grouped(
 
 
 def distinct(pushes: PartPushes) -> int:
-    """Return the number of pushes that differ in contact or direction: repetitions tell less."""
+    """Return the number of pushes that differ in contact or direction: repetitions count once."""
     if not len(pushes):
         return 0
     rows = pushes.in_frame(pushes.tip_start)

@@ -1,4 +1,4 @@
-"""Proposed next pushes of a part, by what they tell about the ends of others."""
+"""Proposed next pushes of a part, by how much they reduce the uncertainty of others."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import numpy as np
 from fixel.typing import FloatArray
 
 
-class Spread(NamedTuple):
+class Marginal(NamedTuple):
     """Prior of one parameter before any part has been pushed."""
 
     mean: float
@@ -22,19 +22,19 @@ class Spread(NamedTuple):
 
 
 # Equal loads with the centre of pressure under the centre of mass, on a flat table.
-UNPUSHED: Final[Mapping[str, Spread]] = {
-    "mu_pusher": Spread(0.2, 0.1, 0.02, 0.8),
-    "registration_x": Spread(0.0, 1e-3, -4e-3, 4e-3),
-    "registration_y": Spread(0.0, 1e-3, -4e-3, 4e-3),
-    "contact_offset": Spread(0.0, 0.3e-3, -1e-3, 1e-3),
-    "table_bend_xy": Spread(0.0, 0.6, -2.0, 2.0),
-    "table_bend_diagonal": Spread(0.0, 0.6, -2.0, 2.0),
-    "pressure_rim": Spread(0.0, 1.5, -4.0, 4.0),
-    "pressure_corner": Spread(0.0, 1.0, -3.0, 3.0),
-    "pressure_xy": Spread(0.0, 1.0, -3.0, 3.0),
-    "pressure_diagonal": Spread(0.0, 1.0, -3.0, 3.0, symmetric=True),
-    "pressure_tilt_x": Spread(0.0, 0.3, -1.0, 1.0, symmetric=True),
-    "pressure_tilt_y": Spread(0.0, 0.3, -1.0, 1.0, symmetric=True),
+UNPUSHED: Final[Mapping[str, Marginal]] = {
+    "mu_pusher": Marginal(0.2, 0.1, 0.02, 0.8),
+    "registration_x": Marginal(0.0, 1e-3, -4e-3, 4e-3),
+    "registration_y": Marginal(0.0, 1e-3, -4e-3, 4e-3),
+    "contact_offset": Marginal(0.0, 0.3e-3, -1e-3, 1e-3),
+    "table_bend_xy": Marginal(0.0, 0.6, -2.0, 2.0),
+    "table_bend_diagonal": Marginal(0.0, 0.6, -2.0, 2.0),
+    "pressure_rim": Marginal(0.0, 1.5, -4.0, 4.0),
+    "pressure_corner": Marginal(0.0, 1.0, -3.0, 3.0),
+    "pressure_xy": Marginal(0.0, 1.0, -3.0, 3.0),
+    "pressure_diagonal": Marginal(0.0, 1.0, -3.0, 3.0, symmetric=True),
+    "pressure_tilt_x": Marginal(0.0, 0.3, -1.0, 1.0, symmetric=True),
+    "pressure_tilt_y": Marginal(0.0, 0.3, -1.0, 1.0, symmetric=True),
 }
 NAMES: Final = tuple(UNPUSHED)
 

@@ -1,9 +1,9 @@
 """Balanced loads under a plate, from a few numbers.
 
-A plate of which little is known stands on a net of points (`support_grid`). Four numbers say where
-it presses more, and a tilt that they do not choose puts the centre of pressure exactly under the
-centre of mass: a rigid plate at rest is in balance on any table. Without the balance, loads learned
-from other plates move the centre of pressure by millimetres (docs/theory/new-parts.md).
+A plate of which little is known stands on a net of points (`support_grid`). Four numbers describe
+where it presses more. A tilt puts the centre of pressure exactly under the centre of mass: a rigid
+plate at rest is in balance on any table. Without the balance, loads learned from other plates move
+the centre of pressure by millimetres (docs/theory/new-parts.md).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PROFILE_NAMES: Final = (
 )
 """`pressure_rim`: more load (above 0) towards the rim; `pressure_corner`: at corners;
 `pressure_xy`: far along the body's x rather than y; `pressure_diagonal`: the same between its
-diagonals; `pressure_tilt_x`, `pressure_tilt_y`: more load than the balance asks for towards larger
+diagonals; `pressure_tilt_x`, `pressure_tilt_y`: more load than the balance needs towards larger
 x or y. All dimensionless; all zero is the same load on every point, balanced."""
 
 # Of the logarithm of a load before the balance: a factor of 150 up or down.

@@ -69,7 +69,7 @@ def part_model(
     -------
     PartModel
         `.at(scene)` predicts a push, `.after(pushes)` learns from pushes of the new part,
-        `.next_pushes(candidates)` says which to make.
+        `.next_pushes(candidates)` proposes the next ones.
 
     Raises
     ------
