@@ -31,6 +31,7 @@ from fixel.cli import (
     domain,
     filtering,
     jobs,
+    next_pushes,
     overlay,
     project,
     record,
@@ -86,6 +87,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
         "domain": domain.app,
         "sensitivity": sensitivity.sensitivity,
         "uncertainty": uncertainty.uncertainty,
+        "next": next_pushes.next_,
         "report": report.report,
     },
     "Bench": {

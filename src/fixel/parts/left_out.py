@@ -63,6 +63,20 @@ def rung(n: int) -> int:
     return max(k for k in LADDER if k <= n)
 
 
+def judged_pushes(groups: Groups, parts: int) -> int:
+    """Return the largest number of `LADDER` after which enough parts can be left out."""
+
+    def judging(k: int) -> set[str]:
+        return {part for (_, part), own in groups.items() if _enough(len(own), k)}
+
+    return max((k for k in LADDER if len(judging(k)) >= parts), default=0)
+
+
+def _enough(n: int, pushes: int) -> bool:
+    """Whether one half of n pushes has a number of them, and the other half enough to judge."""
+    return n // 2 >= pushes and n - n // 2 >= min(10, pushes)
+
+
 def leave_parts_out(
     groups: Groups,
     fits: Sequence[PartValues],
@@ -98,7 +112,7 @@ def leave_parts_out(
     rows: list[tuple[str, str, FloatArray, FloatArray]] = []
     for done, ((surface, part), group) in enumerate(groups.items()):
         pool, test = halves(len(group), seed)
-        if len(pool) >= pushes and len(test) >= min(10, pushes):
+        if _enough(len(group), pushes):
             prior = learned_prior([own for own in fits if own.part != part], surface, share)
             if pushes:
                 prior = after(group, pool, prior, pushes, chosen=chosen)

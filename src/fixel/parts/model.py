@@ -10,6 +10,7 @@ from typing import ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
+from fixel.calibration.contacts import PART
 from fixel.calibration.known_pushes import KnownPushes, push_target, texts_of, with_dataset
 from fixel.calibration.target import Target, target_of
 from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound
@@ -18,10 +19,11 @@ from fixel.errors import InvalidInput
 from fixel.model import Experiment, Pose, Scene
 from fixel.parts.features import bound_features
 from fixel.parts.fit import fit_part
-from fixel.parts.left_out import LeftOutEnds, leave_parts_out, noise_of, rung
+from fixel.parts.left_out import LeftOutEnds, judged_pushes, leave_parts_out, noise_of, rung
 from fixel.parts.next_pushes import NextPushes, propose
 from fixel.parts.prior import NAMES, PartValues, SupportPrior, learned_prior
 from fixel.parts.pushes import PartPushes
+from fixel.progress import ProgressOption, show_progress
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray
@@ -155,7 +157,13 @@ class PartModel(Result):
                 found[k] = EndPrediction(Pose(*end), bound)
         return tuple(found[k] for k in range(len(targets)))
 
-    def after(self, pushes: Iterable[Experiment], *, chosen: bool = False) -> PartModel:
+    def after(
+        self,
+        pushes: Iterable[Experiment],
+        *,
+        chosen: bool = False,
+        progress: ProgressOption = False,
+    ) -> PartModel:
         """Return the model of one new part after some of its pushes.
 
         Parameters
@@ -165,6 +173,8 @@ class PartModel(Result):
         chosen : bool
             Whether they were proposed by `next_pushes`; bounds are then judged with parts whose
             pushes were chosen in the same way.
+        progress : bool or callable, optional
+            See `fixel.progress.show_progress`; nothing is shown by default.
 
         Returns
         -------
@@ -180,11 +190,19 @@ class PartModel(Result):
         if targets:
             _one_label(targets, self.surface, self.part, "pushes")
         k = rung(distinct(PartPushes(targets))) if targets else 0
+        k = min(k, judged_pushes(self._groups, MIN_PARTS))
         left_out = self.left_out
         if k != left_out.pushes or chosen != self.chosen:
-            left_out = leave_parts_out(
-                self._groups, self.fits, self.share, k, chosen=chosen, seed=self.seed
-            )
+            with show_progress(progress, "leaving parts out") as report:
+                left_out = leave_parts_out(
+                    self._groups,
+                    self.fits,
+                    self.share,
+                    k,
+                    chosen=chosen,
+                    seed=self.seed,
+                    progress=report,
+                )
         return replace(self, pushes=added, chosen=chosen, left_out=left_out)
 
     def next_pushes(
@@ -356,6 +374,7 @@ class PartModel(Result):
             ends = np.array(
                 [own[rule].bounds(features) for own in self._bounds for rule in (TYPICAL, CAUTIOUS)]
             ).T
+            ends[:, 1::2] = np.maximum(ends[:, 1::2], ends[:, ::2])
             far = self._bounds[0][TYPICAL].reasons(features)
         else:
             ends = np.full((len(targets), 4), np.inf)
@@ -379,10 +398,12 @@ class PartModel(Result):
         """Return what is unseen about a push, or that its part is predicted like a new one."""
         _, part = _label(target, self.surface, self.part)
         given = {name: x for name, x in target.conditions.items() if x != ""}
-        texts = texts_of(self._known.unseen(target._replace(conditions=given)))
+        unseen = self._known.unseen(target._replace(conditions=given))
         if self.pushes:
             own = f" {part!r}" if part else ""
-            return (f"part{own}: only {_count(len(self.pushes))} of it", *texts)
+            others = texts_of([one for one in unseen if one.what not in (self.part, PART)])
+            return (f"part{own}: only {_count(len(self.pushes))} of it", *others)
+        texts = texts_of(unseen)
         return texts or (f"part {part!r}: predicted like a new one, from the other parts",)
 
     def _out_of_range(self, target: Target) -> str:

@@ -105,7 +105,7 @@ class NextPushes(Result):
     def table(self) -> Table:
         """Return the proposed pushes with their expected bounds, typical / cautious."""
         rows = [
-            (k + 1, self._name(k), *row[:4], *map(_both, (row[4:6], row[6:])))
+            (k + 1, self.name_of(k), *row[:4], *map(_both, (row[4:6], row[6:])))
             for k, row in enumerate(self._numbers())
         ]
         number = (Column(name, format=".1f") for name in
@@ -116,7 +116,7 @@ class NextPushes(Result):
         """Candidate, place, direction and travel of each push, and bounds expected after it."""
         names = ("x_mm", "y_mm", "direction_deg", "travel_mm", "typical_mm", "cautious_mm",
                  "typical_deg", "cautious_deg")  # fmt: skip
-        rows = [(self._name(k), *row) for k, row in enumerate(self._numbers())]
+        rows = [(self.name_of(k), *row) for k, row in enumerate(self._numbers())]
         return Table(("push", *names), rows)
 
     def _numbers(self) -> list[tuple[float, ...]]:
@@ -133,21 +133,27 @@ class NextPushes(Result):
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on the bounds and on candidates that were left out."""
-        number, total = self.bounded
         notes = [
             "place of the pusher and direction in the part's frame; bounds (typical / cautious) are"
             " expected after each push"
         ]
-        if number:
+        if self.bounded[0]:
             notes.append(f"bounds of the intended pushes now: {self.now}")
+        return (*notes, *self.gaps)
+
+    @property
+    def gaps(self) -> tuple[str, ...]:
+        """Sentences on intended pushes without a bound and candidates that were left out."""
+        number, total = self.bounded
+        gaps = []
         if number < total:
-            notes.append(
+            gaps.append(
                 f"{total - number} of {total} intended pushes have no bound: "
                 + "; ".join(self.reasons)
             )
         if self.idle:
-            notes.append(f"left out: {self.idle} candidates that fail or do not move the part")
-        return tuple(notes)
+            gaps.append(f"left out: {self.idle} candidates that fail or do not move the part")
+        return tuple(gaps)
 
     @property
     def now(self) -> str:
@@ -157,7 +163,8 @@ class NextPushes(Result):
             for rule, p, a in zip(("typical", "cautious"), self.position, self.angle, strict=True)
         )
 
-    def _name(self, k: int) -> str:
+    def name_of(self, k: int) -> str:
+        """Return the name of a proposed push, or its number among the candidates, from 1."""
         name = self.names[k]
         return f"candidate {self.order[k] + 1}" if name == "scene" else name
 
