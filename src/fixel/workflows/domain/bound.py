@@ -104,7 +104,7 @@ def error_bound(
 
     References
     ----------
-    :cite:t:`vovk2005`; :cite:t:`barber2021`; :cite:t:`dunn2022`.
+    :cite:t:`vovk2005`; :cite:t:`barber2021`; :cite:t:`dunn2022`; :cite:t:`lee2023`.
 
     Examples
     --------
