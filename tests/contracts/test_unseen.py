@@ -172,6 +172,8 @@ def test_left_out_groups_give_two_bounds_and_what_they_prove(left):
     assert answer.verdict == "unseen"
     assert answer.proved == pytest.approx(2 / 3)
     assert "prove at most 66.7 %; a guarantee of 90 % needs 9" in answer.reason
+    assert f"bounds from calibrations without each {left}, 2 in all" in repr(answer).splitlines()[1]
+    assert repr(answer).splitlines()[2].startswith("typical bound: ")
     assert 0.0 < answer.position <= answer.cautious_position < np.inf
     assert 0.0 < answer.angle <= answer.cautious_angle < np.inf
     other = next(name for name in ("shape", "surface") if name != left)
@@ -199,3 +201,24 @@ def test_commands_and_pages_name_it_first(tmp_path, fit, capsys):
             sets = live.sets(store.find(push.key))
             (one,) = [own for own in sets if own.kind == "calibration"]
             assert word in one.unseen[0]
+
+
+def turned(push, degrees):
+    pose = [0.0, 0.0, np.radians(degrees)]
+    return replace(push, scene=changed(push, pose=pose), name=f"{push.name}-{degrees}",
+                   trajectory=replace(push.trajectory, pose=push.trajectory.pose + pose),
+                   dataset="here", conditions={"shape": "rect1", "surface": "abs"})  # fmt: skip
+
+
+def test_left_out_sides_bound_a_side_never_pushed():
+    own = [turned(push, angle) for angle in (0, 90, 180) for push in pushes(8)]
+    bound = fixel.error_bound(own, SPACE, leave_out="side", folds=2, **QUIET)
+    new = turned(pushes(5)[1], 270)
+    answer = bound.at(new)
+    assert answer.verdict == "unseen"
+    assert "side never pushed" in answer.unseen[0]
+    assert answer.proved == pytest.approx(3 / 4)
+    assert 0.0 < answer.position <= answer.cautious_position < np.inf
+    assert bound.at(own[3]).verdict == "bounded"
+    faster = replace(new, scene=driven(new, 0.1, new.scene.duration))
+    assert bound.at(faster).verdict == "no data"  # new in side and speed

@@ -42,6 +42,7 @@ BORROWED: Final = 40.0
 # Largest distance to the evidence of a bound, over what is a large distance within the evidence.
 FAR_RATIO: Final = 2.0
 FAR_SHARE: Final = 0.99
+SAME: Final = 1e-6  # distance of features below which they count as repeated
 FAR_AWAY: Final = "its features are far from those of all experiments"
 
 TRUSTED: Final = "trusted"
@@ -496,6 +497,11 @@ class _Near(NamedTuple):
         if table.shape[1] == 0 or len(table) < 2:
             return cls(features, scale, 0.0)
         apart = KDTree(table).query(table, k=2)[0][:, 1]
+        if np.quantile(apart, FAR_SHARE) < SAME:  # repeated rows, such as those of a plan
+            table = np.unique(np.round(table / SAME), axis=0) * SAME
+            apart = (
+                KDTree(table).query(table, k=min(2, len(table)))[0].reshape(len(table), -1)[:, -1]
+            )
         return cls(features, scale, FAR_RATIO * float(np.quantile(apart, FAR_SHARE)))
 
     @property

@@ -77,7 +77,8 @@ class PushBound(NamedTuple):
 
     def __repr__(self) -> str:
         lines = [f"unseen: {text}" for text in self.unseen]
-        lines.append(f"{self.verdict}: {self.reason}" if self.reason else self.verdict)
+        why = f"{self.verdict}: {self.reason}" if self.reason else self.verdict
+        lines.append(self.reason if self.verdict == UNSEEN else why)
         for name, *ends in (
             ("bound" if self.proved is None else "typical bound", self.position, self.angle),
             ("cautious bound", self.cautious_position, self.cautious_angle),
@@ -105,6 +106,11 @@ class LeftOutErrors(NamedTuple):
     unit: tuple[str, ...]
     position: FloatArray
     angle: FloatArray
+
+    @property
+    def parts(self) -> list[str]:
+        """Part of each side or speed, and for other conditions the value itself."""
+        return [unit.rsplit(f" {self.condition} ", 1)[0] for unit in self.unit]
 
     def rows(self, which: Sequence[int]) -> LeftOutErrors:
         """Return those of some of the experiments."""
@@ -234,10 +240,11 @@ class ErrorBound(Result):
         ]
         if reason or not np.isfinite(ends).all():
             return PushBound(None, None, NO_DATA, reason or "too many simulations failed", texts)
-        n = bounds[0].n_unit
-        proved = n / (n + 1.0)
+        n, proved = bounds[0].n_unit, bounds[0].with_rule(CAUTIOUS).proved_level
+        parts = len(set(left.parts))
+        of = f"{n} in all" if parts in (1, n) else f"{n} on {parts} parts"
         why = (
-            f"bounds from calibrations without each {left.condition}, {n} in all: these prove at"
+            f"bounds from calibrations without each {left.condition}, {of}: these prove at"
             f" most {100.0 * proved:.1f} %; a guarantee of {100.0 * self.level:g} % needs"
             f" {min_experiments(self.level)}"
         )
@@ -294,7 +301,7 @@ class ErrorBound(Result):
             table = self.features[:, _columns(left.condition)]
             position, angle = (
                 ConformalBound.fit(
-                    table, own, None, self.level, self.seed, units=left.unit, rule=TYPICAL
+                    table, own, left.parts, self.level, self.seed, units=left.unit, rule=TYPICAL
                 )
                 for own in (left.position, left.angle)
             )
