@@ -82,10 +82,12 @@ def learned_sides_figure(groups: Sequence[Row], limits: Mapping[str, float]) -> 
             axes.set_yticks(place, [row["group"] for row in rows])
     for axes, (unit, limit) in zip(panels.tolist(), limits.items(), strict=True):
         axes.axvline(0.0, color=palette.INK, linewidth=0.8)
-        axes.axvline(limit, color=palette.INK, linewidth=0.8, linestyle=(0, (4, 2)))
-        axes.set_xlabel(f"error with the process minus physics [{unit}]")
+        axes.axvline(limit, color=palette.INK, linewidth=0.8, linestyle=(0, (4, 2)),
+                     label="largest loss that counts as noise")  # fmt: skip
+        axes.set_xlabel(f"error with the process minus that of physics [{unit}]")
+        axes.locator_params(axis="x", nbins=5)
         clean(axes)
-    figure.legend(*panels[0].get_legend_handles_labels(), frameon=False, ncols=2,
+    figure.legend(*panels[0].get_legend_handles_labels(), frameon=False, ncols=3,
                   loc="outside upper center")  # fmt: skip
     return figure
 
