@@ -90,7 +90,7 @@ def error_bound(
     Returns
     -------
     ErrorBound
-        `.at(scene)` returns the bounds of a push; `.coverage`, `.plot()`.
+        `.at(scene)` returns the bounds of a push; ``.coverage`` is the measured coverage.
 
     Raises
     ------
