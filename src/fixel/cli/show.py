@@ -88,16 +88,14 @@ def compare(
     save: bool = option(False, "Store the simulation.", "--save"),
 ) -> None:
     """Simulate an experiment and report the error against the measurement."""
-    from fixel.calibration.target import target_of
     from fixel.database.project import Project
     from fixel.simulation.motion import motion_model
-    from fixel.workflows.calibration.stored import known_pushes, load_values, parameters_of
+    from fixel.workflows.calibration.stored import parameters_of, unseen_by
     from fixel.workflows.project.compare import RunComparison
     from fixel.workflows.project.comparison import compare as compare_experiments
 
     require_picture(plot)
     parameters = _parameters(set_ or [])
-    unseen: tuple[str, ...] = ()
     with Project(project).store() as store:
         number = store.find(key)
         experiment = store.experiment(number)
@@ -108,8 +106,7 @@ def compare(
         model = motion_model(motion.value) if motion else None
         if calibration is not None:
             parameters, model = parameters_of(store, calibration, experiment, parameters, model)
-            known = known_pushes(store, load_values(store, calibration))
-            unseen = known.texts(target_of(experiment))
+        unseen = [] if calibration is None else unseen_by(store, calibration, experiment)
         _compile(experiment, as_json)
         found = compare_experiments(experiment, {"given": parameters}, motion=model, progress=False)
         answer = found.rows[0].run
@@ -119,15 +116,11 @@ def compare(
     if plot is not None:
         _draw(answer, plot)
     more = {"experiment_id": number, "simulation_id": saved, "files": _files(plot)}
-    if published is not None:
-        more["by_publisher"] = published.errors()
+    more |= {} if published is None else {"by_publisher": published.errors()}
     print_answer(
         as_json,
-        lambda: {"unseen": list(unseen)} | answer.summary() | more,
-        lambda: (
-            [f"Unseen: {text}" for text in unseen]
-            + _compare_lines(answer, published, project, plot, saved, command)
-        ),
+        lambda: {"unseen": unseen} | answer.summary() | more,
+        lambda: _compare_lines(answer, published, project, plot, saved, command, unseen),
     )
     if not answer.complete:
         raise typer.Exit(NOT_SOLVED)
@@ -329,10 +322,12 @@ def _compare_lines(
     plot: Path | None,
     saved: int | None,
     command: str,
+    unseen: list[str],
 ) -> list[str]:
     """About a screen of text."""
     kept = [] if saved is None else [f"stored as simulation {saved}"]
     return paragraphs(
+        [f"Unseen: {text}" for text in unseen],
         [origin_of(answer.experiment)],
         _listed("parameters", [(k, _value(v)) for k, v in answer.parameters.items()]),
         _status(answer),

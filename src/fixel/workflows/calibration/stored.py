@@ -152,6 +152,12 @@ def known_pushes(store: Store, one: CalibratedValues) -> KnownPushes:
     return KnownPushes.of(targets)
 
 
+def unseen_by(store: Store, calibration_id: int, experiment: Experiment) -> list[str]:
+    """Return what is new about an experiment for a stored calibration, as sentences."""
+    known = known_pushes(store, load_values(store, calibration_id))
+    return list(known.texts(target_of(experiment)))
+
+
 def newest_calibration(store: Store, experiment: int | None = None) -> int | None:
     """Id of the calibration that `load_values` loads by default; None without any."""
     known = [
