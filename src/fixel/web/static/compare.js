@@ -126,8 +126,8 @@ function show() {
   player.setMotions(motions, { keepTime: true });
   charts.show(usualPanels(at("charts"), motions, player.object), [player.start, player.end]);
   table(stylesOf(at("player"), motions));
-  const unseen = sets.flatMap((set) => (set.unseen ?? []).map((text) => `Unseen by ${set.label}: ${text}`));
-  at("not-seen").replaceChildren(...unseen.map((text) => make("li", {}, text)));
+  const unseen = [...new Set(sets.flatMap((set) => set.unseen ?? []))].map((text) => `Unseen by the calibration: ${text}`);
+  at("not-seen").replaceChildren(...unseen.map((text) => make("p", {}, text)));
   at("not-seen").hidden = !unseen.length;
 }
 
