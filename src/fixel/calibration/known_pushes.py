@@ -9,9 +9,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, NamedTuple, Self, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fixel.calibration.contacts import (
     MAX_RATIO,
@@ -67,7 +69,7 @@ class Unseen(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class KnownPushes(Comparable):
     """Parts, surfaces, laboratories, contacts, speeds and travels of experiments.
 
@@ -161,8 +163,8 @@ class KnownPushes(Comparable):
         return (*self._new_contact(target.case.scene, target, rows), *found)
 
     def _new_labels(self, given: Mapping[str, str]) -> Iterator[Unseen]:
-        for name, column in self.labels.items():
-            value, counts = given.get(name, ""), Counter(filter(None, column))
+        for name, counts in self._counts.items():
+            value = given.get(name, "")
             n = counts[value]
             least = min(MIN_EXPERIMENTS, len(self)) if name in IDENTITY else 1
             if value and not n:
@@ -176,7 +178,7 @@ class KnownPushes(Comparable):
                 text = f"{name} {given[name]!r}: the experiments do not state theirs"
                 yield Unseen(name, text, is_given=False)
         for name, column in self.labels.items():
-            counts = Counter(filter(None, column))
+            counts = self._counts[name]
             if given.get(name) or name not in IDENTITY:
                 continue
             if name == DATASET and len(counts) < 2:
@@ -185,10 +187,18 @@ class KnownPushes(Comparable):
                 continue  # the outline identifies the part
             yield Unseen(name, f"{name} not given (experiments have {_some(counts)})", False)
 
+    @cached_property
+    def _counts(self) -> dict[str, Counter[str]]:
+        return {name: Counter(filter(None, column)) for name, column in self.labels.items()}
+
+    @cached_property
+    def _columns(self) -> dict[str, NDArray[np.str_]]:
+        return {name: np.array(column) for name, column in self.labels.items()}
+
     def _rows(self, labels: Mapping[str, str]) -> IntArray:
         good = np.ones(len(self), bool)
         for name, value in labels.items():
-            good &= np.array([own == value for own in self.labels[name]], bool)
+            good &= self._columns[name] == value
         return np.flatnonzero(good)
 
     def _same_outline(self, scene: Scene) -> np.ndarray:
