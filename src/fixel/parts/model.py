@@ -246,8 +246,6 @@ class PartModel(Result):
         offered = [self._named(push_target(own, conditions)) for own in candidates]
         wanted = [self._named(push_target(own, conditions)) for own in intended or ()] or offered
         label = _one_label((*offered, *wanted), self.surface, self.part, "candidates")
-        errors = self.left_out.errors[:, 0]
-        some = errors[np.isfinite(errors)]
         return propose(
             PartPushes(offered, self.threads),
             PartPushes(wanted, self.threads),
@@ -255,7 +253,7 @@ class PartModel(Result):
             lambda features, good: self._bounds_of(wanted, features, good),
             n=n,
             pushes=len(self.pushes),
-            misfit=float(np.median(some)) if len(some) else 0.0,
+            misfit=self.typical_error,
         )
 
     def distribution(self, surface: str, part: str = "") -> SupportPrior:
@@ -283,6 +281,20 @@ class PartModel(Result):
         found = self.distribution(*(conditions.get(n, "") for n in (self.surface, self.part)))
         return dict(zip(NAMES, found.at(z).T.copy(), strict=True))
 
+    def labels(self, push: Scene | Experiment) -> dict[str, str]:
+        """Return surface and part of a push; those of the new part's own pushes if it has none."""
+        targets = [push_target(push, {}), *map(target_of, self.pushes[:1])]
+        return {
+            name: str(own.conditions[name])
+            for own in reversed(targets)
+            for name in (self.surface, self.part)
+            if name in own.conditions
+        }
+
+    def unseen(self, push: Scene | Experiment, **conditions: str | float) -> tuple[str, ...]:
+        """Return what no experiment of the known parts has; never empty, as the part is new."""
+        return self._unseen(self._named(push_target(push, conditions)))
+
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the known parts."""
@@ -293,6 +305,13 @@ class PartModel(Result):
         """Probability that the known parts can prove at most: n / (n + 1) for n parts."""
         n = len(self.parts)
         return n / (n + 1.0)
+
+    @property
+    def typical_error(self) -> float:
+        """Median error of the position on parts that were left out [m]; 0 without any."""
+        errors = self.left_out.errors[:, 0]
+        some = errors[np.isfinite(errors)]
+        return float(np.median(some)) if len(some) else 0.0
 
     @cached_property
     def coverage(self) -> dict[str, tuple[float, float]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,15 +16,17 @@ from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Scene
 from fixel.model.fields import instance, non_negative
+from fixel.parts.model import PartModel
+from fixel.parts.prior import NAMES
 from fixel.progress import ProgressOption, show_progress
-from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.simulate import SceneWithMethod
 from fixel.simulation.stepper import AbstractStepper
 from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import LABEL, ModelError, draw_walks, shares_of_way
 from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.prediction import Prediction
-from fixel.uncertainty.push import push_of
+from fixel.uncertainty.push import Push, push_of
 from fixel.uncertainty.repetition import predict_repetition
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import StartError
@@ -33,7 +36,7 @@ MAX_SAMPLES = 1_000_000
 
 def predict(
     scene: Scene | SceneWithMethod | str | PathLike[str] | Experiment,
-    model: Mapping[str, float] | Posterior | None = None,
+    model: Mapping[str, float] | Posterior | PartModel | None = None,
     *,
     start: StartError | None = None,
     model_error: bool | float | None = None,
@@ -51,22 +54,24 @@ def predict(
     ----------
     scene : Scene, SceneFile, path or Experiment
         Push of one free body by at most one pusher. A scene file's motion model and step apply.
-    model : mapping of str to float, Calibration or Posterior, optional
-        Parameters [SI]; by default the scene's own values. Of a posterior, every run has the
-        parameters of another sample.
+    model : mapping of str to float, Calibration, Posterior or PartModel, optional
+        Parameters [SI]; by default the scene's own values. Of a posterior or a part model, every
+        run has the parameters of another sample.
     start : StartError, optional
         Distribution of the start pose about that of the scene. By default the start is exact; that
         of an experiment predicted with a posterior has the noise of its camera, as in
         `fixel uncertainty`.
     model_error : bool or float, optional
         Standard deviation of the model's own error at the end of the way [m]. True: that of the
-        posterior. By default as the posterior has it; none with fixed parameters.
+        posterior. By default as the posterior has it; none with fixed parameters; of a part model
+        the median error on parts that were left out.
     times : (n_time,) array_like, optional
         Instants of the path [s]; by default those of the experiment, or twelve up to the end.
     samples : int
         Number of runs.
     motion : AbstractMotionModel or str, optional
-        Motion model; by default that of the calibration or posterior, else `Dynamic()`.
+        Motion model; by default that of the calibration or posterior, quasi-static for a part
+        model, else `Dynamic()`.
     stepper : AbstractStepper, optional
         Stepper; `Adaptive()` by default.
     seed : int
@@ -100,28 +105,10 @@ def predict(
     if isinstance(samples, bool) or not 2 <= samples <= MAX_SAMPLES:
         raise InvalidInput("samples", found=samples, expected=f"2 to {MAX_SAMPLES} runs")
     instance(start, StartError | None, "start", "a StartError")
-    if not isinstance(model, Posterior):
-        if start is None and not model_error:
-            raise InvalidInput(
-                "start",
-                found="no start error, no posterior and no model error",
-                expected="at least one uncertain input",
-                hint="simulate() computes the one end; or give start=StartError(x=, y=, theta=)",
-            )
-        push = push_of(scene, model, motion)
-        values: Mapping[str, ArrayLike] = push.values
-        best, tau = push.values, None
-    else:
-        push = push_of(scene, None, motion or model.motion)
-        own = model.under(push.conditions)
-        if isinstance(scene, Experiment) and start is None and times is None:
-            return _repetition(scene, own, push.motion, model_error, samples, seed, threads)
-        rows = np.resize(np.random.default_rng(seed).permutation(len(own.points)), samples)
-        values = own.values(own.points[rows], push.conditions)
-        best = {
-            name: float(x[0]) for name, x in own.values(own.best[None], push.conditions).items()
-        }
-        tau = own.points[rows, -1] if own.labels[-1] == LABEL else None
+    as_measured = isinstance(scene, Experiment) and start is None and times is None
+    if isinstance(model, Posterior) and isinstance(scene, Experiment) and as_measured:
+        return _repetition(scene, model, motion, model_error, samples, seed, threads)
+    push, values, best, tau = _parameters(scene, model, motion, start, model_error, samples, seed)
     if not isinstance(model_error, bool | None):
         tau = np.full(samples, non_negative(model_error, "model_error", "m"))
     elif model_error is False:
@@ -145,23 +132,74 @@ def predict(
     return replace(found, unseen=_unseen(model, scene, push.scene), drift=_drift(found, tau))
 
 
+class _Parameters(NamedTuple):
+    """Push with the parameters of its runs."""
+
+    push: Push
+    values: Mapping[str, ArrayLike]
+    best: Mapping[str, float]
+    tau: FloatArray | None
+
+
+def _parameters(
+    scene: Scene | SceneWithMethod | str | PathLike[str] | Experiment,
+    model: Mapping[str, float] | Posterior | PartModel | None,
+    motion: AbstractMotionModel | str | None,
+    start: StartError | None,
+    model_error: bool | float | None,
+    samples: int,
+    seed: int,
+) -> _Parameters:
+    """Return a push with parameters for every run: fixed ones, or samples of their distribution."""
+    if isinstance(model, PartModel):
+        push = push_of(scene, None, motion or QuasiStatic())
+        labels = model.labels(scene if isinstance(scene, Experiment) else push.scene)
+        best = model.distribution(labels.get(model.surface, ""), labels.get(model.part, ""))
+        tau = np.full(samples, model.typical_error) if model.typical_error else None
+        nominal = dict(zip(NAMES, best.mean.tolist(), strict=True))
+        return _Parameters(push, model.samples(samples, seed, **labels), nominal, tau)
+    if isinstance(model, Posterior):
+        push = push_of(scene, None, motion or model.motion)
+        own = model.under(push.conditions)
+        rows = np.resize(np.random.default_rng(seed).permutation(len(own.points)), samples)
+        values = own.values(own.points[rows], push.conditions)
+        nominal = {
+            name: float(x[0]) for name, x in own.values(own.best[None], push.conditions).items()
+        }
+        tau = own.points[rows, -1] if own.labels[-1] == LABEL else None
+        return _Parameters(push, values, nominal, tau)
+    if start is None and not model_error:
+        raise InvalidInput(
+            "start",
+            found="no start error, no posterior and no model error",
+            expected="at least one uncertain input",
+            hint="simulate() computes the one end; or give start=StartError(x=, y=, theta=)",
+        )
+    push = push_of(scene, model, motion)
+    return _Parameters(push, push.values, push.values, None)
+
+
 def _unseen(model: object, of: object, scene: Scene) -> tuple[str, ...]:
     """Return what no experiment of the model has; nothing for values without experiments."""
-    known: KnownPushes | None = getattr(model, "known", None)
     what = of if isinstance(of, Experiment) else scene
+    if isinstance(model, PartModel):
+        return model.unseen(what, **model.labels(what))
+    known: KnownPushes | None = getattr(model, "known", None)
     return () if known is None else known.texts(push_target(what, {}))
 
 
 def _repetition(
     experiment: Experiment,
     posterior: Posterior,
-    motion: AbstractMotionModel,
+    motion: AbstractMotionModel | str | None,
     model_error: bool | float | None,
     samples: int,
     seed: int,
     threads: int | None,
 ) -> Prediction:
     """Predict a repetition from the same measured start, as `fixel uncertainty` does."""
+    push = push_of(experiment, None, motion or posterior.motion)
+    posterior = posterior.under(push.conditions)
     error = None if model_error is False else posterior.model_error
     if not isinstance(model_error, bool | None):
         error = ModelError()
@@ -170,9 +208,10 @@ def _repetition(
     elif model_error and error is None:
         raise _no_model_error()
     posterior = replace(posterior, model_error=error)
-    comparer = Comparer([target_of(experiment)], posterior.searched, motion=motion, threads=threads)
+    target = target_of(experiment)
+    comparer = Comparer([target], posterior.searched, motion=push.motion, threads=threads)
     found = predict_repetition(comparer, 0, posterior, draws=samples, seed=seed)
-    return replace(found, unseen=_unseen(posterior, experiment, comparer.targets[0].case.scene))
+    return replace(found, unseen=_unseen(posterior, experiment, target.case.scene))
 
 
 def _no_model_error() -> InvalidInput:
