@@ -37,6 +37,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "calibration": ("calibration", "run", "calibrations of the thesis's campaign on two cores"),
     "coverage": ("calibration", "run_coverage", "intervals of 200 calibrations with known truth"),
     "misfit": ("misfit", "run", "intervals of 100 laboratories that the model misfits"),
+    "new-parts": ("new_parts", "run", "learning curves of parts never pushed, with their bounds"),
     "domain": ("domain", "run", "maps of the simulated laboratory, judged by new experiments"),
     "sbc": ("sbc", "run", "posteriors of 300 data sets drawn from the prior"),
     "tracking": ("tracking", "run", "rendered films tracked on one core, against their truth"),
@@ -55,7 +56,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
 }
 ONLY_WHEN_ASKED = {
     *("peers", "varied", "tracking", "arrival", "coverage", "misfit", "domain", "sbc"),
-    *("camera", "other-camera", "web", "filter-coverage", "filter-wrong"),
+    *("new-parts", "camera", "other-camera", "web", "filter-coverage", "filter-wrong"),
 }
 
 
