@@ -118,7 +118,7 @@ def curves(model: PartModel, ladder: tuple[int, ...]) -> Iterator[dict[str, floa
                 model._groups, model.fits, model.share, k, chosen=way == "chosen", seed=model.seed
             )
             if left.errors.size:
-                yield {"choice": way, "pushes": float(k)} | _row(replace(model, left_out=left))
+                yield {"choice": way, "pushes": float(k), **_row(replace(model, left_out=left))}
 
 
 def _row(model: PartModel) -> dict[str, float]:
@@ -156,20 +156,20 @@ def expected(model: PartModel, ladder: tuple[int, ...]) -> dict[int, float]:
         pool = np.sort(halves(len(group), model.seed)[0])
         table = slopes(group, pool, prior)
         chosen = choose_pushes(table, table, max(ladder))
-        rows.append(ratios_of(chosen.variance, model.typical_error))
+        rows.append(ratios_of(chosen.variance, model))
     n = min(map(len, rows))
     mean = np.mean([own[:n] for own in rows], axis=0)
     return {k: float(mean[k - 1]) for k in ladder if 0 < k <= n}
 
 
-def ratios_of(variance: np.ndarray, misfit: float) -> np.ndarray:
+def ratios_of(variance: np.ndarray, model: PartModel) -> np.ndarray:
     """Expected ratios of `NextPushes` for a variance after each push."""
     k = len(variance) - 1
     nothing = np.zeros((k, 2))
     return NextPushes(
         order=tuple(range(k)), names=("",) * k, start=nothing, end=nothing, outline=nothing,
-        radius=0.0, variance=variance, misfit=misfit, position=np.ones(2), angle=np.ones(2),
-        bounded=(1, 1), candidates=k, idle=0, pushes=0,
+        radius=0.0, variance=variance, error=model.typical_error, misfit=model.misfit,
+        position=np.ones(2), angle=np.ones(2), bounded=(1, 1), candidates=k, idle=0, pushes=0,
     ).shrinking  # fmt: skip
 
 

@@ -15,7 +15,6 @@ from fixel.cli.options import (
     with_options,
 )
 from fixel.cli.screen import (
-    command_line,
     command_of,
     notice,
     paragraphs,
@@ -26,7 +25,7 @@ from fixel.cli.screen import (
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnalysis
-    from fixel.workflows.next_pushes import NextPushesRequest, Proposal
+    from fixel.workflows.next_pushes.run import NextPushesRequest, Proposal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +72,7 @@ class NextOptions:
     def request(self) -> "NextPushesRequest":
         """Request for the next pushes."""
         from fixel.model.fields import optional_positive
-        from fixel.workflows.next_pushes import NextPushesRequest
+        from fixel.workflows.next_pushes.run import NextPushesRequest
 
         lengths = {
             name: None if value is None else 1e-3 * (optional_positive(value, option, "") or 0.0)
@@ -111,18 +110,18 @@ def next_(
     Each is the push that reduces the expected error of all candidates most.
     """
     from fixel.database.project import Project
-    from fixel.workflows import next_pushes
+    from fixel.workflows.next_pushes import plan, report, run
 
     request = options.request
     require_folder(plot)
     if out is not None:
-        next_pushes.refuse_plan(out)
+        plan.refuse_plan(out)
     project = Project(folder)
-    found = next_pushes.propose_pushes(project, request, notify=notice(as_json))
-    kept = next_pushes.store_proposal(project, found, command_line())
+    found = run.propose_pushes(project, request, notify=notice(as_json))
+    kept = report.store_proposal(project, found, report.command_of(request, folder))
     files = [] if plot is None else kept.copy_pictures(plot)
     if out is not None:
-        files.insert(0, next_pushes.write_plan(found, out))
+        files.insert(0, plan.write_plan(found, out))
     print_answer(
         as_json,
         lambda: _content(kept, files),
@@ -150,19 +149,12 @@ def _lines(
         ],
         [*analysis.headline, *(f"Warning: {text}" for text in analysis.warnings[n_unseen:])],
         [*wrote(files), f"stored in {kept.folder}, in {seconds(found.seconds)}"],
-        [f"Next: {_next(found, out, folder)}"],
+        [f"Next: {_next(analysis.command, out, folder)}"],
     )
 
 
-def _next(found: "Proposal", out: Path | None, folder: Path) -> str:
+def _next(command: str, out: Path | None, folder: Path) -> str:
     """Return the command that performs the pushes, or the one that writes them to a file."""
     if out is not None:
         return command_of("testbed", "run", out, project=folder)
-    words = {
-        "--part": found.request.part,
-        "--surface": found.request.surface,
-        "--scene": found.request.scene,
-        "--candidates": found.request.candidates,
-    }
-    given = [word for name, value in words.items() if value for word in (name, value)]
-    return command_of("next", *given, "--out", "next.yaml", project=folder)
+    return f"{command} --out next.yaml"

@@ -24,6 +24,7 @@ _MODULES: Final = {
     "calibration": "fixel.workflows.calibration.job",
     "calibration-result": "fixel.workflows.calibration.project",
     "domain": "fixel.workflows.domain.job",
+    "next": "fixel.workflows.next_pushes.job",
     "toy": "fixel.testing.toy_work",
 }
 _ALLOWED: set[tuple[str, str]] = set()  # module and name

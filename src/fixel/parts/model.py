@@ -18,8 +18,16 @@ from fixel.domain.push_bound import UNSEEN, PushBound
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Pose, Scene
 from fixel.parts.features import bound_features
-from fixel.parts.fit import fit_part
-from fixel.parts.left_out import LeftOutEnds, judged_pushes, leave_parts_out, noise_of, rung
+from fixel.parts.fit import fit_part, simulated
+from fixel.parts.left_out import (
+    MAX_TEST,
+    LeftOutEnds,
+    halves,
+    judged_pushes,
+    leave_parts_out,
+    noise_of,
+    rung,
+)
 from fixel.parts.next_pushes import NextPushes, propose
 from fixel.parts.prior import NAMES, PartValues, SupportPrior, learned_prior
 from fixel.parts.pushes import PartPushes
@@ -253,7 +261,8 @@ class PartModel(Result):
             lambda features, good: self._bounds_of(wanted, features, good),
             n=n,
             pushes=len(self.pushes),
-            misfit=self.typical_error,
+            error=self.typical_error,
+            misfit=self.misfit,
         )
 
     def distribution(self, surface: str, part: str = "") -> SupportPrior:
@@ -309,9 +318,18 @@ class PartModel(Result):
     @property
     def typical_error(self) -> float:
         """Median error of the position on parts that were left out [m]; 0 without any."""
-        errors = self.left_out.errors[:, 0]
-        some = errors[np.isfinite(errors)]
-        return float(np.median(some)) if len(some) else 0.0
+        return _median(self.left_out.errors[:, 0])
+
+    @cached_property
+    def misfit(self) -> float:
+        """Median error of the position on the known parts, fitted to their own pushes [m]."""
+        errors = []
+        for own in self.fits:
+            group = self._groups[own.surface, own.part]
+            which = np.sort(halves(len(group), self.seed)[1][:MAX_TEST])
+            ends, good = simulated(group, which, own.values[None])
+            errors.append(np.where(good[0], group.errors(which, ends[0])[:, 0], np.inf))
+        return _median(np.concatenate(errors))
 
     @cached_property
     def coverage(self) -> dict[str, tuple[float, float]]:
@@ -519,6 +537,12 @@ def _one_label(targets: Sequence[Target], surface: str, part: str, where: str) -
         found = " and ".join(sorted(" ".join(own).strip() for own in labels))
         raise InvalidInput(where, found=found, expected="pushes of one part on one surface")
     return labels.pop()
+
+
+def _median(errors: FloatArray) -> float:
+    """Return the median of the finite errors; 0 without any."""
+    some = errors[np.isfinite(errors)]
+    return float(np.median(some)) if len(some) else 0.0
 
 
 def _count(n: int) -> str:

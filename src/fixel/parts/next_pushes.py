@@ -46,8 +46,10 @@ class NextPushes(Result):
     variance : (k + 1,) float64
         Mean variance of the predicted ends of the intended pushes before the first and after each
         [m^2]; angles at 35 mm/rad.
+    error : float
+        Typical error on parts that were left out, after as many pushes [m].
     misfit : float
-        Typical error of the predictions now [m].
+        Typical error that no push removes: that of parts with all their pushes [m].
     position, angle : (2,) float64
         Mean typical and mean cautious bound of the intended pushes now [m], [rad]; inf without one.
     bounded : tuple of int
@@ -85,6 +87,7 @@ class NextPushes(Result):
     outline: FloatArray
     radius: float
     variance: FloatArray
+    error: float
     misfit: float
     position: FloatArray
     angle: FloatArray
@@ -97,10 +100,15 @@ class NextPushes(Result):
 
     @property
     def shrinking(self) -> FloatArray:
-        """Expected ratios (k,) of the bound after each push to the bound now."""
-        removed = self.variance[0] - self.variance[1:]
-        total = self.misfit**2 + self.variance[0]
-        return np.asarray(np.sqrt(np.maximum(total - removed, 0.0) / total))
+        """Expected ratios (k,) of the bound after each push to the bound now.
+
+        Pushes reduce what the error now has above the misfit, as much as the variance.
+        """
+        if not self.variance[0] > 0.0 or not self.error > self.misfit:
+            return np.ones(len(self.order))
+        left = self.variance[1:] / self.variance[0]
+        floor = (self.misfit / self.error) ** 2
+        return np.asarray(np.sqrt(floor + (1.0 - floor) * left))
 
     def table(self) -> Table:
         """Return the proposed pushes with their expected bounds, typical / cautious."""
@@ -191,6 +199,7 @@ def propose(
     *,
     n: int,
     pushes: int,
+    error: float,
     misfit: float,
 ) -> NextPushes:
     """Propose pushes among candidates.
@@ -209,8 +218,8 @@ def propose(
         Number of pushes to propose.
     pushes : int
         Number of pushes that were made.
-    misfit : float
-        Typical error of the predictions now [m].
+    error, misfit : float
+        Typical error on left-out parts now, and of parts with all their pushes [m].
     """
     _refuse_other_parts(offered, wanted)
     moving = _moving(offered, prior)
@@ -235,6 +244,7 @@ def propose(
         outline=offered.body.shape.outline,
         radius=offered.radius,
         variance=chosen.variance,
+        error=error,
         misfit=misfit,
         position=position,
         angle=angle,

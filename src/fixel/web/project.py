@@ -20,6 +20,7 @@ from fixel.web.api import (
     domain,
     experiments,
     jobs,
+    next_pushes,
     scenes,
     system,
 )
@@ -32,7 +33,8 @@ from fixel.web.views.live_comparison import warm_up
 ROUTERS: Final = tuple(
     resource.router
     for resource in (
-        analyses, calibration, changes, compare, domain, experiments, jobs, scenes, system,
+        analyses, calibration, changes, compare, domain, experiments, jobs, next_pushes,
+        scenes, system,
     )
 )  # fmt: skip
 

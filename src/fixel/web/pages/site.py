@@ -1,7 +1,7 @@
 """All pages of a project, and what the simple ones show.
 
 `Page.place` orders the navigation: Experiments 10, Compare 20, Calibrations 30, Domain 40,
-Simulate 50, Jobs 60, System 70, API 90.
+Next pushes 45, Simulate 50, Jobs 60, System 70, API 90.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fixel.model.selection import ExperimentQuery
 from fixel.web.app import API, Page
 from fixel.web.context import ProjectContext
 from fixel.web.pages import calibration, experiment
-from fixel.web.views import scene_editor
+from fixel.web.views import next_view, scene_editor
 from fixel.web.views.system_status import system_status
 from fixel.workflows.analysis import load_with_errors
 
@@ -35,6 +35,7 @@ def project_pages(context: ProjectContext) -> list[Page]:
         ("/compare", "Compare", "compare.html", 20, compare_page),
         ("/calibrations", "Calibrations", "calibrations.html", 30, None),
         ("/domain", "Domain", "domain.html", 40, domain_page),
+        ("/next", "Next pushes", "next.html", 45, next_page),
         ("/simulate", "Simulate", "simulate.html", 50, simulate_page),
         ("/jobs", "Jobs", "jobs.html", 60, None),
         ("/system", "System", "system.html", 70, system_page),
@@ -89,8 +90,33 @@ def domain_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "name": "" if chosen is None else chosen.folder.name,
         "chosen": None if chosen is None else chosen.analysis,
         "maps": [(one.folder.name, one.analysis) for one in maps],
-        "others": [(one.folder.name, one.analysis) for one in every if one not in maps],
+        "others": [
+            (one.folder.name, one.analysis)
+            for one in every
+            if one.analysis.kind not in ("domain", "next")
+        ],
         "unreadable": [str(problem) for problem in unreadable],
+    }
+
+
+def next_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/next?proposal=NAME`; by default with the newest proposal."""
+    every, unreadable = load_with_errors(context.project, "next")
+    wanted = request.query_params.get("proposal", "")
+    chosen = next((one for one in every if one.folder.name == wanted), every[0] if every else None)
+    numbers = {} if chosen is None else chosen.analysis.numbers
+    parts, surfaces = next_view.choices(context.store)
+    return {
+        "name": "" if chosen is None else chosen.folder.name,
+        "chosen": None if chosen is None else chosen.analysis,
+        "numbers": numbers,
+        "picture": next_view.push_picture(numbers) if numbers else None,
+        "proposals": [(one.folder.name, one.analysis) for one in every],
+        "unreadable": [str(problem) for problem in unreadable],
+        "parts": parts,
+        "surfaces": surfaces,
+        "wanted_part": numbers.get("part", ""),
+        "wanted_surface": numbers.get("surface", ""),
     }
 
 

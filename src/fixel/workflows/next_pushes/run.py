@@ -1,13 +1,11 @@
-"""Propose the next pushes of a part of a project, store the proposal and write it as a plan."""
+"""Propose the next pushes of a part of a project, from pushes of its other parts."""
 
 from __future__ import annotations
 
-import math
-import re
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 
@@ -16,22 +14,15 @@ import numpy as np
 from fixel.calibration.known_pushes import PARTS, SURFACES
 from fixel.calibration.target import target_of
 from fixel.database.project import Project
-from fixel.drawing.parts import NextPushesChart
 from fixel.errors import InvalidInput, unknown_name
-from fixel.formats.plan_file import load_plan, plan_text
+from fixel.formats.plan_file import load_plan
 from fixel.formats.scene_file import load_scene
-from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.model import Disk, Experiment, LineDrive, Scene
 from fixel.parts.candidates import push_candidates
-from fixel.parts.model import PartModel, parts_needed
+from fixel.parts.model import PartModel
 from fixel.parts.next_pushes import NextPushes
 from fixel.progress import ProgressOption
-from fixel.sampling import FixelLayout, Plan, PlannedShape, SamplingRig
-from fixel.sampling.offsets import Offset, OffsetList
-from fixel.sampling.plan import object_pose
 from fixel.typing import Notify
-from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
-from fixel.workflows.figures import Picture, banner_of
 from fixel.workflows.parts import part_model
 
 STORE: Final = Path("cache") / "parts"  # finished fits, in the project
@@ -280,162 +271,3 @@ def _span(experiment: Experiment) -> tuple[float, float]:
     steps = np.diff(drive.waypoints, axis=0)
     travel = float(np.hypot(steps[:, 1], steps[:, 2]).sum())
     return travel, travel / max(float(steps[:, 0].sum()), 1e-9)
-
-
-def plan_of(proposal: Proposal, name: str = "next") -> Plan:
-    """Return a plan of the proposed pushes: the pusher moves along +x, the part is placed for it.
-
-    Raises
-    ------
-    InvalidInput
-        Pushes differ in tip, travel or speed, or are not straight.
-    """
-    body, tips = proposal.scenes[0].bodies[0], [own.pushers[0] for own in proposal.scenes]
-    drives = [tip.drive for tip in tips if isinstance(tip.drive, LineDrive)]
-    common = {(tip.shape, tip.friction, own.speed, own.travel, own.force_limit)
-              for tip, own in zip(tips, drives, strict=False)}  # fmt: skip
-    if len(drives) < len(tips) or len(common) > 1:
-        raise InvalidInput(
-            "--out", found="pushes that differ in tip, travel or speed", expected="pushes alike"
-        )
-    drive, tip = drives[0], tips[0]
-    rig = SamplingRig(
-        head=tip.shape,
-        speed=drive.speed,
-        travel=drive.travel,
-        force_limit=drive.force_limit,
-        head_friction=tip.friction,
-        fixel_friction=0.3,
-        fixel_radius=5e-3,
-        zone_side=0.1,
-        gap=0.0,
-        angle=0.0,
-    )
-    plain = re.sub(r"[^A-Za-z0-9_-]", "-", proposal.part or body.name).strip("-_") or "part"
-    planned = PlannedShape(
-        name=plain[:60], outline=body.shape, mass=body.mass, support=body.support, zone_start=0.0
-    )
-    rows = [_offset(rig, planned, own) for own in proposal.scenes]
-    return Plan(
-        name=name,
-        rig=rig,
-        shapes=(planned,),
-        layouts=(FixelLayout(name="open", pegs=()),),
-        schemes=(OffsetList(tuple(rows)),),
-    )
-
-
-def _offset(rig: SamplingRig, shape: PlannedShape, scene: Scene) -> tuple[float, float, float]:
-    """Return the offset with which the head at the origin makes a push."""
-    body, tip = scene.bodies[0], scene.pushers[0]
-    assert isinstance(tip.drive, LineDrive)
-    heading = math.atan2(tip.drive.direction[1], tip.drive.direction[0])
-    c, s = math.cos(heading), math.sin(heading)
-    x, y = body.pose[:2] - tip.pose[:2]
-    turn = math.remainder(float(body.pose[2]) - heading, 2.0 * math.pi)
-    at = object_pose(rig, shape, Offset(axis="list", step=1.0, theta=turn))
-    return float(c * x + s * y - at[0]), float(c * y - s * x - at[1]), turn
-
-
-def write_plan(proposal: Proposal, path: Path) -> Path:
-    """Write the proposed pushes as a plan file, whole or not at all."""
-    text = plan_text(plan_of(proposal, re.sub(r"[^A-Za-z0-9_-]", "-", path.stem) or "next"))
-    with written_whole(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
-    return path
-
-
-def refuse_plan(path: Path) -> None:
-    """Reject a plan file that cannot be written, before any work."""
-    if path.suffix.lower() not in (".yaml", ".yml"):
-        raise InvalidInput(str(path), found="another ending", expected="a plan file: .yaml, .yml")
-    refuse_unwritable(path)
-
-
-def store_proposal(project: Project, found: Proposal, command: str = "") -> StoredAnalysis:
-    """Store a proposal in its project, with its picture and what is unseen as warnings."""
-    pushes, model = found.pushes, found.model
-    where = " on ".join(x for x in (found.part or "the part of the scene", found.surface) if x)
-    table = pushes.table()
-    n = len(model.parts)
-    headline = [_headline(pushes)]
-    headline.append(
-        f"{n} parts were left out to judge the bounds; they prove at most"
-        f" {100.0 * model.proved_level:.1f} %, and a guarantee of {100.0 * model.level:g} % needs"
-        f" {parts_needed(model.level)} parts."
-    )
-    chart = NextPushesChart(title=f"Next pushes of {where}", pushes=pushes)
-    simulated = [
-        "" if own.real else f"SIMULATED by {own.simulated_by}" for own in model.experiments
-    ]
-    analysis = Analysis(
-        kind="next",
-        title=f"Next pushes of {where}",
-        question=asdict(found.request) | {"where": list(found.request.where)},
-        headline=tuple(headline),
-        warnings=tuple([*pushes.unseen, *_warnings(found)]),
-        tables=(table,),
-        numbers=numbers_of(found),
-        command=command,
-        seed=found.request.seed,
-        seconds=found.seconds,
-    )
-    caption = "Outline of the part with the proposed pushes, the best first."
-    picture = Picture("pushes", chart, banner_of(simulated), caption)
-    return store_analysis(project, analysis, [picture])
-
-
-def _headline(pushes: NextPushes) -> str:
-    if not pushes.bounded[0]:
-        return "None of the intended pushes has a bound."
-    ratio = float(pushes.shrinking[-1])
-    return (
-        f"Bounds now: {pushes.now}; expected after these {len(pushes.order)} pushes:"
-        f" {100.0 * ratio:.0f} % of that."
-    )
-
-
-def _warnings(found: Proposal) -> list[str]:
-    """Return sentences on intended pushes without a bound, and on what was left out."""
-    return [
-        *found.pushes.gaps,
-        *(f"{n} experiments {why} were not used" for why, n in found.skipped.items()),
-    ]
-
-
-def numbers_of(found: Proposal) -> dict[str, object]:
-    """Return a proposal as plain values in SI units, for `--json` and the page."""
-    own = found.pushes
-
-    def finite(values: np.ndarray) -> list[float | None]:
-        return [float(x) if math.isfinite(x) else None for x in values]
-
-    return {
-        "unseen": list(own.unseen),
-        "part": found.part,
-        "surface": found.surface,
-        "pushes_made": own.pushes,
-        "candidates": own.candidates,
-        "left_out_candidates": own.idle,
-        "now": {"position_m": finite(own.position), "angle_rad": finite(own.angle)},
-        "without_bound": {"pushes": own.bounded[1] - own.bounded[0], "reasons": list(own.reasons)},
-        "pushes": [
-            {
-                "candidate": own.order[k],
-                "name": own.name_of(k),
-                "start_m": own.start[k].tolist(),
-                "end_m": own.end[k].tolist(),
-                "expected_ratio": ratio,
-                "position_m": finite(ratio * own.position),
-                "angle_rad": finite(ratio * own.angle),
-            }
-            for k, ratio in enumerate(own.shrinking.tolist())
-        ],
-        "outline_m": own.outline.tolist(),
-        "radius_m": own.radius,
-        "known_parts": list(found.model.parts),
-        "level": found.model.level,
-        "proved_level": found.model.proved_level,
-        "skipped": found.skipped,
-        "seconds": found.seconds,
-    }

@@ -1,0 +1,1 @@
+"""Propose the next pushes of a part of a project."""
