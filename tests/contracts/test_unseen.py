@@ -195,6 +195,15 @@ def test_commands_and_pages_name_it_first(tmp_path, fit, capsys):
         content = json.loads(command(capsys, *call, "--json")[1])
         assert next(iter(content)) == "unseen"
         assert word in content["unseen"][0]
+    call = ("domain", "--axes", "offset_m", "--folds", 2, "--threshold-mm", 2, *where)
+    code, out, _ = command(capsys, *call)
+    assert (code, out.splitlines()[0]) == (0, (
+        "Unseen by calibration 1: shape 'hex': no experiment with it, only rect1, rect2"
+        " (1 experiment)"
+    ))  # fmt: skip
+    content = json.loads(command(capsys, *call, "--json")[1])
+    assert next(iter(content)) == "unseen"
+    assert len(content["unseen"]) == len(new)
     with project.store() as store:
         live = LiveComparison(store)
         for push, (_, word) in zip(own, new.values(), strict=True):

@@ -192,6 +192,7 @@ def _widths(settings: list[str]) -> dict[str, float]:
 def _content(done: "DomainResult") -> dict[str, Any]:
     analysis = done.kept.analysis
     return {
+        "unseen": list(done.gathered.unseen),
         "title": analysis.title,
         "headline": list(analysis.headline),
         "warnings": list(analysis.warnings),
@@ -204,11 +205,13 @@ def _content(done: "DomainResult") -> dict[str, Any]:
 
 def _lines(done: "DomainResult", folder: Path, request: "DomainRequest") -> list[str]:
     analysis = done.kept.analysis
-    lines = [*analysis.headline, ""]
+    lines = [f"Unseen by {text}" for text in done.gathered.unseen]
+    lines += [*analysis.headline, ""]
     for one in analysis.tables:
         shown = shortened(one.lines(MAX_ROWS), len(one.rows) + 1)
         lines += [f"{one.title}:", *shown, ""]
-    lines += [f"Warning: {sentence}." for sentence in analysis.warnings]
+    others = analysis.warnings[len(done.gathered.unseen) :]
+    lines += [f"Warning: {sentence}." for sentence in others]
     return [
         *lines,
         *wrote(done.files),

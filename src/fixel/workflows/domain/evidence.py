@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
@@ -25,7 +26,7 @@ from fixel.io.result_cache import ResultCache
 from fixel.typing import FloatArray, ProgressCallback
 from fixel.workflows.analysis import ANALYSES
 from fixel.workflows.calibration.project import select_experiments
-from fixel.workflows.calibration.stored import newest_calibration
+from fixel.workflows.calibration.stored import known_pushes, load_values, newest_calibration
 from fixel.workflows.domain.held_out import (
     MAX_TRAINING,
     SQUARES,
@@ -59,6 +60,7 @@ class DomainEvidence(NamedTuple):
     left_out: dict[str, str]
     is_real: bool
     mark: str = ""  # name of the folder in which it is stored
+    unseen: tuple[str, ...] = ()  # what no experiment of the calibration has
 
 
 def gather(
@@ -162,10 +164,23 @@ def _computed(
     return {
         **evidence_of(chosen.targets, started.model, asked, finished, progress),
         "ids": chosen.ids,
+        "unseen": _unseen(store, started.calibration, chosen.targets),
         "calibration": started.calibration,
         "started": started.said,
         "left_out": dict(chosen.left_out),
     }
+
+
+def _unseen(store: Store, calibration: int | None, targets: Sequence[Target]) -> list[str]:
+    """Return what no experiment of the calibration has, with the number of experiments."""
+    if calibration is None:
+        return []
+    known = known_pushes(store, load_values(store, calibration))
+    counts = Counter(text for target in targets for text in known.texts(target))
+    return [
+        f"calibration {calibration}: {text} ({n} experiment{'s' if n > 1 else ''})"
+        for text, n in counts.items()
+    ]
 
 
 def evidence_of(
@@ -261,6 +276,7 @@ def gathered_from(content: Mapping[str, Any], asked: DomainRequest) -> DomainEvi
         scale_mm=content["scale_mm"],
         left_out=content["left_out"],
         is_real=True,
+        unseen=tuple(content.get("unseen", ())),
     )
 
 
