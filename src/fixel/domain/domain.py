@@ -34,6 +34,7 @@ from fixel.domain.predicted_cells import untried
 from fixel.domain.surface import CellObservations, Surface, fit_surface
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Probability, Scene
+from fixel.model.fields import frozen
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -306,13 +307,19 @@ class DomainMap(Result):
     def statistic(self, level: float) -> FloatArray:
         """Return the quantile (n_group, n_cell) of the members' errors at `level`, in the unit of
         the measure; the largest of few. nan without data, inf for a failed simulation."""
+        if level in self._statistics:
+            return self._statistics[level]
         found = np.full(self.counts.shape, np.nan)
         for g, own in enumerate(self.members):
             for c, rows in enumerate(own):
                 if len(rows):
                     score = _quantile(self.scores[rows], level)
                     found[g, c] = value_of(score, self.measure) if np.isfinite(score) else np.inf
-        return found
+        return self._statistics.setdefault(level, frozen(found))
+
+    @cached_property
+    def _statistics(self) -> dict[float, FloatArray]:
+        return {}
 
     def verdicts(self, claim: Claim) -> list[list[CellVerdict]]:
         """Return the verdict of every cell of every map."""
