@@ -26,7 +26,7 @@ def new_parts_figure(errors: Sequence[Row], bounds: Sequence[Row]) -> Figure:
     bounds : sequence of mapping
         `pushes`, `rule`, `error`, `typical_mean` and `cautious_mean` of the bounds.
     """
-    figure = sheet(WIDE, 3.0)
+    figure = sheet(WIDE, 3.4)
     panels = figure.subplots(1, 2)
     for axes, error, column in zip(
         panels.tolist(), ("position", "angle"), ("position_mm", "angle_deg"), strict=True
@@ -51,5 +51,7 @@ def new_parts_figure(errors: Sequence[Row], bounds: Sequence[Row]) -> Figure:
         axes.set_ylabel(f"{error} [{unit}]")
         axes.set_ylim(0.0)
         clean(axes)
-    panels[0].legend(frameon=False, fontsize=6, ncols=2, loc="upper right")
+        axes.set_xticks([0, 5, 10, 15, 20])
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, frameon=False, ncols=3, loc="outside upper center")
     return figure

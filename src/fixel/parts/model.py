@@ -376,17 +376,20 @@ class PartModel(Result):
         parts = [left.part[k] for k in rows.tolist()]
         if len(set(parts)) < MIN_PARTS:
             return {}
-        bound = ConformalBound.fit(
-            left.features[rows],
-            left.errors[rows, column],
-            level=self.level,
-            seed=self.seed,
-            # Models leave out whole parts; the unit of the bounds is a part on a surface.
-            groups=parts,
-            units=[left.group[k] for k in rows.tolist()],
-            rule=TYPICAL,
-        )
-        return {rule: bound.with_rule(rule) for rule in (TYPICAL, CAUTIOUS)}
+        # Models of typical errors leave out whole parts. The cautious bound is that of the worst
+        # part on its worst surface: two surfaces of one part differ as much as two parts.
+        return {
+            rule: ConformalBound.fit(
+                left.features[rows],
+                left.errors[rows, column],
+                level=self.level,
+                seed=self.seed,
+                groups=parts if rule == TYPICAL else None,
+                units=[left.group[k] for k in rows.tolist()],
+                rule=rule,
+            )
+            for rule in (TYPICAL, CAUTIOUS)
+        }
 
     @cached_property
     def _groups(self) -> dict[tuple[str, str], PartPushes]:
