@@ -19,9 +19,8 @@ import numpy as np
 from fixel.calibration.target import target_of
 from fixel.domain.error_bound import TYPICAL, ConformalBound
 from fixel.model import Experiment, wrapped
-from fixel.parts.choice import choose_pushes
-from fixel.parts.fit import fit_part, simulated, slopes
-from fixel.parts.left_out import halves, leave_parts_out, noise_of
+from fixel.parts.fit import simulated
+from fixel.parts.left_out import after, chosen_order, halves, leave_parts_out
 from fixel.parts.model import EndPrediction, PartModel
 from fixel.parts.pushes import PartPushes
 from fixel.replay.base import Row
@@ -143,24 +142,20 @@ def _scores(
         test = np.sort(test[:MAX_TEST])
         model = models[RANDOM, 0]
         prior = model.distribution(*key)
-        sorted_pool = np.sort(pool)
-        table = slopes(pushes, sorted_pool, prior)
-        worth = choose_pushes(table, table, max(counts)).which
-        orders = {RANDOM: pool, CHOSEN: sorted_pool[worth]}
+        orders = {RANDOM: pool, CHOSEN: chosen_order(pushes, pool, prior, max(counts))}
         for (rule, k), own in models.items():
             which = orders[rule][:k]
             if len(which) < k:
                 continue
             if k not in BOUND_COUNTS:
-                noise = np.full(k, noise_of(k))
-                values = fit_part(pushes, which, prior, noise).mean
+                values = after(pushes, which, prior).mean
                 ends, _ = simulated(pushes, test, values[None])
                 scores.append(_score_of_ends(key, rule, k, pushes.errors(test, ends[0])))
                 continue
             given = [experiments[j] for j in which.tolist()]
-            after = own.after(given, chosen=rule == CHOSEN) if k else own
-            found = after.predict([experiments[j] for j in test.tolist()])
-            scores.append(_score(key, rule, k, pushes, which, test, found, after))
+            taught = own.after(given, chosen=rule == CHOSEN) if k else own
+            found = taught.predict([experiments[j] for j in test.tolist()])
+            scores.append(_score(key, rule, k, pushes, which, test, found, taught))
     return scores
 
 

@@ -22,6 +22,11 @@ class ChosenPushes(NamedTuple):
     variance: FloatArray  # (k + 1,) mean variance of the intended ends before and after each [m^2]
 
 
+def errors_of(table: FloatArray, noise: float) -> FloatArray:
+    """Return the sizes (k,) of the errors of pushes with derivatives (k, 3, n_param) [m]."""
+    return np.asarray(np.sqrt(noise**2 + MISFIT_SHARE**2 * np.einsum("kci,kci->k", table, table)))
+
+
 def choose_pushes(candidates: FloatArray, intended: FloatArray, n: int) -> ChosenPushes:
     """Choose pushes that reduce the mean variance of predicted ends most, one after another.
 
@@ -39,8 +44,7 @@ def choose_pushes(candidates: FloatArray, intended: FloatArray, n: int) -> Chose
     """
     covariance = np.eye(candidates.shape[2])
     wanted = np.einsum("kci,kcj->ij", intended, intended) / max(len(intended), 1)
-    misfit = NOISE**2 + MISFIT_SHARE**2 * np.einsum("kci,kci->k", candidates, candidates)
-    noise = misfit[:, None, None] * np.eye(candidates.shape[1])
+    noise = errors_of(candidates, NOISE)[:, None, None] ** 2 * np.eye(candidates.shape[1])
     chosen: list[int] = []
     variance = [float(np.trace(wanted @ covariance))]
     for _ in range(min(n, len(candidates))):

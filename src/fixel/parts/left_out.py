@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.parts.choice import choose_pushes
+from fixel.parts.choice import choose_pushes, errors_of
 from fixel.parts.features import bound_features
 from fixel.parts.fit import fit_part, simulated, slopes
 from fixel.parts.prior import PartValues, SupportPrior, learned_prior
@@ -115,7 +115,8 @@ def leave_parts_out(
         if _enough(len(group), pushes):
             prior = learned_prior([own for own in fits if own.part != part], surface, share)
             if pushes:
-                prior = after(group, pool, prior, pushes, chosen=chosen)
+                use = chosen_order(group, pool, prior, pushes) if chosen else pool[:pushes]
+                prior = after(group, use, prior)
             test = np.sort(test[:MAX_TEST])
             features, ends, good = bound_features(group, test, prior)
             errors = np.where(good[:, None], group.errors(test, ends), np.inf)
@@ -131,16 +132,22 @@ def leave_parts_out(
     )
 
 
+def chosen_order(group: PartPushes, pool: IntArray, prior: SupportPrior, n: int) -> IntArray:
+    """Return the n pushes (n,) of a pool that `choose_pushes` makes first."""
+    pool = np.sort(pool)
+    table = slopes(group, pool, prior)
+    return np.asarray(pool[choose_pushes(table, table, n).which])
+
+
 def after(
-    group: PartPushes, pool: IntArray, prior: SupportPrior, n: int, *, chosen: bool = False
+    group: PartPushes, which: IntArray, prior: SupportPrior, repeated: float = 1.0
 ) -> SupportPrior:
-    """Return the distribution of the parameters after n pushes of a pool: its first, or chosen."""
-    use = pool[:n]
-    if chosen:
-        pool = np.sort(pool)
-        table = slopes(group, pool, prior)
-        use = pool[choose_pushes(table, table, n).which]
-    return fit_part(group, use, prior, np.full(n, noise_of(n)))
+    """Return the distribution of the parameters after pushes `which` (k,) of a part.
+
+    Each is believed as far as its end is certain; repeated ones count as one.
+    """
+    noise = noise_of(round(len(which) / repeated)) * float(np.sqrt(repeated))
+    return fit_part(group, which, prior, errors_of(slopes(group, which, prior), noise))
 
 
 def halves(n: int, seed: int) -> tuple[IntArray, IntArray]:

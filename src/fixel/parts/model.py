@@ -18,14 +18,14 @@ from fixel.domain.push_bound import UNSEEN, PushBound
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Pose, Scene
 from fixel.parts.features import bound_features
-from fixel.parts.fit import fit_part, simulated
+from fixel.parts.fit import simulated
 from fixel.parts.left_out import (
     MAX_TEST,
     LeftOutEnds,
+    after,
     halves,
     judged_pushes,
     leave_parts_out,
-    noise_of,
     rung,
 )
 from fixel.parts.next_pushes import NextPushes, propose
@@ -276,8 +276,8 @@ class PartModel(Result):
             return prior
         targets = [self._named(target_of(own)) for own in self.pushes]
         pushes = PartPushes(targets, self.threads)
-        noise = noise_of(distinct(pushes)) * np.sqrt(len(pushes) / distinct(pushes))
-        return fit_part(pushes, np.arange(len(pushes)), prior, np.full(len(pushes), noise))
+        repeated = len(pushes) / distinct(pushes)
+        return after(pushes, np.arange(len(pushes)), prior, repeated)
 
     def samples(self, k: int = 64, seed: int = 0, **conditions: str) -> dict[str, FloatArray]:
         """Return k samples of the support parameters of a part, (k,) by name.
