@@ -40,7 +40,7 @@ def reproduce_published(
     ),
     protocol: list[str] | None = option(
         None,
-        "calibrated, learned, few, unregistered or new-shape; may be repeated. All where"
+        "calibrated, learned, averaged, few, unregistered or new-shape; may be repeated. All where"
         " left out. Or joint: the time one calibration of 1000 pushes takes.",
         metavar="NAME",
         show_default=False,

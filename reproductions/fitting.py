@@ -67,6 +67,13 @@ def load_beliefs(group: PushGroup, sd: float) -> list[Belief]:
     return [Belief(f"load_{k + 1}", 1.0, sd, 0.0, 8.0) for k in range(len(group.points))]
 
 
+def profile_beliefs() -> list[Belief]:
+    """Priors of balanced loads about equal ones, from six numbers instead of one for each point."""
+    wide = {"rim": 2.0, "corner": 1.5, "xy": 1.5, "diagonal": 1.0}
+    found = [Belief(f"pressure_{name}", 0.0, sd, -6.0, 6.0) for name, sd in wide.items()]
+    return found + [Belief(f"pressure_tilt_{axis}", 0.0, 0.3, -1.5, 1.5) for axis in "xy"]
+
+
 def table_beliefs(bend: float = 0.0, quarter: float = 0.6, slope: float = 0.3) -> list[Belief]:
     """Priors of the table's shape, from standard deviations; zero omits a parameter.
 

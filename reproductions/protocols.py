@@ -28,6 +28,7 @@ from reproductions.fitting import (
     load_beliefs,
     outline_beliefs,
     part_beliefs,
+    profile_beliefs,
     registration_beliefs,
     table_beliefs,
     tip_beliefs,
@@ -57,6 +58,7 @@ ITERATIONS: Final = 10
 PROTOCOLS: Final[dict[str, str]] = {
     "calibrated": "physics calibrated on other pushes of the same plate and surface",
     "learned": "the same, and a Gaussian process on what it leaves over",
+    "averaged": "the mean of two calibrations: loads free, and balanced loads of six numbers",
     "few": f"physics calibrated on {FEW_PUSHES} pushes of the plate and surface",
     "unregistered": "physics calibrated without any registration of tracker to robot",
     "new-shape": "a plate never seen: what other plates have in common",
@@ -238,25 +240,37 @@ def _calibrated(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
         bench.advance(f"calibrated {' '.join(key)}")
 
 
-def full_beliefs(group: PushGroup, train: IntArray) -> list[Belief]:
-    """Priors of all parameters that pushes of one plate on one surface can determine."""
+def full_beliefs(group: PushGroup, train: IntArray, balanced: bool = False) -> list[Belief]:
+    """Priors of all parameters that pushes of one plate on one surface can determine.
+
+    With `balanced` loads, slopes of the table are left out: the balance cancels them.
+    """
     shift = gap_registration(group, train).shift
     return [
         *tip_beliefs(),
-        *load_beliefs(group, FREE),
+        *(profile_beliefs() if balanced else load_beliefs(group, FREE)),
         *registration_beliefs(shift, 0.3e-3),
         *outline_beliefs(),
-        *table_beliefs(),
+        *(table_beliefs(slope=0.0) if balanced else table_beliefs()),
     ]
 
 
 def full_fit(
-    bench: BenchmarkData, group: PushGroup, repeat: int | str, split: Split
+    bench: BenchmarkData, group: PushGroup, repeat: int | str, split: Split, balanced: bool = False
 ) -> FittedPushes:
     """Calibrate the physics on a split's training pushes."""
     member = FitMember(group, split.train, {})
-    beliefs = full_beliefs(group, split.train)
-    return bench.fitted(f"calibrated_{repeat}", group.key, [member], beliefs)
+    beliefs = full_beliefs(group, split.train, balanced)
+    name = "balanced" if balanced else "calibrated"
+    return bench.fitted(f"{name}_{repeat}", group.key, [member], beliefs)
+
+
+def _averaged(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
+    for k, split in enumerate(bench.splits(key)):
+        group = bench.group(key)
+        found = [full_fit(bench, group, k, split, balanced) for balanced in (False, True)]
+        yield _piece(bench, group, k, split.held_out, *found)
+        bench.advance(f"averaged {' '.join(key)}")
 
 
 def _unregistered(bench: BenchmarkData, key: Key) -> Iterator[Piece]:
@@ -377,6 +391,7 @@ def _quick(rows: dict[Key, IntArray]) -> dict[Key, IntArray]:
 RUN: Final[dict[str, Callable[[BenchmarkData, Key], Iterator[Piece]]]] = {
     "calibrated": _calibrated,
     "learned": _learned,
+    "averaged": _averaged,
     "few": _few,
     "unregistered": _unregistered,
     "new-shape": _new_shape,

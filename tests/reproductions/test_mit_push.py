@@ -139,10 +139,11 @@ def test_made_up_pushes_are_found_out(tmp_path: Path) -> None:
     )
 
     assert [scored.protocol for scored in answer.scored] == list(PROTOCOLS)
-    assert told[-1] == (10, 10)
+    assert told[-1] == (12, 12)
     before = pooled(answer, "calibrated", "uncalibrated")
     assert pooled(answer, "calibrated", "calibrated") < 0.35 * before
     assert pooled(answer, "learned", "calibrated") < 0.5 * before
+    assert pooled(answer, "averaged", "calibrated") < 0.5 * before
     assert pooled(answer, "few", "calibrated") < 0.6 * before
     assert pooled(answer, "calibrated", "calibrated") < pooled(answer, "unregistered", "calibrated")
     assert pooled(answer, "new-shape", "calibrated") < 0.7 * before
