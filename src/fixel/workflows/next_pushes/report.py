@@ -90,7 +90,7 @@ def _warnings(found: Proposal) -> list[str]:
     """Return sentences on intended pushes without a bound, and on what was left out."""
     return [
         *found.pushes.gaps,
-        *(f"{n} experiments {why} were not used" for why, n in found.skipped.items()),
+        *(f"{n} experiment{'s' * (n != 1)} {why}: not used" for why, n in found.skipped.items()),
     ]
 
 
