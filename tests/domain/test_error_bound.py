@@ -166,6 +166,8 @@ def test_a_group_never_seen_has_no_bound_and_says_so() -> None:
     assert np.isfinite(promise.bounds(features[:3], asked)).tolist() == [False, True, True]
     assert promise.reasons(features[:3], asked) == ("no experiment with glass", "", "")
     assert promise.unseen(asked) == ("no experiment with glass", "", "")
+    one = ConformalBound.fit(features, errors, ["clay", *groups[1:]], model="neighbours")
+    assert one.reasons(features[:2], ["clay", "wood"]) == ("only 1 experiment with clay", "")
 
 
 def test_same_seed_same_bits_and_higher_levels_are_wider() -> None:

@@ -22,6 +22,7 @@ from fixel.calibration.contacts import (
     PushedContacts,
     TouchedPlaces,
 )
+from fixel.calibration.known_pushes import MIN_EXPERIMENTS
 from fixel.domain.scale_model import (
     Scale,
     ScaleModel,
@@ -340,11 +341,12 @@ class ConformalBound:
             raise InvalidInput("contacts", found=found, expected="as in `for_contacts`")
         if self._pushed is not None and contacts is not None:
             return self._pushed.novelty(contacts, labels)
-        # Units are left out to bound new ones, so that any label is as good as another there.
-        old = (
-            {*self._groups, None} if self._unit is None and self._groups != (None,) else set(labels)
-        )
-        new = ["" if label in old else f"no experiment with {label}" for label in labels]
+        if self._unit is not None or self._groups == (None,):
+            new = [""] * len(labels)  # for any label: units are left out to bound new ones
+        else:
+            count = dict(zip(self._groups, np.bincount(self._group).tolist(), strict=True))
+            count[None] = self.n  # a label that is not given
+            new = [_few(label, count.get(label, 0)) for label in labels]
         return Novelty(tuple(PART if reason else "" for reason in new), tuple(new))
 
     def _table(self, features: ArrayLike) -> FloatArray:
@@ -604,6 +606,14 @@ def _check_number(level: float, n: int, where: str, found: str, more: str, on: s
             expected=f"at least {least} for bounds with {100.0 * level:g} %{on}",
             hint=f"{more}, or use a lower level",
         )
+
+
+def _few(label: Hashable, n: int) -> str:
+    """Return why a group counts as unseen; empty if it has enough experiments."""
+    if not n:
+        return f"no experiment with {label}"
+    several = "s" if n > 1 else ""
+    return "" if n >= MIN_EXPERIMENTS else f"only {n} experiment{several} with {label}"
 
 
 def _check_units(rule: str, level: float, n_unit: int) -> None:
