@@ -64,12 +64,27 @@ def test_a_speed_that_only_left_out_speeds_bound_is_a_conclusion() -> None:
     """On real pushes, bounds that ignore the contact have no data at a speed never pushed."""
     n = 4
     counted = new_sides.CoverageCount(
-        ["abs hex"] * n, np.ones(n), np.full(n, np.inf), np.full(n, 2.0), np.ones(n, bool)
+        ["abs hex"] * n, np.ones(n), np.full(n, np.inf), *np.full((3, n), 2.0), np.ones(n, bool)
     )
     rows = new_sides._overall("position", "speed", counted)
     total = dict.fromkeys((f"position_{k}_mm" for k in ("new_side", "random")), 1.0)
     total |= dict.fromkeys((f"angle_{k}_deg" for k in ("new_side", "random")), 1.0)
-    first, _ = new_sides._conclusions(rows, [total])
+    bounds = {"bound": 1e3 * counted.bound}
+    trusted = new_sides.trusted_rows(
+        "position", "speed", counted.group, np.full(n, 3.5), bounds, "mm"
+    )
+    assert [row["trusted"] for row in trusted] == [0, 0, 0, 0]
+    bounds = {"bound": np.array([2.0, 3.5, 3.5, 6.0])}
+    trusted = new_sides.trusted_rows(
+        "position", "speed", counted.group, np.full(n, 3.5), bounds, "mm"
+    )
+    assert [(row["trusted"], row["within"]) for row in trusted] == [
+        (1, 0.0), (3, 1.0), (3, 1.0), (4, 1.0)
+    ]  # fmt: skip
+    first, second, *_ = new_sides._conclusions(rows, [total], trusted)
+    assert second.startswith(
+        "Trusted at 3 mm (position, a speed never pushed): 1 of 4 pushes, 0.0 %"
+    )
     assert "hold for 100.0 % of 4 pushes" in first
     assert first.endswith("blind to the contact no data.")
 
@@ -82,3 +97,8 @@ def test_bounds_hold_on_real_sides_never_pushed(data_root: Path) -> None:
             assert row["bound_coverage"] >= 0.88
             # 80 % is wanted; measured: positions of abs tri3 78.1 %, angles of abs tri1 78.8 %.
             assert row["bound_worst"] >= 0.76
+            assert row["typical_coverage"] >= 0.87
+            assert row["cautious_worst"] >= 0.80
+    for row in answer.tables["trusted"]:
+        if row["bound"] == "bound" and row["tau"] in (3, 4):
+            assert row["within"] >= 0.88
