@@ -25,7 +25,7 @@ from fixel.cli.screen import (
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnalysis
-    from fixel.workflows.next_pushes.run import NextPushesRequest, Proposal
+    from fixel.workflows.next_pushes.run import NextPushesRequest, PushProposal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +134,7 @@ def _content(kept: "StoredAnalysis", files: list[Path]) -> dict[str, Any]:
 
 
 def _lines(
-    found: "Proposal", kept: "StoredAnalysis", files: list[Path], out: Path | None, folder: Path
+    found: "PushProposal", kept: "StoredAnalysis", files: list[Path], out: Path | None, folder: Path
 ) -> list[str]:
     """About a screen of text: what is unseen, the pushes, the bounds, the next command."""
     analysis = kept.analysis

@@ -35,7 +35,7 @@ class NextJob(Answer):
     state: str
     ended: bool
     reason: str
-    stage: str = Field(description="what it is doing")
+    stage: str = Field(description="stage of the computation")
 
 
 @router.post("", summary="Propose pushes in a separate process")

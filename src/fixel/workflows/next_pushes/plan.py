@@ -13,10 +13,10 @@ from fixel.model import LineDrive, Scene
 from fixel.sampling import FixelLayout, Plan, PlannedShape, SamplingRig
 from fixel.sampling.offsets import Offset, OffsetList
 from fixel.sampling.plan import object_pose
-from fixel.workflows.next_pushes.run import Proposal
+from fixel.workflows.next_pushes.run import PushProposal
 
 
-def plan_of(proposal: Proposal, name: str = "next") -> Plan:
+def plan_of(proposal: PushProposal, name: str = "next") -> Plan:
     """Return a plan of the proposed pushes: the pusher moves along +x, the part is placed for it.
 
     Raises
@@ -71,7 +71,7 @@ def _offset(rig: SamplingRig, shape: PlannedShape, scene: Scene) -> tuple[float,
     return float(c * x + s * y - at[0]), float(c * y - s * x - at[1]), turn
 
 
-def write_plan(proposal: Proposal, path: Path) -> Path:
+def write_plan(proposal: PushProposal, path: Path) -> Path:
     """Write the proposed pushes as a plan file, whole or not at all."""
     text = plan_text(plan_of(proposal, re.sub(r"[^A-Za-z0-9_-]", "-", path.stem) or "next"))
     with written_whole(path) as unfinished:

@@ -15,10 +15,10 @@ from fixel.parts.model import parts_needed
 from fixel.parts.next_pushes import NextPushes
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.figures import Picture, banner_of
-from fixel.workflows.next_pushes.run import NextPushesRequest, Proposal
+from fixel.workflows.next_pushes.run import NextPushesRequest, PushProposal
 
 
-def store_proposal(project: Project, found: Proposal, command: str = "") -> StoredAnalysis:
+def store_proposal(project: Project, found: PushProposal, command: str = "") -> StoredAnalysis:
     """Store a proposal in its project, with its picture and what is unseen as warnings."""
     pushes, model = found.pushes, found.model
     where = " on ".join(x for x in (found.part or "the part of the scene", found.surface) if x)
@@ -26,7 +26,7 @@ def store_proposal(project: Project, found: Proposal, command: str = "") -> Stor
     n = len(model.parts)
     headline = [_headline(pushes)]
     headline.append(
-        f"{n} parts were left out to judge the bounds; they prove at most"
+        f"The bounds come from {n} parts that were left out. They prove at most"
         f" {100.0 * model.proved_level:.1f} %, and a guarantee of {100.0 * model.level:g} % needs"
         f" {parts_needed(model.level)} parts."
     )
@@ -86,7 +86,7 @@ def _headline(pushes: NextPushes) -> str:
     )
 
 
-def _warnings(found: Proposal) -> list[str]:
+def _warnings(found: PushProposal) -> list[str]:
     """Return sentences on intended pushes without a bound, and on what was left out."""
     return [
         *found.pushes.gaps,
@@ -94,7 +94,7 @@ def _warnings(found: Proposal) -> list[str]:
     ]
 
 
-def numbers_of(found: Proposal) -> dict[str, object]:
+def numbers_of(found: PushProposal) -> dict[str, object]:
     """Return a proposal as plain values in SI units, for `--json` and the page."""
     own = found.pushes
 

@@ -69,7 +69,7 @@ class NextPushesRequest:
     seed: int = 0
 
 
-class Proposal(NamedTuple):
+class PushProposal(NamedTuple):
     """Proposed pushes of a part.
 
     Attributes
@@ -105,7 +105,7 @@ def propose_pushes(
     notify: Notify | None = None,
     progress: ProgressOption = None,
     threads: int | None = None,
-) -> Proposal:
+) -> PushProposal:
     """Propose the next pushes of a part; experiments of the other parts are the known ones.
 
     Raises
@@ -155,7 +155,7 @@ def propose_pushes(
     offered = [own.scene for own in given] or _candidates(first, [*mine, *known], request)
     labels: Any = {name: x for name, x in ((part, part_value), (surface, surface_value)) if x}
     pushes = model.next_pushes(offered, n=request.n, **labels)
-    return Proposal(
+    return PushProposal(
         request,
         part_value,
         surface_value,

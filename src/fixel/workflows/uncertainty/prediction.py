@@ -132,7 +132,7 @@ def predict(
     return replace(found, unseen=_unseen(model, scene, push.scene), drift=_drift(found, tau))
 
 
-class _Parameters(NamedTuple):
+class _SampledPush(NamedTuple):
     """Push with the parameters of its runs."""
 
     push: Push
@@ -149,7 +149,7 @@ def _parameters(
     model_error: bool | float | None,
     samples: int,
     seed: int,
-) -> _Parameters:
+) -> _SampledPush:
     """Return a push with parameters for every run: fixed ones, or samples of their distribution."""
     if isinstance(model, PartModel):
         push = push_of(scene, None, motion or QuasiStatic())
@@ -157,7 +157,7 @@ def _parameters(
         best = model.distribution(labels.get(model.surface, ""), labels.get(model.part, ""))
         tau = np.full(samples, model.typical_error) if model.typical_error else None
         nominal = dict(zip(NAMES, best.mean.tolist(), strict=True))
-        return _Parameters(push, model.samples(samples, seed, **labels), nominal, tau)
+        return _SampledPush(push, model.samples(samples, seed, **labels), nominal, tau)
     if isinstance(model, Posterior):
         push = push_of(scene, None, motion or model.motion)
         own = model.under(push.conditions)
@@ -167,7 +167,7 @@ def _parameters(
             name: float(x[0]) for name, x in own.values(own.best[None], push.conditions).items()
         }
         tau = own.points[rows, -1] if own.labels[-1] == LABEL else None
-        return _Parameters(push, values, nominal, tau)
+        return _SampledPush(push, values, nominal, tau)
     if start is None and not model_error:
         raise InvalidInput(
             "start",
@@ -176,7 +176,7 @@ def _parameters(
             hint="simulate() computes the one end; or give start=StartError(x=, y=, theta=)",
         )
     push = push_of(scene, model, motion)
-    return _Parameters(push, push.values, push.values, None)
+    return _SampledPush(push, push.values, push.values, None)
 
 
 def _unseen(model: object, of: object, scene: Scene) -> tuple[str, ...]:
