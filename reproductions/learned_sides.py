@@ -45,13 +45,15 @@ def run(options: RunOptions) -> Reproduction:
     """
     bench = calibrated_bench(options)
     labels = {
-        (kind, key): of(bench.group(key))
+        (kind, key): label
         for kind, of in ((SIDE, side_labels), (QUARTER, quarter_labels))
         for key in bench.rows
+        for label in [of(bench.group(key))]
+        if label.max() > 0  # few pushes can be of one side
     }
     bench.total = sum(int(own.max()) + 1 for own in labels.values())
     groups = [_group(bench, kind, key, own) for (kind, key), own in labels.items()]
-    overall = [_overall(kind, groups) for kind in (SIDE, QUARTER)]
+    overall = [_overall(kind, groups) for kind in dict.fromkeys(kind for kind, _ in labels)]
     return Reproduction(
         tables={"overall": overall, "groups": groups},
         conclusions=[_conclusion(row) for row in overall],
