@@ -34,7 +34,7 @@ from reproductions.fitting import (
     tip_beliefs,
 )
 from reproductions.pushes import Key, PushGroup, rows_by_key
-from reproductions.residual_process import REACH
+from reproductions.residual_process import MAX_REACH, REACH
 from reproductions.residuals import (
     Split,
     few_of,
@@ -220,7 +220,7 @@ class BenchmarkData:
             end, sd = learned_ends(group, split, physics, speed)
             return {"end": listed(end), "sd": listed(sd)}
 
-        of = ["learned", REACH, physics, group.end[split.train], split.train, speed]
+        of = ["learned", REACH, MAX_REACH, physics, group.end[split.train], split.train, speed]
         finished = self.finished.get(f"learned_{name}_{'_'.join(group.key)}", of, compute)
         return np.array(finished["end"]), np.array(finished["sd"])
 

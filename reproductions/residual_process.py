@@ -23,6 +23,9 @@ PARTS: Final = 3
 NINETY: Final = 1.6449
 # Distance from the nearest example, in spacings, at which corrections shrink to 1 / e.
 REACH: Final = 2.0
+# Upper limit of that distance for contacts: with few examples, spacings are as large as the
+# difference between sides. Normals that are 45 degrees apart differ by 0.77.
+MAX_REACH: Final = 0.85
 # Share of the examples that have another example within one spacing.
 NEIGHBOURED: Final = 0.9
 
@@ -40,16 +43,17 @@ class ResidualProcess:
     residuals : (n, n_output) array
         Measured minus simulated values.
     places : (n, n_place) array
-        Coordinates of the examples for their distances, all with the same weight.
+        Coordinates of the examples for their distances, all with the same weight: places in units
+        of the size of the object, and directions as unit vectors.
     rounds : int
         Maximum number of iterations of the search for lengths and noise.
 
     Notes
     -----
     A prediction is the mean of the process times `exp(-(d / d0)^2)`, where `d` is the distance from
-    the nearest example and `d0` is two spacings. The spacing is the distance within which 90 % of
-    the examples have another one. Neither the lengths of a process nor its own variance protect a
-    side without examples, because nothing was observed between the sides.
+    the nearest example and `d0` is two spacings, at most 0.85. The spacing is the distance within
+    which 90 % of the examples have another one. Neither the lengths of a process nor its own
+    variance protect a side without examples, because nothing was observed between the sides.
 
     The standard deviation changes with the same weight from that of the process to that of the
     examples. The former is scaled so that the 90 % intervals contain 90 % of the examples when each
@@ -80,7 +84,7 @@ class ResidualProcess:
 
 def _weights(places: FloatArray, known: FloatArray) -> FloatArray:
     """Weights (n, 1) of the process at places: 1 on an example, 0 far from all of them."""
-    reach = REACH * _spacing(known)
+    reach = min(REACH * _spacing(known), MAX_REACH)
     return np.asarray(np.exp(-np.square(_distances(places, known).min(axis=1) / reach))[:, None])
 
 

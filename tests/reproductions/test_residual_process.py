@@ -114,6 +114,21 @@ def test_equal_places_have_no_spacing_to_go_by() -> None:
     assert sd.min() > 3e-3
 
 
+def test_few_examples_do_not_reach_the_next_side() -> None:
+    """Ten pushes on two sides that face away from each other, and none on the third."""
+    features, residuals = made_up(10, 10)
+    residuals += 5e-3
+    turn = np.radians([0.0, 120.0, 240.0])
+    normal = np.column_stack((np.cos(turn), np.sin(turn)))
+    along = np.random.default_rng(11).uniform(-1.5, 1.5, 10)  # few: far apart on each side
+    places = np.column_stack((normal[np.arange(10) % 2], along))
+
+    process = ResidualProcess(features, residuals, places)
+    mean, _ = process.predict(features, np.column_stack((normal[[2] * 10], along)))
+
+    assert np.abs(mean).max() < 0.15e-3
+
+
 @pytest.mark.parametrize("n", [3, 20])
 def test_too_few_or_broken_examples_are_refused(n: int) -> None:
     features, residuals = made_up(n, 5)
