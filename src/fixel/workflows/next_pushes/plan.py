@@ -22,7 +22,7 @@ def plan_of(proposal: PushProposal, name: str = "next") -> Plan:
     Raises
     ------
     InvalidInput
-        Pushes differ in tip, travel or speed, or are not straight.
+        Pushes differ in tip, travel or speed, are not straight, or have fixels.
     """
     body, tips = proposal.scenes[0].bodies[0], [own.pushers[0] for own in proposal.scenes]
     drives = [tip.drive for tip in tips if isinstance(tip.drive, LineDrive)]
@@ -32,6 +32,8 @@ def plan_of(proposal: PushProposal, name: str = "next") -> Plan:
         raise InvalidInput(
             "--out", found="pushes that differ in tip, travel or speed", expected="pushes alike"
         )
+    if any(own.fixels for own in proposal.scenes):
+        raise InvalidInput("--out", found="pushes with fixels", expected="pushes on an open plate")
     drive, tip = drives[0], tips[0]
     rig = SamplingRig(
         head=tip.shape,
@@ -45,9 +47,12 @@ def plan_of(proposal: PushProposal, name: str = "next") -> Plan:
         gap=0.0,
         angle=0.0,
     )
-    plain = re.sub(r"[^A-Za-z0-9_-]", "-", proposal.part or body.name).strip("-_") or "part"
     planned = PlannedShape(
-        name=plain[:60], outline=body.shape, mass=body.mass, support=body.support, zone_start=0.0
+        name=_plain(proposal.part or body.name, "part"),
+        outline=body.shape,
+        mass=body.mass,
+        support=body.support,
+        zone_start=0.0,
     )
     rows = [_offset(rig, planned, own) for own in proposal.scenes]
     return Plan(
@@ -57,6 +62,11 @@ def plan_of(proposal: PushProposal, name: str = "next") -> Plan:
         layouts=(FixelLayout(name="open", pegs=()),),
         schemes=(OffsetList(tuple(rows)),),
     )
+
+
+def _plain(text: str, other: str) -> str:
+    """Return a text as a name of a plan; another one if nothing of it is left."""
+    return re.sub(r"[^A-Za-z0-9_-]", "-", text).strip("-_")[:60] or other
 
 
 def _offset(rig: SamplingRig, shape: PlannedShape, scene: Scene) -> tuple[float, float, float]:
@@ -73,7 +83,7 @@ def _offset(rig: SamplingRig, shape: PlannedShape, scene: Scene) -> tuple[float,
 
 def write_plan(proposal: PushProposal, path: Path) -> Path:
     """Write the proposed pushes as a plan file, whole or not at all."""
-    text = plan_text(plan_of(proposal, re.sub(r"[^A-Za-z0-9_-]", "-", path.stem) or "next"))
+    text = plan_text(plan_of(proposal, _plain(path.stem, "next")))
     with written_whole(path) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
     return path
