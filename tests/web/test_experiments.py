@@ -5,9 +5,11 @@ import json
 
 import numpy as np
 import pytest
+from tests.datasets import recordings
 from tests.web.client import Client
 
 from fixel.database.project import Project
+from fixel.datasets import plan_import
 from fixel.formats.video_file import VideoWriter, open_video
 from fixel.model import Experiment, Provenance, Trajectory
 from fixel.vision.frame import Frame
@@ -343,3 +345,21 @@ def test_marks_need_the_word_of_a_page_or_the_token(bench):
     token = {"authorization": f"Bearer {bench.gate.token}"}
     assert program.post(f"{ADDRESS}/delete", headers=token, json=body).json() == {"changed": [1]}
     assert program.post(f"{ADDRESS}/undelete", headers=token, json=body).status_code == 200
+
+
+def test_a_simulation_by_the_publisher_is_on_the_page(bench, tmp_path):
+    folder = recordings.rpi_2dgad(tmp_path)
+    bench.context.project.add(plan_import(folder))
+    stored = bench.context.store.find("rpi-2dgad/7")
+
+    assert (
+        "Simulation by the publisher of the data" in bench.client.get(f"/experiments/{stored}").text
+    )
+    (simulation,) = bench.client.get(f"/api/v1/experiments/{stored}/simulations").json()[
+        "simulations"
+    ]
+    assert simulation["method"] == {"simulated_by": "laboratory"}
+    offered = bench.client.get(f"/api/v1/experiments/{stored}/comparison").json()["sets"]
+    assert [one["label"] for one in offered if one["kind"] == "simulation"] == [
+        f"simulation {simulation['id']} by the publisher of the data"
+    ]

@@ -2,10 +2,8 @@
 
 import pytest
 from tests.closed_form import push, table_text
-from tests.datasets import recordings
 from tests.web.bench import Bench
 
-from fixel.datasets import plan_import
 from fixel.workflows.project import importing as workflow
 
 TABLE = table_text(*push(0.15, 0.02, duration=0.4))
@@ -98,21 +96,3 @@ def test_a_table_that_cannot_be_read_is_skipped_by_name(browser_page, server):
     page.wait_for_selector(".toast")
     assert "skipped torn.csv" in page.inner_text(".toast")
     assert server.context.store.find("csv/good")
-
-
-def test_a_simulation_by_the_publisher_is_on_the_page(bench, tmp_path):
-    folder = recordings.rpi_2dgad(tmp_path)
-    bench.context.project.add(plan_import(folder))
-    stored = bench.context.store.find("rpi-2dgad/7")
-
-    assert (
-        "Simulation by the publisher of the data" in bench.client.get(f"/experiments/{stored}").text
-    )
-    (simulation,) = bench.client.get(f"/api/v1/experiments/{stored}/simulations").json()[
-        "simulations"
-    ]
-    assert simulation["method"] == {"simulated_by": "laboratory"}
-    offered = bench.client.get(f"/api/v1/experiments/{stored}/comparison").json()["sets"]
-    assert [one["label"] for one in offered if one["kind"] == "simulation"] == [
-        f"simulation {simulation['id']} by the publisher of the data"
-    ]
