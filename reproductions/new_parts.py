@@ -79,11 +79,13 @@ def run(options: RunOptions) -> Reproduction:
                     scores += _scores(key, experiments, models, counts)
                     baselines.append(_baseline(key, experiments, published))
             options.progress(done + 1, len(names), name)
+        surfaces = _new_surface(plates, store)
     tables = {
         "errors": _error_rows(scores, baselines, counts),
         "plates": _plate_rows(scores, baselines, counts),
         "bounds": _bound_rows(scores, counts),
         "inner": inner,
+        "surfaces": surfaces,
     }
     return Reproduction(
         tables=tables,
@@ -111,6 +113,34 @@ def _plates(
         order = np.random.default_rng(0).permutation(len(found[key]))[:most]
         some[key] = [found[key][k] for k in np.sort(order).tolist()]
     return some
+
+
+def _new_surface(plates: dict[tuple[str, str], list[Experiment]], store: Path) -> list[Row]:
+    """Return errors and coverage on plates that were left out together with their surface."""
+    rows: list[Row] = []
+    for key, experiments in plates.items():
+        others = [
+            own
+            for (surface, plate), some in plates.items()
+            for own in some
+            if surface != key[0] and plate != key[1]
+        ]
+        if not others:
+            continue
+        model = part_model(others, part="shape", surface="surface", store=store, progress=False)
+        found = model.predict(experiments)
+        pushes = PartPushes([target_of(own) for own in experiments])
+        ends = np.array([tuple(own.pose) for own in found])
+        errors = pushes.errors(np.arange(len(pushes)), ends)
+        row: Row = {"surface": key[0], "shape": key[1], "share": model.share}
+        row["position_mm"], row["angle_deg"] = (errors.mean(axis=0) * [1e3, DEGREE]).tolist()
+        for column, name in enumerate(("position", "angle")):
+            for kind, field in (("typical", name), ("cautious", f"cautious_{name}")):
+                bound = [getattr(own.bound, field) for own in found]
+                known = np.array([np.inf if x is None else x for x in bound])
+                row[f"{kind}_{name}_coverage"] = float((errors[:, column] <= known).mean())
+        rows.append(row)
+    return rows
 
 
 def _models(model: PartModel, counts: Sequence[int]) -> dict[tuple[str, int], PartModel]:
@@ -377,6 +407,20 @@ def _conclusions(tables: dict[str, list[Row]]) -> list[str]:
         mean = np.mean([[row["position_mm"], row["angle_deg"]] for row in some], axis=0)
         lines.append(
             f"Inner estimate after {k} random pushes: {mean[0]:.2f} mm, {mean[1]:.2f} deg."
+        )
+    if tables["surfaces"]:
+        mean = {
+            name: float(np.mean([row[name] for row in tables["surfaces"]]))
+            for name in tables["surfaces"][0]
+            if name not in ("surface", "shape")
+        }
+        lines.append(
+            f"Left out with their surface, no push: {mean['position_mm']:.2f} mm,"
+            f" {mean['angle_deg']:.2f} deg; typical bounds hold for"
+            f" {100 * mean['typical_position_coverage']:.1f} % of positions and"
+            f" {100 * mean['typical_angle_coverage']:.1f} % of angles, cautious ones for"
+            f" {100 * mean['cautious_position_coverage']:.1f} % and"
+            f" {100 * mean['cautious_angle_coverage']:.1f} %."
         )
     named = [row["named"] for row in tables["bounds"]]
     lines.append(f"Pushes whose plate is named as unseen first: {100 * min(named):.0f} %.")

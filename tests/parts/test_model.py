@@ -48,6 +48,15 @@ def test_both_bounds_are_shown_and_the_cautious_one_is_not_narrower(model, new):
         assert bound.proved == pytest.approx(0.8)
 
 
+def test_a_surface_never_pushed_gets_the_cautious_bound_alone(model, new):
+    scene = new[0].scene
+    known, other = (model.at(scene, part="new", surface=own).bound for own in ("board", "ice"))
+    assert any("surface 'ice': no experiment with it" in text for text in other.unseen)
+    assert other.position == other.cautious_position == known.cautious_position
+    assert other.angle == other.cautious_angle > known.angle
+    assert "no surface was left out" in other.reason
+
+
 def test_pushes_of_the_part_improve_its_predictions(model, new):
     def error(own):
         ends = np.array([tuple(found.pose) for found in own.predict(new[7:])])

@@ -421,6 +421,7 @@ class PartModel(Result):
             few = f"{n} parts were pushed often enough; a bound needs {MIN_PARTS} at least"
             far = (few,) * len(targets)
         judged = f"bounds from {n} parts that were left out, each after {_count(k)} of its own"
+        surfaces = {own.surface for own in self.fits}
         found = []
         for target, end, why, ended in zip(targets, ends.tolist(), far, good, strict=True):
             texts = self._unseen(target)
@@ -429,9 +430,12 @@ class PartModel(Result):
                 why = reason or "too many simulations failed"
                 found.append(PushBound(None, None, NO_DATA, why, texts))
                 continue
+            on_new = _label(target, self.surface, self.part)[0] not in surfaces
+            if on_new:  # typical bounds of left-out parts do not hold there
+                end = [end[1], end[1], end[3], end[3]]
+            why = f"{judged}; no surface was left out, so both are cautious" if on_new else judged
             proved = n / (n + 1.0)
-            bound = PushBound(end[0], end[2], UNSEEN, judged, texts, end[1], end[3], proved)
-            found.append(bound)
+            found.append(PushBound(end[0], end[2], UNSEEN, why, texts, end[1], end[3], proved))
         return found
 
     def _unseen(self, target: Target) -> tuple[str, ...]:
