@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from fixel.calibration.contacts import contacts_of
 from fixel.calibration.target import target_of
 from fixel.domain.error_bound import TYPICAL, ConformalBound
 from fixel.model import Experiment, wrapped
@@ -245,7 +246,8 @@ def _constant(model: PartModel) -> FloatArray:
 
 def _known_side(pushes: PartPushes, which: IntArray, test: IntArray) -> BoolArray:
     """Return which pushes begin on a side that one of the learned ones has pushed."""
-    normal = wrapped(pushes.first_normal() - pushes.start[:, 2])
+    every = np.arange(len(pushes))
+    normal = contacts_of(pushes.configurations(every), np.ones(len(pushes))).normal
     if not len(which):
         return np.zeros(len(test), bool)
     turn = np.abs(wrapped(normal[test][:, None] - normal[which][None]))

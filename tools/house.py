@@ -34,7 +34,7 @@ BANNED = re.compile(
 )
 IRREGULAR_PARTICIPLES = re.compile(
     "Built|Chosen|Cut|Drawn|Fed|Felt|Found|Given|Gone|Grown|Held|Kept|Known|Laid|Left|Lost|Made|Met"
-    "|Put|Read|Said|Seen|Sent|Set|Shown|Spent|Spread|Taken|Thrown|Told|Torn|Wound|Written"
+    "|Put|Read|Said|Seen|Sent|Set|Shown|Spent|Spread|Taken|Thrown|Told|Torn|Unseen|Wound|Written"
 )
 NOUNS_IN_ED = frozenset({"Bed", "Feed", "Need", "Seed", "Shed", "Speed"})
 

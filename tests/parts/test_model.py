@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 import fixel
+from fixel.domain.error_bound import min_experiments
 from fixel.errors import InvalidInput
 from fixel.parts.left_out import leave_parts_out
-from fixel.parts.model import PartModel, distinct, parts_needed
+from fixel.parts.model import PartModel, distinct
 from fixel.parts.pushes import PartPushes
 from fixel.testing.pushes import example_parts
 
@@ -76,7 +77,7 @@ def test_one_by_one_is_as_all_together(model, new):
 
 
 def test_the_left_out_part_has_no_influence_on_its_own_prediction(model):
-    """Its values are replaced by absurd ones."""
+    """Absurd values of a part leave its own prediction as it is, and change those of others."""
     wild = [
         own._replace(values=own.values + 5.0) if own.part == "part-2" else own for own in model.fits
     ]
@@ -138,7 +139,7 @@ def test_saved_and_loaded_it_predicts_the_same(model, new, tmp_path):
 @pytest.mark.parametrize(("level", "n"), [(0.9, 9), (0.95, 19), (0.8, 4), (0.5, 1)])
 def test_parts_that_prove_a_level(level, n):
     """n parts prove n / (n + 1) at most."""
-    assert parts_needed(level) == n
+    assert min_experiments(level) == n
     assert n / (n + 1) >= level - 1e-12 > (n - 1) / n - 1e-9 or math.isclose(n / (n + 1), level)
 
 

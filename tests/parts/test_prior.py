@@ -1,4 +1,4 @@
-"""What other parts teach: against a direct simulation of parts that differ about a mean."""
+"""The learned prior is compared with parts drawn about a known mean."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def test_signs_that_mean_nothing_on_another_part_stay_centred():
 
 
 def test_new_parts_are_within_the_spread_as_often_as_a_normal_distribution_says():
-    """Of six parts; the seventh is drawn from the same distribution."""
+    """A prior of six parts contains a seventh from the same distribution often enough."""
     inside, n = 0, 0
     for seed in range(200):
         rows = fits(7, seed)

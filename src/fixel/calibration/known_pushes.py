@@ -50,8 +50,8 @@ PLACES: Final = 64  # of the pusher along its path, among which its first contac
 TOUCHING: Final = 2e-3  # [m] gap at the start below which the pusher already touches the part
 
 
-class Unseen(NamedTuple):
-    """Respect in which a push is unlike all experiments.
+class Trait(NamedTuple):
+    """Trait of a push that no experiment has: its part, side, speed or another condition.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class KnownPushes(Comparable):
         """Return sentences on what is new about a push; none for one of the experiments."""
         return () if target.key in self.keys else texts_of(self.unseen(target))
 
-    def unseen(self, target: Target) -> tuple[Unseen, ...]:
+    def unseen(self, target: Target) -> tuple[Trait, ...]:
         """Return the respects in which a push is unlike all experiments; empty for none.
 
         A side, a speed and a travel count as seen only on the same part, surface and laboratory.
@@ -148,7 +148,7 @@ class KnownPushes(Comparable):
         same_outline = self._same_outline(target.case.scene)
         found = [*self._new_labels(given), *self._missing_labels(given, same_outline)]
         if not same_outline.any() and not any(own.what in PARTS for own in found):
-            found.insert(0, Unseen(PART, "part: its outline is unlike those of all experiments"))
+            found.insert(0, Trait(PART, "part: its outline is unlike those of all experiments"))
         known = {name: given[name] for name in IDENTITY if given.get(name) and name in self.labels}
         if any(own.is_given for own in found):
             return tuple(found)
@@ -156,27 +156,27 @@ class KnownPushes(Comparable):
         if not len(rows):
             text = " and ".join(f"{name} {value!r}" for name, value in known.items())
             what = next((name for name in known if name not in PARTS), next(iter(known)))
-            return (Unseen(what, f"{text}: no experiment with all of these"), *found)
+            return (Trait(what, f"{text}: no experiment with all of these"), *found)
         if not same_outline[rows].any():
             text = "part: its outline is unlike those of all experiments with its name"
-            return (Unseen(PART, text), *found)
+            return (Trait(PART, text), *found)
         return (*self._new_contact(target.case.scene, target, rows), *found)
 
-    def _new_labels(self, given: Mapping[str, str]) -> Iterator[Unseen]:
+    def _new_labels(self, given: Mapping[str, str]) -> Iterator[Trait]:
         for name, counts in self._counts.items():
             value = given.get(name, "")
             n = counts[value]
             least = min(MIN_EXPERIMENTS, len(self)) if name in IDENTITY else 1
             if value and not n:
-                yield Unseen(name, f"{name} {value!r}: no experiment with it, only {_some(counts)}")
+                yield Trait(name, f"{name} {value!r}: no experiment with it, only {_some(counts)}")
             elif value and n < least:
-                yield Unseen(name, f"{name} {value!r}: only {n} of {len(self)} experiments with it")
+                yield Trait(name, f"{name} {value!r}: only {n} of {len(self)} experiments with it")
 
-    def _missing_labels(self, given: Mapping[str, str], same: np.ndarray) -> Iterator[Unseen]:
+    def _missing_labels(self, given: Mapping[str, str], same: np.ndarray) -> Iterator[Trait]:
         for name in (*PARTS, *SURFACES):
             if given.get(name) and name not in self.labels:
                 text = f"{name} {given[name]!r}: the experiments do not state theirs"
-                yield Unseen(name, text, is_given=False)
+                yield Trait(name, text, is_given=False)
         for name, column in self.labels.items():
             counts = self._counts[name]
             if given.get(name) or name not in IDENTITY:
@@ -185,7 +185,7 @@ class KnownPushes(Comparable):
                 continue  # a scene alone belongs to no laboratory
             if name in PARTS and len({column[k] for k in np.flatnonzero(same)}) == 1:
                 continue  # the outline identifies the part
-            yield Unseen(name, f"{name} not given (experiments have {_some(counts)})", False)
+            yield Trait(name, f"{name} not given (experiments have {_some(counts)})", False)
 
     @cached_property
     def _counts(self) -> dict[str, Counter[str]]:
@@ -205,27 +205,27 @@ class KnownPushes(Comparable):
         own = np.array(_size(scene))
         return np.asarray((np.abs(self.size - own) <= ALIKE * own).all(axis=1))
 
-    def _new_contact(self, scene: Scene, target: Target, rows: IntArray) -> Iterator[Unseen]:
+    def _new_contact(self, scene: Scene, target: Target, rows: IntArray) -> Iterator[Trait]:
         *contact, travel = _push(scene, float(target.case.times[-1]))
         rows = rows[np.isfinite(self.contact[rows]).all(axis=1)]
         if not np.isfinite(contact).all():
             return
         if not len(rows):
-            yield Unseen("side", "side: no experiment with a moving pusher")
+            yield Trait("side", "side: no experiment with a moving pusher")
             return
         pushed = PushedContacts(_places(self.contact[rows]), [0] * len(rows))
         (kind,), (reason,) = pushed.novelty(_places(np.array([contact])), [0])
         if kind:
-            yield Unseen(kind, reason)
+            yield Trait(kind, reason)
         low, high = self.travel[rows].min(), self.travel[rows].max()
         if not low / MAX_RATIO <= travel <= MAX_RATIO * high:
             shown = f"{1e3 * low:.3g}" if low == high else f"{1e3 * low:.3g} to {1e3 * high:.3g}"
-            yield Unseen(
+            yield Trait(
                 TRAVEL_LENGTH, f"travel never pushed: {1e3 * travel:.3g} mm, only {shown} mm"
             )
 
 
-def texts_of(unseen: Sequence[Unseen]) -> tuple[str, ...]:
+def texts_of(unseen: Sequence[Trait]) -> tuple[str, ...]:
     """Return the sentences, those of new values first."""
     return tuple(own.text for own in sorted(unseen, key=lambda own: not own.is_given))
 

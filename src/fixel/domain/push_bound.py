@@ -15,7 +15,7 @@ from fixel.calibration.known_pushes import (
     PARTS,
     TRAVEL_LENGTH,
     KnownPushes,
-    Unseen,
+    Trait,
     push_target,
     texts_of,
     with_dataset,
@@ -206,7 +206,7 @@ class ErrorBound(Result):
         unseen = () if self.known is None else self.known.unseen(target)
         new = [own for own in unseen if own.is_given]
         if group not in self.group and not new:
-            new = [Unseen(self.groups[0], f"no experiments with {group}")]
+            new = [Trait(self.groups[0], f"no experiments with {group}")]
             unseen = (*new, *unseen)
         texts = texts_of(unseen)
         table = features_of([target])
@@ -220,7 +220,7 @@ class ErrorBound(Result):
         return PushBound(position, angle, BOUNDED, "", texts)
 
     def _of_left_out(
-        self, new: Sequence[Unseen], table: FloatArray, texts: tuple[str, ...]
+        self, new: Sequence[Trait], table: FloatArray, texts: tuple[str, ...]
     ) -> PushBound:
         """Return the bounds of a push that is unlike all experiments."""
         names = list(dict.fromkeys(own.what for own in new))

@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from fixel.calibration.contacts import Configurations
 from fixel.domain.features import simulated_features
 from fixel.parts.fit import simulated
 from fixel.parts.prior import NAMES, SupportPrior
@@ -23,22 +22,15 @@ def bound_features(
     pushes: PartPushes, which: IntArray, prior: SupportPrior
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return features (k, f) of pushes, their predicted ends (k, 3), and which converged (k,)."""
-    ends, good = simulated(pushes, which, prior.at(np.zeros((1, len(NAMES)))))
-    best = dict(zip(NAMES, prior.at(np.zeros((1, len(NAMES))))[0].tolist(), strict=True))
-    asked = Configurations(
-        pushes.body.shape,
-        pushes.radius,
-        pushes.start[which],
-        pushes.tip_start[which],
-        pushes.tip_end[which],
-    )
+    ends, good = simulated(pushes, which, prior.best[None])
+    best = dict(zip(NAMES, prior.best.tolist(), strict=True))
 
     def roll(own: IntArray, other: Mapping[str, FloatArray]) -> tuple[FloatArray, BoolArray]:
         values = {name: np.full(len(own), x) for name, x in best.items()} | dict(other)
         found = pushes.simulate(which[own], values)
         return found.pose[:, None], found.good
 
-    found = simulated_features(asked, roll, best["mu_pusher"])
+    found = simulated_features(pushes.configurations(which), roll, best["mu_pusher"])
     used = [k for k, name in enumerate(found.names) if name.startswith(USED)]
     # Logarithms, with 0.1 mm or 0.1 mm / 35 mm added: trees do not mind, neighbours do.
     return np.log(np.abs(found.table[:, used]) + 1e-4), ends[0], good[0]

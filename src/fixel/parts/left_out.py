@@ -167,7 +167,7 @@ def best_share(groups: Groups, fits: Sequence[PartValues], seed: int = 0) -> flo
         for (surface, part), group in groups.items():
             prior = learned_prior([own for own in fits if own.part != part], surface, share)
             test = np.sort(halves(len(group), seed)[1][:MAX_TEST])
-            ends, good = simulated(group, test, prior.at(np.zeros((1, len(prior.mean)))))
+            ends, good = simulated(group, test, prior.best[None])
             total.append(group.distance(test, ends[0], good[0]))
         costs.append(float(np.mean(total)))
     return SHARES[int(np.argmin(costs))]

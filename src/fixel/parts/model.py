@@ -13,7 +13,7 @@ import numpy as np
 from fixel.calibration.contacts import PART
 from fixel.calibration.known_pushes import KnownPushes, push_target, texts_of, with_dataset
 from fixel.calibration.target import Target, target_of
-from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound
+from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound, min_experiments
 from fixel.domain.push_bound import UNSEEN, PushBound
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Pose, Scene
@@ -483,7 +483,7 @@ class PartModel(Result):
         ]
         notes.append(
             f"{n} parts prove at most {100.0 * self.proved_level:.1f} %; a guarantee of"
-            f" {100.0 * self.level:g} % needs {parts_needed(self.level)} parts"
+            f" {100.0 * self.level:g} % needs {min_experiments(self.level)} parts"
         )
         return Summary(
             f"PartModel: {n} parts, {len(self.experiments)} pushes;"
@@ -499,11 +499,6 @@ class PartModel(Result):
             notes,
             {"weight of the others' mean load": f"{self.share:g}", "seed": str(self.seed)},
         )  # fmt: skip
-
-
-def parts_needed(level: float) -> int:
-    """Return the number of parts with which a level can be proved: 9 for 90 %."""
-    return math.ceil(round(level / (1.0 - level), 9))
 
 
 def grouped(

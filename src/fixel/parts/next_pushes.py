@@ -260,7 +260,7 @@ def propose(
 def _moving(offered: PartPushes, prior: SupportPrior) -> IntArray:
     """Return the candidates that can be simulated and move the part."""
     every = np.arange(len(offered))
-    ends, good = simulated(offered, every, prior.at(np.zeros((1, len(prior.mean)))))
+    ends, good = simulated(offered, every, prior.best[None])
     away = ends[0] - offered.start
     way = np.hypot(away[:, 0], away[:, 1]) + ANGLE_SCALE * np.abs(away[:, 2])
     moving = np.flatnonzero(good[0] & (way > MOVED))

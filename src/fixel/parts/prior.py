@@ -59,6 +59,11 @@ class SupportPrior:
         rounding = 1e-12 * np.diag(np.diag(self.covariance))
         return np.asarray(np.linalg.cholesky(self.covariance + rounding), np.float64)
 
+    @property
+    def best(self) -> FloatArray:
+        """Most probable parameters (n,), within bounds."""
+        return np.clip(self.mean, *bounds())
+
     def at(self, z: FloatArray) -> FloatArray:
         """Return the parameters (k, n) at standard normal coordinates (k, n), within bounds."""
         low, high = bounds()

@@ -8,11 +8,11 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from fixel.calibration.contacts import Configurations
 from fixel.calibration.objective import ANGLE_SCALE
-from fixel.calibration.registration import gaps_and_normals
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput
-from fixel.model import Disk, PathDrive, Pusher, Scene, wrapped
+from fixel.model import Disk, PathDrive, Pusher, Scene, pose_error
 from fixel.simulation import QuasiStatic, StewartTrinkle
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.simulation.pack import pusher_path
@@ -79,13 +79,18 @@ class PartPushes:
 
     def errors(self, which: IntArray, ends: FloatArray) -> FloatArray:
         """Return errors (n, 2) of end poses: position [m] and angle [rad]."""
-        off = ends - self.end[which]
-        return np.column_stack((np.hypot(off[:, 0], off[:, 1]), np.abs(wrapped(off[:, 2]))))
+        position, angle = pose_error(ends, self.end[which])
+        return np.column_stack((position, np.abs(angle)))
 
-    def first_normal(self) -> FloatArray:
-        """Return the directions (n,) of the outward normals where pushes begin [rad]."""
-        _, normal = gaps_and_normals(self.body.shape, self.radius, self.start, self.tip_start)
-        return np.arctan2(normal[:, 1], normal[:, 0])
+    def configurations(self, which: IntArray) -> Configurations:
+        """Return the intended pushes `which` (k,)."""
+        return Configurations(
+            self.body.shape,
+            self.radius,
+            self.start[which],
+            self.tip_start[which],
+            self.tip_end[which],
+        )
 
     def distance(self, which: IntArray, ends: FloatArray, good: BoolArray) -> float:
         """Return the mean distance of end poses (n, 3) from the measured ones [m]; angles times

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Final
 
@@ -23,6 +24,7 @@ from fixel.model import (
 from fixel.parts.candidates import push_candidates
 from fixel.simulation import simulate
 from fixel.testing.scenes import box, row
+from fixel.typing import FloatArray
 
 TRUTH: Final = {"mu_pusher": 0.25, "tripod_radius": 0.038}
 POSITION_NOISE: Final = 1e-4  # [m]
@@ -57,19 +59,9 @@ def example_pushes(n: int = 8, *, seed: int = 1, duration: float = 1.0) -> list[
         exact = simulate(scene, Parameters(TRUTH), output_interval=float(time[1])).pose["part"]
         noise = rng.normal(size=(len(time), 3)) * (POSITION_NOISE, POSITION_NOISE, ANGLE_NOISE)
         noise[0] = 0.0
-        found.append(
-            Experiment(
-                dataset="example",
-                name=f"push-{k:02d}",
-                real=False,
-                simulated_by="fixel",
-                provenance=Provenance(version=version("fixel"), seed=seed),
-                trajectory=Trajectory(time=time, pose=exact[: len(time)] + noise),
-                object_name="part",
-                scene=scene,
-                conditions={"offset_m": float(offset), "side": "left" if offset > 0.0 else "right"},
-            )
-        )
+        pose = exact[: len(time)] + noise
+        conditions = {"offset_m": float(offset), "side": "left" if offset > 0.0 else "right"}
+        found.append(_experiment(f"push-{k:02d}", scene, time, pose, seed, conditions))
     return found
 
 
@@ -132,17 +124,29 @@ def example_parts(n: int = 3, pushes: int = 12, *, seed: int = 1) -> list[Experi
             run = simulate(scene, truth, motion="quasistatic", output_interval=scene.duration)
             noise = rng.normal(size=3) * (POSITION_NOISE, POSITION_NOISE, ANGLE_NOISE)
             pose = run.pose["part"][[0, -1]] + [np.zeros(3), noise]
-            found.append(
-                Experiment(
-                    dataset="example",
-                    name=f"part-{k + 1}-{j + 1:02d}",
-                    real=False,
-                    simulated_by="fixel",
-                    provenance=Provenance(version=version("fixel"), seed=seed),
-                    trajectory=Trajectory(time=[0.0, scene.duration], pose=pose),
-                    object_name="part",
-                    scene=scene,
-                    conditions={"part": f"part-{k + 1}", "surface": "board"},
-                )
-            )
+            name, time = f"part-{k + 1}", np.array([0.0, scene.duration])
+            conditions = {"part": name, "surface": "board"}
+            found.append(_experiment(f"{name}-{j + 1:02d}", scene, time, pose, seed, conditions))
     return found
+
+
+def _experiment(
+    name: str,
+    scene: Scene,
+    time: FloatArray,
+    pose: FloatArray,
+    seed: int,
+    conditions: Mapping[str, str | float],
+) -> Experiment:
+    """Return the experiment of a simulated push, measured as poses (n, 3) at times (n,)."""
+    return Experiment(
+        dataset="example",
+        name=name,
+        real=False,
+        simulated_by="fixel",
+        provenance=Provenance(version=version("fixel"), seed=seed),
+        trajectory=Trajectory(time=time, pose=pose),
+        object_name="part",
+        scene=scene,
+        conditions=conditions,
+    )

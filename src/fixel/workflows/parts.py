@@ -8,13 +8,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from fixel.calibration.known_pushes import PARTS, SURFACES
 from fixel.calibration.target import target_of
 from fixel.domain.error_bound import LEVEL
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache, listed
 from fixel.model import Experiment
 from fixel.parts.fit import fit_part
-from fixel.parts.left_out import NOISE_OF_MANY, best_share, halves, leave_parts_out
+from fixel.parts.left_out import NOISE_OF_MANY, best_share, leave_parts_out
 from fixel.parts.model import PartModel, grouped
 from fixel.parts.prior import UNPUSHED, PartValues, SupportPrior
 from fixel.parts.pushes import PartPushes
@@ -22,8 +23,6 @@ from fixel.progress import ProgressOption, show_progress
 
 # Pushes that one fit uses: twelve values need no more, and time grows with them.
 MAX_FIT: Final = 125
-PARTS: Final = ("shape", "part", "object", "object_id")
-SURFACES: Final = ("surface", "table")
 
 
 def part_model(
@@ -123,8 +122,7 @@ def part_model(
 
 def _fitted(group: PartPushes, seed: int, cache: ResultCache, name: str) -> np.ndarray:
     """Return the values fitted to a part on a surface."""
-    order, rest = halves(len(group), seed)
-    which = np.sort(np.concatenate((order, rest))[:MAX_FIT])
+    which = np.sort(np.random.default_rng(seed).permutation(len(group))[:MAX_FIT])
 
     def compute() -> dict[str, Any]:
         noise = np.full(len(which), NOISE_OF_MANY)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from fixel.database.project import Project
+from fixel.domain.error_bound import min_experiments
 from fixel.drawing.parts import NextPushesChart
-from fixel.parts.model import parts_needed
 from fixel.parts.next_pushes import NextPushes
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.figures import Picture, banner_of
@@ -28,7 +28,7 @@ def store_proposal(project: Project, found: PushProposal, command: str = "") -> 
     headline.append(
         f"The bounds come from {n} parts that were left out. They prove at most"
         f" {100.0 * model.proved_level:.1f} %, and a guarantee of {100.0 * model.level:g} % needs"
-        f" {parts_needed(model.level)} parts."
+        f" {min_experiments(model.level)} parts."
     )
     chart = NextPushesChart(title=f"Next pushes of {where}", pushes=pushes)
     simulated = [
