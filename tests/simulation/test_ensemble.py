@@ -128,6 +128,62 @@ def test_cases_of_one_template_meet_the_table_at_their_own_angles():
     )
 
 
+def _with_moved_fixels(scene, errors):
+    fixels = zip(scene.fixels, errors, strict=True)
+    return replace(scene, fixels=tuple(replace(f, pose=f.pose + e) for f, e in fixels))
+
+
+def test_errors_of_the_fixels_as_scenes_with_moved_fixels():
+    scene = grasp()
+    square = replace(scene.fixels[1], shape=scene.pushers[0].shape)  # its angle matters
+    scene = replace(scene, fixels=(scene.fixels[0], square, scene.fixels[2]))
+    draw = np.random.default_rng(4)
+    errors = draw.normal(size=(3, 3, 3)) * (2e-3, 2e-3, 0.2)
+    times = np.array([6.0, 11.0])
+    outcome = Ensemble([RolloutCase(scene, times)]).simulate(np.zeros(3, int), {}, errors)
+    for r in range(3):
+        moved = _with_moved_fixels(scene, errors[r])
+        own = Ensemble([RolloutCase(moved, times)]).simulate(np.zeros(1, int), {})
+        assert (own.pose[0] == outcome.pose[r]).all()
+    assert np.ptp(outcome.pose[:, -1, 0]) > 5e-4
+
+    alone = simulate(moved, motion=QuasiStatic())
+    assert outcome.pose[2, -1] == pytest.approx(alone.final["object"], abs=2e-4)
+    assert outcome.stalled[2] == alone.pushers["actuator"].stalled[-1]
+    assert outcome.force[2] == pytest.approx(alone.pushers["actuator"].force[-1], rel=1e-3)
+
+
+def test_cases_with_fewer_fixels_and_bits_with_their_errors():
+    cases, which, values = _cases(), np.array([3, 0, 1, 2, 1, 0, 3]), _values(7)
+    errors = np.random.default_rng(5).normal(size=(7, 3, 3)) * (1e-3, 1e-3, 0.1)
+    together = Ensemble(cases, threads=2).simulate(which, values, errors)
+    again = Ensemble(cases, threads=1).simulate(
+        which[::-1], {m: v[::-1] for m, v in values.items()}, errors[::-1]
+    )
+    assert (again.pose[::-1] == together.pose).all()
+    assert (again.force[::-1] == together.force).all()
+    without = Ensemble(cases, threads=1).simulate(which, values)
+    zero = Ensemble(cases, threads=1).simulate(which, values, 0.0 * errors)
+    assert (zero.pose == without.pose).all()
+    assert (together.pose[[0, 6]] == without.pose[[0, 6]]).all()  # no fixels
+
+
+def test_a_seated_grasp_stalls_and_a_push_does_not():
+    cases = [RolloutCase(grasp(), np.array([3.0, 11.0])), RolloutCase(grasp(), np.array([3.0]))]
+    outcome = Ensemble(cases).simulate(np.array([0, 1]), {})
+    assert outcome.stalled.tolist() == [True, False]
+    assert outcome.force[0] == pytest.approx(34.3, rel=0.02)  # of the drive, all of it
+    assert outcome.force[1] == pytest.approx(0.25 * 0.15 * 9.81, rel=0.3)  # friction of the plane
+
+
+@pytest.mark.parametrize(
+    "fixels", [np.zeros((1, 2, 3)), np.zeros((2, 3, 3)), np.full((1, 3, 3), np.nan)]
+)
+def test_errors_of_the_fixels_that_do_not_fit_are_refused(fixels):
+    with pytest.raises(InvalidInput, match="fixels"):
+        Ensemble([RolloutCase(grasp(), TIMES)]).simulate(np.zeros(1, int), {}, fixels)
+
+
 def test_what_cannot_be_is_not_tried_and_says_why():
     points = SupportPoints(points=[(0.03, 0.0), (-0.02, 0.03), (-0.02, -0.03)], friction=0.3)
     scene = grasp()

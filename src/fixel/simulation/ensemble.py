@@ -46,11 +46,16 @@ class RolloutCase(NamedTuple):
 
 
 class EnsembleOutcome(NamedTuple):
-    """Results of the rollouts of one call."""
+    """Results of the rollouts of one call.
+
+    Forces between two samples are not recorded: add samples where a peak matters.
+    """
 
     status: IntArray  # (n,) index into codes.STATUS_NAMES; INFEASIBLE where not simulated
     pose: FloatArray  # (n, n_sample, 3) of the body; the last one repeated where a case has fewer
     stopped_at: FloatArray  # (n,) time reached [s]
+    force: FloatArray  # (n,) largest force of the drive in the steps that hold the samples [N]
+    stalled: NDArray[np.bool_]  # (n,) whether a force-limited drive is stalled at the last sample
     reasons: list[str]  # why there is no simulation, or it ended early; empty for others
 
     @property
@@ -115,7 +120,12 @@ class Ensemble:
         """Number of samples of the case that has the most."""
         return int(self._times.shape[1])
 
-    def simulate(self, which: IntArray, values: Mapping[str, FloatArray]) -> EnsembleOutcome:
+    def simulate(
+        self,
+        which: IntArray,
+        values: Mapping[str, FloatArray],
+        fixels: FloatArray | None = None,
+    ) -> EnsembleOutcome:
         """Simulate cases under parameters.
 
         Parameters
@@ -124,10 +134,24 @@ class Ensemble:
             Index of the case of each rollout.
         values : mapping of name to (n,) float64
             Parameters of each rollout.
+        fixels : (n, n_fixel, 3) float64, optional
+            Errors of the poses of the fixels, added to those of the scene [m, m, rad]; `n_fixel` is
+            at least the number of fixels of every case, and further rows are ignored.
+
+        Raises
+        ------
+        InvalidInput
+            `fixels` has another shape, or a number that is not finite.
         """
+        if fixels is not None:
+            fixels = self._checked_fixels(fixels, len(which))
         per_pass = max(1, MAX_POSES // self.n_sample)
         parts = [
-            self._pass(which[k : k + per_pass], {m: v[k : k + per_pass] for m, v in values.items()})
+            self._pass(
+                which[k : k + per_pass],
+                {m: v[k : k + per_pass] for m, v in values.items()},
+                None if fixels is None else fixels[k : k + per_pass],
+            )
             for k in range(0, len(which), per_pass)
         ]
         if len(parts) == 1:
@@ -136,17 +160,33 @@ class Ensemble:
             np.concatenate([p.status for p in parts]),
             np.concatenate([p.pose for p in parts]),
             np.concatenate([p.stopped_at for p in parts]),
+            np.concatenate([p.force for p in parts]),
+            np.concatenate([p.stalled for p in parts]),
             [reason for p in parts for reason in p.reasons],
         )
 
-    def _pass(self, which: IntArray, values: Mapping[str, FloatArray]) -> EnsembleOutcome:
+    def _checked_fixels(self, fixels: FloatArray, n: int) -> FloatArray:
+        least = max(len(case.scene.fixels) for case in self.cases)
+        found = np.asarray(fixels, np.float64)
+        fits = found.ndim == 3 and found.shape[::2] == (n, 3) and found.shape[1] >= least
+        if not fits or not np.isfinite(found).all():
+            raise InvalidInput(
+                "fixels",
+                found=f"shape {found.shape}" + (", not all finite" if fits else ""),
+                expected=f"finite numbers of shape ({n}, {least}, 3)",
+            )
+        return found
+
+    def _pass(
+        self, which: IntArray, values: Mapping[str, FloatArray], fixels: FloatArray | None
+    ) -> EnsembleOutcome:
         reasons = self.refused(which, values)
         ready = np.array([not reason for reason in reasons], bool)
-        rows, packed = self._packed(which, values, ready)
+        rows, packed = self._packed(which, values, ready, fixels)
         n = len(which)
         status = np.full(n, INFEASIBLE, np.int64)
         pose = np.repeat(self._start[which][:, None], self.n_sample, axis=1)
-        reached = np.zeros(n)
+        reached, force, stalled = np.zeros(n), np.zeros(n), np.zeros(n, bool)
         if packed:
             record = self._rolled(which, rows, packed)
             at = 0
@@ -156,9 +196,13 @@ class Ensemble:
                 status[own] = part_record.status
                 pose[own] = _track(part, part_record)
                 reached[own] = part_record.total[:, REACHED] * part.units.time
+                drive = part_record.drive.max(axis=2, initial=0.0)  # zeros after an early stop
+                force[own] = drive[:, :, 0].max(axis=1) * part.units.force
+                last = np.maximum(part_record.count[:, SAMPLES] - 1, 0)
+                stalled[own] = drive[np.arange(len(own)), last, 1] > 0.0
         for k in np.flatnonzero(ready & (status != codes.CONVERGED)):
             reasons[k] = f"{codes.STATUS_NAMES[int(status[k])]} at {reached[k]:.4g} s"
-        return EnsembleOutcome(status, pose, reached, reasons)
+        return EnsembleOutcome(status, pose, reached, force, stalled, reasons)
 
     def refused(self, which: IntArray, values: Mapping[str, FloatArray]) -> list[str]:
         """Reasons why rollouts of cases `which` (n,) are infeasible; empty for feasible ones."""
@@ -174,7 +218,11 @@ class Ensemble:
         return reasons
 
     def _packed(
-        self, which: IntArray, values: Mapping[str, FloatArray], ready: NDArray[np.bool_]
+        self,
+        which: IntArray,
+        values: Mapping[str, FloatArray],
+        ready: NDArray[np.bool_],
+        fixels: FloatArray | None = None,
     ) -> tuple[list[IntArray], list[PackedBatch]]:
         """Pack a batch for each template; return also the rollouts in each."""
         group = self._group[which]
@@ -182,12 +230,13 @@ class Ensemble:
         for g in np.unique(group[ready]):
             own = np.flatnonzero(ready & (group == g))
             cases = which[own]
-            paths = self._paths[g]
+            paths, n_fixel = self._paths[g], len(self._templates[g].scene.fixels)
             variation = Variation(
                 {m: v[own] for m, v in values.items()},
                 self._start[cases][:, None],
                 paths,
                 None if paths is None else self._place[cases],
+                None if fixels is None else fixels[own, :n_fixel],
             )
             rows.append(own)
             packed.append(self._templates[g].packed(variation, len(own), self._duration[cases]))

@@ -407,7 +407,7 @@ class Template:
         rows.place(families.DRIVEN, n_driven)
         rows.place(families.PATH_START, n_driven + 1)
         path, path_start = self._paths(variation, varied, float(np.max(duration)), rows)
-        pose = self._poses(varied.start, rows)
+        pose = self._poses(varied.start, variation.fixels, rows)
         factors, frame = self._map()
         rows.place(families.MAP, factors.size)
         model = self._model
@@ -524,16 +524,21 @@ class Template:
             rows.begin[:, families.PATH] = n_sample * of
         return path.reshape(-1, 4), np.array([0, n_sample], np.int64)
 
-    def _poses(self, start: FloatArray | None, rows: _FamilyRows) -> FloatArray:
+    def _poses(
+        self, start: FloatArray | None, fixels: FloatArray | None, rows: _FamilyRows
+    ) -> FloatArray:
         """Return scaled poses of all bodies at time zero; of centres of mass for free bodies."""
         scene, length = self.scene, self.units.length
         n_free = len(scene.bodies)
-        own = start is not None
+        own = start is not None or fixels is not None
         rows.place(families.BODY, len(scene.names), own=own)
         pose = np.array([item.pose for item in _items(scene)])
+        if own:
+            pose = np.tile(pose, (len(rows.begin), 1, 1))
         if start is not None:
-            pose = np.tile(pose, (len(start), 1, 1))
             pose[:, :n_free] = start
+        if fixels is not None:
+            pose[:, len(pose[0]) - len(scene.fixels) :] += fixels
         pose = pose.reshape(-1, len(scene.names), 3)
         c, s = np.cos(pose[:, :n_free, 2]), np.sin(pose[:, :n_free, 2])
         pose[:, :n_free, 0] += c * self.com[:, 0] - s * self.com[:, 1]

@@ -39,6 +39,7 @@ class Variation(NamedTuple):
     start: FloatArray | None = None  # (n, n_free, 3) poses of the free bodies' shape frames
     path: FloatArray | None = None  # (n_path, n_sample, 4) waypoints of the one pusher
     path_of: IntArray | None = None  # (n,) index of the path of a rollout; its own by default
+    fixels: FloatArray | None = None  # (n, n_fixel, 3) errors of the poses of the fixels
 
 
 class Elements(NamedTuple):
