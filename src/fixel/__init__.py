@@ -25,11 +25,19 @@ if TYPE_CHECKING:
     from fixel.formats import load_scene as load_scene
     from fixel.io import load as load
     from fixel.model import (
+        AllOf as AllOf,
+        AnyOf as AnyOf,
+        Beyond as Beyond,
         Body as Body,
+        Contact as Contact,
         Disk as Disk,
         Ellipsoid as Ellipsoid,
+        Exit as Exit,
         Experiment as Experiment,
         Fixel as Fixel,
+        ForceAbove as ForceAbove,
+        Goal as Goal,
+        Inside as Inside,
         LineDrive as LineDrive,
         NoSupport as NoSupport,
         PairFriction as PairFriction,
@@ -38,6 +46,7 @@ if TYPE_CHECKING:
         Plane as Plane,
         Polygon as Polygon,
         Pose as Pose,
+        PoseRegion as PoseRegion,
         Pusher as Pusher,
         Scene as Scene,
         Seated as Seated,
@@ -107,9 +116,9 @@ _NAMES = {
     "fixel.filtering.recorded": "FilterRun",
     "fixel.formats": "load_scene",
     "fixel.io": "load",
-    "fixel.model": "Body Disk Ellipsoid Experiment Fixel LineDrive NoSupport PairFriction"
-    " Parameters PathDrive Plane Polygon Pose Pusher Scene Seated SupportPoints Trajectory Tripod"
-    " UniformPressure",
+    "fixel.model": "AllOf AnyOf Beyond Body Contact Disk Ellipsoid Exit Experiment Fixel ForceAbove"
+    " Goal Inside LineDrive NoSupport PairFriction Parameters PathDrive Plane Polygon Pose"
+    " PoseRegion Pusher Scene Seated SupportPoints Trajectory Tripod UniformPressure",
     "fixel.model.records": "Estimate",
     "fixel.model.space": "Parameter",
     "fixel.parts.candidates": "push_candidates",

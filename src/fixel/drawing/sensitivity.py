@@ -25,7 +25,7 @@ from fixel.drawing.chart import (
 from fixel.drawing.top_view import closed_line
 from fixel.drawing.view import UNITS, unit_for
 from fixel.errors import InvalidInput
-from fixel.model import Scene, Seated, placed
+from fixel.model import Goal, Scene, placed
 from fixel.table import Table
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.indices import Indices
@@ -265,7 +265,7 @@ def draw_indices(found: Sensitivity, *, ax: Axes | None = None) -> Any:
     return plot_axes(IndicesChart(title="Sobol indices", indices=found.indices).figure, ax)
 
 
-def draw_ends(found: Prediction, *, goal: Seated | None = None, ax: Axes | None = None) -> Any:
+def draw_ends(found: Prediction, *, goal: Goal | None = None, ax: Axes | None = None) -> Any:
     """Draw end poses over the scene, coloured by contact mode, or by whether they meet a goal."""
     if goal is None:
         fixels = [fixel.name for fixel in found.scene.fixels]

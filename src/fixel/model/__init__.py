@@ -8,7 +8,19 @@ from fixel.model.experiment import (
     PlannedExperiment,
     Provenance,
 )
-from fixel.model.goals import Seated
+from fixel.model.goals import (
+    AllOf,
+    AnyOf,
+    Beyond,
+    BodyTrack,
+    Contact,
+    Exit,
+    ForceAbove,
+    Goal,
+    Inside,
+    PoseRegion,
+    Seated,
+)
 from fixel.model.parameters import KNOWN_PARAMETERS, ParameterInfo, Parameters
 from fixel.model.plane import FrictionMap, Plane
 from fixel.model.probability import Probability
@@ -27,15 +39,24 @@ from fixel.model.trajectory import Pose, Trajectory, pose_error, wrapped
 
 __all__ = [
     "KNOWN_PARAMETERS",
+    "AllOf",
+    "AnyOf",
+    "Beyond",
     "Body",
+    "BodyTrack",
     "Channel",
+    "Contact",
     "Disk",
     "Drive",
     "Ellipsoid",
+    "Exit",
     "Experiment",
     "Fixel",
     "Flag",
+    "ForceAbove",
     "FrictionMap",
+    "Goal",
+    "Inside",
     "LineDrive",
     "NoSupport",
     "PairFriction",
@@ -46,6 +67,7 @@ __all__ = [
     "PlannedExperiment",
     "Polygon",
     "Pose",
+    "PoseRegion",
     "Probability",
     "Provenance",
     "Pusher",

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.model import Parameters, Pose, Scene, Seated, Trajectory
+from fixel.model import BodyTrack, Goal, Parameters, Pose, Scene, Trajectory
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray, IntArray
@@ -178,10 +178,13 @@ class Simulation(Result):
         names = self.names
         return [(names[a], names[b]) for a, b in pairs]
 
-    def meets(self, goal: Seated) -> bool:
-        """Return whether the end of the simulation meets a goal."""
-        ends = {name: poses[-1] for name, poses in self.pose.items()}
-        return bool(goal.met(self.scene, ends))
+    def meets(self, goal: Goal) -> bool:
+        """Return whether the simulation meets a goal."""
+        traces = self.pushers.values()
+        stalled = np.array([any(trace.stalled[-1] for trace in traces)])
+        force = np.array([max((np.abs(trace.force).max() for trace in traces), default=0.0)])
+        tracks = {name: BodyTrack(pose[None], stalled, force) for name, pose in self.pose.items()}
+        return bool(goal.met(self.scene, tracks)[0])
 
     def __getitem__(self, name: str) -> Trajectory:
         """Return the trajectory of a free or driven body, with forces for a pusher."""
@@ -448,14 +451,16 @@ class BatchResult(Result):
             return np.zeros(len(self), dtype=np.bool_)
         return self.contacts[:, first, second]
 
-    def meets(self, goal: Seated) -> BoolArray:
-        """Return whether the end of each run meets a goal, (n,) bool.
+    def meets(self, goal: Goal) -> BoolArray:
+        """Return whether each run meets a goal, (n,) bool.
 
-        A run that stopped early does not, unless its rigid pusher was jammed.
+        A run that stopped early does not, unless its rigid pusher was jammed. Events are looked for
+        at the sampled `times`; forces are stored only for the end, so `ForceAbove` is rejected.
         """
-        ends = {name: self.final[:, k] for k, name in enumerate(self.names)}
+        stalled = np.asarray(self.stalled.any(axis=1))
+        tracks = {name: BodyTrack(self.pose[:, :, k], stalled) for k, name in enumerate(self.names)}
         jammed = np.equal(self.status, codes.STATUS_NAMES[codes.JAMMED])
-        return np.asarray(goal.met(self.scene, ends) & (self.converged | jammed))
+        return np.asarray(goal.met(self.scene, tracks) & (self.converged | jammed))
 
     def __len__(self) -> int:
         return len(self.status)

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final, final
 
 import numpy as np
 
-from fixel.model import Probability, Scene, Seated
+from fixel.model import BodyTrack, Goal, Probability, Scene
 from fixel.model.fields import settle
 from fixel.model.goals import touching
 from fixel.results import Result, Summary
@@ -133,20 +133,20 @@ class Prediction(Result):
 
     # --- contacts -------------------------------------------------------------------------------
 
-    def meets(self, goal: Seated) -> BoolArray:
+    def meets(self, goal: Goal) -> BoolArray:
         """Return whether each of the k simulations that ended meets a goal, (k,) bool.
 
-        Goals regard the simulated end poses, without model error and camera noise: these would
+        Goals regard the simulated poses, without model error and camera noise: these would
         separate bodies in contact.
         """
-        return goal.met(self.scene, {self.scene.bodies[0].name: self.pose[self.ended, -1]})
+        return goal.met(self.scene, BodyTrack(self.pose[self.ended]))
 
-    def probability(self, goal: Seated, *, level: float = 0.95) -> Probability:
+    def probability(self, goal: Goal, *, level: float = 0.95) -> Probability:
         """Return the probability that the push meets a goal, with its interval.
 
         Parameters
         ----------
-        goal : Seated
+        goal : Goal
         level : float
             Confidence level of the interval, which covers the number of runs alone: not an error
             of the model or of the distributions it was given.
