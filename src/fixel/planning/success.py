@@ -1,0 +1,336 @@
+"""Success probability of a plan, from margins of fresh scenarios that no search has seen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import betaincinv, stdtrit
+
+from fixel.errors import InvalidInput
+from fixel.model.fields import settle
+from fixel.results import Result, Summary
+from fixel.table import Column, Table
+from fixel.typing import FloatArray
+
+WORST: Final = 0.05  # share of parameter draws, and of runs, that count as the worst ones
+# Difference of mean and quantile above which a calibration helps more than a longer search.
+MAX_SPREAD: Final = 0.05
+
+
+def finite_margins(margins: ArrayLike, n_dims: int, where: str = "margins") -> FloatArray:
+    """Return margins as an array with `n_dims` dimensions; reject empty ones and NaN."""
+    found = np.asarray(margins, dtype=np.float64)
+    if found.ndim != n_dims or not found.size:
+        raise InvalidInput(where, found=f"shape {found.shape}", expected=f"{n_dims} dimensions")
+    if not np.isfinite(found).all():
+        hint = "count a simulation that failed as a failure of the plan, with a negative margin"
+        raise InvalidInput(where, found="NaN or infinity", expected="finite numbers", hint=hint)
+    return found
+
+
+def lower_bound(successes: float, n: float, confidence: float = 0.95) -> float:
+    """Compute the one-sided lower confidence bound of a success probability.
+
+    Parameters
+    ----------
+    successes, n : float
+        Numbers of successes and of runs; fractions are effective numbers.
+    confidence : float
+
+    Returns
+    -------
+    float
+
+    Source
+    ------
+    Clopper & Pearson (1934), Biometrika 26, 404-413.
+
+    Examples
+    --------
+    >>> round(lower_bound(299, 299), 3)
+    0.99
+    """
+    if successes <= 0.0:
+        return 0.0
+    return float(betaincinv(successes, n - successes + 1.0, 1.0 - confidence))
+
+
+def rates_without_noise(successes: ArrayLike, n_runs: int) -> FloatArray:
+    """Estimate success rates of parameter draws, without the spread that few runs add.
+
+    The observed rates scatter by the differences of the draws and by the chance of few runs.
+    They are moved towards their mean, so that their variance becomes the estimated variance of
+    the true rates: observed variance less the mean binomial variance.
+
+    Parameters
+    ----------
+    successes : (..., n_worlds) int64
+        Number of successful runs of each parameter draw.
+    n_runs : int
+        Number of runs of each draw, at least 2.
+
+    Returns
+    -------
+    (..., n_worlds) float64
+
+    Source
+    ------
+    Louis (1984), J. Am. Stat. Assoc. 79, 393-398: estimates whose spread is the true one.
+    """
+    rates = np.asarray(successes, dtype=np.float64) / n_runs
+    mean = rates.mean(axis=-1, keepdims=True)
+    n_worlds = rates.shape[-1]
+    spread = np.sum((rates - mean) ** 2, axis=-1, keepdims=True) / max(1, n_worlds - 1)
+    noise = np.mean(rates * (1.0 - rates), axis=-1, keepdims=True) / (n_runs - 1)
+    scale = np.sqrt(np.maximum(0.0, spread - noise) / np.where(spread > 0.0, spread, 1.0))
+    return np.asarray(mean + scale * (rates - mean))
+
+
+def rate_quantile(successes: ArrayLike, n_runs: int, share: float = WORST) -> FloatArray:
+    """Estimate a quantile of the success rate over parameter draws.
+
+    Parameters
+    ----------
+    successes : (..., n_worlds) int64
+        Number of successful runs of each parameter draw.
+    n_runs : int
+        Number of runs of each draw, at least 2.
+    share : float
+        Share of the draws below the quantile.
+
+    Returns
+    -------
+    (...,) float64
+        Order statistic `share * (n_worlds + 1)` of `rates_without_noise`. On average, this share
+        of further draws has a lower rate, whatever the distribution of the rates is.
+
+    Examples
+    --------
+    >>> successes = [64] * 60 + [16] * 4
+    >>> round(float(rate_quantile(successes, 64)), 2)
+    0.25
+    """
+    rates = rates_without_noise(successes, n_runs)
+    return np.asarray(np.quantile(rates, share, axis=-1, method="weibull"))
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
+class SuccessProbability(Result):
+    """Success probability of one plan, from scenarios that were not used to find it.
+
+    Attributes
+    ----------
+    mean : float
+        Share of successful scenarios: the probability that the next trial succeeds.
+    low, high : float
+        Two-sided confidence interval of `mean`.
+    bound : float
+        One-sided lower confidence bound of `mean`.
+    rates : (n_worlds,) float64
+        Success rate of each parameter draw, as observed.
+    n_runs : int
+        Number of scenarios of each parameter draw.
+    quantile : float or None
+        Success rate that 95 % of the parameter draws exceed, without the chance of few runs. None
+        for one run of each draw, which separates nothing, and for one draw.
+    margin : float
+        Margin that 95 % of the scenarios exceed, in units of the goal's tolerance.
+    n : int
+        Number of scenarios from which `mean` and its bounds are computed.
+    confidence : float
+        Confidence level of `low`, `high` and `bound`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> margins = np.ones((64, 64))
+    >>> margins[:8, :32] = -0.2  # 8 of 64 parameter draws succeed in half of their runs
+    >>> found = SuccessProbability.of(margins)
+    >>> found.mean
+    0.9375
+    >>> round(found.stated, 2)
+    0.5
+    """
+
+    mean: float
+    low: float
+    high: float
+    bound: float
+    rates: FloatArray
+    n_runs: int
+    quantile: float | None
+    margin: float
+    n: int
+    confidence: float = 0.95
+
+    def __post_init__(self) -> None:
+        settle(self, rates=np.asarray(self.rates, dtype=np.float64))
+
+    @classmethod
+    def of(
+        cls,
+        margins: ArrayLike,
+        confidence: float = 0.95,
+        *,
+        independent: ArrayLike | None = None,
+    ) -> SuccessProbability:
+        """Estimate the success probability of one plan.
+
+        Parameters
+        ----------
+        margins : (n_worlds, n_runs) or (n,) float64
+            Margins of the goal in fresh scenarios, in units of its tolerance; at least 0 for a
+            success, and negative for a simulation that failed. A row has the runs of one draw of
+            the parameters. Of (n,) margins, each has its own draw.
+        confidence : float
+        independent : (n,) float64, optional
+            Margins in further scenarios, each with its own draw of the parameters. The mean and
+            its bounds are then computed from these alone.
+
+        Returns
+        -------
+        SuccessProbability
+
+        Raises
+        ------
+        InvalidInput
+            There are no margins, or some are NaN.
+
+        Notes
+        -----
+        The bounds of Clopper and Pearson are for an effective number of scenarios: runs of one
+        draw resemble each other, so 64 draws with 64 runs each prove less than 4096 draws. The
+        bound is exact for scenarios with a draw each. For runs of few draws it relies on the
+        observed spread of their rates: 64 draws without a failure do not show that fewer than 4 %
+        of all draws fail.
+
+        Source
+        ------
+        Clopper & Pearson (1934); Korn & Graubard (1998), Survey Methodology 24, 193-201.
+        """
+        if not 0.0 < confidence < 1.0:
+            raise InvalidInput("confidence", found=confidence, expected="between 0 and 1")
+        flat = np.asarray(margins, dtype=np.float64)
+        own = finite_margins(flat[:, None] if flat.ndim == 1 else flat, 2)
+        if independent is not None:
+            mean = cls.of(finite_margins(independent, 1, "independent"), confidence)
+            return replace(mean, **cls.of(own, confidence)._by_draw())
+        n_worlds, n_runs = own.shape
+        successes = np.sum(own >= 0.0, axis=1)
+        share = float(successes.sum()) / own.size
+        n = _effective_number(successes, n_runs, confidence)
+        two_sided = 0.5 * (1.0 + confidence)
+        known = n_runs > 1 and n_worlds > 1
+        return cls(
+            mean=share,
+            low=lower_bound(share * n, n, two_sided),
+            high=1.0 - lower_bound((1.0 - share) * n, n, two_sided),
+            bound=lower_bound(share * n, n, confidence),
+            rates=successes / n_runs,
+            n_runs=n_runs,
+            quantile=float(rate_quantile(successes, n_runs)) if known else None,
+            margin=float(np.quantile(own, WORST, method="inverted_cdf")),
+            confidence=confidence,
+            n=own.size,
+        )
+
+    @property
+    def stated(self) -> float:
+        """Stated success probability: the lower one of `bound` and `quantile`."""
+        return self.bound if self.quantile is None else min(self.bound, self.quantile)
+
+    @property
+    def calibrate_first(self) -> bool:
+        """Whether a calibration is the first advice: mean and quantile differ by over 0.05."""
+        return self.quantile is not None and self.mean - self.quantile > MAX_SPREAD
+
+    def spare(self, wanted: float) -> float:
+        """Return the share of probability that may be wrong before a wanted success is missed.
+
+        The scenarios are drawn from a belief about the parameters, start and errors. As long as
+        that belief misplaces less than this share of its probability, the plan still succeeds
+        with the wanted probability. It is negative where the plan misses it already.
+
+        Parameters
+        ----------
+        wanted : float
+            Wanted success probability.
+        """
+        return self.stated - wanted
+
+    @property
+    def sentence(self) -> str:
+        """One line: the stated probability, the mean and its bound."""
+        return (
+            f"success probability {_share(self.stated)} (mean {_share(self.mean)}, "
+            f"at least {_share(self.bound)} with {100.0 * self.confidence:g} % confidence)"
+        )
+
+    def _by_draw(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("rates", "n_runs", "quantile", "margin")}
+
+    def _notes(self) -> list[str]:
+        notes = []
+        if self.calibrate_first:
+            notes.append(
+                f"Calibrate first: success depends on unknown parameters. In the worst 5 % of "
+                f"their draws this plan succeeds at most {_percent(self.quantile)} of the time."
+            )
+        if self.quantile is not None and len(self.rates) < 59:
+            notes.append(
+                f"{len(self.rates)} parameter draws determine the worst 5 % only roughly; use 59 "
+                "or more."
+            )
+        return notes
+
+    def _summary(self) -> Summary:
+        worlds = len(self.rates)
+        rows: list[tuple[str, float, str]] = [
+            ("stated", self.stated, "lower one of the bound and the worst draws"),
+            ("mean", self.mean, f"share of {self.n} fresh scenarios"),
+            (
+                "bound",
+                self.bound,
+                f"lower bound of the mean, {100.0 * self.confidence:g} % confidence",
+            ),
+        ]
+        if self.quantile is not None:
+            rows.append(("worst draws", self.quantile, f"exceeded by 95 % of {worlds} draws"))
+        table = Table(("value", Column("probability", "", ".3f"), "meaning"), rows, left=1)
+        text = f"The plan succeeds with probability {_share(self.stated)}."
+        margin = f"In 95 % of the scenarios the margin exceeds {self.margin:.2f} tolerances."
+        return Summary(text, [table], [*self._notes(), margin])
+
+    def _data(self) -> Table:
+        return Table.from_columns({"draw": range(len(self.rates)), "rate": self.rates.tolist()})
+
+
+def _effective_number(successes: np.ndarray, n_runs: int, confidence: float) -> float:
+    """Number of independent scenarios that determine the mean equally well."""
+    n_worlds = len(successes)
+    n = n_worlds * n_runs
+    share = float(successes.sum()) / n
+    if n_runs == 1 or n_worlds == 1 or not 0.0 < share < 1.0:
+        return float(n)
+    between = float(np.var(successes / n_runs, ddof=1)) / n_worlds
+    number = share * (1.0 - share) / between if between > 0.0 else float(n)
+    tail = 0.5 * (1.0 + confidence)
+    ratio = float(stdtrit(n - 1, tail) / stdtrit(n_worlds - 1, tail))
+    return min(float(n), number * ratio**2)
+
+
+def _share(value: float | None) -> str:
+    """Format a probability; one that is nearly 1 with more digits, never rounded up."""
+    if value is None:
+        return "unknown"
+    digits = 2 if value < 0.99 else 3 if value < 0.999 else 4
+    return f"{math.floor(value * 10**digits + 1e-9) / 10**digits:.{digits}f}"
+
+
+def _percent(value: float | None) -> str:
+    return "unknown" if value is None else f"{100.0 * value:.0f} %"

@@ -1,0 +1,132 @@
+"""Success probabilities against known truths, and against SciPy's own intervals."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from fixel.errors import InvalidInput
+from fixel.planning.success import SuccessProbability, lower_bound, rate_quantile
+
+TRUTHS = {
+    "alike": lambda rng, n: np.full(n, 0.9),
+    "perfect": lambda rng, n: np.ones(n),
+    "wide": lambda rng, n: rng.beta(9.0, 1.0, n),
+    "narrow": lambda rng, n: rng.beta(50.0, 5.0, n),
+    "U-shaped": lambda rng, n: rng.beta(0.5, 0.2, n),
+    "0 or 1": lambda rng, n: (rng.random(n) < 0.8).astype(float),
+    "two kinds": lambda rng, n: np.where(rng.random(n) < 0.9, 0.98, 0.5),
+    "logistic": lambda rng, n: 1.0 / (1.0 + np.exp(-3.0 - 2.0 * rng.normal(size=n))),
+}
+
+
+def _margins(rng: np.random.Generator, rates: np.ndarray, n_runs: int) -> np.ndarray:
+    return np.where(rng.random((len(rates), n_runs)) < rates[:, None], 0.5, -0.5)
+
+
+@pytest.mark.parametrize(
+    ("n", "confidence", "bound"),
+    [
+        (29, 0.95, 0.90), (59, 0.95, 0.95), (299, 0.95, 0.99), (2995, 0.95, 0.999),
+        (44, 0.99, 0.90), (90, 0.99, 0.95), (459, 0.99, 0.99), (4603, 0.99, 0.999),
+    ],
+)  # fmt: skip
+def test_smallest_number_of_runs_without_failure_for_a_bound(n, confidence, bound):
+    # Closed form: the bound of n successes in n runs is (1 - confidence)^(1/n).
+    assert lower_bound(n, n, confidence) >= bound > lower_bound(n - 1, n - 1, confidence)
+    assert lower_bound(n, n, confidence) == pytest.approx((1.0 - confidence) ** (1.0 / n))
+
+
+@pytest.mark.parametrize(("good", "n"), [(0, 20), (13, 20), (20, 20), (990, 1000), (4096, 4096)])
+def test_interval_is_that_of_scipy(good, n):
+    found = SuccessProbability.of(np.where(np.arange(n) < good, 1.0, -1.0))
+    both = binomtest(good, n).proportion_ci(0.95, method="exact")
+    assert (found.low, found.high) == pytest.approx((both.low, both.high), abs=1e-12)
+    one = binomtest(good, n, alternative="greater").proportion_ci(0.95, method="exact")
+    assert found.bound == pytest.approx(one.low, abs=1e-12)
+    assert found.quantile is None
+    assert found.stated == found.bound
+
+
+def test_4096_successes_prove_0_99927():
+    assert SuccessProbability.of(np.zeros(4096)).bound == pytest.approx(0.99927, abs=5e-6)
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_five_percent_of_new_draws_are_below_the_stated_probability(name):
+    rng = np.random.default_rng(1)
+    many = np.sort(TRUTHS[name](rng, 100_000))
+    below = []
+    for _ in range(200):
+        found = SuccessProbability.of(_margins(rng, TRUTHS[name](rng, 64), 64))
+        below.append(np.searchsorted(many, found.stated) / len(many))
+    assert np.mean(below) <= 0.065
+    if name in ("wide", "narrow", "logistic", "two kinds"):
+        assert np.mean(below) >= 0.035
+
+
+def test_rates_of_few_runs_have_no_more_spread_than_the_truth():
+    rng = np.random.default_rng(2)
+    observed, corrected = [], []
+    for _ in range(100):
+        successes = rng.binomial(16, np.full(64, 0.9))
+        observed.append(np.quantile(successes / 16, 0.05))
+        corrected.append(float(rate_quantile(successes, 16)))
+    assert np.mean(observed) < 0.80
+    assert np.mean(corrected) > 0.86
+
+
+@pytest.mark.parametrize("name", ["alike", "wide", "narrow", "U-shaped", "logistic", "0 or 1"])
+def test_bound_of_the_mean_over_worlds_covers(name):
+    rng = np.random.default_rng(3)
+    truth = float(np.mean(TRUTHS[name](rng, 400_000)))
+    above = [
+        SuccessProbability.of(_margins(rng, TRUTHS[name](rng, 64), 16)).bound > truth
+        for _ in range(400)
+    ]
+    assert np.mean(above) <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / 400)
+
+
+def test_stated_probability_is_what_the_worst_draws_reach():
+    margins = np.ones((64, 64))
+    margins[:8, :32] = -0.2
+    found = SuccessProbability.of(margins)
+    assert found.mean == 0.9375
+    assert found.stated == pytest.approx(0.5, abs=0.01)
+    assert found.calibrate_first
+    assert "Calibrate first" in repr(found)
+    assert found.margin == -0.2
+    assert found.spare(0.4) == pytest.approx(0.1, abs=0.01)
+
+
+def test_independent_scenarios_decide_the_mean():
+    worlds = np.where(np.arange(64)[:, None] < 8, -1.0, np.ones((64, 64)))
+    found = SuccessProbability.of(worlds, independent=np.ones(299))
+    assert found.mean == 1.0
+    assert found.bound == pytest.approx(0.99, abs=1e-3)
+    assert found.quantile == 0.0
+    assert found.stated == 0.0
+
+
+def test_a_larger_tolerance_never_lowers_anything():
+    rng = np.random.default_rng(4)
+    error = rng.gamma(2.0, 1.0, (64, 64)) * rng.uniform(0.5, 1.5, (64, 1))
+    found = [SuccessProbability.of(1.0 - error / tolerance) for tolerance in (2.0, 3.0, 5.0)]
+    for smaller, larger in pairwise(found):
+        assert smaller.mean <= larger.mean
+        assert smaller.bound <= larger.bound
+        assert smaller.margin <= larger.margin
+
+
+@pytest.mark.parametrize("bad", [[], [[]], [np.nan, 1.0], [[np.inf]], np.ones((2, 2, 2))])
+def test_margins_that_are_no_answer_are_rejected(bad):
+    with pytest.raises(InvalidInput, match="margins"):
+        SuccessProbability.of(bad)
+
+
+def test_result_is_saved_and_loaded(tmp_path):
+    import fixel
+
+    found = SuccessProbability.of(np.random.default_rng(5).normal(1.0, 1.0, (16, 8)))
+    assert fixel.load(found.save(tmp_path / "success.fixel")) == found
