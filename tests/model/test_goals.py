@@ -75,6 +75,17 @@ def test_a_disk_is_seated_where_distances_of_centres_say_so():
     assert Seated("left").met(SCENE, {"puck": track}).sum() >= 100
 
 
+def test_fixels_may_be_elsewhere_in_each_run():
+    moved = np.zeros((3, 2, 3))
+    moved[:, 0, 0] = 0.0, 1e-5, 0.001
+    track = BodyTrack(np.tile(row(0.03, 0.0, 0.0), (3, 4, 1)), fixels=moved)
+    expected = np.minimum(1.0, 1.0 + np.array([0.0, 0.25, 25.0]))  # closer ones overlap
+    np.testing.assert_allclose(Seated("left").margin(SCENE, track), expected)
+    away = track._replace(fixels=-moved)
+    np.testing.assert_allclose(Seated("left").margin(SCENE, away), (1.0, 0.75, -24.0))
+    np.testing.assert_allclose(Contact("left").margin(SCENE, away), (-1.0, -0.75, 24.0))
+
+
 def test_a_seat_may_demand_that_the_drive_stalled():
     touching = BodyTrack.of_ends([[0.03, 0.0, 0.0]] * 2)._replace(stalled=np.array([True, False]))
     assert Seated("left", stalled=True).met(SCENE, touching).tolist() == [True, False]

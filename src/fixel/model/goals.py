@@ -44,6 +44,9 @@ class BodyTrack(NamedTuple):
         Whether the drive stalled at the end.
     force : (n,) float64, optional
         Largest force of the drive [N].
+    fixels : (n, n_fixel, 3) float64, optional
+        Displacements of the fixels from their places in the scene [m, m, rad]; rotations are not
+        used.
 
     Examples
     --------
@@ -54,6 +57,7 @@ class BodyTrack(NamedTuple):
     pose: FloatArray
     stalled: BoolArray | None = None
     force: FloatArray | None = None
+    fixels: FloatArray | None = None
 
     @classmethod
     def of_ends(cls, poses: ArrayLike) -> BodyTrack:
@@ -134,11 +138,15 @@ class Clause(Goal):
         valid = np.flatnonzero(np.isfinite(flat).all(axis=1))
         for first in range(0, len(valid), CHUNK):
             rows = valid[first : first + CHUNK]
-            values[rows] = np.maximum(self._margins(scene, body, flat[rows]), MIN_MARGIN)
+            moved = None if own.fixels is None else own.fixels[rows // pose.shape[1]]
+            margins = self._margins(scene, body, flat[rows], moved)
+            values[rows] = np.maximum(margins, MIN_MARGIN)
         return np.asarray(values.reshape(pose.shape[:2]).min(axis=1))
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray) -> FloatArray:
-        """Return the margins (n,) of poses (n, 3)."""
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
+        """Return the margins (n,) of poses (n, 3), with displacements (n, n_fixel, 3) of fixels."""
         raise NotImplementedError
 
 
@@ -204,7 +212,9 @@ class PoseRegion(Clause):
         offset = centroids(body, np.column_stack((np.zeros((self.symmetry, 2)), angle)))
         return np.column_stack((centre - offset, angle))
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray) -> FloatArray:
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
         margin = np.ones(len(poses))
         if self.position is not None:
             apart = centroids(body, poses) - placed(body.shape.centroid, self.pose)
@@ -297,14 +307,16 @@ class Seated(Clause):
             )
         return np.minimum(margin, np.where(stalled, 1.0, -1.0))
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray) -> FloatArray:
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
         tolerance = tolerance_of(self.tolerance, body)
         known = [fixel.name for fixel in scene.fixels]
         for name in self.fixels:
             check_fixel(name, scene)
         margin = np.ones(len(poses))
         for name in known if self.only else self.fixels:
-            gap = gap_to(scene, body, name, poses) / tolerance
+            gap = gap_to(scene, body, name, poses, fixels) / tolerance
             margin = np.minimum(margin, 1.0 - gap if name in self.fixels else gap - 1.0)
         return margin
 
@@ -347,7 +359,9 @@ class Inside(Clause):
             tolerance=optional_positive(self.tolerance, "goal.tolerance", "m"),
         )
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray) -> FloatArray:
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
         return 1.0 + _clearance(self.region, body, poses) / tolerance_of(self.tolerance, body)
 
     def __str__(self) -> str:
@@ -405,7 +419,9 @@ class Beyond(Clause):
         inward = np.array([[-along[1], along[0]]])
         return inward, inward @ self.line[0]
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray) -> FloatArray:
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
         points = _points(body) if self.feature is None else self.feature[None]
         radius = _round(body) if self.feature is None else 0.0
         distance = _least_distance(points, poses, *self.half_plane) - radius
@@ -450,8 +466,10 @@ class Contact(Clause):
     def __post_init__(self) -> None:
         settle(self, tolerance=optional_positive(self.tolerance, "goal.tolerance", "m"))
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray) -> FloatArray:
-        gap = gap_to(scene, body, self.fixel, poses)
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
+        gap = gap_to(scene, body, self.fixel, poses, fixels)
         return gap / tolerance_of(self.tolerance, body) - 1.0
 
     def __str__(self) -> str:
@@ -491,8 +509,10 @@ class Exit(Clause):
         inside = Inside(self.region, self.tolerance)
         settle(self, region=inside.region, tolerance=inside.tolerance)
 
-    def _margins(self, scene: Scene, body: Body, poses: FloatArray) -> FloatArray:
-        return Inside(self.region, self.tolerance)._margins(scene, body, poses)
+    def _margins(
+        self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
+    ) -> FloatArray:
+        return Inside(self.region, self.tolerance)._margins(scene, body, poses, fixels)
 
     def __str__(self) -> str:
         return f"{self.body or 'the part'} leaving {box_text(self.region)}"
@@ -674,11 +694,18 @@ def centroids(body: Body, poses: FloatArray) -> FloatArray:
     return np.asarray(poses[:, :2] + turned(body.shape.centroid[None], c, s))
 
 
-def gap_to(scene: Scene, body: Body, name: str, poses: FloatArray) -> FloatArray:
-    """Return the gaps (n,) of a body at poses (n, 3) to a fixel [m], negative in overlap."""
+def gap_to(
+    scene: Scene, body: Body, name: str, poses: FloatArray, fixels: FloatArray | None = None
+) -> FloatArray:
+    """Return the gaps (n,) of a body at poses (n, 3) to a fixel [m], negative in overlap.
+
+    `fixels` (n, n_fixel, 3) are displacements of the fixels from their places in the scene.
+    """
     check_fixel(name, scene)
-    fixel = next(fixel for fixel in scene.fixels if fixel.name == name)
-    return -overlaps(body.shape, poses, fixel.shape, fixel.pose).depth
+    k = [fixel.name for fixel in scene.fixels].index(name)
+    if fixels is not None:
+        poses = poses - fixels[:, k] * (1.0, 1.0, 0.0)
+    return -overlaps(body.shape, poses, scene.fixels[k].shape, scene.fixels[k].pose).depth
 
 
 def touching(scene: Scene, body: Body, poses: FloatArray) -> BoolArray:
