@@ -24,6 +24,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
+from fixel.uncertainty.run_to_run import log_student
 
 # Alternating fits of model error and covariance; the third changes almost nothing.
 ROUNDS: Final = 3
@@ -236,25 +237,12 @@ def _fitted(
     def cost(z: FloatArray) -> float:
         total = np.exp(2.0 * z[-2]) * unit + np.diag(np.exp(2.0 * z[: len(error)]))
         own = float(np.exp(np.clip(z[-1], low, high)))
-        return -_log_t(left, total, own)
+        return -log_student(left, total, own)
 
     begin = np.log(np.concatenate((error, (max(start, 1e-3), freedom))))
     found = minimize(cost, begin, method="Nelder-Mead", options={"maxiter": 800, "xatol": 1e-3})
     z = found.x
     return np.exp(z[: len(error)]), float(np.exp(z[-2])), float(np.exp(np.clip(z[-1], low, high)))
-
-
-def _log_t(residual: FloatArray, scale: FloatArray, freedom: float) -> float:
-    """Return the log likelihood of residuals (k, c) under Student's t with scales (k, c, c)."""
-    from scipy.special import gammaln
-
-    k, c = residual.shape
-    square = np.einsum("ki,kij,kj->k", residual, np.linalg.inv(scale), residual)
-    _, volume = np.linalg.slogdet(scale)
-    constant = gammaln(0.5 * (freedom + c)) - gammaln(0.5 * freedom)
-    constant -= 0.5 * c * np.log(freedom * np.pi)
-    tails = 0.5 * (freedom + c) * np.log1p(square / freedom)
-    return float(k * constant - 0.5 * volume.sum() - tails.sum())
 
 
 def _distance(residual: FloatArray, total: FloatArray, block: tuple[int, ...]) -> FloatArray:

@@ -1,0 +1,390 @@
+"""What differs between runs of the same push: friction, pressure, start, and what no model has.
+
+A calibrated simulator predicts the same end for the same push. Real pushes end elsewhere each time,
+and farther apart the more the part moves and turns. Most of that is explained by a friction of the
+contact and a centre of pressure that differ between runs: they change nothing while the
+part is at rest. They act inside the simulation, where walls and pegs can take their effect back.
+What remains grows with the rotation, and is added to ends where the part touches nothing.
+
+All lengths are in radii of gyration of the part, so that a scatter applies to parts of any size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.calibration.target import target_of
+from fixel.errors import InvalidInput
+from fixel.model import Experiment, Parameters, Scene, wrapped
+from fixel.model.fields import instance, non_negative, settle
+from fixel.simulation.ensemble import Ensemble
+from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
+from fixel.simulation.stepper import AbstractStepper
+from fixel.typing import FloatArray
+from fixel.uncertainty.push import CalibratedModel
+
+# Scatter of real pushes: rounded medians of the 14 plates and surfaces of the MIT push dataset.
+START, CENTRE, FRICTION = 0.001, 0.12, 0.25
+NOISE_POSITION, NOISE_ANGLE = 0.005, 0.005
+REST_POSITION, REST_ANGLE = 0.02, 0.04
+FREEDOM: Final = 3.0
+# Bounds of the degrees of freedom of Student's t: from "a mean exists" to "normal".
+FREEDOMS: Final = (1.5, 50.0)
+# Largest factor of Student's t on the scatter of one run: 2 % of the runs exceed it.
+MAX_FACTOR: Final = 3.0
+# Standard deviation of the logarithm of a scatter over its default, before any experiment.
+PRIOR: Final = 0.7
+MIN_EXPERIMENTS: Final = 3
+# Rotation at which the remainder of a draw is given [rad].
+TURN: Final = 0.25
+_NUMBERS: Final = (
+    "start", "centre", "friction",
+    "noise_position", "noise_angle", "rest_position", "rest_angle",
+)  # fmt: skip
+_SHIFTS: Final = ("start_x", "start_y", "start_theta")
+_CENTRES: Final = ("friction_centre_x", "friction_centre_y")
+
+
+class RunChanges(NamedTuple):
+    """Parameters and errors of n runs."""
+
+    values: dict[str, FloatArray]  # parameters (n,) by name, with the scatter of each run
+    start: FloatArray  # (n, 3) errors of the start [m, m, rad]
+    rest: FloatArray  # (n, 3) errors of the end, for a part that turns by `TURN` [m, m, rad]
+
+
+class RunEffects(NamedTuple):
+    """Errors of k predicted ends, and what the default scatter would change there.
+
+    Positions are in radii of gyration of the part, angles in radians.
+    """
+
+    residual: FloatArray  # (k, 3) measured minus predicted
+    start: FloatArray  # (k, 3, 3) change with each coordinate of the start
+    centre: FloatArray  # (k, 3, 2) change with each coordinate of the pressure centre
+    friction: FloatArray  # (k, 3, 1) change with the friction of the pusher
+    turned: FloatArray  # (k,) predicted rotation [rad]
+    known: FloatArray | float = 0.0  # (k, 3, 3) covariance from other sources, as of parameters
+
+    def __len__(self) -> int:
+        return len(self.residual)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunToRun:
+    """Scatter between runs of the same push.
+
+    The default is the scatter of real pushes of the MIT push dataset; `learned` fits it to
+    experiments. Numbers are scales of Student's t.
+
+    Parameters
+    ----------
+    start : float
+        Error of the start: along either axis in radii of gyration, of the angle in radians.
+    centre : float
+        Shift of the pressure centre along either axis of the part, in radii of gyration.
+    friction : float
+        Relative scatter of the friction of the pusher and the fixels.
+    rest_position, rest_angle : float
+        Remaining error of the end per radian that the part turns: position in radii of gyration,
+        angle in radians.
+    noise_position, noise_angle : float
+        Error of a measured end: position in radii of gyration, angle in radians. It is no part of a
+        run.
+    freedom : float
+        Degrees of freedom of Student's t, at least 1.5.
+    experiments : int
+        Number of experiments that it was learned from; 0 for the default.
+
+    Examples
+    --------
+    >>> from fixel.testing.scenes import pushed_square
+    >>> runs = RunToRun().drawn(100, seed=1, scene=pushed_square(), values={})
+    >>> sorted(runs.values)
+    ['friction_centre_x', 'friction_centre_y', 'mu_pusher']
+    """
+
+    start: float = START
+    centre: float = CENTRE
+    friction: float = FRICTION
+    rest_position: float = REST_POSITION
+    rest_angle: float = REST_ANGLE
+    noise_position: float = NOISE_POSITION
+    noise_angle: float = NOISE_ANGLE
+    freedom: float = FREEDOM
+    experiments: int = 0
+
+    def __post_init__(self) -> None:
+        for name in _NUMBERS:
+            settle(self, **{name: non_negative(getattr(self, name), f"run_to_run.{name}")})
+        if not self.freedom >= FREEDOMS[0]:
+            raise InvalidInput(
+                "run_to_run.freedom", found=self.freedom, expected=f"{FREEDOMS[0]} or more"
+            )
+
+    @classmethod
+    def learned(cls, effects: RunEffects, *, fitted: int = 0) -> RunToRun:
+        """Fit the scatter to the errors of experiments.
+
+        The prior is the default within a factor of two, so few experiments change little.
+
+        Parameters
+        ----------
+        effects : RunEffects
+            Errors of experiments, from `run_effects`; best of those that were not calibrated on.
+        fitted : int
+            Number of parameters that were fitted to the same experiments, whose errors are smaller.
+
+        Raises
+        ------
+        InvalidInput
+            There are fewer than three experiments, or as many parameters as measured numbers.
+
+        Examples
+        --------
+        >>> from fixel.testing.pushes import example_pushes
+        >>> effects = run_effects(example_pushes(6, duration=0.5), {"mu_pusher": 0.2})
+        >>> RunToRun.learned(effects).experiments
+        6
+        """
+        from scipy.optimize import minimize
+
+        k = len(effects)
+        if k < MIN_EXPERIMENTS:
+            raise InvalidInput(
+                "experiments",
+                found=f"{k} that could be simulated",
+                expected=f"at least {MIN_EXPERIMENTS}",
+                hint="RunToRun() is the scatter of public real pushes",
+            )
+        left = 1.0 - fitted / (3.0 * k)
+        if not left > 0.0:
+            raise InvalidInput(
+                "fitted",
+                found=f"{fitted} parameters for {k} experiments",
+                expected=f"fewer than {3 * k}",
+            )
+        residual = effects.residual / math.sqrt(left)
+        parts = _unit_covariances(effects)
+        usual = np.append(np.zeros(len(parts)), math.log(FREEDOM))
+
+        def cost(z: FloatArray) -> float:
+            total = _total(z[:-1], parts, effects.known)
+            own = float(np.exp(np.clip(z[-1], *np.log(FREEDOMS))))
+            return (
+                -log_student(residual, total, own)
+                + 0.5 * float(np.sum((z - usual) ** 2)) / PRIOR**2
+            )
+
+        z = minimize(cost, usual, method="L-BFGS-B").x
+        default = cls()
+        factors = np.exp(z[:-1]).tolist()
+        numbers = {
+            name: getattr(default, name) * factor
+            for name, factor in zip(_NUMBERS, factors, strict=True)
+        }
+        freedom = float(np.exp(np.clip(z[-1], *np.log(FREEDOMS))))
+        return cls(**numbers, freedom=freedom, experiments=k)
+
+    def drawn(
+        self, n: int, *, seed: int, scene: Scene, values: Mapping[str, FloatArray] | None = None
+    ) -> RunChanges:
+        """Draw the changes of n runs.
+
+        Parameters
+        ----------
+        n : int
+        seed : int
+        scene : Scene
+            Scene with one free body.
+        values : mapping of str to (n,) float64, optional
+            Parameters of the runs, about which those of a run scatter; by default the scene's.
+        """
+        rng = np.random.default_rng(seed)
+        factor = np.sqrt(self.freedom / rng.chisquare(self.freedom, n))
+        factor = np.minimum(factor, MAX_FACTOR)
+        normal = factor[:, None] * rng.standard_normal((n, 10))
+        arm = arm_of(scene)
+        found = dict(values or {})
+        for name, column in zip(_CENTRES, normal[:, :2].T, strict=True):
+            found[name] = found.get(name, 0.0) + arm * self.centre * column
+        for name, mu, column in zip(
+            ("mu_pusher", "mu_fixel"), _frictions(scene, found), normal[:, 2:4].T, strict=True
+        ):
+            if mu is not None:
+                found[name] = mu * np.exp(self.friction * column)
+        size = np.array([arm, arm, 1.0])
+        rest = TURN * np.array([self.rest_position, self.rest_position, self.rest_angle])
+        return RunChanges(found, self.start * size * normal[:, 4:7], rest * size * normal[:, 7:])
+
+    def noise(self, scene: Scene) -> FloatArray:
+        """Return the standard deviations (3,) of measured ends [m, m, rad]."""
+        arm = arm_of(scene)
+        position = arm * self.noise_position
+        return np.array([position, position, self.noise_angle])
+
+
+def rest_at(rest: FloatArray, turned: FloatArray) -> FloatArray:
+    """Return the remaining errors (n, 3) of ends of parts that turned by given angles (n,) [rad].
+
+    Parameters
+    ----------
+    rest : (n, 3) float64
+        Errors of a draw, `RunChanges.rest`.
+    turned : (n,) float64
+    """
+    return np.asarray(rest * (np.abs(turned) / TURN)[:, None])
+
+
+def arm_of(scene: Scene) -> float:
+    """Return the radius of gyration of the free body [m]."""
+    return math.sqrt(scene.bodies[0].shape.unit_inertia)
+
+
+def _frictions(scene: Scene, values: Mapping[str, Any]) -> tuple[Any, Any]:
+    """Return the friction of pusher and fixels; None where there are none, or different ones."""
+    own = {float(f.friction) for f in scene.fixels}
+    pusher = float(scene.pushers[0].friction) if scene.pushers else None
+    fixel = own.pop() if len(own) == 1 else None
+    return values.get("mu_pusher", pusher), values.get("mu_fixel", fixel)
+
+
+# --- errors of experiments ------------------------------------------------------------------------
+
+
+def run_effects(
+    experiments: Sequence[Experiment],
+    model: Mapping[str, float] | CalibratedModel,
+    *,
+    motion: AbstractMotionModel | None = None,
+    stepper: AbstractStepper | None = None,
+    threads: int | None = None,
+) -> RunEffects:
+    """Simulate experiments, and what a scatter between runs would change at their ends.
+
+    Experiments that cannot be simulated are left out.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+    model : mapping of str to float or Calibration
+        Parameters [SI].
+    motion : AbstractMotionModel, optional
+        By default that of the calibration, else quasi-static.
+    stepper : AbstractStepper, optional
+    threads : int, optional
+
+    Examples
+    --------
+    >>> from fixel.testing.pushes import example_pushes
+    >>> len(run_effects(example_pushes(3, duration=0.5), {"mu_pusher": 0.2}))
+    3
+    """
+    for experiment in experiments:
+        instance(experiment, Experiment, "experiments", "experiments")
+    targets = [target_of(experiment) for experiment in experiments]
+    if not targets:
+        raise InvalidInput("experiments", found="none", expected="at least one")
+    given = [_values(model, target.conditions) for target in targets]
+    names = sorted({name for own in given for name in own})
+    if any(sorted(own) != names for own in given):
+        raise InvalidInput(
+            "model", found="different parameters for experiments", expected="the same for all"
+        )
+    table = {name: np.array([own[name] for own in given]) for name in names}
+    cases = [t.case._replace(times=t.case.times[-1:]) for t in targets]
+    calibrated = getattr(model, "motion", None)
+    ensemble = Ensemble(cases, motion or calibrated or QuasiStatic(), stepper, threads=threads)
+    which, arm = np.arange(len(cases)), np.array([arm_of(case.scene) for case in cases])
+    size = np.column_stack((arm, arm, np.ones(len(arm))))
+
+    def ends(changes: Mapping[str, FloatArray]) -> FloatArray:
+        outcome = ensemble.simulate(which, table | dict(changes))
+        return np.asarray(np.where(outcome.converged[:, None], outcome.pose[:, -1], np.nan))
+
+    def effect(name: str, step: FloatArray, mu: FloatArray | None = None) -> FloatArray:
+        low, high = (
+            ends(
+                {name: table.get(name, 0.0) + way * step if mu is None else mu * np.exp(way * step)}
+            )
+            for way in (-1.0, 1.0)
+        )
+        return np.asarray(np.nan_to_num(0.5 * pose_difference(high, low) / size))
+
+    base = ends({})
+    pusher = np.array([_frictions(c.scene, {})[0] or 0.0 for c in cases])
+    friction = table.get("mu_pusher", pusher)
+    sizes = zip(_SHIFTS, (arm, arm, np.ones(len(arm))), strict=True)
+    measured = np.array([target.pose[-1] for target in targets])
+    start = np.array([case.scene.bodies[0].pose for case in cases])
+    found = RunEffects(
+        residual=pose_difference(measured, base) / size,
+        start=np.stack([effect(name, START * length) for name, length in sizes], axis=2),
+        centre=np.stack([effect(name, CENTRE * arm) for name in _CENTRES], axis=2),
+        friction=effect("mu_pusher", np.full(len(cases), FRICTION), friction)[:, :, None],
+        turned=np.abs(wrapped(base[:, 2] - start[:, 2])),
+    )
+    good = np.isfinite(base).all(axis=1)
+    return RunEffects(*(column[good] for column in found[:-1]))
+
+
+def _values(
+    model: Mapping[str, float] | CalibratedModel, conditions: Mapping[str, str | float]
+) -> dict[str, float]:
+    if isinstance(model, CalibratedModel):
+        return model.values_for(**conditions)
+    return dict(Parameters(model))
+
+
+def pose_difference(last: FloatArray, first: FloatArray) -> FloatArray:
+    """Return differences (n, 3) of poses, with angles within half a turn [m, m, rad]."""
+    off = np.asarray(last - first)
+    off[:, 2] = wrapped(off[:, 2])
+    return off
+
+
+# --- likelihood -----------------------------------------------------------------------------------
+
+
+def _unit_covariances(effects: RunEffects) -> FloatArray:
+    """Return the covariances (7, k, 3, 3) of the default scatter, in the order of `_NUMBERS`."""
+    position, angle = np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0])
+    turned = (effects.turned**2)[:, None, None]
+    even = np.ones_like(turned)
+    return np.array(
+        [
+            *(
+                np.matmul(column, column.transpose(0, 2, 1))
+                for column in (effects.start, effects.centre, effects.friction)
+            ),
+            NOISE_POSITION**2 * even * position,
+            NOISE_ANGLE**2 * even * angle,
+            REST_POSITION**2 * turned * position,
+            REST_ANGLE**2 * turned * angle,
+        ]
+    )
+
+
+def _total(z: FloatArray, parts: FloatArray, known: FloatArray | float) -> FloatArray:
+    """Return covariances (k, 3, 3) for logarithms of factors on the parts."""
+    factor = np.exp(2.0 * np.clip(z, -7.0, 4.0))
+    return np.asarray(np.einsum("p,pkij->kij", factor, parts) + known + 1e-12 * np.eye(3))
+
+
+def log_student(residual: FloatArray, scale: FloatArray, freedom: float) -> float:
+    """Return the log likelihood of residuals (k, c) under Student's t with scales (k, c, c)."""
+    from scipy.special import gammaln
+
+    k, c = residual.shape
+    square = np.einsum("ki,kij,kj->k", residual, np.linalg.inv(scale), residual)
+    _, volume = np.linalg.slogdet(scale)
+    constant = gammaln(0.5 * (freedom + c)) - gammaln(0.5 * freedom)
+    constant -= 0.5 * c * np.log(freedom * np.pi)
+    tails = 0.5 * (freedom + c) * np.log1p(square / freedom)
+    return float(k * constant - 0.5 * volume.sum() - tails.sum())

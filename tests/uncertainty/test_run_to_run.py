@@ -1,0 +1,112 @@
+"""Scatter between runs: fits to known scatter, draws, and bad input."""
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.testing.pushes import example_pushes
+from fixel.testing.scenes import grasp, pushed_square
+from fixel.uncertainty.run_to_run import (
+    CENTRE,
+    FRICTION,
+    TURN,
+    RunEffects,
+    RunToRun,
+    arm_of,
+    rest_at,
+    run_effects,
+)
+
+
+def synthetic(k, centre, rest, seed=0, freedom=200.0):
+    """Errors of pushes with effects of random size, drawn from a known scatter."""
+    rng = np.random.default_rng(seed)
+    turned = rng.uniform(0.0, 0.6, k)
+    start = np.zeros((k, 3, 3))
+    by_centre = 0.05 * turned[:, None, None] * rng.standard_normal((k, 3, 2))
+    by_friction = np.zeros((k, 3, 1))
+    factor = np.sqrt(freedom / rng.chisquare(freedom, k))[:, None]
+    residual = np.einsum("kij,kj->ki", by_centre, rng.standard_normal((k, 2))) * centre / CENTRE
+    size = np.array([rest[0], rest[0], rest[1]])
+    residual += turned[:, None] * size * rng.standard_normal((k, 3))
+    residual += 0.005 * rng.standard_normal((k, 3))
+    return RunEffects(factor * residual, start, by_centre, by_friction, turned)
+
+
+def test_a_known_scatter_is_found_from_many_experiments():
+    found = RunToRun.learned(synthetic(800, 0.2, (0.01, 0.08)))
+    assert found.centre == pytest.approx(0.2, rel=0.15)
+    assert found.rest_angle == pytest.approx(0.08, rel=0.15)
+    assert found.noise_position == pytest.approx(0.005, rel=0.2)
+    assert found.freedom > 8.0
+    assert found.experiments == 800
+
+
+def test_few_experiments_stay_near_the_default():
+    default = RunToRun()
+    few = RunToRun.learned(synthetic(4, 0.4, (0.1, 0.2)))
+    many = RunToRun.learned(synthetic(400, 0.4, (0.1, 0.2)))
+    assert default.centre < few.centre < many.centre
+    assert few.friction == pytest.approx(FRICTION, rel=0.05)  # nothing says anything about it
+
+
+def test_errors_of_fitted_experiments_count_for_more():
+    effects = synthetic(20, 0.12, (0.02, 0.04))
+    assert RunToRun.learned(effects, fitted=30).rest_angle > RunToRun.learned(effects).rest_angle
+
+
+def test_draws_have_the_stated_scales():
+    scene = pushed_square()
+    scatter = RunToRun(centre=0.1, friction=0.2, freedom=1e6)
+    runs = scatter.drawn(20000, seed=3, scene=scene, values={"mu_pusher": np.full(20000, 0.3)})
+    arm = arm_of(scene)
+    assert np.std(runs.values["friction_centre_x"]) == pytest.approx(0.1 * arm, rel=0.03)
+    assert np.std(np.log(runs.values["mu_pusher"])) == pytest.approx(0.2, rel=0.03)
+    assert np.median(runs.values["mu_pusher"]) == pytest.approx(0.3, rel=0.02)
+    assert np.std(runs.start[:, 2]) == pytest.approx(scatter.start, rel=0.03)
+    assert np.std(runs.rest[:, 2]) == pytest.approx(TURN * scatter.rest_angle, rel=0.03)
+    assert np.corrcoef(runs.rest[:, 0], runs.values["friction_centre_x"])[0, 1] < 0.05
+
+
+def test_the_remainder_is_zero_where_nothing_turned_and_grows():
+    rest = np.ones((3, 3))
+    assert rest_at(rest, np.array([0.0, TURN, -2.0 * TURN])).tolist() == [[0] * 3, [1] * 3, [2] * 3]
+
+
+def test_fixels_of_one_friction_scatter_and_equal_seeds_agree():
+    scene = grasp("seated")
+    one, two = (RunToRun().drawn(10, seed=5, scene=scene) for _ in range(2))
+    assert np.ptp(one.values["mu_fixel"]) > 0.0
+    assert all((one.values[name] == two.values[name]).all() for name in one.values)
+
+
+def test_a_scene_ten_times_as_small_scatters_ten_times_less():
+    effects = synthetic(3, 0.1, (0.02, 0.04))
+    assert len(effects) == 3
+    scene = pushed_square()
+    runs = RunToRun().drawn(4, seed=0, scene=scene)
+    assert np.abs(runs.start[:, :2]).max() < 0.02 * arm_of(scene)
+
+
+def test_effects_of_exact_experiments_have_no_residual():
+    effects = run_effects(example_pushes(4, duration=0.5), {"mu_pusher": 0.25})
+    assert effects.start.shape == (4, 3, 3)
+    assert np.abs(effects.centre).max() > 0.0
+    assert np.abs(effects.residual).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        lambda: RunToRun(centre=-1.0),
+        lambda: RunToRun(friction=float("nan")),
+        lambda: RunToRun(freedom=1.0),
+        lambda: RunToRun.learned(synthetic(2, 0.1, (0.02, 0.04))),
+        lambda: RunToRun.learned(synthetic(3, 0.1, (0.02, 0.04)), fitted=9),
+        lambda: run_effects([], {}),
+        lambda: run_effects(["no experiment"], {}),
+    ],
+)
+def test_bad_input_is_refused(bad):
+    with pytest.raises(InvalidInput):
+        bad()
