@@ -60,6 +60,10 @@ if TYPE_CHECKING:
     from fixel.parts.candidates import push_candidates as push_candidates
     from fixel.parts.model import PartModel as PartModel
     from fixel.parts.next_pushes import NextPushes as NextPushes
+    from fixel.planning.orienting import (
+        orienting_plan as orienting_plan,
+        OrientingPlan as OrientingPlan,
+    )
     from fixel.simulation import (
         Adaptive as Adaptive,
         BatchResult as BatchResult,
@@ -124,6 +128,7 @@ _NAMES = {
     "fixel.parts.candidates": "push_candidates",
     "fixel.parts.model": "PartModel",
     "fixel.parts.next_pushes": "NextPushes",
+    "fixel.planning.orienting": "orienting_plan OrientingPlan",
     "fixel.simulation": "Adaptive BatchResult Dynamic FirstOrder GaussSeidel Lemke Newton"
     " QuasiStatic simulate simulate_batch Simulation StewartTrinkle",
     "fixel.uncertainty.outcomes": "Sensitivity",

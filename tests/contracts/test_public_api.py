@@ -68,6 +68,10 @@ CASES = {
         lambda: (example_pushes(2), SPACE),
         functools.partial(fixel.calibrate_each, verdicts=False, **QUIET),
     ),
+    "OrientingPlan": Case(
+        lambda: (fixel.Polygon([(0, 0), (0.06, 0), (0.05, 0.03), (0.01, 0.04)]),),
+        functools.partial(fixel.orienting_plan, angle_error=5 * deg),
+    ),
     "Sensitivity": Case(
         lambda: (pushed_square(0.5), fixel.StartError(x=1 * mm, y=1 * mm, theta=1 * deg)),
         functools.partial(fixel.sensitivity, samples=60, **QUIET),

@@ -19,7 +19,10 @@ def _body(shape, **options):
 
 def test_a_hollow_does_not_touch_the_fence():
     hull = Polygon([(0, 0), (3, 0), (3, 1), (1, 3), (0, 3)])
-    own, filled = PushFunction(L_SHAPE), PushFunction(_body(hull, centre_of_mass=L_SHAPE.centroid))
+    own, filled = (
+        PushFunction.of(L_SHAPE),
+        PushFunction.of(_body(hull, centre_of_mass=L_SHAPE.centroid)),
+    )
     assert own.stable == pytest.approx(filled.stable)
     assert own.borders == pytest.approx(filled.borders)
 
@@ -27,8 +30,8 @@ def test_a_hollow_does_not_touch_the_fence():
 def test_the_centre_of_mass_decides_where_a_part_rests():
     square = Polygon.rectangle(2, 2)
     part = _body(square, centre_of_mass=(0.5, 0.2))
-    assert PushFunction(square).symmetry == 4
-    assert PushFunction(part).symmetry == 1
+    assert PushFunction.of(square).symmetry == 4
+    assert PushFunction.of(part).symmetry == 1
     plan = orienting_plan(part)
     assert len(np.unique(plan.ends(np.linspace(0, 6, 100)).round(9))) == 1
 
@@ -71,12 +74,12 @@ def test_a_disk_is_refused(part):
 @pytest.mark.parametrize("part", ["square", None])
 def test_other_objects_are_refused(part):
     with pytest.raises(InvalidInput, match="part"):
-        PushFunction(part)
+        PushFunction.of(part)
 
 
 def test_a_centre_of_mass_outside_is_refused():
     with pytest.raises(InvalidInput, match="outside the outline"):
-        PushFunction(_body(Polygon.rectangle(1, 1), centre_of_mass=(2, 0)))
+        PushFunction.of(_body(Polygon.rectangle(1, 1), centre_of_mass=(2, 0)))
 
 
 @pytest.mark.parametrize("error", [-0.1, np.nan, np.inf])

@@ -92,7 +92,7 @@ def unlike(directions, symmetry):
 @pytest.mark.parametrize("name", TABLE)
 def test_K1_lengths_and_basins_of_known_polygons(name):
     polygon, widths, pushes, robust = TABLE[name]
-    function = PushFunction(polygon)
+    function = PushFunction.of(polygon)
     ahead = np.degrees(np.mod(np.roll(function.borders, -1) - function.borders, tau))
     assert sorted(ahead, reverse=True) == pytest.approx(widths, abs=0.006)
     assert orienting_plan(polygon).pushes == pushes
@@ -215,7 +215,7 @@ def test_K4_friction_moves_the_borders_of_basins_by_the_angle_of_its_cone_at_mos
     """It moves them by the direction of the push clipped to the cone, and not at all where the
     fence moves along its normal: two of the three rays of Mason's theorem are on the same side."""
     rng = np.random.default_rng(4)
-    function = PushFunction(QUAD)
+    function = PushFunction.of(QUAD)
     shift = np.clip(radians(oblique), -atan(friction), atan(friction))
     assert abs(shift) <= atan(friction)
     n = 12

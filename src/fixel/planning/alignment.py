@@ -121,7 +121,7 @@ def flush_distance(part: Body | Shape, angles: ArrayLike, arm: float | None = No
     corners = hull_of(part)
     levers, polar = np.hypot(*corners.T), np.arctan2(corners[:, 1], corners[:, 0])
     arm = float(levers.max()) if arm is None else positive(arm, "arm", "m")
-    function = PushFunction(part)
+    function = PushFunction.of(part)
     directions = np.mod(pi - np.asarray(angles, np.float64), tau)
     turn = _wrapped(function.stable[function.rest(directions)] - directions)
     # Each corner touches while the fence is between the normals of its two edges.

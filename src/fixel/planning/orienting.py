@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Shape
-from fixel.model.fields import Comparable, frozen, instance, non_negative, settle
+from fixel.model.fields import Comparable, frozen, instance, non_negative
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray
@@ -23,7 +23,7 @@ SAME: Final = 1e-7
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False, init=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class PushFunction(Comparable):
     """Angles at which a part comes to rest on a wide fence that pushes it.
 
@@ -34,12 +34,6 @@ class PushFunction(Comparable):
 
     Parameters
     ----------
-    part : Body or Shape
-        Part with an outline of corners; of a shape the centroid is the centre of mass. Hollows do
-        not touch the fence: only the convex hull matters.
-
-    Attributes
-    ----------
     stable : (n,) float64
         Directions in which the part rests, increasing from 0 to 2 pi [rad].
     borders : (n,) float64
@@ -47,11 +41,6 @@ class PushFunction(Comparable):
         `stable[k]` from directions between `borders[k]` and `borders[k + 1]`.
     symmetry : int
         Number of equal turns by which directions and borders repeat.
-
-    Raises
-    ------
-    InvalidInput
-        The part is a disk, or its centre of mass lies outside its outline.
 
     References
     ----------
@@ -61,7 +50,7 @@ class PushFunction(Comparable):
     --------
     >>> import numpy as np
     >>> from fixel import Polygon
-    >>> rest = PushFunction(Polygon.rectangle(0.04, 0.02))
+    >>> rest = PushFunction.of(Polygon.rectangle(0.04, 0.02))
     >>> np.degrees(rest.stable).round(), rest.symmetry
     (array([  0.,  90., 180., 270.]), 2)
     """
@@ -70,21 +59,30 @@ class PushFunction(Comparable):
     borders: FloatArray
     symmetry: int
 
-    def __init__(self, part: Body | Shape) -> None:
+    @classmethod
+    def of(cls, part: Body | Shape) -> PushFunction:
+        """Return the function of a part.
+
+        Parameters
+        ----------
+        part : Body or Shape
+            Part with an outline of corners; of a shape the centroid is the centre of mass. Hollows
+            do not touch the fence: only the convex hull matters.
+
+        Raises
+        ------
+        InvalidInput
+            The part is a disk, or its centre of mass lies outside its outline.
+        """
         directions, corners = _rests(hull_of(part))
-        # The border before a stable direction is the farthest corner on the way to the last one.
+        # The border before a stable direction is the farthest corner since the last one.
         borders = np.array(
             [
                 _farthest(corners, before, after)
                 for before, after in zip(np.roll(directions, 1), directions, strict=True)
             ]
         )
-        settle(
-            self,
-            stable=frozen(directions),
-            borders=frozen(borders),
-            symmetry=_symmetry(directions, borders),
-        )
+        return cls(frozen(directions), frozen(borders), _symmetry(directions, borders))
 
     def rest(self, directions: ArrayLike) -> IntArray:
         """Return the indices (...) into `stable` where the part comes to rest, from directions
@@ -96,7 +94,7 @@ class PushFunction(Comparable):
 
 @final
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class OrientingPlan(Result, Comparable):
+class OrientingPlan(Result):
     """Pushes by a wide fence after which a part has one angle, whatever its angle at the start.
 
     Attributes
@@ -109,9 +107,16 @@ class OrientingPlan(Result, Comparable):
         Angle of the part after the last push, from the direction of that push [rad]; known up to
         the symmetry.
     symmetry : int
-        Number of angles, evenly spaced over a turn, that fences cannot tell apart.
+        Number of angles, evenly spaced over a turn, at which the part may end.
     function : PushFunction
         Angles at which the part comes to rest.
+
+    Examples
+    --------
+    >>> from fixel import Polygon
+    >>> plan = orienting_plan(Polygon.rectangle(0.05, 0.035))
+    >>> plan.pushes, plan.ends([0.1, 1.0, 2.0, 4.0]).round(2)
+    (2, array([4.71, 1.57, 1.57, 4.71]))
     """
 
     rotations: FloatArray
@@ -205,7 +210,7 @@ def orienting_plan(part: Body | Shape, *, angle_error: float = 0.0) -> Orienting
       The part ends 90.0 deg from the direction of the last push. It repeats every 180 deg.
     """
     least = non_negative(angle_error, "angle_error", "rad")
-    function = PushFunction(part)
+    function = PushFunction.of(part)
     found = _search(function, least)
     if found is None:
         raise InvalidInput(
