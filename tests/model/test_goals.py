@@ -8,6 +8,7 @@ import shapely
 from scipy.stats import binomtest
 
 from fixel.errors import InvalidInput
+from fixel.io import load, save
 from fixel.model import (
     AllOf,
     AnyOf,
@@ -326,6 +327,12 @@ def test_a_goal_has_a_plain_text():
         " or the part touching a"
     )
     assert goal == AnyOf(*goal.goals)
+
+
+def test_goals_are_saved_and_loaded(tmp_path):
+    region = PoseRegion((0.18, 0, 0), position=2e-3, symmetry=4)
+    goal = AnyOf(AllOf(region, Inside(SLOT), never=Contact("b")), Seated("a", "b", only=True))
+    assert load(save(goal, tmp_path / "goal.fixel")) == goal
 
 
 @pytest.mark.parametrize(("good", "n"), [(0, 7), (3, 7), (7, 7), (930, 1000)])

@@ -109,12 +109,16 @@ def plain(number: float) -> float:
 def _scaled(key: str, value: Any, scale: Callable[[str, float], float]) -> Any:
     """Convert the value of a key between its unit and that of the model; plain for files."""
     value = value.tolist() if isinstance(value, np.ndarray) else value
+    if value is None:
+        return None
     if key.endswith("_mm_deg"):
         x, y, angle = value
         return [scale("_mm", x), scale("_mm", y), scale("_deg", angle)]
-    unit = next((unit for unit in ("_mm", "_deg") if key.endswith(unit)), None)
+    if isinstance(value, dict):
+        return {name: _scaled(key, item, scale) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [scale(unit, item) for item in value] if unit else list(value)
+        return [_scaled(key, item, scale) for item in value]
+    unit = next((unit for unit in ("_mm", "_deg") if key.endswith(unit)), None)
     return scale(unit, value) if unit else value
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import io
 import json
 import math
 import sys
 import zipfile
 from collections.abc import Callable, Mapping
+from functools import cache
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path, PurePath
@@ -192,6 +194,13 @@ def _class_of(path: str) -> type:
     return kind
 
 
+@cache
+def _sequence_of(kind: type) -> str:
+    """Return the field that the constructor takes as a sequence of arguments; empty for none."""
+    parameters = inspect.signature(kind).parameters.values()
+    return next((own.name for own in parameters if own.kind is own.VAR_POSITIONAL), "")
+
+
 def _decoded(value: Any, array: Callable[[str], NDArray[Any]]) -> Any:
     """Inverse of `_encoded`."""
     if not isinstance(value, dict):
@@ -208,5 +217,8 @@ def _decoded(value: Any, array: Callable[[str], NDArray[Any]]) -> Any:
     if kind in ("object", "mapping"):
         content = {_decoded(k, array): _decoded(item, array) for k, item in value["items"]}
         own = _class_of(value["class"])
-        return own(**content) if kind == "object" else own(content)
+        if kind == "mapping":
+            return own(content)
+        first = content.pop(_sequence_of(own), ())
+        return own(*first, **content)
     return _CONTAINERS[kind](_decoded(item, array) for item in value["items"])

@@ -202,7 +202,7 @@ class PoseRegion(Clause):
         )
         if self.position is None and self.angle is None:
             raise InvalidInput(
-                "goal", found="a pose without tolerances", expected="position=, angle= or both"
+                "goal.pose", found="a pose without tolerances", expected="position=, angle= or both"
             )
 
     def targets(self, body: Body) -> FloatArray:
