@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
-from typing import Any, Final, final
+from typing import Any, ClassVar, Final, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,6 +56,13 @@ def lower_bound(successes: float, n: float, confidence: float = 0.95) -> float:
     if successes <= 0.0:
         return 0.0
     return float(betaincinv(successes, n - successes + 1.0, 1.0 - confidence))
+
+
+def interval(share: float, n: float, confidence: float = 0.95) -> tuple[float, float]:
+    """Compute the two-sided confidence interval of an observed share of n runs."""
+    one_sided = 0.5 * (1.0 + confidence)
+    low = lower_bound(share * n, n, one_sided)
+    return low, 1.0 - lower_bound((1.0 - share) * n, n, one_sided)
 
 
 def rates_without_noise(successes: ArrayLike, n_runs: int) -> FloatArray:
@@ -157,6 +163,8 @@ class SuccessProbability(Result):
     0.5
     """
 
+    _drawings: ClassVar = {"draws": "fixel.drawing.planning_statistics:draw_success"}
+
     mean: float
     low: float
     high: float
@@ -223,13 +231,13 @@ class SuccessProbability(Result):
         n_worlds, n_runs = own.shape
         successes = np.sum(own >= 0.0, axis=1)
         share = float(successes.sum()) / own.size
-        n = _effective_number(successes, n_runs, confidence)
-        two_sided = 0.5 * (1.0 + confidence)
+        n = effective_number(successes, np.full(n_worlds, n_runs), confidence)
+        low, high = interval(share, n, confidence)
         known = n_runs > 1 and n_worlds > 1
         return cls(
             mean=share,
-            low=lower_bound(share * n, n, two_sided),
-            high=1.0 - lower_bound((1.0 - share) * n, n, two_sided),
+            low=low,
+            high=high,
             bound=lower_bound(share * n, n, confidence),
             rates=successes / n_runs,
             n_runs=n_runs,
@@ -267,7 +275,7 @@ class SuccessProbability(Result):
     def sentence(self) -> str:
         """One line: the stated probability, the mean and its bound."""
         return (
-            f"success probability {_share(self.stated)} (mean {_share(self.mean)}, "
+            f"stated success probability {_share(self.stated)} (mean {_share(self.mean)}, "
             f"at least {_share(self.bound)} with {100.0 * self.confidence:g} % confidence)"
         )
 
@@ -301,35 +309,50 @@ class SuccessProbability(Result):
         ]
         if self.quantile is not None:
             rows.append(("worst draws", self.quantile, f"exceeded by 95 % of {worlds} draws"))
-        table = Table(("value", Column("probability", "", ".3f"), "meaning"), rows, left=1)
-        text = f"The plan succeeds with probability {_share(self.stated)}."
+        table = Table(("value", Column("probability", "", ".3f"), "meaning"), rows, left=3)
         margin = f"In 95 % of the scenarios the margin exceeds {self.margin:.2f} tolerances."
-        return Summary(text, [table], [*self._notes(), margin])
+        return Summary(self.sentence.capitalize(), [table], [*self._notes(), margin])
 
     def _data(self) -> Table:
         return Table.from_columns({"draw": range(len(self.rates)), "rate": self.rates.tolist()})
 
 
-def _effective_number(successes: np.ndarray, n_runs: int, confidence: float) -> float:
-    """Number of independent scenarios that determine the mean equally well."""
-    n_worlds = len(successes)
-    n = n_worlds * n_runs
-    share = float(successes.sum()) / n
-    if n_runs == 1 or n_worlds == 1 or not 0.0 < share < 1.0:
-        return float(n)
-    between = float(np.var(successes / n_runs, ddof=1)) / n_worlds
-    number = share * (1.0 - share) / between if between > 0.0 else float(n)
+def effective_number(successes: ArrayLike, numbers: ArrayLike, confidence: float) -> float:
+    """Compute the number of independent runs that determine a mean equally well as groups of runs.
+
+    Parameters
+    ----------
+    successes, numbers : (n_groups,) int64
+        Numbers of successes and of runs in groups whose runs resemble each other.
+    confidence : float
+        Confidence level of the interval for which it is needed.
+
+    Returns
+    -------
+    float
+        At most the number of runs, and equal to it for groups of one run, or without any success
+        or failure.
+
+    Source
+    ------
+    Korn & Graubard (1998), Survey Methodology 24, 193-201.
+    """
+    good, number = np.asarray(successes, np.float64), np.asarray(numbers, np.float64)
+    groups, n = len(number), float(number.sum())
+    share = float(good.sum()) / n
+    if groups == n or groups == 1 or not 0.0 < share < 1.0:
+        return n
+    variance = groups / (groups - 1) * float(np.sum((good - share * number) ** 2)) / n**2
+    effective = share * (1.0 - share) / variance if variance > 0.0 else n
     tail = 0.5 * (1.0 + confidence)
-    ratio = float(stdtrit(n - 1, tail) / stdtrit(n_worlds - 1, tail))
-    return min(float(n), number * ratio**2)
+    ratio = float(stdtrit(n - 1.0, tail) / stdtrit(groups - 1.0, tail))
+    return min(n, effective * ratio**2)
 
 
-def _share(value: float | None) -> str:
-    """Format a probability; one that is nearly 1 with more digits, never rounded up."""
-    if value is None:
-        return "unknown"
+def _share(value: float) -> str:
+    """Format a probability; one that is nearly 1 with more digits, never rounded to 1."""
     digits = 2 if value < 0.99 else 3 if value < 0.999 else 4
-    return f"{math.floor(value * 10**digits + 1e-9) / 10**digits:.{digits}f}"
+    return f"{value if value == 1.0 else min(value, 0.9999):.{digits}f}"
 
 
 def _percent(value: float | None) -> str:
