@@ -115,6 +115,41 @@ class Ensemble:
             [np.pad(c.times, (0, longest - len(c.times)), "edge") for c in cases], np.float64
         )
 
+    @classmethod
+    def of_pushes(
+        cls,
+        scene: Scene,
+        start: FloatArray,
+        path: FloatArray,
+        n_sample: int,
+        *,
+        motion: AbstractMotionModel | None = None,
+        stepper: AbstractStepper | None = None,
+        solver: AbstractSolver | None = None,
+        threads: int | None = None,
+    ) -> Ensemble:
+        """Return an ensemble of pushes of one scene, without a scene for each.
+
+        Parameters
+        ----------
+        scene : Scene
+            Scene with one pusher; all but its path is the same for all pushes.
+        start : (n, 3) float64
+            Start poses of the body [m, m, rad].
+        path : (n, n_waypoint, 4) float64
+            Waypoints of the pusher [s, m, m, rad]; each simulation ends at the last.
+        n_sample : int
+            Number of samples of each push, at equal intervals of time.
+        """
+        share = np.arange(1, n_sample + 1) / n_sample
+        times = path[:, -1, :1] * share
+        case = RolloutCase(scene, times[0])
+        own = cls([case], motion, stepper, solver, threads)
+        own._group = np.zeros(len(start), np.int64)
+        own._start, own._duration, own._times = start, times[:, -1], times
+        own._place, own._paths = np.arange(len(start)), [path]
+        return own
+
     @property
     def n_sample(self) -> int:
         """Number of samples of the case that has the most."""

@@ -1,0 +1,305 @@
+"""What is unknown when a plan is carried out, and samples of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.calibration.known_pushes import push_target
+from fixel.errors import InvalidInput
+from fixel.model import Experiment, Parameters, Scene
+from fixel.model.fields import instance, non_negative, settle
+from fixel.parts.prior import NAMES
+from fixel.parts.model import PartModel
+from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
+from fixel.typing import FloatArray, IntArray
+from fixel.uncertainty.discrepancy import LABEL
+from fixel.uncertainty.posterior import Posterior
+from fixel.uncertainty.push import CalibratedModel
+from fixel.uncertainty.starts import StartError, even_points
+
+# Numbers of the streams of random values, so that no setting changes the values of another.
+_PARAMETERS, _START, _RIG, _RUN, _REST = range(5)
+
+Interval = tuple[float, float]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigError:
+    """Standard deviations of the errors of a rig, drawn anew for every run.
+
+    Parameters
+    ----------
+    path : float
+        Offset of the tool's path across it [m].
+    heading : float
+        Angle of that path, about its start [rad].
+    travel : float
+        Offset of the path along it [m].
+    fixels : float
+        Place of each fixel, in either coordinate [m].
+
+    Examples
+    --------
+    >>> from fixel.units import deg, mm
+    >>> RigError(path=0.2 * mm, heading=0.3 * deg).travel
+    0.0
+    """
+
+    path: float = 0.0
+    heading: float = 0.0
+    travel: float = 0.0
+    fixels: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, unit in (("path", "m"), ("heading", "rad"), ("travel", "m"), ("fixels", "m")):
+            settle(self, **{name: non_negative(getattr(self, name), f"belief.rig.{name}", unit)})
+
+
+class Scenarios(NamedTuple):
+    """Samples of what is unknown, each for one run of a plan."""
+
+    values: Mapping[str, FloatArray]  # parameters (n,) by name
+    start: FloatArray  # (n, 3) errors of the start pose [m, m, rad]
+    tool: FloatArray  # (n, 3) errors of the tool's path: along, across [m], heading [rad]
+    fixels: FloatArray | None  # (n, n_fixel, 3) errors of the places of fixels [m, m, rad]
+    rest: FloatArray  # (n, 3) model error of the end where nothing touches [m, m, rad]
+    world: IntArray  # (n,) sample of the parameters, which runs share
+
+    def __len__(self) -> int:
+        return len(self.world)
+
+    def rows(self, which: IntArray) -> Scenarios:
+        """Return some of the scenarios."""
+        return Scenarios(
+            {name: column[which] for name, column in self.values.items()},
+            self.start[which],
+            self.tool[which],
+            None if self.fixels is None else self.fixels[which],
+            self.rest[which],
+            self.world[which],
+        )
+
+    def unknowns(self) -> dict[str, FloatArray]:
+        """Return what differs between scenarios, (n,) each, by name."""
+        named = {
+            **self.values,
+            **{f"start {name}": x for name, x in zip(("x", "y", "angle"), self.start.T, strict=True)},
+            **{
+                f"tool {name}": x
+                for name, x in zip(("travel", "path", "heading"), self.tool.T, strict=True)
+            },
+        }
+        return {name: x for name, x in named.items() if np.ptp(x) > 0.0}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Belief:
+    """What is known about the parameters, the start, the rig and the runs of a plan.
+
+    Parameters
+    ----------
+    parameters : Posterior, PartModel, Calibration or mapping, optional
+        Samples of a posterior; those of a part by its labels in `conditions`; the intervals of a
+        calibration, sampled evenly; or a value or an interval ``(low, high)`` by name [SI]. By
+        default the scene's own values.
+    start : StartError, optional
+        Errors of the start pose. By default none.
+    rig : RigError, optional
+        Errors of the rig. By default none.
+    run_to_run : RunToRun, optional
+        What differs between runs of the same push, drawn inside the simulation. By default the
+        model error of a posterior or part model, added to ends where nothing touches.
+    conditions : mapping of str to str or float
+        Labels of the part, the surface and others, which select parameters.
+
+    Examples
+    --------
+    >>> from fixel.units import mm
+    >>> belief = Belief(parameters={"mu_pusher": (0.2, 0.4)}, start=StartError(x=mm, y=mm))
+    >>> from fixel.testing.scenes import pushed_square
+    >>> scenarios = belief.scenarios(pushed_square(), worlds=4, runs=2)
+    >>> len(scenarios)
+    8
+    """
+
+    parameters: Any = None
+    start: StartError | None = None
+    rig: RigError | None = None
+    run_to_run: Any = None
+    conditions: Mapping[str, str | float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        instance(self.start, StartError | None, "belief.start", "a StartError")
+        instance(self.rig, RigError | None, "belief.rig", "a RigError")
+        settle(self, conditions=MappingProxyType(dict(self.conditions)))
+        given = self.parameters
+        if not isinstance(given, Posterior | PartModel | CalibratedModel):
+            instance(given, Mapping | None, "belief.parameters", "a mapping or a calibrated model")
+            Parameters({name: ends(x, name)[0] for name, x in (given or {}).items()})
+
+    @property
+    def motion(self) -> AbstractMotionModel:
+        """Motion model that the parameters belong to; quasi-static by default."""
+        from fixel.simulation.motion import motion_model
+
+        own = getattr(self.parameters, "motion", None)
+        return motion_model(own) if own else QuasiStatic()
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether the parameters come from experiments."""
+        return isinstance(self.parameters, Posterior | PartModel | CalibratedModel)
+
+    def nominal(self, scene: Scene) -> dict[str, float]:
+        """Return the likeliest parameters."""
+        given: Any = self.parameters
+        if isinstance(given, Posterior):
+            own = given.under(self.conditions)
+            found = own.values(own.best[None], self.conditions)
+            return _without_start({name: float(x[0]) for name, x in found.items()})
+        if isinstance(given, PartModel):
+            labels = self._labels(given, scene)
+            mean = given.distribution(labels.get(given.surface, ""), labels.get(given.part, "")).mean
+            return dict(zip(NAMES, mean.tolist(), strict=True))
+        if isinstance(given, CalibratedModel):
+            return _without_start(given.values_for(**self.conditions))
+        return {name: sum(ends(x, name)) / 2.0 for name, x in (given or {}).items()}
+
+    def unseen(self, push: Scene | Experiment) -> tuple[str, ...]:
+        """Return sentences on what no experiment of the model has about a push."""
+        given: Any = self.parameters
+        if isinstance(given, PartModel):
+            return given.unseen(push, **self._labels(given, push))
+        known = getattr(given, "known", None)
+        if known is None:
+            return ()
+        return tuple(known.texts(push_target(push, dict(self.conditions))))
+
+    def scenarios(self, scene: Scene, *, worlds: int, runs: int, seed: int = 0) -> Scenarios:
+        """Draw scenarios: `runs` for each of `worlds` samples of the parameters.
+
+        Parameters
+        ----------
+        scene : Scene
+        worlds, runs : int
+        seed : int
+
+        Returns
+        -------
+        Scenarios
+            Runs of one sample of the parameters follow each other.
+        """
+        n = worlds * runs
+        world = np.repeat(np.arange(worlds), runs)
+        columns, tau = self._drawn(scene, worlds, seed)
+        values = {name: column[world] for name, column in columns.items()}
+        start = np.zeros((n, 3)) if self.start is None else self._starts(n, seed)
+        rest = np.zeros((n, 3))
+        if self.run_to_run is not None:
+            own = self.run_to_run.drawn(n, seed=_seed(seed, _RUN), scene=scene, values=values)
+            values, start, rest = own.values, start + own.start, own.rest
+        elif tau is not None:
+            arm = math.sqrt(scene.bodies[0].shape.unit_inertia)
+            drawn = np.random.default_rng(_seed(seed, _REST)).standard_normal((n, 3))
+            rest = tau[world, None] * drawn / np.array([1.0, 1.0, arm])
+        tool, fixels = self._rig(scene, n, seed)
+        return Scenarios(values, start, tool, fixels, rest, world)
+
+    def _starts(self, n: int, seed: int) -> FloatArray:
+        assert self.start is not None
+        drawn = self.start.samples(n, _seed(seed, _START))
+        # Points of a sequence in order would give the runs of a world neighbouring parts of it.
+        return drawn[np.random.default_rng(_seed(seed, _START)).permutation(n)]
+
+    def _rig(self, scene: Scene, n: int, seed: int) -> tuple[FloatArray, FloatArray | None]:
+        if self.rig is None:
+            return np.zeros((n, 3)), None
+        rng = np.random.default_rng(_seed(seed, _RIG))
+        size = (self.rig.travel, self.rig.path, self.rig.heading)
+        tool = rng.standard_normal((n, 3)) * size
+        if self.rig.fixels == 0.0 or not scene.fixels:
+            return tool, None
+        fixels = self.rig.fixels * rng.standard_normal((n, len(scene.fixels), 3))
+        return tool, fixels * (1.0, 1.0, 0.0)
+
+    def _drawn(
+        self, scene: Scene, worlds: int, seed: int
+    ) -> tuple[dict[str, FloatArray], FloatArray | None]:
+        """Draw parameters (worlds,), and standard deviations of the model error [m], if known."""
+        given: Any = self.parameters
+        number = _seed(seed, _PARAMETERS)
+        if isinstance(given, Posterior):
+            own = given.under(self.conditions)
+            rng = np.random.default_rng(number)
+            rows = np.resize(rng.permutation(len(own.points)), worlds)
+            values = own.values(own.points[rows], self.conditions)
+            tau = own.points[rows, -1] if own.labels[-1] == LABEL else None
+            return _without_start(values), tau
+        if isinstance(given, PartModel):
+            labels = self._labels(given, scene)
+            error = given.typical_error
+            tau = np.full(worlds, error / math.sqrt(2.0 * math.log(2.0))) if error else None
+            return given.samples(worlds, number, **labels), tau
+        return self._intervals(worlds, number), None
+
+    def _intervals(self, worlds: int, number: int) -> dict[str, FloatArray]:
+        """Draw evenly from the intervals of a calibration or a mapping."""
+        given: Any = self.parameters
+        if isinstance(given, CalibratedModel):
+            values = _without_start(given.values_for(**self.conditions))
+            pairs = {
+                name: (own.low, own.high)
+                for name, own in given.estimates.items()
+                if name in values and own.low is not None and own.high is not None
+            }
+            spans: dict[str, Interval] = {
+                name: (x, x) if name not in pairs else pairs[name] for name, x in values.items()
+            }
+        else:
+            spans = {name: ends(x, name) for name, x in (given or {}).items()}
+        wide = [name for name, (low, high) in spans.items() if high > low]
+        even = even_points(worlds, len(wide), number) if wide else np.zeros((worlds, 0))
+        shuffled = even[np.random.default_rng(number).permutation(worlds)]
+        found = {name: np.full(worlds, low) for name, (low, _) in spans.items()}
+        for name, share in zip(wide, shuffled.T, strict=True):
+            low, high = spans[name]
+            found[name] = low + (high - low) * share
+        return found
+
+    def _labels(self, model: PartModel, push: Scene | Experiment) -> dict[str, str]:
+        own = {name: str(x) for name, x in self.conditions.items()}
+        return own or dict(model.labels(push))
+
+
+def ends(value: Any, name: str) -> Interval:
+    """Return the ends of an interval; twice the value if it is one number."""
+    try:
+        low, high = value if np.ndim(value) else (value, value)
+        low, high = float(low), float(high)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+        raise InvalidInput(
+            f"belief.parameters.{name}",
+            found=repr(value),
+            expected="a number, or (low, high) with low <= high",
+        )
+    return low, high
+
+
+def _without_start(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave out the start of the calibrated experiments, which is not that of a plan."""
+    return {name: x for name, x in values.items() if not name.startswith("start_")}
+
+
+def _seed(seed: int, stream: int) -> int:
+    """Return the seed of a stream of random values."""
+    return int(np.random.SeedSequence([seed, stream]).generate_state(1)[0])

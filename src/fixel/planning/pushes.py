@@ -1,0 +1,450 @@
+"""Pushes that a planner may choose, and their motions in the world."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple, Protocol, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput, unknown_name
+from fixel.model import Body, Disk, LineDrive, PathDrive, Pusher, Scene, Shape
+from fixel.model.fields import instance, non_negative, optional_positive, positive, settle
+from fixel.model.overlap import overlaps
+from fixel.simulation.vary import composed
+from fixel.typing import FloatArray
+from fixel.units import deg, mm
+
+Range = tuple[float, float]
+
+MAX_PUSHES: Final = 4
+TOOL: Final = "tool"  # name of the pusher of a plan
+HALVINGS: Final = 40  # of the distance at which a tool touches the part
+CLEARANCE: Final = 0.05  # from the part where the tool is put down, relative to the part's radius
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class PlanPush:
+    """Push of a part by a free tool, relative to the part.
+
+    Parameters
+    ----------
+    contact : float
+        Point of the outline, as a share of the way round it, counter-clockwise from its first
+        corner, 0 to 1 [-].
+    angle : float
+        Direction of the push, from the inward normal at that point [rad].
+    length : float
+        Way of the tool after it has reached that point [m].
+    """
+
+    contact: float
+    angle: float
+    length: float
+
+    def __str__(self) -> str:
+        """Return the push as text."""
+        return (
+            f"contact at {100.0 * self.contact:.1f} % of the outline, {self.angle / deg:+.1f} deg"
+            f" from the normal, {self.length / mm:.4g} mm"
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RigPush:
+    """Push on a rig with one straight axis: where the part is placed, and the stroke.
+
+    Parameters
+    ----------
+    x, y, theta : float
+        Placement of the part, relative to its pose in the scene [m, m, rad].
+    stroke : float
+        Travel of the pusher [m].
+    fixels : mapping of str to (float, float)
+        Displacements of fixels from their places in the scene [m].
+    """
+
+    x: float
+    y: float
+    theta: float
+    stroke: float
+    fixels: Mapping[str, tuple[float, float]]
+
+    def __str__(self) -> str:
+        """Return the push as text."""
+        moved = "".join(
+            f", {name} moved by {x / mm:+.3g}, {y / mm:+.3g} mm"
+            for name, (x, y) in self.fixels.items()
+        )
+        return (
+            f"part placed {self.x / mm:+.4g}, {self.y / mm:+.4g} mm and {self.theta / deg:+.2f} deg"
+            f" from its pose in the scene, stroke {self.stroke / mm:.4g} mm{moved}"
+        )
+
+
+class PushMotions(NamedTuple):
+    """Motions of n pushes in the world."""
+
+    start: FloatArray  # (n, 3) planned poses of the part before the push [m, m, rad]
+    path: FloatArray  # (n, n_waypoint, 4) time [s] and pose of the tool [m, m, rad]
+    fixels: FloatArray | None  # (n, n_fixel, 3) displacements of fixels; None for none
+
+
+class PushChoice(Protocol):
+    """What a planner may choose; `FreePushes` and `RigPushes`."""
+
+    @property
+    def most(self) -> int:
+        """Largest number of pushes in sequence."""
+
+    def names(self, scene: Scene) -> tuple[str, ...]:
+        """Names of the numbers of one push."""
+
+    def bounds(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds (d,) of these numbers."""
+
+    def prepared(self, scene: Scene) -> Scene:
+        """Scene with the tool."""
+
+    def motions(self, scene: Scene, numbers: FloatArray, before: FloatArray) -> PushMotions:
+        """Motions of pushes (n, d) of parts at planned poses `before` (n, 3)."""
+
+    def pushes(self, scene: Scene, numbers: FloatArray) -> tuple[PlanPush | RigPush, ...]:
+        """Pushes of a plan (k, d)."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FreePushes:
+    """Straight pushes by a tool that can be lifted and put down anywhere around the part.
+
+    Parameters
+    ----------
+    most : int
+        Largest number of pushes in sequence, 1 to 4.
+    tool : Shape, optional
+        Shape of the tool: a disk, or a polygon whose x axis points along the push. By default that
+        of the scene's pusher, else a disk of 5 mm radius.
+    length : (float, float), optional
+        Range of the way after contact [m]; by default from a tenth of the part's radius to two.
+    angle : float
+        Largest angle between push and inward normal [rad].
+    clearance : float, optional
+        Gap between tool and part where the tool is put down [m]; by default 5 % of the part's
+        radius.
+    retract : float, optional
+        Way back before the tool is lifted [m]; by default the clearance.
+    speed : float
+        Speed of the tool [m/s].
+    friction : float, optional
+        Friction of the tool on the part [-]; by default that of the scene's pusher, else 0.25.
+    force_limit : float, optional
+        Force at which the drive stalls [N]; by default a rigid drive.
+
+    Examples
+    --------
+    >>> from fixel.units import mm
+    >>> FreePushes(most=2, length=(5 * mm, 60 * mm)).most
+    2
+    """
+
+    most: int = 1
+    tool: Shape | None = None
+    length: Range | None = None
+    angle: float = 30.0 * deg
+    clearance: float | None = None
+    retract: float | None = None
+    speed: float = 0.02
+    friction: float | None = None
+    force_limit: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_most(self.most)
+        instance(self.tool, Shape | None, "choose.tool", "a Polygon or a Disk")
+        if self.length is not None:
+            settle(self, length=_range(self.length, "choose.length"))
+        positive(self.speed, "choose.speed", "m/s")
+        settle(
+            self,
+            angle=non_negative(self.angle, "choose.angle", "rad"),
+            clearance=optional_positive(self.clearance, "choose.clearance", "m"),
+            force_limit=optional_positive(self.force_limit, "choose.force_limit", "N"),
+        )
+        if self.angle >= 0.5 * math.pi:
+            raise InvalidInput(
+                "choose.angle",
+                found=f"{math.degrees(self.angle):.3g} deg",
+                expected="less than 90 deg from the inward normal",
+            )
+
+    def names(self, scene: Scene) -> tuple[str, ...]:
+        """Names of the three numbers of a push."""
+        return ("contact", "angle", "length")
+
+    def bounds(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
+        """Bounds of these numbers."""
+        low, high = self.length or (0.1 * _radius(scene), 2.0 * _radius(scene))
+        return np.array([0.0, -self.angle, low]), np.array([1.0, self.angle, high])
+
+    def prepared(self, scene: Scene) -> Scene:
+        """Scene with the tool, which waits far from the part."""
+        body = _only_body(scene)
+        own = scene.pushers[0] if scene.pushers else None
+        friction = self.friction
+        if friction is None:
+            friction = 0.25 if own is None else own.friction
+        tool = self._tool(scene)
+        away = float(body.shape.radius + tool.radius) * 4.0
+        x, y, _ = body.pose
+        rest = PathDrive(
+            [(0.0, x - away, y, 0.0), (away / self.speed, x - 2.0 * away, y, 0.0)],
+            force_limit=self.force_limit,
+        )
+        name = TOOL if own is None else own.name
+        return replace(
+            scene, pushers=(Pusher(name, tool, drive=rest, friction=friction),), duration=1.0
+        )
+
+    def motions(self, scene: Scene, numbers: FloatArray, before: FloatArray) -> PushMotions:
+        """Motions of pushes (n, 3) of parts at planned poses `before` (n, 3)."""
+        body, tool = _only_body(scene), self._tool(scene)
+        gap = self.clearance or CLEARANCE * _radius(scene)
+        back = gap if self.retract is None else self.retract
+        point, inward = outline_points(body.shape, numbers[:, 0])
+        heading = np.arctan2(inward[:, 1], inward[:, 0]) + numbers[:, 1]
+        along = np.column_stack((np.cos(heading), np.sin(heading)))
+        touch = _touching(body.shape, tool, point, inward, heading)
+        ways = np.column_stack((np.full(len(numbers), -gap), numbers[:, 2], numbers[:, 2] - back))
+        place = touch[:, None] + ways[:, :, None] * along[:, None]
+        angle = np.broadcast_to(heading[:, None], place.shape[:2])
+        own = np.dstack((place, angle))
+        time = np.cumsum(
+            np.column_stack((np.zeros(len(ways)), np.abs(np.diff(ways, axis=1)) / self.speed)),
+            axis=1,
+        )
+        return PushMotions(before, np.dstack((time, composed(before[:, None], own))), None)
+
+    def pushes(self, scene: Scene, numbers: FloatArray) -> tuple[PlanPush | RigPush, ...]:
+        """Pushes of a plan (k, 3)."""
+        return tuple(PlanPush(c % 1.0, a, x) for c, a, x in numbers.tolist())
+
+    def _tool(self, scene: Scene) -> Shape:
+        if self.tool is not None:
+            return self.tool
+        return scene.pushers[0].shape if scene.pushers else Disk(5e-3)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigPushes:
+    """Placements of the part and strokes, for a rig whose pusher moves along one straight line.
+
+    Parameters
+    ----------
+    x, y : (float, float)
+        Ranges of the placement, relative to the part's pose in the scene [m].
+    theta : (float, float)
+        Range of its angle, relative to the same [rad].
+    stroke : (float, float), optional
+        Range of the pusher's travel [m]; by default its travel in the scene alone.
+    fixels : mapping of str to ((float, float), (float, float))
+        Ranges of the displacement of fixels along x and y [m]; others stay in place.
+    retract : float
+        Way back of the pusher before the end is judged [m]; 0 holds the part.
+
+    Examples
+    --------
+    >>> from fixel.units import deg, mm
+    >>> RigPushes(y=(-30 * mm, 30 * mm), theta=(-45 * deg, 45 * deg)).most
+    1
+    """
+
+    x: Range = (0.0, 0.0)
+    y: Range = (0.0, 0.0)
+    theta: Range = (0.0, 0.0)
+    stroke: Range | None = None
+    fixels: Mapping[str, tuple[Range, Range]] | None = None
+    retract: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y", "theta"):
+            settle(self, **{name: _range(getattr(self, name), f"choose.{name}")})
+        if self.stroke is not None:
+            settle(self, stroke=_range(self.stroke, "choose.stroke"))
+        settle(self, retract=non_negative(self.retract, "choose.retract", "m"))
+
+    @property
+    def most(self) -> int:
+        """Number of pushes: one."""
+        return 1
+
+    def names(self, scene: Scene) -> tuple[str, ...]:
+        """Names of the numbers of a push: placement, stroke, and displacements of fixels."""
+        moved = (f"{name}.{axis}" for name in self.fixels or {} for axis in "xy")
+        return ("x", "y", "theta", "stroke", *moved)
+
+    def bounds(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
+        """Bounds of these numbers."""
+        stroke = self.stroke or (_line(scene).travel,) * 2
+        if not math.isfinite(stroke[1]):
+            raise InvalidInput(
+                "choose.stroke", found="infinite", expected="a range of strokes [m, m]"
+            )
+        moved = [one for pair in (self.fixels or {}).values() for one in pair]
+        low, high = zip(self.x, self.y, self.theta, stroke, *moved, strict=True)
+        return np.array(low), np.array(high)
+
+    def prepared(self, scene: Scene) -> Scene:
+        """Return the scene, whose pusher is the tool."""
+        _only_body(scene)
+        known = [fixel.name for fixel in scene.fixels]
+        for name in self.fixels or {}:
+            if name not in known:
+                raise unknown_name("choose.fixels", name, known)
+        _line(scene)
+        return scene
+
+    def motions(self, scene: Scene, numbers: FloatArray, before: FloatArray) -> PushMotions:
+        """Motions of pushes (n, d) of parts at planned poses `before` (n, 3)."""
+        pusher, drive = scene.pushers[0], _line(scene)
+        ways = np.column_stack((np.zeros(len(numbers)), numbers[:, 3]))
+        if self.retract:
+            ways = np.column_stack((ways, numbers[:, 3] - self.retract))
+        place = pusher.pose[:2] + ways[:, :, None] * np.asarray(drive.direction)
+        angle = np.full(place.shape[:2], pusher.pose[2])
+        steps = np.maximum(np.abs(np.diff(ways, axis=1)) / drive.speed, 1e-9)
+        time = np.cumsum(np.column_stack((np.zeros(len(ways)), steps)), axis=1)
+        start = before + numbers[:, :3]
+        return PushMotions(
+            start, np.dstack((time, place, angle)), self._displacements(scene, numbers)
+        )
+
+    def pushes(self, scene: Scene, numbers: FloatArray) -> tuple[PlanPush | RigPush, ...]:
+        """Pushes of a plan (1, d)."""
+        found = []
+        for row in numbers.tolist():
+            moved = dict(zip(self.fixels or {}, zip(row[4::2], row[5::2], strict=True), strict=True))
+            found.append(RigPush(*row[:4], moved))
+        return tuple(found)
+
+    def _displacements(self, scene: Scene, numbers: FloatArray) -> FloatArray | None:
+        if not self.fixels:
+            return None
+        known = [fixel.name for fixel in scene.fixels]
+        found = np.zeros((len(numbers), len(known), 3))
+        for k, name in enumerate(self.fixels):
+            found[:, known.index(name), :2] = numbers[:, 4 + 2 * k : 6 + 2 * k]
+        return found
+
+
+def outline_points(shape: Shape, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return points (n, 2) at shares (n,) of the way round an outline, and their inward normals."""
+    if isinstance(shape, Disk):
+        angle = 2.0 * math.pi * share
+        outward = np.column_stack((np.cos(angle), np.sin(angle)))
+        return shape.radius * outward, -outward
+    ring = np.asarray(shape.outline)
+    edge = np.roll(ring, -1, axis=0) - ring
+    size = np.hypot(*edge.T)
+    end = np.cumsum(size)
+    way = (share % 1.0) * end[-1]
+    k = np.minimum(np.searchsorted(end, way, side="right"), len(ring) - 1)
+    along = edge[k] / size[k, None]
+    point = ring[k] + (way - end[k] + size[k])[:, None] * along
+    return point, np.column_stack((-along[:, 1], along[:, 0]))
+
+
+def _touching(
+    part: Shape, tool: Shape, point: FloatArray, inward: FloatArray, heading: FloatArray
+) -> FloatArray:
+    """Return places (n, 2) of the tool's frame where it first touches the part on its way.
+
+    A disk's centre lies on the normal of the contact; the front of another tool is centred on the
+    line of the push.
+    """
+    if isinstance(tool, Disk):
+        return np.asarray(point - tool.radius * inward)
+    along = np.column_stack((np.cos(heading), np.sin(heading)))
+    # Poses of the part in the frame of the tool, which lies at `point - way * along`.
+    c, s = np.cos(heading), np.sin(heading)
+    x, y = point.T
+    far = np.column_stack((-(c * x + s * y), s * x - c * y, -heading))
+    low = np.full(len(point), -(part.radius + tool.radius))
+    high = np.full(len(point), 2.0 * (part.radius + tool.radius))
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        poses = far + np.column_stack((middle, np.zeros((len(far), 2))))
+        inside = overlaps(part, poses, tool, np.zeros(3)).depth > 0.0
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+    return np.asarray(point - high[:, None] * along)
+
+
+def scene_of_push(scene: Scene, start: FloatArray, path: FloatArray) -> Scene:
+    """Return the scene of one push: the part at `start` (3,), the tool on `path` (n, 4)."""
+    body, pusher = scene.bodies[0], scene.pushers[0]
+    drive = PathDrive(path, force_limit=pusher.drive.force_limit)
+    return replace(
+        scene,
+        bodies=(replace(body, pose=start),),
+        pushers=(replace(pusher, pose=None, drive=drive),),
+        duration=float(path[-1, 0]),
+    )
+
+
+def collides(scene: Scene, path: FloatArray, fixels: FloatArray | None, steps: int = 24) -> FloatArray:
+    """Return the deepest overlap (n,) of the tool with fixels on paths (n, m, 4) [m]."""
+    deepest = np.full(len(path), -np.inf)
+    if not scene.fixels:
+        return deepest
+    share = np.linspace(0.0, 1.0, steps)[:, None]
+    ways = [a[:, None] + share * (b - a)[:, None] for a, b in
+            zip(path[:, :-1, 1:].swapaxes(0, 1), path[:, 1:, 1:].swapaxes(0, 1), strict=True)]  # fmt: skip
+    poses = np.concatenate(ways, axis=1)
+    tool = scene.pushers[0].shape
+    for k, fixel in enumerate(scene.fixels):
+        own = poses if fixels is None else poses - fixels[:, None, k] * (1.0, 1.0, 0.0)
+        depth = overlaps(tool, own.reshape(-1, 3), fixel.shape, fixel.pose).depth
+        deepest = np.maximum(deepest, depth.reshape(len(path), -1).max(axis=1))
+    return deepest
+
+
+def _only_body(scene: Scene) -> Body:
+    if len(scene.bodies) != 1 or len(scene.pushers) > 1:
+        raise InvalidInput(
+            "scene",
+            found=f"{len(scene.bodies)} bodies and {len(scene.pushers)} pushers",
+            expected="one part and at most one pusher",
+        )
+    return scene.bodies[0]
+
+
+def _line(scene: Scene) -> LineDrive:
+    drive = scene.pushers[0].drive if scene.pushers else None
+    if not isinstance(drive, LineDrive) or drive.speed == 0.0:
+        raise InvalidInput(
+            "scene.pushers",
+            found="no pusher with a LineDrive",
+            expected="a pusher that moves along a straight line",
+            hint="to plan pushes of a free tool, give choose=FreePushes()",
+        )
+    return drive
+
+
+def _radius(scene: Scene) -> float:
+    return float(_only_body(scene).shape.radius)
+
+
+def _check_most(most: int) -> None:
+    if isinstance(most, bool) or not 1 <= most <= MAX_PUSHES:
+        raise InvalidInput("choose.most", found=most, expected=f"1 to {MAX_PUSHES} pushes")
+
+
+def _range(given: Sequence[float], where: str) -> Range:
+    low, high = (float(x) for x in given)
+    if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+        raise InvalidInput(where, found=f"{low:g} to {high:g}", expected="lower and upper end")
+    return low, high

@@ -1,0 +1,263 @@
+"""Plans carried out in simulation: sequences of pushes under many scenarios."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.kernels import codes
+from fixel.model import Scene
+from fixel.model.goals import touching
+from fixel.model.overlap import overlaps
+from fixel.model.trajectory import wrapped
+from fixel.planning.belief import Scenarios
+from fixel.planning.pushes import PushChoice, collides, scene_of_push
+from fixel.simulation.ensemble import Ensemble
+from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.vary import composed, varied_start
+from fixel.typing import BoolArray, FloatArray, IntArray
+
+# What became of a run; all but the first count as failures of the plan.
+CARRIED_OUT, NOT_SIMULATED, TOOL_ON_PART, START_OVERLAPS = range(4)
+FAILURES: Final = (
+    "carried out",
+    "could not be simulated",
+    "the tool is put down on the part",
+    "the part starts inside a fixel",
+)
+REGISTRATION: Final = ("registration_x", "registration_y", "registration_theta")
+TOUCHED: Final = 1e-9  # smallest overlap of tool and part that counts, relative to the part
+
+
+class Runs(NamedTuple):
+    """Runs of plans, one for each pair of a plan and a scenario."""
+
+    pose: FloatArray  # (n, n_time, 3) of the part, the end last [m, m, rad]
+    failure: IntArray  # (n,) index into FAILURES
+    stalled: BoolArray  # (n,) whether the drive is stalled at the end of the last push
+    force: FloatArray  # (n,) largest force of the drive [N]
+    fixels: FloatArray | None  # (n, n_fixel, 3) displacements of fixels from the scene's
+
+    def rows(self, which: IntArray) -> Runs:
+        """Return some of the runs."""
+        fixels = None if self.fixels is None else self.fixels[which]
+        return Runs(
+            self.pose[which], self.failure[which], self.stalled[which], self.force[which], fixels
+        )
+
+
+class PlannedMotions(NamedTuple):
+    """Motions of m plans of k pushes, with the nominal simulation that they are planned from."""
+
+    start: FloatArray  # (m, k, 3) planned pose of the part before each push [m, m, rad]
+    path: FloatArray  # (m, k, n_waypoint, 4) tool: time [s] and pose [m, m, rad]
+    fixels: FloatArray | None  # (m, n_fixel, 3) planned displacements of fixels
+    nominal: Runs  # of each plan without any error
+    collides: BoolArray  # (m,) whether the tool would touch a fixel
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def rows(self, which: IntArray) -> PlannedMotions:
+        """Return some of the plans."""
+        return PlannedMotions(
+            self.start[which],
+            self.path[which],
+            None if self.fixels is None else self.fixels[which],
+            self.nominal.rows(which),
+            self.collides[which],
+        )
+
+
+@final
+class PlanSimulator:
+    """Simulates plans of one scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the part at its start; its pusher is the tool, as `PushChoice.prepared` makes it.
+    choice : PushChoice
+    nominal : mapping of str to float
+        Parameters of the nominal simulation, whose poses the pushes are planned from.
+    motion, stepper : optional
+    samples : int
+        Number of poses that are kept of each push.
+    threads : int, optional
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        choice: PushChoice,
+        nominal: Mapping[str, float],
+        motion: AbstractMotionModel,
+        stepper: AbstractStepper | None = None,
+        samples: int = 1,
+        threads: int | None = None,
+    ) -> None:
+        self.scene, self.choice, self.nominal = scene, choice, nominal
+        self.samples = samples
+        self._method = {"motion": motion, "stepper": stepper, "threads": threads}
+        self.rollouts = 0  # pushes simulated so far
+
+    def planned(self, numbers: FloatArray, start: FloatArray | None = None) -> PlannedMotions:
+        """Return the motions of plans (m, k, d), each push from the nominal end of the one before.
+
+        Parameters
+        ----------
+        numbers : (m, k, d) float64
+        start : (m, 3) float64, optional
+            Poses before the first push; by default that of the scene.
+        """
+        m, k, _ = numbers.shape
+        pose = np.tile(self.scene.bodies[0].pose, (m, 1)) if start is None else np.array(start)
+        begun, paths, poses = [], [], []
+        fixels: FloatArray | None = None
+        failure, force = np.zeros(m, np.int64), np.zeros(m)
+        stalled, hit = np.zeros(m, bool), np.zeros(m, bool)
+        for push in range(k):
+            motions = self.choice.motions(self.scene, numbers[:, push], pose)
+            fixels = motions.fixels
+            begun.append(motions.start)
+            paths.append(motions.path)
+            hit |= collides(self.scene, motions.path, fixels) > 0.0
+            track, failed, stalled, peak = self._push(
+                motions.start, motions.path, fixels, None, motions.start
+            )
+            failure = np.where(failure == CARRIED_OUT, failed, failure)
+            force = np.maximum(force, peak)
+            poses.append(track)
+            pose = track[:, -1]
+        nominal = Runs(np.concatenate(poses, axis=1), failure, stalled, force, fixels)
+        return PlannedMotions(
+            np.stack(begun, axis=1), np.stack(paths, axis=1), fixels, nominal, hit
+        )
+
+    def run(self, plans: PlannedMotions, which: IntArray, scenarios: Scenarios) -> Runs:
+        """Carry out plans `which` (n,), each in the scenario of the same row."""
+        part = self.scene.bodies[0].shape
+        n, k = len(which), plans.start.shape[1]
+        fixels = _summed(plans.fixels, which, scenarios.fixels)
+        actual = plans.start[which, 0] + scenarios.start
+        failure = np.zeros(n, np.int64)
+        inside = collides_part(self.scene, actual, fixels) > TOUCHED * part.radius
+        failure[inside & (scenarios.start != 0.0).any(axis=1)] = START_OVERLAPS
+        poses = np.zeros((n, k * self.samples, 3))
+        force, stalled = np.zeros(n), np.zeros(n, bool)
+        for push in range(k):
+            start, path = plans.start[:, push], plans.path[:, push]
+            pose, failed, stalled, peak = self._push(
+                start[which], path[which], fixels, scenarios, actual
+            )
+            failure = np.where(failure == CARRIED_OUT, failed, failure)
+            force = np.maximum(force, peak)
+            pose[:, -1] += self._rest(pose[:, -1], fixels, scenarios.rest, k)
+            poses[:, push * self.samples : (push + 1) * self.samples] = pose
+            actual = pose[:, -1]
+        return Runs(poses, failure, stalled, force, fixels)
+
+    def _push(
+        self,
+        planned: FloatArray,
+        path: FloatArray,
+        fixels: FloatArray | None,
+        scenarios: Scenarios | None,
+        actual: FloatArray,
+    ) -> tuple[FloatArray, IntArray, BoolArray, FloatArray]:
+        """Simulate one push of parts at `actual` (n, 3), planned for parts at `planned`."""
+        n = len(path)
+        self.rollouts += n
+        ensemble = Ensemble.of_pushes(
+            scene_of_push(self.scene, planned[0], path[0]), planned, path, self.samples,
+            **self._method,  # type: ignore[arg-type]
+        )  # fmt: skip
+        if scenarios is None:
+            values = {name: np.full(n, x) for name, x in self.nominal.items()}
+        else:
+            values = {**scenarios.values, **self._tool_errors(path, scenarios)}
+        first = path[:, 0, 1:]
+        tool = composed(registration(values, n), first)
+        offset = actual - planned
+        offset[:, 2] = wrapped(offset[:, 2])
+        values |= dict(zip(("start_x", "start_y", "start_theta"), offset.T.copy(), strict=True))
+        begun = varied_start(ensemble.cases[0].scene, planned[:, None], values)
+        assert begun is not None
+        put_down = tool_overlap(self.scene, begun[:, 0], tool)
+        outcome = ensemble.simulate(np.arange(n), values, fixels)
+        failure = np.zeros(n, np.int64)
+        failure[put_down > TOUCHED * self.scene.bodies[0].shape.radius] = TOOL_ON_PART
+        ended = np.isin(outcome.status, (codes.CONVERGED, codes.JAMMED))
+        failure[~ended & (failure == CARRIED_OUT)] = NOT_SIMULATED
+        return outcome.pose, failure, outcome.stalled, outcome.force
+
+    def _tool_errors(self, path: FloatArray, scenarios: Scenarios) -> dict[str, FloatArray]:
+        """Return the registration of tools that miss their paths, in place of the calibrated."""
+        if not scenarios.tool.any():
+            return {}
+        begin, way = path[:, 0, 1:3], path[:, 1, 1:3] - path[:, 0, 1:3]
+        along = way / np.hypot(*way.T)[:, None]
+        across = np.column_stack((-along[:, 1], along[:, 0]))
+        travel, aside, heading = scenarios.tool.T
+        shift = travel[:, None] * along + aside[:, None] * across
+        c, s = np.cos(heading), np.sin(heading)
+        turned = np.column_stack((c * begin[:, 0] - s * begin[:, 1], s * begin[:, 0] + c * begin[:, 1]))
+        error = np.column_stack((begin - turned + shift, heading))
+        own = composed(registration(scenarios.values, len(path)), error)
+        return dict(zip(REGISTRATION, own.T.copy(), strict=True))
+
+    def _rest(
+        self, end: FloatArray, fixels: FloatArray | None, rest: FloatArray, pushes: int
+    ) -> FloatArray:
+        """Return the model error of ends that touch nothing; each push has its share."""
+        if not rest.any():
+            return rest
+        free = ~touching_fixels(self.scene, end, fixels).any(axis=1)
+        return np.asarray(np.where(free[:, None], rest, 0.0) / np.sqrt(pushes))
+
+
+def registration(values: Mapping[str, FloatArray], n: int) -> FloatArray:
+    """Return the calibrated registration (n, 3) of the tool's path [m, m, rad]."""
+    return np.column_stack([np.broadcast_to(values.get(name, 0.0), n) for name in REGISTRATION])
+
+
+def tool_overlap(scene: Scene, parts: FloatArray, tools: FloatArray) -> FloatArray:
+    """Return the overlap (n,) of the part at poses (n, 3) with the tool at poses (n, 3) [m]."""
+    c, s = np.cos(tools[:, 2]), np.sin(tools[:, 2])
+    x, y = (parts - tools)[:, :2].T
+    relative = np.column_stack((c * x + s * y, c * y - s * x, parts[:, 2] - tools[:, 2]))
+    part, tool = scene.bodies[0].shape, scene.pushers[0].shape
+    return overlaps(part, relative, tool, np.zeros(3)).depth
+
+
+def collides_part(scene: Scene, poses: FloatArray, fixels: FloatArray | None) -> FloatArray:
+    """Return the deepest overlap (n,) of the part at poses (n, 3) with fixels [m]."""
+    deepest = np.full(len(poses), -np.inf)
+    for k, fixel in enumerate(scene.fixels):
+        own = poses if fixels is None else poses - fixels[:, k] * (1.0, 1.0, 0.0)
+        deepest = np.maximum(
+            deepest, overlaps(scene.bodies[0].shape, own, fixel.shape, fixel.pose).depth
+        )
+    return deepest
+
+
+def touching_fixels(scene: Scene, poses: FloatArray, fixels: FloatArray | None) -> BoolArray:
+    """Return whether the part at poses (n, 3) touches each fixel, (n, n_fixel) bool."""
+    if fixels is None:
+        return touching(scene, scene.bodies[0], poses)
+    columns = [
+        touching(scene, scene.bodies[0], poses - fixels[:, k] * (1.0, 1.0, 0.0))[:, k]
+        for k in range(len(scene.fixels))
+    ]
+    return np.array(columns, bool).reshape(len(columns), len(poses)).T
+
+
+def _summed(
+    planned: FloatArray | None, which: IntArray, errors: FloatArray | None
+) -> FloatArray | None:
+    if planned is None:
+        return errors
+    return planned[which] if errors is None else planned[which] + errors
