@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 import numpy as np
 
 from fixel.kernels import codes
 from fixel.model import Scene
-from fixel.model.goals import touching
+from fixel.model.goals import BodyTrack, Goal, touching
 from fixel.model.overlap import overlaps
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Scenarios
@@ -28,6 +29,7 @@ FAILURES: Final = (
     "the tool is put down on the part",
     "the part starts inside a fixel",
 )
+WORST_MARGIN: Final = -1e3  # of a run that failed, and limit of all margins
 REGISTRATION: Final = ("registration_x", "registration_y", "registration_theta")
 TOUCHED: Final = 1e-9  # smallest overlap of tool and part that counts, relative to the part
 
@@ -73,6 +75,7 @@ class PlannedMotions(NamedTuple):
 
 
 @final
+@dataclass(kw_only=True, eq=False)
 class PlanSimulator:
     """Simulates plans of one scene.
 
@@ -80,6 +83,7 @@ class PlanSimulator:
     ----------
     scene : Scene
         Scene with the part at its start; its pusher is the tool, as `PushChoice.prepared` makes it.
+    goal : Goal
     choice : PushChoice
     nominal : mapping of str to float
         Parameters of the nominal simulation, whose poses the pushes are planned from.
@@ -87,22 +91,25 @@ class PlanSimulator:
     samples : int
         Number of poses that are kept of each push.
     threads : int, optional
+    rollouts : int
+        Number of pushes simulated so far.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        choice: PushChoice,
-        nominal: Mapping[str, float],
-        motion: AbstractMotionModel,
-        stepper: AbstractStepper | None = None,
-        samples: int = 1,
-        threads: int | None = None,
-    ) -> None:
-        self.scene, self.choice, self.nominal = scene, choice, nominal
-        self.samples = samples
-        self._method = {"motion": motion, "stepper": stepper, "threads": threads}
-        self.rollouts = 0  # pushes simulated so far
+    scene: Scene
+    goal: Goal
+    choice: PushChoice
+    nominal: Mapping[str, float]
+    motion: AbstractMotionModel
+    stepper: AbstractStepper | None = None
+    samples: int = 1
+    threads: int | None = None
+    rollouts: int = 0
+
+    def margins(self, runs: Runs) -> FloatArray:
+        """Return the margins (n,) of the goal; far below zero where a run failed."""
+        track = BodyTrack(runs.pose, runs.stalled, runs.force, runs.fixels)
+        margin = np.clip(self.goal.margin(self.scene, track), WORST_MARGIN, -WORST_MARGIN)
+        return np.where(runs.failure == CARRIED_OUT, margin, WORST_MARGIN)
 
     def planned(self, numbers: FloatArray, start: FloatArray | None = None) -> PlannedMotions:
         """Return the motions of plans (m, k, d), each push from the nominal end of the one before.
@@ -144,7 +151,7 @@ class PlanSimulator:
         fixels = _summed(plans.fixels, which, scenarios.fixels)
         actual = plans.start[which, 0] + scenarios.start
         failure = np.zeros(n, np.int64)
-        inside = collides_part(self.scene, actual, fixels) > TOUCHED * part.radius
+        inside = part_overlap(self.scene, actual, fixels) > TOUCHED * part.radius
         failure[inside & (scenarios.start != 0.0).any(axis=1)] = START_OVERLAPS
         poses = np.zeros((n, k * self.samples, 3))
         force, stalled = np.zeros(n), np.zeros(n, bool)
@@ -173,7 +180,7 @@ class PlanSimulator:
         self.rollouts += n
         ensemble = Ensemble.of_pushes(
             scene_of_push(self.scene, planned[0], path[0]), planned, path, self.samples,
-            **self._method,  # type: ignore[arg-type]
+            motion=self.motion, stepper=self.stepper, threads=self.threads,
         )  # fmt: skip
         if scenarios is None:
             values = {name: np.full(n, x) for name, x in self.nominal.items()}
@@ -233,7 +240,7 @@ def tool_overlap(scene: Scene, parts: FloatArray, tools: FloatArray) -> FloatArr
     return overlaps(part, relative, tool, np.zeros(3)).depth
 
 
-def collides_part(scene: Scene, poses: FloatArray, fixels: FloatArray | None) -> FloatArray:
+def part_overlap(scene: Scene, poses: FloatArray, fixels: FloatArray | None) -> FloatArray:
     """Return the deepest overlap (n,) of the part at poses (n, 3) with fixels [m]."""
     deepest = np.full(len(poses), -np.inf)
     for k, fixel in enumerate(scene.fixels):

@@ -1,0 +1,167 @@
+"""Candidate plans: single pushes, and sequences joined from a table of displacements."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fixel.model import Scene
+from fixel.planning.belief import Belief, Scenarios
+from fixel.planning.goal_places import goal_poses, needs_fixtures, surroundings
+from fixel.planning.pushes import FreePushes, PushChoice
+from fixel.planning.rollout import CARRIED_OUT, PlanSimulator, part_overlap
+from fixel.simulation.vary import composed
+from fixel.typing import FloatArray
+from fixel.uncertainty.starts import even_points
+
+LIBRARY: Final = 2048  # pushes in the table of displacements
+LAST: Final = 8192  # last pushes that are tried from poses near the goal
+KEPT_LAST: Final = 256
+PERTURBED: Final = 16  # starts from which a last push is judged
+CHAINS: Final = 131_072  # sequences joined from the table
+JOINED: Final = 768  # sequences kept for each number of pushes
+
+Numbers = list[FloatArray]  # a plan each: (k, d) numbers of its pushes
+
+
+def single_pushes(scene: Scene, choice: PushChoice, n: int, seed: int) -> FloatArray:
+    """Return numbers (m, 1, d) of single pushes: evenly spread ones, then those of mechanics."""
+    low, high = choice.bounds(scene)
+    wide = np.flatnonzero(high > low)
+    numbers = np.tile(low, (n, 1))
+    if len(wide):
+        numbers[:, wide] += (high - low)[wide] * even_points(n, len(wide), seed)
+    if isinstance(choice, FreePushes):
+        numbers = np.vstack((numbers, straight_pushes(scene, choice)))
+    return numbers[:, None]
+
+
+def straight_pushes(scene: Scene, choice: FreePushes) -> FloatArray:
+    """Return pushes (n, 3) through the centre of mass, which turn the part least.
+
+    From the point of each edge whose normal goes through the centre of mass.
+    """
+    body = scene.bodies[0]
+    ring = np.asarray(body.shape.outline)
+    edge = np.roll(ring, -1, axis=0) - ring
+    size = np.hypot(*edge.T)
+    share = np.einsum("ij,ij->i", np.asarray(body.com) - ring, edge) / size**2
+    inside = (share > 0.0) & (share < 1.0)
+    contact = ((np.cumsum(size) - size + share * size) / size.sum())[inside]
+    low, high = choice.bounds(scene)
+    length = np.linspace(low[2], high[2], 12)
+    grid = np.array(np.meshgrid(contact, [0.0], length, indexing="ij"))
+    return grid.reshape(3, -1).T
+
+
+class Table(NamedTuple):
+    """Displacements of the part by pushes away from all fixels."""
+
+    numbers: FloatArray  # (n, d)
+    moved: FloatArray  # (n, 3) pose after the push in the frame of the part before it
+    spread: FloatArray  # (3,) median standard deviation of the ends [m, m, rad]
+
+
+def displacements(
+    simulator: PlanSimulator, belief: Belief, n: int = LIBRARY, seed: int = 0
+) -> Table:
+    """Simulate pushes of the part alone; the plane is even, so that any place will do."""
+    scene = simulator.scene
+    body = replace(scene.bodies[0], pose=np.zeros(3))
+    alone = replace(simulator, scene=replace(scene, bodies=(body,), fixels=()))
+    numbers = single_pushes(alone.scene, alone.choice, n, seed)
+    planned = alone.planned(numbers)
+    good = planned.nominal.failure == CARRIED_OUT
+    planned, numbers = planned.rows(np.flatnonzero(good)), numbers[good]
+    some = np.linspace(0, len(numbers) - 1, 64).astype(np.int64)
+    scenarios = belief.scenarios(alone.scene, worlds=16, runs=1, seed=seed)
+    runs = alone.run(
+        planned, np.repeat(some, 16), scenarios.rows(np.tile(np.arange(16), len(some)))
+    )
+    ends = runs.pose[:, -1].reshape(len(some), 16, 3)
+    spread = np.median(ends.std(axis=1), axis=0)
+    return Table(numbers[:, 0], planned.nominal.pose[:, -1], spread)
+
+
+def sequences(
+    simulator: PlanSimulator, table: Table, pushes: int, seed: int = 0
+) -> Numbers:
+    """Return sequences of `pushes` pushes whose nominal end is near the goal.
+
+    Last pushes are tried from poses near the goal and judged from perturbed starts; the pushes
+    before them are taken from the table, so that they lead to one of these poses.
+    """
+    before, last = last_pushes(simulator, table, seed)
+    if not len(last):
+        return []
+    rng = np.random.default_rng([seed, pushes])
+    start = np.asarray(simulator.scene.bodies[0].pose, np.float64)
+    chain = np.zeros((0, 0), np.int64)
+    if pushes == 2:
+        chain = np.arange(len(table.moved))[:, None]
+    else:
+        chain = rng.integers(len(table.moved), size=(CHAINS, pushes - 1))
+    pose = np.tile(start, (len(chain), 1))
+    for k in range(chain.shape[1]):
+        pose = composed(pose, table.moved[chain[:, k]])
+    arm = np.sqrt(simulator.scene.bodies[0].shape.unit_inertia)
+    tree = cKDTree(_embedded(pose, arm))
+    distance, nearest = tree.query(_embedded(before, arm), k=min(8, len(pose)))
+    distance, nearest = distance.reshape(len(before), -1), nearest.reshape(len(before), -1)
+    order = np.argsort(distance, axis=None, kind="stable")[:JOINED]
+    rows, columns = np.unravel_index(order, distance.shape)
+    return [
+        np.vstack((table.numbers[chain[nearest[r, c]]], last[r][None]))
+        for r, c in zip(rows, columns, strict=True)
+    ]
+
+
+def last_pushes(
+    simulator: PlanSimulator, table: Table, seed: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return poses (n, 3) from which a push (n, d) reaches the goal, the least sensitive first."""
+    rng = np.random.default_rng([seed, 77])
+    before, numbers = [], []
+    scene, goal = simulator.scene, simulator.goal
+    for pose in goal_poses(scene, goal):
+        before.append(composed(pose[None], _inverse(table.moved)))
+        numbers.append(table.numbers)
+    if needs_fixtures(goal):
+        low, high = surroundings(scene, goal)
+        even = even_points(LAST, 3, seed)
+        before.append(low + (high - low) * even)
+        numbers.append(table.numbers[rng.integers(len(table.numbers), size=LAST)])
+    poses, pushes = np.vstack(before), np.vstack(numbers)
+    planned = simulator.planned(pushes[:, None], poses)
+    margin = np.where(planned.collides, -np.inf, simulator.margins(planned.nominal))
+    # Poses inside a fixel are impossible starts.
+    margin[part_overlap(scene, poses, None) > 0.0] = -np.inf
+    rows = np.flatnonzero(margin >= 0.0)
+    rows = rows[np.argsort(-margin[rows], kind="stable")][: 4 * KEPT_LAST]
+    if not len(rows):
+        return poses[:0], pushes[:0]
+    shaken = rng.standard_normal((len(rows) * PERTURBED, 3)) * table.spread
+    n = len(shaken)
+    nothing = Scenarios(
+        {name: np.full(n, x) for name, x in simulator.nominal.items()},
+        shaken, np.zeros((n, 3)), None, np.zeros((n, 3)), np.zeros(n, np.int64),
+    )  # fmt: skip
+    runs = simulator.run(planned, np.repeat(rows, PERTURBED), nothing)
+    met = (simulator.margins(runs) >= 0.0).reshape(len(rows), PERTURBED).mean(axis=1)
+    best = np.argsort(-met, kind="stable")[:KEPT_LAST]
+    return poses[rows[best]], pushes[rows[best]]
+
+
+def _embedded(pose: FloatArray, arm: float) -> FloatArray:
+    """Return points (n, 4) whose distances are those of poses, rotations counted at `arm`."""
+    turn = arm * np.column_stack((np.cos(pose[:, 2]), np.sin(pose[:, 2])))
+    return np.column_stack((pose[:, :2], turn))
+
+
+def _inverse(pose: FloatArray) -> FloatArray:
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    x, y = pose[:, 0], pose[:, 1]
+    return np.column_stack((-c * x - s * y, s * x - c * y, -pose[:, 2]))
