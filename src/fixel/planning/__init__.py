@@ -1,1 +1,1 @@
-"""Planning of open-loop pushes that succeed despite unknown parameters, starts and errors."""
+"""Open-loop pushes that reach a goal despite what is unknown, with their success probability."""

@@ -158,6 +158,11 @@ class Belief:
         """Whether the parameters come from experiments."""
         return isinstance(self.parameters, Posterior | PartModel | CalibratedModel)
 
+    @property
+    def has_known_pushes(self) -> bool:
+        """Whether it is known which pushes the parameters were calibrated to."""
+        return getattr(self.parameters, "known", None) is not None
+
     def nominal(self, scene: Scene) -> dict[str, float]:
         """Return the likeliest parameters."""
         given: Any = self.parameters

@@ -144,19 +144,24 @@ class PlanSimulator:
             np.stack(begun, axis=1), np.stack(paths, axis=1), fixels, nominal, hit
         )
 
-    def run(self, plans: PlannedMotions, which: IntArray, scenarios: Scenarios) -> Runs:
-        """Carry out plans `which` (n,), each in the scenario of the same row."""
+    def run(
+        self, plans: PlannedMotions, which: IntArray, scenarios: Scenarios, first: int = 0
+    ) -> Runs:
+        """Carry out plans `which` (n,), each in the scenario of the same row.
+
+        The errors of the start are those before push `first`; the pushes before it are left out.
+        """
         part = self.scene.bodies[0].shape
-        n, k = len(which), plans.start.shape[1]
+        n, k = len(which), plans.start.shape[1] - first
         fixels = _summed(plans.fixels, which, scenarios.fixels)
-        actual = plans.start[which, 0] + scenarios.start
+        actual = plans.start[which, first] + scenarios.start
         failure = np.zeros(n, np.int64)
         inside = part_overlap(self.scene, actual, fixels) > TOUCHED * part.radius
         failure[inside & (scenarios.start != 0.0).any(axis=1)] = START_OVERLAPS
         poses = np.zeros((n, k * self.samples, 3))
         force, stalled = np.zeros(n), np.zeros(n, bool)
         for push in range(k):
-            start, path = plans.start[:, push], plans.path[:, push]
+            start, path = plans.start[:, first + push], plans.path[:, first + push]
             pose, failed, stalled, peak = self._push(
                 start[which], path[which], fixels, scenarios, actual
             )

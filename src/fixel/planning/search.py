@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from hashlib import sha256
 from importlib import import_module
 from importlib.util import find_spec
@@ -216,8 +217,7 @@ class PlanSearch:
         By the success rate in the worst 5 % of parameter draws, then by the mean, by the margin in
         the worst 5 % of scenarios, by the number of pushes and by the spread of the ends.
         """
-        scenarios = self.scenarios(3, WORLDS, FINAL_RUNS)
-        margins = self.margins(plans, scenarios, "final")
+        margins = self.margins(plans, self.final_scenarios, "final")
         ranks = []
         for plan, own in zip(plans, margins, strict=True):
             success = SuccessProbability.of(own.reshape(WORLDS, FINAL_RUNS))
@@ -226,10 +226,19 @@ class PlanSearch:
             ranks.append((-round(50 * worst), -round(50 * success.mean), -success.margin, len(plan)))
         return min(range(len(plans)), key=ranks.__getitem__), margins
 
-    def success(self, plan: FloatArray, stream: int = 4) -> tuple[SuccessProbability, FloatArray]:
+    @cached_property
+    def final_scenarios(self) -> Scenarios:
+        """Scenarios in which the plan is chosen."""
+        return self.scenarios(3, WORLDS, FINAL_RUNS)
+
+    @cached_property
+    def fresh_scenarios(self) -> Scenarios:
+        """Scenarios from which the success of the chosen plan is computed."""
+        return self.scenarios(4, WORLDS, WORLDS)
+
+    def success(self, plan: FloatArray) -> tuple[SuccessProbability, FloatArray]:
         """Estimate the success of one plan from fresh scenarios; return also their margins (n,)."""
-        scenarios = self.scenarios(stream, WORLDS, WORLDS)
-        margins = self.margins([plan], scenarios, f"success {stream}")[0]
+        margins = self.margins([plan], self.fresh_scenarios, "success")[0]
         return SuccessProbability.of(margins.reshape(WORLDS, WORLDS)), margins
 
     def distinct(self, plans: Numbers, n: int) -> Numbers:

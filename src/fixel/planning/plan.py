@@ -1,0 +1,354 @@
+"""Plans of open-loop pushes, with their stated success probability."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.model import Scene
+from fixel.model.fields import instance
+from fixel.model.goals import Goal
+from fixel.planning.belief import Belief, Scenarios
+from fixel.planning.pushes import (
+    FreePushes,
+    PlanPush,
+    PushChoice,
+    RigPush,
+    RigPushes,
+    scene_of_push,
+)
+from fixel.planning.rollout import FAILURES, PlannedMotions, PlanSimulator, Runs
+from fixel.planning.search import REFINED, Answers, PlanSearch, Report, nominal_margins
+from fixel.planning.success import SuccessProbability
+from fixel.results import Result, Summary
+from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.stepper import AbstractStepper
+from fixel.table import Column, Table
+from fixel.typing import FloatArray
+
+SAMPLES: Final = 12  # poses of each push that goals about the whole motion regard
+MISSED: Final = "misses the goal"
+
+
+class PlanRuns(NamedTuple):
+    """Runs of one plan in its scenarios."""
+
+    scenarios: Scenarios
+    margin: FloatArray  # (n,) of the goal, in units of its tolerance
+    end: FloatArray  # (n, 3) pose of the part [m, m, rad]
+    outcome: tuple[str, ...]  # empty for success, else why a run failed
+
+
+@final
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class PushPlan(Result):
+    """Open-loop plan of pushes with its stated success probability.
+
+    Made by `fixel.plan`.
+
+    Attributes
+    ----------
+    scene : Scene
+        Scene with the tool, the part at its planned start.
+    goal : Goal
+    choose : FreePushes or RigPushes
+        What could be chosen.
+    belief : Belief
+        What is unknown.
+    pushes : tuple of PlanPush or RigPush
+        Pushes in sequence.
+    start : (k, 3) float64
+        Planned pose of the part before each push [m, m, rad].
+    path : (k, n, 4) float64
+        Motion of the tool in each push: time [s] and pose in the world [m, m, rad].
+    end : (3,) float64
+        Planned end pose [m, m, rad].
+    fixels : (n_fixel, 3) float64 or None
+        Planned displacements of the fixels [m, m, rad].
+    success : SuccessProbability
+        Stated success probability, from scenarios that the search has not seen.
+    nominal_success : SuccessProbability
+        The same for the plan that would be best if nothing were unknown.
+    runs : PlanRuns
+        Runs from which `success` is computed.
+    alternatives : (m, n) float64
+        Margins of the best plans of the search, this one first, in `compared`.
+    compared : Scenarios
+        Scenarios in which the plan was chosen.
+    unseen : tuple of str
+        What no experiment of the calibration has about a push of the plan.
+    motion : AbstractMotionModel
+    stepper : AbstractStepper or None
+    rollouts : int
+        Number of pushes simulated in the search.
+    seed : int
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.scenes import pushed_square
+    >>> from fixel.units import deg, mm
+    >>> goal = fixel.PoseRegion((0.02, 0.0, 0.0), position=5 * mm, angle=5 * deg)
+    >>> plan = fixel.plan(pushed_square(), goal, rollouts=4_000, progress=False)
+    >>> len(plan.pushes)
+    1
+    """
+
+    _drawings: ClassVar[Mapping[str, str]] = {
+        "paths": "fixel.drawing.planning:draw_paths",
+        "capture": "fixel.drawing.planning:draw_capture_regions",
+    }
+
+    scene: Scene
+    goal: Goal
+    choose: FreePushes | RigPushes
+    belief: Belief
+    pushes: tuple[PlanPush | RigPush, ...]
+    start: FloatArray
+    path: FloatArray
+    end: FloatArray
+    fixels: FloatArray | None
+    success: SuccessProbability
+    nominal_success: SuccessProbability
+    runs: PlanRuns
+    alternatives: FloatArray
+    compared: Scenarios
+    unseen: tuple[str, ...]
+    motion: AbstractMotionModel
+    stepper: AbstractStepper | None
+    rollouts: int
+    seed: int
+
+    def waypoints(self) -> Table:
+        """Return the motion of the tool as a table: push, time, x, y and angle."""
+        names = ("push", "time", "x", "y", "angle")
+        units = ("", "s", "m", "m", "rad")
+        columns = [Column(name, unit) for name, unit in zip(names, units, strict=True)]
+        return Table(
+            columns, [(k + 1, *row) for k, path in enumerate(self.path) for row in path.tolist()]
+        )
+
+    def simulate(self, n: int = 200, *, samples: int = SAMPLES, threads: int | None = None) -> Runs:
+        """Simulate the plan again in n of its scenarios, with the poses on the way.
+
+        Parameters
+        ----------
+        n : int
+            Number of runs, evenly spread over the scenarios.
+        samples : int
+            Number of poses of each push.
+        threads : int, optional
+
+        Returns
+        -------
+        Runs
+        """
+        rows = np.linspace(0, len(self.runs.margin) - 1, min(n, len(self.runs.margin)))
+        simulator = replace(self._simulator(threads), samples=samples)
+        own = self.runs.scenarios.rows(rows.astype(np.int64))
+        return simulator.run(self._planned(), np.zeros(len(own), np.int64), own)
+
+    def capture(
+        self, push: int, offsets: FloatArray, *, runs: int = 16, threads: int | None = None
+    ) -> FloatArray:
+        """Return the success rate from other poses before a push of the plan.
+
+        Parameters
+        ----------
+        push : int
+            Number of the push, from 0.
+        offsets : (n, 3) float64
+            Offsets of the part from its planned pose before that push [m, m, rad].
+        runs : int
+            Number of scenarios for each.
+        threads : int, optional
+
+        Returns
+        -------
+        (n,) float64
+            Share of the scenarios in which the rest of the plan reaches the goal.
+        """
+        rows = np.linspace(0, len(self.runs.margin) - 1, runs).astype(np.int64)
+        own = self.runs.scenarios.rows(np.tile(rows, len(offsets)))
+        own = own._replace(start=np.repeat(np.asarray(offsets, np.float64), runs, axis=0))
+        simulator = self._simulator(threads)
+        found = simulator.run(self._planned(), np.zeros(len(own), np.int64), own, first=push)
+        return np.asarray((simulator.margins(found) >= 0.0).reshape(-1, runs).mean(axis=1))
+
+    def _simulator(self, threads: int | None) -> PlanSimulator:
+        return simulator_of(
+            self.scene, self.goal, self.choose, self.belief, self.motion, self.stepper, threads
+        )
+
+    def _planned(self) -> PlannedMotions:
+        fixels = None if self.fixels is None else self.fixels[None]
+        nominal = Runs(
+            self.end[None, None], np.zeros(1, np.int64), np.zeros(1, bool), np.zeros(1), fixels
+        )
+        return PlannedMotions(self.start[None], self.path[None], fixels, nominal, np.zeros(1, bool))
+
+    @property
+    def failures(self) -> Mapping[str, float]:
+        """Share of the runs that failed, by what became of them, the most frequent first."""
+        why, count = np.unique([x for x in self.runs.outcome if x], return_counts=True)
+        order = np.argsort(-count, kind="stable")
+        return {str(why[k]): float(count[k] / len(self.runs.outcome)) for k in order}
+
+    def _summary(self) -> Summary:
+        numbers = Table(
+            ("push", "what"), [(k + 1, str(push)) for k, push in enumerate(self.pushes)]
+        )
+        rows: list[tuple[Any, ...]] = [
+            ("this plan", self.success.stated, self.success.mean),
+            ("best without errors", self.nominal_success.stated, self.nominal_success.mean),
+        ]
+        columns = ("success", *(Column(c, format=".3f") for c in ("stated", "mean")))
+        notes = [f"fails: {100.0 * share:.1f} % {why}" for why, share in self.failures.items()]
+        if self.success.calibrate_first:
+            notes.append("calibrate first: success depends on parameters that are not known")
+        if not self.belief.is_calibrated:
+            notes.append("not compared with experiments: parameters are given or nominal")
+        x, y, theta = self.end
+        notes.append(f"planned end {1e3 * x:.4g} mm, {1e3 * y:.4g} mm, {math.degrees(theta):.4g} deg")
+        return Summary(
+            f"Plan of {len(self.pushes)} push{'es' if len(self.pushes) > 1 else ''}:"
+            f" {self.success.sentence}",
+            [numbers, Table(columns, rows)],
+            notes,
+            {"rollouts": str(self.rollouts), "seed": str(self.seed), "motion": self.motion.name},
+            self.unseen,
+        )
+
+    def _data(self) -> Table:
+        """Return the motion of the tool."""
+        return self.waypoints()
+
+
+def simulator_of(
+    scene: Scene,
+    goal: Goal,
+    choose: PushChoice,
+    belief: Belief,
+    motion: AbstractMotionModel | None,
+    stepper: AbstractStepper | None,
+    threads: int | None,
+) -> PlanSimulator:
+    """Return the simulator of plans; `scene` has the tool."""
+    whole = any(own.regards_whole_motion for own in goal.clauses)
+    return PlanSimulator(
+        scene=scene,
+        goal=goal,
+        choice=choose,
+        nominal=belief.nominal(scene),
+        motion=motion or belief.motion,
+        stepper=stepper,
+        samples=SAMPLES if whole else 1,
+        threads=threads,
+    )
+
+
+def find_plan(
+    scene: Scene,
+    goal: Goal,
+    choose: FreePushes | RigPushes,
+    belief: Belief,
+    *,
+    rollouts: int,
+    seed: int,
+    threads: int | None,
+    motion: AbstractMotionModel | None = None,
+    stepper: AbstractStepper | None = None,
+    untrusted: bool = False,
+    answers: Answers | None = None,
+    report: Report | None = None,
+) -> PushPlan:
+    """Search for a plan, and estimate its success probability from fresh scenarios.
+
+    Parameters
+    ----------
+    scene, goal, choose, belief, rollouts, seed, threads, motion, stepper, untrusted
+        As for `fixel.plan`.
+    answers : mutable mapping, optional
+        Margins that were computed before, by what was asked; new ones are added.
+    report : callable, optional
+        Called with the stage, the number of rollouts, their budget and the best success rate.
+    """
+    _check(goal, rollouts)
+    prepared = choose.prepared(scene)
+    simulator = simulator_of(prepared, goal, choose, belief, motion, stepper, threads)
+    search = PlanSearch(
+        simulator=simulator, belief=belief, rollouts=rollouts, seed=seed,
+        answers={} if answers is None else answers, report=report,
+    )  # fmt: skip
+    plans, margins = search.candidates()
+    nominal_best = plans[0]
+    if belief.has_known_pushes and not untrusted:
+        plans = _seen(simulator, belief, plans)
+    ranked = [plans[k] for k in search.race(plans).plans]
+    finalists = search.distinct(ranked, 8)
+    better = search.refined(search.distinct(ranked, REFINED))
+    if belief.has_known_pushes and not untrusted:
+        better = [plan for plan in better if not _unseen(simulator, belief, plan)]
+    finalists += [plan for plan in better if nominal_margins(simulator, [plan])[0] > -np.inf]
+    first, outcomes = search.chosen(finalists)
+    plan = finalists[first]
+    success, margin = search.success(plan)
+    nominal_success, _ = search.success(nominal_best)
+    order = np.argsort(np.arange(len(finalists)) != first, kind="stable")
+    planned = simulator.planned(plan[None])
+    return PushPlan(
+        scene=prepared, goal=goal, choose=choose, belief=belief,
+        pushes=choose.pushes(prepared, plan),
+        start=planned.start[0], path=planned.path[0], end=planned.nominal.pose[0, -1],
+        fixels=None if planned.fixels is None else planned.fixels[0],
+        success=success, nominal_success=nominal_success,
+        runs=_runs(search, planned, margin),
+        alternatives=outcomes[order], compared=search.final_scenarios,
+        unseen=_unseen(simulator, belief, plan), motion=simulator.motion, stepper=stepper,
+        rollouts=search.done, seed=seed,
+    )  # fmt: skip
+
+
+def _runs(search: PlanSearch, planned: PlannedMotions, margin: FloatArray) -> PlanRuns:
+    scenarios = search.fresh_scenarios
+    runs = search.simulator.run(planned, np.zeros(len(scenarios), np.int64), scenarios)
+    why = [
+        "" if ok >= 0.0 else (FAILURES[code] if code else MISSED)
+        for ok, code in zip(margin, runs.failure, strict=True)
+    ]
+    return PlanRuns(scenarios, margin, runs.pose[:, -1], tuple(why))
+
+
+def _unseen(simulator: PlanSimulator, belief: Belief, plan: FloatArray) -> tuple[str, ...]:
+    planned = simulator.planned(plan[None])
+    texts = [
+        text
+        for start, path in zip(planned.start[0], planned.path[0], strict=True)
+        for text in belief.unseen(scene_of_push(simulator.scene, start, path))
+    ]
+    return tuple(dict.fromkeys(texts))
+
+
+def _seen(simulator: PlanSimulator, belief: Belief, plans: list[FloatArray]) -> list[FloatArray]:
+    """Return the plans whose pushes resemble those of the calibration's experiments."""
+    found = [_unseen(simulator, belief, plan) for plan in plans]
+    good = [plan for plan, unseen in zip(plans, found, strict=True) if not unseen]
+    if good:
+        return good
+    raise InvalidInput(
+        "belief.parameters",
+        found=f"no experiment that resembles a push towards the goal: {'; '.join(found[0])}",
+        expected="experiments with similar pushes",
+        hint="record some (fixel next proposes them), or plan with untrusted=True",
+    )
+
+
+def _check(goal: Goal, rollouts: int) -> None:
+    instance(goal, Goal, "goal", "a goal, such as PoseRegion or Seated")
+    if isinstance(rollouts, bool) or rollouts < 1000:
+        raise InvalidInput("rollouts", found=rollouts, expected="1000 or more")

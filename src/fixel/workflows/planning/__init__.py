@@ -1,0 +1,1 @@
+"""Planning of open-loop pushes."""
