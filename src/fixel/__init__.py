@@ -64,6 +64,9 @@ if TYPE_CHECKING:
         orienting_plan as orienting_plan,
         OrientingPlan as OrientingPlan,
     )
+    from fixel.planning.belief import Belief as Belief, RigError as RigError
+    from fixel.planning.plan import PushPlan as PushPlan
+    from fixel.planning.pushes import FreePushes as FreePushes, RigPushes as RigPushes
     from fixel.simulation import (
         Adaptive as Adaptive,
         BatchResult as BatchResult,
@@ -96,6 +99,7 @@ if TYPE_CHECKING:
     from fixel.workflows.experiments import read_experiments as read_experiments
     from fixel.workflows.filtering import filter as filter
     from fixel.workflows.parts import part_model as part_model
+    from fixel.workflows.planning.run import plan as plan
     from fixel.workflows.project.comparison import (
         compare as compare,
         Comparison as Comparison,
@@ -129,6 +133,9 @@ _NAMES = {
     "fixel.parts.model": "PartModel",
     "fixel.parts.next_pushes": "NextPushes",
     "fixel.planning.orienting": "orienting_plan OrientingPlan",
+    "fixel.planning.belief": "Belief RigError",
+    "fixel.planning.plan": "PushPlan",
+    "fixel.planning.pushes": "FreePushes RigPushes",
     "fixel.simulation": "Adaptive BatchResult Dynamic FirstOrder GaussSeidel Lemke Newton"
     " QuasiStatic simulate simulate_batch Simulation StewartTrinkle",
     "fixel.uncertainty.outcomes": "Sensitivity",
@@ -142,6 +149,7 @@ _NAMES = {
     "fixel.workflows.experiments": "read_experiments",
     "fixel.workflows.filtering": "filter",
     "fixel.workflows.parts": "part_model",
+    "fixel.workflows.planning.run": "plan",
     "fixel.workflows.project.comparison": "compare Comparison",
     "fixel.workflows.project.export": "export",
     "fixel.workflows.report.write": "report",

@@ -101,6 +101,10 @@ CASES = {
             candidates, part="square", surface="board"
         ),
     ),
+    "PushPlan": Case(
+        lambda: (pushed_square(), fixel.PoseRegion((0.02, 0.0, 0.0), position=9 * mm)),
+        functools.partial(fixel.plan, rollouts=1_000, **QUIET),
+    ),
     "FilterRun": Case(lambda: (grasped(),), functools.partial(fixel.filter, particles=10, **QUIET)),
 }
 

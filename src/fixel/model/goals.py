@@ -121,7 +121,7 @@ class Clause(Goal):
     """Base class of conditions on the poses of one body."""
 
     __slots__ = ()
-    _whole_track: ClassVar[bool] = False  # whether poses before the end count
+    whole_motion: ClassVar[bool] = False  # whether more than the end counts
     body: str | None
 
     @property
@@ -132,7 +132,7 @@ class Clause(Goal):
     def margin(self, scene: Scene, track: Tracks) -> FloatArray:
         """Compute signed margins (n,) in units of the tolerance, as `Goal.margin`."""
         body, own = body_of(scene, self.body), track_of(scene, self.body, track)
-        pose = own.pose if self._whole_track else own.pose[:, -1:]
+        pose = own.pose if self.whole_motion else own.pose[:, -1:]
         flat = np.asarray(pose, np.float64).reshape(-1, 3)
         values = np.full(len(flat), MIN_MARGIN)
         valid = np.flatnonzero(np.isfinite(flat).all(axis=1))
@@ -458,7 +458,7 @@ class Contact(Clause):
     True
     """
 
-    _whole_track: ClassVar[bool] = True
+    whole_motion: ClassVar[bool] = True
     fixel: str
     tolerance: float | None = None
     body: str | None = None
@@ -500,7 +500,7 @@ class Exit(Clause):
     True
     """
 
-    _whole_track: ClassVar[bool] = True
+    whole_motion: ClassVar[bool] = True
     region: Polygon
     tolerance: float | None = None
     body: str | None = None
@@ -538,6 +538,7 @@ class ForceAbove(Clause):
     True
     """
 
+    whole_motion: ClassVar[bool] = True
     newton: float
     body: str | None = None
 
@@ -708,10 +709,15 @@ def gap_to(
     return -overlaps(body.shape, poses, scene.fixels[k].shape, scene.fixels[k].pose).depth
 
 
-def touching(scene: Scene, body: Body, poses: FloatArray) -> BoolArray:
-    """Return the contacts (n, n_fixel) of a body with the fixels of its scene at poses (n, 3)."""
+def touching(
+    scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None = None
+) -> BoolArray:
+    """Return the contacts (n, n_fixel) of a body with the fixels of its scene at poses (n, 3).
+
+    `fixels` (n, n_fixel, 3) are displacements of the fixels from their places in the scene.
+    """
     tolerance = tolerance_of(None, body)
-    gaps = [gap_to(scene, body, fixel.name, poses) for fixel in scene.fixels]
+    gaps = [gap_to(scene, body, fixel.name, poses, fixels) for fixel in scene.fixels]
     return np.array([gap < tolerance for gap in gaps], bool).reshape(len(gaps), len(poses)).T
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from fixel.calibration.known_pushes import push_target
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.fields import instance, non_negative, settle
-from fixel.parts.prior import NAMES
 from fixel.parts.model import PartModel
+from fixel.parts.prior import NAMES
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.discrepancy import LABEL
@@ -72,7 +72,9 @@ class Scenarios(NamedTuple):
     rest: FloatArray  # (n, 3) model error of the end where nothing touches [m, m, rad]
     world: IntArray  # (n,) sample of the parameters, which runs share
 
-    def __len__(self) -> int:
+    @property
+    def n(self) -> int:
+        """Number of scenarios."""
         return len(self.world)
 
     def rows(self, which: IntArray) -> Scenarios:
@@ -90,7 +92,10 @@ class Scenarios(NamedTuple):
         """Return what differs between scenarios, (n,) each, by name."""
         named = {
             **self.values,
-            **{f"start {name}": x for name, x in zip(("x", "y", "angle"), self.start.T, strict=True)},
+            **{
+                f"start {name}": x
+                for name, x in zip(("x", "y", "angle"), self.start.T, strict=True)
+            },
             **{
                 f"tool {name}": x
                 for name, x in zip(("travel", "path", "heading"), self.tool.T, strict=True)
@@ -126,7 +131,7 @@ class Belief:
     >>> belief = Belief(parameters={"mu_pusher": (0.2, 0.4)}, start=StartError(x=mm, y=mm))
     >>> from fixel.testing.scenes import pushed_square
     >>> scenarios = belief.scenarios(pushed_square(), worlds=4, runs=2)
-    >>> len(scenarios)
+    >>> scenarios.n
     8
     """
 
@@ -172,7 +177,9 @@ class Belief:
             return _without_start({name: float(x[0]) for name, x in found.items()})
         if isinstance(given, PartModel):
             labels = self._labels(given, scene)
-            mean = given.distribution(labels.get(given.surface, ""), labels.get(given.part, "")).mean
+            mean = given.distribution(
+                labels.get(given.surface, ""), labels.get(given.part, "")
+            ).mean
             return dict(zip(NAMES, mean.tolist(), strict=True))
         if isinstance(given, CalibratedModel):
             return _without_start(given.values_for(**self.conditions))
@@ -266,7 +273,7 @@ class Belief:
                 if name in values and own.low is not None and own.high is not None
             }
             spans: dict[str, Interval] = {
-                name: (x, x) if name not in pairs else pairs[name] for name, x in values.items()
+                name: pairs.get(name, (x, x)) for name, x in values.items()
             }
         else:
             spans = {name: ends(x, name) for name, x in (given or {}).items()}

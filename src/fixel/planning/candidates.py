@@ -86,9 +86,7 @@ def displacements(
     return Table(numbers[:, 0], planned.nominal.pose[:, -1], spread)
 
 
-def sequences(
-    simulator: PlanSimulator, table: Table, pushes: int, seed: int = 0
-) -> Numbers:
+def sequences(simulator: PlanSimulator, table: Table, pushes: int, seed: int = 0) -> Numbers:
     """Return sequences of `pushes` pushes whose nominal end is near the goal.
 
     Last pushes are tried from poses near the goal and judged from perturbed starts; the pushes
@@ -119,9 +117,7 @@ def sequences(
     ]
 
 
-def last_pushes(
-    simulator: PlanSimulator, table: Table, seed: int
-) -> tuple[FloatArray, FloatArray]:
+def last_pushes(simulator: PlanSimulator, table: Table, seed: int) -> tuple[FloatArray, FloatArray]:
     """Return poses (n, 3) from which a push (n, d) reaches the goal, the least sensitive first."""
     rng = np.random.default_rng([seed, 77])
     before, numbers = [], []

@@ -151,7 +151,7 @@ class PushPlan(Result):
         rows = np.linspace(0, len(self.runs.margin) - 1, min(n, len(self.runs.margin)))
         simulator = replace(self._simulator(threads), samples=samples)
         own = self.runs.scenarios.rows(rows.astype(np.int64))
-        return simulator.run(self._planned(), np.zeros(len(own), np.int64), own)
+        return simulator.run(self._planned(), np.zeros(own.n, np.int64), own)
 
     def capture(
         self, push: int, offsets: FloatArray, *, runs: int = 16, threads: int | None = None
@@ -177,7 +177,7 @@ class PushPlan(Result):
         own = self.runs.scenarios.rows(np.tile(rows, len(offsets)))
         own = own._replace(start=np.repeat(np.asarray(offsets, np.float64), runs, axis=0))
         simulator = self._simulator(threads)
-        found = simulator.run(self._planned(), np.zeros(len(own), np.int64), own, first=push)
+        found = simulator.run(self._planned(), np.zeros(own.n, np.int64), own, first=push)
         return np.asarray((simulator.margins(found) >= 0.0).reshape(-1, runs).mean(axis=1))
 
     def _simulator(self, threads: int | None) -> PlanSimulator:
@@ -207,14 +207,19 @@ class PushPlan(Result):
             ("this plan", self.success.stated, self.success.mean),
             ("best without errors", self.nominal_success.stated, self.nominal_success.mean),
         ]
-        columns = ("success", *(Column(c, format=".3f") for c in ("stated", "mean")))
+        columns: tuple[Column | str, ...] = (
+            "success",
+            *(Column(c, format=".3f") for c in ("stated", "mean")),
+        )
         notes = [f"fails: {100.0 * share:.1f} % {why}" for why, share in self.failures.items()]
         if self.success.calibrate_first:
             notes.append("calibrate first: success depends on parameters that are not known")
         if not self.belief.is_calibrated:
             notes.append("not compared with experiments: parameters are given or nominal")
         x, y, theta = self.end
-        notes.append(f"planned end {1e3 * x:.4g} mm, {1e3 * y:.4g} mm, {math.degrees(theta):.4g} deg")
+        notes.append(
+            f"planned end {1e3 * x:.4g} mm, {1e3 * y:.4g} mm, {math.degrees(theta):.4g} deg"
+        )
         return Summary(
             f"Plan of {len(self.pushes)} push{'es' if len(self.pushes) > 1 else ''}:"
             f" {self.success.sentence}",
@@ -239,7 +244,7 @@ def simulator_of(
     threads: int | None,
 ) -> PlanSimulator:
     """Return the simulator of plans; `scene` has the tool."""
-    whole = any(own.regards_whole_motion for own in goal.clauses)
+    whole = any(own.whole_motion for own in goal.clauses)
     return PlanSimulator(
         scene=scene,
         goal=goal,
@@ -285,7 +290,7 @@ def find_plan(
         simulator=simulator, belief=belief, rollouts=rollouts, seed=seed,
         answers={} if answers is None else answers, report=report,
     )  # fmt: skip
-    plans, margins = search.candidates()
+    plans = search.candidates()
     nominal_best = plans[0]
     if belief.has_known_pushes and not untrusted:
         plans = _seen(simulator, belief, plans)
@@ -316,7 +321,7 @@ def find_plan(
 
 def _runs(search: PlanSearch, planned: PlannedMotions, margin: FloatArray) -> PlanRuns:
     scenarios = search.fresh_scenarios
-    runs = search.simulator.run(planned, np.zeros(len(scenarios), np.int64), scenarios)
+    runs = search.simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
     why = [
         "" if ok >= 0.0 else (FAILURES[code] if code else MISSED)
         for ok, code in zip(margin, runs.failure, strict=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final, NamedTuple, Protocol, final
 
 import numpy as np
@@ -22,7 +23,7 @@ Range = tuple[float, float]
 MAX_PUSHES: Final = 4
 TOOL: Final = "tool"  # name of the pusher of a plan
 HALVINGS: Final = 40  # of the distance at which a tool touches the part
-CLEARANCE: Final = 0.05  # from the part where the tool is put down, relative to the part's radius
+CLEARANCE: Final = 0.25  # from the part where the tool is put down, relative to the part's radius
 
 
 @final
@@ -134,7 +135,7 @@ class FreePushes:
     angle : float
         Largest angle between push and inward normal [rad].
     clearance : float, optional
-        Gap between tool and part where the tool is put down [m]; by default 5 % of the part's
+        Gap between tool and part where the tool is put down [m]; by default a quarter of the part's
         radius.
     retract : float, optional
         Way back before the tool is lifted [m]; by default the clearance.
@@ -327,8 +328,11 @@ class RigPushes:
         """Pushes of a plan (1, d)."""
         found = []
         for row in numbers.tolist():
-            moved = dict(zip(self.fixels or {}, zip(row[4::2], row[5::2], strict=True), strict=True))
-            found.append(RigPush(*row[:4], moved))
+            moved = dict(
+                zip(self.fixels or {}, zip(row[4::2], row[5::2], strict=True), strict=True)
+            )
+            x, y, theta, stroke = row[:4]
+            found.append(RigPush(x, y, theta, stroke, moved))
         return tuple(found)
 
     def _displacements(self, scene: Scene, numbers: FloatArray) -> FloatArray | None:
@@ -390,19 +394,21 @@ def scene_of_push(scene: Scene, start: FloatArray, path: FloatArray) -> Scene:
     return replace(
         scene,
         bodies=(replace(body, pose=start),),
-        pushers=(replace(pusher, pose=None, drive=drive),),
+        pushers=(replace(pusher, pose=path[0, 1:], drive=drive),),
         duration=float(path[-1, 0]),
     )
 
 
-def collides(scene: Scene, path: FloatArray, fixels: FloatArray | None, steps: int = 24) -> FloatArray:
+def collides(
+    scene: Scene, path: FloatArray, fixels: FloatArray | None, steps: int = 24
+) -> FloatArray:
     """Return the deepest overlap (n,) of the tool with fixels on paths (n, m, 4) [m]."""
     deepest = np.full(len(path), -np.inf)
     if not scene.fixels:
         return deepest
     share = np.linspace(0.0, 1.0, steps)[:, None]
-    ways = [a[:, None] + share * (b - a)[:, None] for a, b in
-            zip(path[:, :-1, 1:].swapaxes(0, 1), path[:, 1:, 1:].swapaxes(0, 1), strict=True)]  # fmt: skip
+    waypoints = path[:, :, 1:].swapaxes(0, 1)
+    ways = [a[:, None] + share * (b - a)[:, None] for a, b in pairwise(waypoints)]
     poses = np.concatenate(ways, axis=1)
     tool = scene.pushers[0].shape
     for k, fixel in enumerate(scene.fixels):

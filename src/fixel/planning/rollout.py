@@ -14,7 +14,7 @@ from fixel.model.goals import BodyTrack, Goal, touching
 from fixel.model.overlap import overlaps
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Scenarios
-from fixel.planning.pushes import PushChoice, collides, scene_of_push
+from fixel.planning.pushes import PushChoice, collides
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
@@ -59,9 +59,6 @@ class PlannedMotions(NamedTuple):
     fixels: FloatArray | None  # (m, n_fixel, 3) planned displacements of fixels
     nominal: Runs  # of each plan without any error
     collides: BoolArray  # (m,) whether the tool would touch a fixel
-
-    def __len__(self) -> int:
-        return len(self.start)
 
     def rows(self, which: IntArray) -> PlannedMotions:
         """Return some of the plans."""
@@ -184,7 +181,7 @@ class PlanSimulator:
         n = len(path)
         self.rollouts += n
         ensemble = Ensemble.of_pushes(
-            scene_of_push(self.scene, planned[0], path[0]), planned, path, self.samples,
+            self.scene, planned, path, self.samples,
             motion=self.motion, stepper=self.stepper, threads=self.threads,
         )  # fmt: skip
         if scenarios is None:
@@ -216,7 +213,9 @@ class PlanSimulator:
         travel, aside, heading = scenarios.tool.T
         shift = travel[:, None] * along + aside[:, None] * across
         c, s = np.cos(heading), np.sin(heading)
-        turned = np.column_stack((c * begin[:, 0] - s * begin[:, 1], s * begin[:, 0] + c * begin[:, 1]))
+        turned = np.column_stack(
+            (c * begin[:, 0] - s * begin[:, 1], s * begin[:, 0] + c * begin[:, 1])
+        )
         error = np.column_stack((begin - turned + shift, heading))
         own = composed(registration(scenarios.values, len(path)), error)
         return dict(zip(REGISTRATION, own.T.copy(), strict=True))
@@ -227,8 +226,8 @@ class PlanSimulator:
         """Return the model error of ends that touch nothing; each push has its share."""
         if not rest.any():
             return rest
-        free = ~touching_fixels(self.scene, end, fixels).any(axis=1)
-        return np.asarray(np.where(free[:, None], rest, 0.0) / np.sqrt(pushes))
+        held = touching(self.scene, self.scene.bodies[0], end, fixels).any(axis=1, keepdims=True)
+        return np.asarray(np.where(held, 0.0, rest) / np.sqrt(pushes))
 
 
 def registration(values: Mapping[str, FloatArray], n: int) -> FloatArray:
@@ -254,17 +253,6 @@ def part_overlap(scene: Scene, poses: FloatArray, fixels: FloatArray | None) -> 
             deepest, overlaps(scene.bodies[0].shape, own, fixel.shape, fixel.pose).depth
         )
     return deepest
-
-
-def touching_fixels(scene: Scene, poses: FloatArray, fixels: FloatArray | None) -> BoolArray:
-    """Return whether the part at poses (n, 3) touches each fixel, (n, n_fixel) bool."""
-    if fixels is None:
-        return touching(scene, scene.bodies[0], poses)
-    columns = [
-        touching(scene, scene.bodies[0], poses - fixels[:, k] * (1.0, 1.0, 0.0))[:, k]
-        for k in range(len(scene.fixels))
-    ]
-    return np.array(columns, bool).reshape(len(columns), len(poses)).T
 
 
 def _summed(

@@ -79,15 +79,17 @@ class PlanSearch:
         key = digest.hexdigest()
         if key not in self.answers:
             self.answers[key] = self._simulated(plans, scenarios)
-        self._count(len(scenarios) * sum(len(plan) for plan in plans))
+        self._count(scenarios.n * sum(len(plan) for plan in plans))
         return self.answers[key]
 
     def _simulated(self, plans: Sequence[FloatArray], scenarios: Scenarios) -> FloatArray:
-        found = np.zeros((len(plans), len(scenarios)))
-        n = len(scenarios)
+        found = np.zeros((len(plans), scenarios.n))
+        n = scenarios.n
         for own, planned in grouped(self.simulator, plans):
             which = np.repeat(np.arange(len(own)), n)
-            runs = self.simulator.run(planned, which, scenarios.rows(np.tile(np.arange(n), len(own))))
+            runs = self.simulator.run(
+                planned, which, scenarios.rows(np.tile(np.arange(n), len(own)))
+            )
             margin = self.simulator.margins(runs).reshape(len(own), n)
             found[own] = np.where(planned.collides[:, None], -1e3, margin)
         return found
@@ -99,8 +101,8 @@ class PlanSearch:
 
     # --- stages -----------------------------------------------------------------------------------
 
-    def candidates(self) -> tuple[Numbers, FloatArray]:
-        """Return plans whose nominal end is near the goal, and their nominal margins (n,)."""
+    def candidates(self) -> Numbers:
+        """Return plans whose nominal end is near the goal, the nearest first."""
         simulator, choice = self.simulator, self.simulator.choice
         n = min(8192, max(256, 2 ** int(math.log2(max(2, 0.5 * SHARES[0] * self.rollouts)))))
         plans: Numbers = list(single_pushes(simulator.scene, choice, n, self.seed))
@@ -121,7 +123,7 @@ class PlanSearch:
         if margin[order[0]] < 0.0:
             raise self._unreachable(float(margin[order[0]]))
         near = order[margin[order] > -NEAR][:ENTRANTS]
-        return [plans[k] for k in near], margin[near]
+        return [plans[k] for k in near]
 
     def race(self, plans: Numbers) -> RaceResult:
         """Race plans under common scenarios."""
@@ -220,26 +222,31 @@ class PlanSearch:
         margins = self.margins(plans, self.final_scenarios, "final")
         ranks = []
         for plan, own in zip(plans, margins, strict=True):
-            success = SuccessProbability.of(own.reshape(WORLDS, FINAL_RUNS))
+            success = SuccessProbability.of(own.reshape(WORLDS, -1))
             worst = success.mean if success.quantile is None else success.quantile
             # Differences below the noise of the estimate are ties.
-            ranks.append((-round(50 * worst), -round(50 * success.mean), -success.margin, len(plan)))
+            ranks.append(
+                (-round(50 * worst), -round(50 * success.mean), -success.margin, len(plan))
+            )
         return min(range(len(plans)), key=ranks.__getitem__), margins
 
     @cached_property
     def final_scenarios(self) -> Scenarios:
         """Scenarios in which the plan is chosen."""
-        return self.scenarios(3, WORLDS, FINAL_RUNS)
+        return self.scenarios(3, WORLDS, min(FINAL_RUNS, max(2, self.rollouts // 5_000)))
 
     @cached_property
     def fresh_scenarios(self) -> Scenarios:
-        """Scenarios from which the success of the chosen plan is computed."""
-        return self.scenarios(4, WORLDS, WORLDS)
+        """Scenarios from which the success of the chosen plan is computed.
+
+        64 runs for each of 64 draws of the parameters, less for searches below 64,000 rollouts.
+        """
+        return self.scenarios(4, WORLDS, min(WORLDS, max(8, self.rollouts // 1_000)))
 
     def success(self, plan: FloatArray) -> tuple[SuccessProbability, FloatArray]:
         """Estimate the success of one plan from fresh scenarios; return also their margins (n,)."""
         margins = self.margins([plan], self.fresh_scenarios, "success")[0]
-        return SuccessProbability.of(margins.reshape(WORLDS, WORLDS)), margins
+        return SuccessProbability.of(margins.reshape(WORLDS, -1)), margins
 
     def distinct(self, plans: Numbers, n: int) -> Numbers:
         """Return the first n plans of which no two are near each other."""
@@ -279,7 +286,7 @@ def grouped(
     found = []
     for k in np.unique(lengths):
         own = np.flatnonzero(lengths == k)
-        found.append((own, simulator.planned(np.array([plans[j] for j in own]))))
+        found.append((own, simulator.planned(np.array([plans[int(j)] for j in own]))))
     return found
 
 
@@ -306,9 +313,7 @@ def soft_score(margins: FloatArray, worlds: int) -> FloatArray:
     return np.asarray(0.5 * rate.mean(axis=1) + 0.5 * worst + far)
 
 
-def _placed(
-    plan: FloatArray, wide: IntArray, low: FloatArray, moved: FloatArray
-) -> FloatArray:
+def _placed(plan: FloatArray, wide: IntArray, low: FloatArray, moved: FloatArray) -> FloatArray:
     found = plan.copy()
     found[:, wide] = low[wide] + moved
     return found

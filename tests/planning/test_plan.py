@@ -1,0 +1,105 @@
+"""Plans through the public function, on small problems."""
+
+import numpy as np
+import pytest
+
+import fixel
+from fixel import Belief, FreePushes, InvalidInput, PoseRegion, RigError, RigPushes, StartError
+from fixel.model import Seated
+from fixel.testing.scenes import grasp, pushed_square
+from fixel.units import deg, mm
+
+GOAL = PoseRegion((0.03, 0.01, 0.1), position=3 * mm, angle=3 * deg)
+BELIEF = Belief(
+    parameters={"mu_pusher": (0.2, 0.4)},
+    start=StartError(x=0.5 * mm, y=0.5 * mm, theta=0.5 * deg),
+    rig=RigError(path=0.2 * mm, heading=0.2 * deg),
+)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return fixel.plan(pushed_square(), GOAL, belief=BELIEF, rollouts=4_000, progress=False)
+
+
+def test_the_same_bits_for_any_number_of_threads(found):
+    one = fixel.plan(
+        pushed_square(), GOAL, belief=BELIEF, rollouts=4_000, threads=1, progress=False
+    )
+    assert one == found
+
+
+def test_another_seed_draws_other_scenarios(found):
+    other = fixel.plan(pushed_square(), GOAL, belief=BELIEF, rollouts=4_000, seed=1, progress=False)
+    assert not np.array_equal(other.runs.scenarios.start, found.runs.scenarios.start)
+
+
+def test_the_path_of_a_plan_is_the_simulated_one(found):
+    """`simulate` of a scene with the planned tool ends where the plan says."""
+    scene = pushed_square()
+    tool = scene.pushers[0]
+    drive = fixel.PathDrive(found.path[0])
+    own = fixel.Scene(
+        scene.bodies,
+        [fixel.Pusher("tool", tool.shape, friction=tool.friction, drive=drive)],
+        duration=float(found.path[0, -1, 0]),
+    )
+    end = fixel.simulate(own, {"mu_pusher": 0.3}, motion="quasistatic")["part"].pose[-1]
+    assert np.allclose(end, found.end, atol=1e-6)
+
+
+def test_without_anything_unknown_success_is_certain():
+    plan = fixel.plan(pushed_square(), GOAL, rollouts=4_000, progress=False)
+    assert plan.success.mean == 1.0
+    assert plan.failures == {}
+
+
+def test_continues_from_its_store(found, tmp_path):
+    class Stop(Exception):
+        pass
+
+    def stop(progress):
+        if progress.stage == "refinement":
+            raise Stop
+
+    with pytest.raises(Stop):
+        fixel.plan(
+            pushed_square(), GOAL, belief=BELIEF, rollouts=4_000, store=tmp_path, progress=stop
+        )
+    again = fixel.plan(
+        pushed_square(), GOAL, belief=BELIEF, rollouts=4_000, store=tmp_path, progress=False
+    )
+    assert again == found
+
+
+def test_saved_and_loaded(found, tmp_path):
+    assert fixel.load(found.save(tmp_path / "plan.fixel")) == found
+
+
+def test_capture_is_certain_where_nothing_is_off(found):
+    near, far = found.capture(0, [[0.0, 0.0, 0.0], [0.03, 0.03, 0.5]])
+    assert near > 0.9
+    assert far == 0.0
+
+
+def test_an_unreachable_goal_is_refused_with_the_nearest_end():
+    far = PoseRegion((3.0, 0.0, 0.0), position=1 * mm)
+    with pytest.raises(InvalidInput, match="the nearest candidate misses it by"):
+        fixel.plan(pushed_square(), far, rollouts=1_000, progress=False)
+
+
+def test_a_placement_on_the_rig_seats_the_part():
+    plan = fixel.plan(
+        grasp(), Seated("fixel-1", "fixel-2"),
+        RigPushes(y=(-20 * mm, 20 * mm), stroke=(100 * mm, 150 * mm)),
+        rollouts=2_000, progress=False,
+    )  # fmt: skip
+    assert plan.success.mean == 1.0
+    assert len(plan.pushes) == 1
+
+
+def test_a_sequence_reaches_what_no_single_push_does():
+    goal = PoseRegion((0.0, 0.05, 0.0), position=5 * mm, angle=5 * deg)
+    choose = FreePushes(most=2, length=(5 * mm, 60 * mm))
+    plan = fixel.plan(pushed_square(), goal, choose, rollouts=10_000, progress=False)
+    assert plan.success.mean == 1.0
