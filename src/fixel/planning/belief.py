@@ -21,6 +21,7 @@ from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.push import CalibratedModel
+from fixel.uncertainty.run_to_run import RunToRun
 from fixel.uncertainty.starts import StartError, even_points
 
 # Numbers of the streams of random values, so that no setting changes the values of another.
@@ -69,7 +70,8 @@ class Scenarios(NamedTuple):
     start: FloatArray  # (n, 3) errors of the start pose [m, m, rad]
     tool: FloatArray  # (n, 3) errors of the tool's path: along, across [m], heading [rad]
     fixels: FloatArray | None  # (n, n_fixel, 3) errors of the places of fixels [m, m, rad]
-    rest: FloatArray  # (n, 3) model error of the end where nothing touches [m, m, rad]
+    rest: FloatArray  # (n, 3) error of ends that touch nothing, by rotation, see `rest_at`
+    drift: FloatArray  # (n, 3) error of such ends, for any rotation [m, m, rad]
     world: IntArray  # (n,) sample of the parameters, which runs share
 
     @property
@@ -85,6 +87,7 @@ class Scenarios(NamedTuple):
             self.tool[which],
             None if self.fixels is None else self.fixels[which],
             self.rest[which],
+            self.drift[which],
             self.world[which],
         )
 
@@ -138,12 +141,13 @@ class Belief:
     parameters: Any = None
     start: StartError | None = None
     rig: RigError | None = None
-    run_to_run: Any = None
+    run_to_run: RunToRun | None = None
     conditions: Mapping[str, str | float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         instance(self.start, StartError | None, "belief.start", "a StartError")
         instance(self.rig, RigError | None, "belief.rig", "a RigError")
+        instance(self.run_to_run, RunToRun | None, "belief.run_to_run", "a RunToRun")
         settle(self, conditions=MappingProxyType(dict(self.conditions)))
         given = self.parameters
         if not isinstance(given, Posterior | PartModel | CalibratedModel):
@@ -214,16 +218,16 @@ class Belief:
         columns, tau = self._drawn(scene, worlds, seed)
         values = {name: column[world] for name, column in columns.items()}
         start = np.zeros((n, 3)) if self.start is None else self._starts(n, seed)
-        rest = np.zeros((n, 3))
+        rest, drift = np.zeros((n, 3)), np.zeros((n, 3))
         if self.run_to_run is not None:
             own = self.run_to_run.drawn(n, seed=_seed(seed, _RUN), scene=scene, values=values)
             values, start, rest = own.values, start + own.start, own.rest
         elif tau is not None:
             arm = math.sqrt(scene.bodies[0].shape.unit_inertia)
             drawn = np.random.default_rng(_seed(seed, _REST)).standard_normal((n, 3))
-            rest = tau[world, None] * drawn / np.array([1.0, 1.0, arm])
+            drift = tau[world, None] * drawn / np.array([1.0, 1.0, arm])
         tool, fixels = self._rig(scene, n, seed)
-        return Scenarios(values, start, tool, fixels, rest, world)
+        return Scenarios(values, start, tool, fixels, rest, drift, world)
 
     def _starts(self, n: int, seed: int) -> FloatArray:
         assert self.start is not None

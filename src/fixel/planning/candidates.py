@@ -141,9 +141,10 @@ def last_pushes(simulator: PlanSimulator, table: Table, seed: int) -> tuple[Floa
         return poses[:0], pushes[:0]
     shaken = rng.standard_normal((len(rows) * PERTURBED, 3)) * table.spread
     n = len(shaken)
+    none = np.zeros((n, 3))
     nothing = Scenarios(
         {name: np.full(n, x) for name, x in simulator.nominal.items()},
-        shaken, np.zeros((n, 3)), None, np.zeros((n, 3)), np.zeros(n, np.int64),
+        shaken, none, None, none, none, np.zeros(n, np.int64),
     )  # fmt: skip
     runs = simulator.run(planned, np.repeat(rows, PERTURBED), nothing)
     met = (simulator.margins(runs) >= 0.0).reshape(len(rows), PERTURBED).mean(axis=1)

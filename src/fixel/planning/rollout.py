@@ -20,6 +20,7 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.vary import composed, varied_start
 from fixel.typing import BoolArray, FloatArray, IntArray
+from fixel.uncertainty.run_to_run import rest_at
 
 # What became of a run; all but the first count as failures of the plan.
 CARRIED_OUT, NOT_SIMULATED, TOOL_ON_PART, START_OVERLAPS = range(4)
@@ -164,7 +165,7 @@ class PlanSimulator:
             )
             failure = np.where(failure == CARRIED_OUT, failed, failure)
             force = np.maximum(force, peak)
-            pose[:, -1] += self._rest(pose[:, -1], fixels, scenarios.rest, k)
+            pose[:, -1] += self._error(pose[:, -1], actual, fixels, scenarios) / np.sqrt(k)
             poses[:, push * self.samples : (push + 1) * self.samples] = pose
             actual = pose[:, -1]
         return Runs(poses, failure, stalled, force, fixels)
@@ -220,14 +221,15 @@ class PlanSimulator:
         own = composed(registration(scenarios.values, len(path)), error)
         return dict(zip(REGISTRATION, own.T.copy(), strict=True))
 
-    def _rest(
-        self, end: FloatArray, fixels: FloatArray | None, rest: FloatArray, pushes: int
+    def _error(
+        self, end: FloatArray, start: FloatArray, fixels: FloatArray | None, scenarios: Scenarios
     ) -> FloatArray:
-        """Return the model error of ends that touch nothing; each push has its share."""
-        if not rest.any():
-            return rest
+        """Return the errors (n, 3) of the model that are added to ends that touch nothing."""
+        if not (scenarios.rest.any() or scenarios.drift.any()):
+            return np.zeros_like(end)
         held = touching(self.scene, self.scene.bodies[0], end, fixels).any(axis=1, keepdims=True)
-        return np.asarray(np.where(held, 0.0, rest) / np.sqrt(pushes))
+        error = rest_at(scenarios.rest, end[:, 2] - start[:, 2]) + scenarios.drift
+        return np.asarray(np.where(held, 0.0, error))
 
 
 def registration(values: Mapping[str, FloatArray], n: int) -> FloatArray:
