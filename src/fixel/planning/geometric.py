@@ -1,0 +1,180 @@
+"""Pushes computed in closed form, with which a search for a plan starts."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Final
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+
+from fixel.errors import InvalidInput
+from fixel.model import Body, Shape
+from fixel.model.fields import non_negative, positive, vector
+from fixel.planning.alignment import friction_arm
+from fixel.planning.pushes import outline_points
+from fixel.typing import BoolArray, FloatArray
+
+CONTACTS: Final = 64  # evenly spaced along the outline, besides those in line with the centre
+ANGLES: Final = 9  # of each contact, up to the largest
+LENGTHS: Final = 48  # of each angle, up to the longest
+
+
+def geometric_pushes(
+    part: Body,
+    displacement: ArrayLike,
+    *,
+    friction: float = 0.25,
+    tool_radius: float = 5e-3,
+    angle: float = pi / 6,
+    length: tuple[float, float] | None = None,
+    n: int = 32,
+) -> FloatArray:
+    """Return straight pushes by a round tool that bring a part near to a displacement.
+
+    The motion follows in closed form from a contact that does not slip and an ellipsoidal limit
+    surface. Contacts of which the tool would slip are used last, and those that the tool does not
+    reach not at all. Pushes through the centre of friction are among the contacts: they do not turn
+    the part.
+
+    Parameters
+    ----------
+    part : Body
+        Part with a support that has friction.
+    displacement : (3,) array_like
+        Pose of the part after the push in its frame before it [m, m, rad].
+    friction : float
+        Friction of the tool on the part [-].
+    tool_radius : float
+        Radius of the tool [m].
+    angle : float
+        Largest angle between the push and the inward normal [rad].
+    length : (float, float), optional
+        Range of the length of the push [m]; by default up to twice the way of the part.
+    n : int
+        Largest number of pushes.
+
+    Returns
+    -------
+    (m, 3) float64
+        Contact as a share of the way round the outline [-], angle from the inward normal [rad] and
+        length [m]; the nearest to the displacement first, each pair of contact and angle once.
+
+    Raises
+    ------
+    InvalidInput
+        The displacement is zero or not finite, or the support has no friction.
+
+    References
+    ----------
+    :cite:t:`howe1996`; :cite:t:`lynch1996`.
+
+    Examples
+    --------
+    >>> from fixel import Polygon, UniformPressure
+    >>> square = Polygon.rectangle(0.1, 0.1)
+    >>> part = Body("part", square, mass=1, support=UniformPressure(friction=0.3))
+    >>> geometric_pushes(part, (0.02, 0, 0), n=1).round(3)
+    array([[0.875, 0.   , 0.02 ]])
+    """
+    non_negative(friction, "friction"), positive(tool_radius, "tool_radius", "m")
+    x, y, turn = vector(displacement, "displacement", "x [m], y [m], angle [rad]").tolist()
+    arm = friction_arm(part)
+    # Motion of the centre of mass.
+    c, s = np.cos(turn), np.sin(turn)
+    wanted = np.array([x, y, turn])
+    wanted[:2] += np.array([[c, -s], [s, c]]) @ part.com - part.com
+    way = float(np.hypot(*wanted[:2])) + 2.0 * arm * abs(turn)
+    if way == 0.0:
+        raise InvalidInput("displacement", found="none", expected="a motion other than zero")
+    low, high = length or (2.0 * way / LENGTHS, 2.0 * way)
+    share = _contacts(part)
+    point, inward = outline_points(part.shape, share)
+    reached = _reached(part.shape, point, inward, tool_radius)
+    share, point, inward = share[reached], point[reached] - part.com, inward[reached]
+    turns = np.linspace(-angle, angle, ANGLES)
+    own = np.repeat(np.arange(len(share)), ANGLES)
+    turns = np.tile(turns, len(share))
+    heading = np.arctan2(inward[own, 1], inward[own, 0]) + turns
+    ways = np.linspace(low, high, LENGTHS)
+    moved = point_push(point[own][:, None], heading[:, None], ways, arm)
+    off = moved - wanted
+    far = np.hypot(off[..., 0], off[..., 1]) + arm * np.abs(off[..., 2])
+    best = np.argmin(far, axis=1)
+    rows = np.arange(len(best))
+    # The contact turns with the part, so that the cone is widest used at one of the two ends.
+    slips = _slips(point[own], inward[own], heading, friction, arm)
+    slips |= _slips(point[own], inward[own], heading - moved[rows, best, 2], friction, arm)
+    order = np.lexsort((far[rows, best], slips))[:n]
+    return np.column_stack((share[own], turns, ways[best]))[order]
+
+
+def point_push(contact: ArrayLike, heading: ArrayLike, length: ArrayLike, arm: float) -> FloatArray:
+    """Compute the motion of a part that is pushed at a point without slip.
+
+    Parameters
+    ----------
+    contact : (..., 2) array_like
+        Point of contact from the centre of mass, in the frame of the part at the start [m].
+    heading : (...) array_like
+        Direction of the push in that frame [rad].
+    length : (...) array_like
+        Length of the push [m]; negative for a pull.
+    arm : float
+        Friction torque over friction force of an ellipsoidal limit surface [m].
+
+    Returns
+    -------
+    (..., 3) float64
+        Displacement of the centre of mass, and rotation [m, m, rad].
+
+    Examples
+    --------
+    >>> point_push((-0.05, 0.0), 0.0, 0.02, 0.038)
+    array([0.02, 0.  , 0.  ])
+    """
+    contact = np.asarray(contact, np.float64)
+    heading, length = np.asarray(heading, np.float64), np.asarray(length, np.float64)
+    lever = np.hypot(contact[..., 0], contact[..., 1])
+    ahead = np.arctan2(-contact[..., 1], -contact[..., 0]) - heading
+    start = np.mod(ahead + pi, 2.0 * pi) - pi
+    growth = np.exp(lever * length / (lever**2 + arm**2))
+    # The half angle by its sine and cosine: the centre may lie straight behind the contact.
+    end = 2.0 * np.arctan2(np.sin(0.5 * start) * growth, np.cos(0.5 * start))
+    x = contact[..., 0] + length * np.cos(heading) + lever * np.cos(heading + end)
+    y = contact[..., 1] + length * np.sin(heading) + lever * np.sin(heading + end)
+    return np.stack(np.broadcast_arrays(x, y, end - start), axis=-1)
+
+
+def _contacts(part: Body) -> FloatArray:
+    """Return shares of the way round the outline: evenly spaced, and where the inward normal
+    passes through the centre of mass."""
+    outline = part.shape.outline
+    ring = shapely.LinearRing(outline)
+    even = (np.arange(CONTACTS) + 0.5) / CONTACTS
+    along = np.roll(outline, -1, axis=0) - outline
+    foot = ((part.com - outline) * along).sum(axis=1) / (along**2).sum(axis=1)
+    inside = (foot > 0.0) & (foot < 1.0)
+    feet = shapely.points(outline[inside] + foot[inside, None] * along[inside])
+    return np.concatenate((shapely.line_locate_point(ring, feet, normalized=True), even))
+
+
+def _reached(shape: Shape, point: FloatArray, inward: FloatArray, radius: float) -> BoolArray:
+    """Return whether a round tool (n,) touches the outline at each contact without overlap."""
+    centre = shapely.points(point - 1.001 * radius * inward)
+    return np.asarray(shapely.distance(shapely.Polygon(shape.outline), centre) >= radius)
+
+
+def _slips(
+    point: FloatArray, inward: FloatArray, heading: FloatArray, friction: float, arm: float
+) -> BoolArray:
+    """Return whether the force that moves a contact along `heading` is outside its cone."""
+    along = np.column_stack((np.cos(heading), np.sin(heading)))
+    across = np.column_stack((-point[:, 1], point[:, 0]))
+    # Force of which the contact moves along: the inverse of 1 + across across^T / arm^2.
+    share = (across * along).sum(axis=1) / (arm**2 + (across**2).sum(axis=1))
+    force = along - share[:, None] * across
+    normal = (force * inward).sum(axis=1)
+    tangent = np.abs(force[:, 0] * inward[:, 1] - force[:, 1] * inward[:, 0])
+    return np.asarray(tangent > friction * normal)
