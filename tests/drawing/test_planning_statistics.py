@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from matplotlib import pyplot
+from tests.drawing.collisions import collisions
 
 from fixel.errors import InvalidInput
 from fixel.planning.causes import Explanation
 from fixel.planning.success import SuccessProbability
 from fixel.planning.trials import PlanTrial, Trials
-from tests.drawing.collisions import collisions
 
 
 @pytest.fixture(autouse=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple, final
@@ -114,9 +114,10 @@ class Belief:
 
     Parameters
     ----------
-    parameters : Posterior, PartModel, Calibration or mapping, optional
-        Samples of a posterior; those of a part by its labels in `conditions`; the intervals of a
-        calibration, sampled evenly; or a value or an interval ``(low, high)`` by name [SI]. By
+    parameters : Posterior, PartModel, Calibration, mapping or sequence of mappings, optional
+        Samples of a posterior; of a part by its labels in `conditions`; of a calibration from its
+        intervals and correlations. Or a value or an interval ``(low, high)`` by name, sampled
+        evenly [SI], or several sets of values that are equally likely, the nominal one first. By
         default the scene's own values.
     start : StartError, optional
         Errors of the start pose. By default none.
@@ -150,7 +151,9 @@ class Belief:
         instance(self.run_to_run, RunToRun | None, "belief.run_to_run", "a RunToRun")
         settle(self, conditions=MappingProxyType(dict(self.conditions)))
         given = self.parameters
-        if not isinstance(given, Posterior | PartModel | CalibratedModel):
+        if isinstance(given, Sequence):
+            _check_sets(given)
+        elif not isinstance(given, Posterior | PartModel | CalibratedModel):
             instance(given, Mapping | None, "belief.parameters", "a mapping or a calibrated model")
             Parameters({name: ends(x, name)[0] for name, x in (given or {}).items()})
 
@@ -187,6 +190,8 @@ class Belief:
             return dict(zip(NAMES, mean.tolist(), strict=True))
         if isinstance(given, CalibratedModel):
             return _without_start(given.values_for(**self.conditions))
+        if isinstance(given, Sequence):
+            return {name: float(x) for name, x in given[0].items()}
         return {name: sum(ends(x, name)) / 2.0 for name, x in (given or {}).items()}
 
     def unseen(self, push: Scene | Experiment) -> tuple[str, ...]:
@@ -264,23 +269,16 @@ class Belief:
             error = given.typical_error
             tau = np.full(worlds, error / math.sqrt(2.0 * math.log(2.0))) if error else None
             return given.samples(worlds, number, **labels), tau
+        if isinstance(given, CalibratedModel):
+            return _without_start(given.samples(worlds, number, **self.conditions)), None
+        if isinstance(given, Sequence):
+            rows = np.arange(worlds) % len(given)
+            return {name: np.array([own[name] for own in given])[rows] for name in given[0]}, None
         return self._intervals(worlds, number), None
 
     def _intervals(self, worlds: int, number: int) -> dict[str, FloatArray]:
-        """Draw evenly from the intervals of a calibration or a mapping."""
-        given: Any = self.parameters
-        if isinstance(given, CalibratedModel):
-            values = _without_start(given.values_for(**self.conditions))
-            pairs = {
-                name: (own.low, own.high)
-                for name, own in given.estimates.items()
-                if name in values and own.low is not None and own.high is not None
-            }
-            spans: dict[str, Interval] = {
-                name: pairs.get(name, (x, x)) for name, x in values.items()
-            }
-        else:
-            spans = {name: ends(x, name) for name, x in (given or {}).items()}
+        """Draw evenly from the intervals of a mapping."""
+        spans = {name: ends(x, name) for name, x in (self.parameters or {}).items()}
         wide = [name for name, (low, high) in spans.items() if high > low]
         even = even_points(worlds, len(wide), number) if wide else np.zeros((worlds, 0))
         shuffled = even[np.random.default_rng(number).permutation(worlds)]
@@ -309,6 +307,20 @@ def ends(value: Any, name: str) -> Interval:
             expected="a number, or (low, high) with low <= high",
         )
     return low, high
+
+
+def _check_sets(sets: Sequence[Any]) -> None:
+    if not sets:
+        raise InvalidInput("belief.parameters", found="no sets", expected="one set or more")
+    for k, own in enumerate(sets):
+        instance(own, Mapping, f"belief.parameters[{k}]", "a mapping of names to values")
+        Parameters(own)
+        if set(own) != set(sets[0]):
+            raise InvalidInput(
+                f"belief.parameters[{k}]",
+                found=", ".join(own),
+                expected=f"the parameters of the first set: {', '.join(sets[0])}",
+            )
 
 
 def _without_start(values: Mapping[str, Any]) -> dict[str, Any]:

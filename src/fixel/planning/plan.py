@@ -119,6 +119,21 @@ class PushPlan(Result):
     rollouts: int
     seed: int
 
+    @property
+    def scenes(self) -> tuple[Scene, ...]:
+        """Scene of each push: the part at its planned pose, the tool on its path."""
+        scene = self.scene
+        if self.fixels is not None:
+            moved = [
+                replace(fixel, pose=np.asarray(fixel.pose) + shift)
+                for fixel, shift in zip(scene.fixels, self.fixels, strict=True)
+            ]
+            scene = replace(scene, fixels=tuple(moved))
+        return tuple(
+            scene_of_push(scene, start, path)
+            for start, path in zip(self.start, self.path, strict=True)
+        )
+
     def waypoints(self) -> Table:
         """Return the motion of the tool as a table: push, time, x, y and angle."""
         names = ("push", "time", "x", "y", "angle")

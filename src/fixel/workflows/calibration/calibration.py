@@ -8,11 +8,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
+from statistics import NormalDist
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, final, overload
 
 import numpy as np
 
+from fixel.calibration.joint import correlation_at, draw_joint
 from fixel.calibration.known_pushes import KnownPushes, push_target
 from fixel.calibration.misfit import WARNED
 from fixel.calibration.noise import Noise
@@ -297,6 +299,41 @@ class Calibration(Result, Mapping[str, float]):
         if experiment is not None:
             known = {**experiment.conditions, "experiment": experiment.key, **known}
         return values_under(self, known)
+
+    @cached_property
+    def correlation(self) -> FloatArray:
+        """Correlations (n_free, n_free) of the parameters about the best fit.
+
+        Those that the search changed, in the order of `space.labels`; simulated when first asked.
+        """
+        comparer = Comparer(self.targets, self.space, None, self.motion)
+        return correlation_at(comparer, self.found.point)
+
+    def samples(
+        self, n: int = 64, seed: int = 0, **conditions: str | float
+    ) -> dict[str, FloatArray]:
+        """Return n samples of the parameters for an experiment, (n,) each by name.
+
+        Normal distributions about the best fit with the intervals of `estimates` and the
+        correlations of least squares. A parameter whose interval is open is even within its bounds.
+
+        Parameters
+        ----------
+        n, seed : int
+        **conditions
+            Conditions, such as `surface="abs"`, for parameters with a value for each of them.
+        """
+        space = self.space
+        own = [self.estimates[label] for label in space.labels]
+        width = NormalDist().inv_cdf(0.5 + 0.5 * self.level)
+        sd = [
+            math.inf if e.low is None or e.high is None else 0.5 * (e.high - e.low) / width
+            for e in own
+        ]
+        points = draw_joint(
+            self.found.point, space.low, space.high, np.array(sd), self.correlation, n, seed
+        )
+        return space.columns(points, conditions)
 
     @cached_property
     def known(self) -> KnownPushes:
