@@ -40,6 +40,11 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "new-parts": ("new_parts", "run", "learning curves of parts never pushed, with their bounds"),
     "domain": ("domain", "run", "maps of the simulated laboratory, judged by new experiments"),
     "sbc": ("sbc", "run", "posteriors of 300 data sets drawn from the prior"),
+    "planning-statistics": (
+        "planning_statistics",
+        "run",
+        "races, stated probabilities, trials and causes, on problems with known truths",
+    ),
     "tracking": ("tracking", "run", "rendered films tracked on one core, against their truth"),
     "camera": ("camera", "run", "cameras from rendered pictures of boards, and their errors in mm"),
     "other-camera": (
@@ -57,6 +62,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
 ONLY_WHEN_ASKED = {
     *("peers", "varied", "tracking", "arrival", "coverage", "misfit", "domain", "sbc"),
     *("new-parts", "camera", "other-camera", "web", "filter-coverage", "filter-wrong"),
+    "planning-statistics",
 }
 
 
