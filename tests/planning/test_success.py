@@ -100,6 +100,13 @@ def test_stated_probability_is_what_the_worst_draws_reach():
     assert found.spare(0.4) == pytest.approx(0.1, abs=0.01)
 
 
+def test_few_runs_of_equal_draws_are_no_reason_to_calibrate():
+    rng = np.random.default_rng(6)
+    found = [SuccessProbability.of(_margins(rng, np.full(64, 0.5), 8)) for _ in range(100)]
+    assert sum(own.mean - own.quantile > 0.05 for own in found) > 20
+    assert sum(own.calibrate_first for own in found) <= 3
+
+
 def test_independent_scenarios_decide_the_mean():
     worlds = np.where(np.arange(64)[:, None] < 8, -1.0, np.ones((64, 64)))
     found = SuccessProbability.of(worlds, independent=np.ones(299))

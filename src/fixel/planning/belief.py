@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -28,6 +28,12 @@ from fixel.uncertainty.starts import StartError, even_points
 _PARAMETERS, _START, _RIG, _RUN, _REST = range(5)
 
 Interval = tuple[float, float]
+
+# SI units of the unknowns that are no parameters.
+UNKNOWN_UNITS: Final[Mapping[str, str]] = {
+    "start x": "m", "start y": "m", "start angle": "rad",
+    "tool travel": "m", "tool path": "m", "tool heading": "rad",
+}  # fmt: skip
 
 
 @final

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import ClassVar, Final, NamedTuple, final
 
@@ -220,6 +220,22 @@ class Explanation(Result):
             tolerance={wide: float(np.mean(own[plan] >= 1.0 - wide)) for wide in TOLERANCES},
             kinds=dict(sorted({k: failed.count(k) for k in failed}.items(), key=lambda o: -o[1])),
         )
+
+    def with_worth(self, other: Explanation) -> Explanation:
+        """Return this explanation with the worth of measuring from another one.
+
+        Parameters
+        ----------
+        other : Explanation
+            Explanation of the same plan from scenarios in which it is compared with other plans.
+        """
+        worth = {own.name: (own.worth, own.worth_error) for own in other.effects}
+        effects = []
+        for own in self.effects:
+            value, error = worth.get(own.name, (0.0, 0.0))
+            value = min(value, 1.0 - self.success)
+            effects.append(replace(own, worth=value, worth_error=error))
+        return replace(self, effects=tuple(effects), n_plans=other.n_plans, regret=other.regret)
 
     @property
     def sentences(self) -> tuple[str, ...]:

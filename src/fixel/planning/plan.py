@@ -13,7 +13,8 @@ from fixel.errors import InvalidInput
 from fixel.model import Scene
 from fixel.model.fields import instance
 from fixel.model.goals import Goal
-from fixel.planning.belief import Belief, Scenarios
+from fixel.planning.belief import UNKNOWN_UNITS, Belief, Scenarios
+from fixel.planning.causes import Explanation
 from fixel.planning.pushes import (
     FreePushes,
     PlanPush,
@@ -189,6 +190,34 @@ class PushPlan(Result):
         simulator = self._simulator(threads)
         found = simulator.run(self._planned(), np.zeros(own.n, np.int64), own, first=push)
         return np.asarray((simulator.margins(found) >= 0.0).reshape(-1, runs).mean(axis=1))
+
+    def explain(self) -> Explanation:
+        """Return the reasons why the plan fails, and what measuring each unknown is worth.
+
+        Failures are those of the runs that state its success probability. The worth of measuring
+        comes from the best plans of the search, in the scenarios in which one of them was chosen.
+
+        Examples
+        --------
+        >>> import fixel
+        >>> from fixel.planning.belief import Belief
+        >>> from fixel.testing.scenes import pushed_square
+        >>> from fixel.units import deg, mm
+        >>> goal = fixel.PoseRegion((0.02, 0.0, 0.0), position=5 * mm, angle=5 * deg)
+        >>> belief = Belief(start=fixel.StartError(x=0.0, y=8 * mm, theta=0.0))
+        >>> plan = fixel.plan(pushed_square(), goal, belief=belief, rollouts=4_000, progress=False)
+        >>> plan.explain().effects[0].name
+        'start y'
+        """
+        own, others = self.runs.scenarios, self.compared
+        failures = Explanation.of(
+            self.runs.margin[None], own.unknowns(), worlds=own.world, units=UNKNOWN_UNITS,
+            kinds=self.runs.outcome,
+        )  # fmt: skip
+        compared = Explanation.of(
+            self.alternatives, others.unknowns(), worlds=others.world, units=UNKNOWN_UNITS
+        )
+        return failures.with_worth(compared)
 
     def _simulator(self, threads: int | None) -> PlanSimulator:
         return simulator_of(

@@ -222,7 +222,7 @@ class PlanSearch:
         margins = self.margins(plans, self.final_scenarios, "final")
         ranks = []
         for plan, own in zip(plans, margins, strict=True):
-            success = SuccessProbability.of(own.reshape(WORLDS, -1))
+            success = self._success(own)
             worst = success.mean if success.quantile is None else success.quantile
             # Differences below the noise of the estimate are ties.
             ranks.append(
@@ -246,7 +246,12 @@ class PlanSearch:
     def success(self, plan: FloatArray) -> tuple[SuccessProbability, FloatArray]:
         """Estimate the success of one plan from fresh scenarios; return also their margins (n,)."""
         margins = self.margins([plan], self.fresh_scenarios, "success")[0]
-        return SuccessProbability.of(margins.reshape(WORLDS, -1)), margins
+        return self._success(margins), margins
+
+    def _success(self, margins: FloatArray) -> SuccessProbability:
+        """Estimate success from margins (n,); by parameter draw only if parameters are unknown."""
+        known = self.belief.parameters is None
+        return SuccessProbability.of(margins if known else margins.reshape(WORLDS, -1))
 
     def distinct(self, plans: Numbers, n: int) -> Numbers:
         """Return the first n plans of which no two are near each other."""

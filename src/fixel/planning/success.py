@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Final, final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import betaincinv, stdtrit
+from scipy.special import betaincinv, chdtrc, stdtrit
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import settle
@@ -18,6 +18,7 @@ from fixel.typing import FloatArray
 WORST: Final = 0.05  # share of parameter draws, and of runs, that count as the worst ones
 # Difference of mean and quantile above which a calibration helps more than a longer search.
 MAX_SPREAD: Final = 0.05
+CERTAIN: Final = 0.01  # chance of a spread of equal draws below which they count as different
 
 
 def finite_margins(margins: ArrayLike, n_dims: int, where: str = "margins") -> FloatArray:
@@ -254,8 +255,16 @@ class SuccessProbability(Result):
 
     @property
     def calibrate_first(self) -> bool:
-        """Whether a calibration is the first advice: mean and quantile differ by over 0.05."""
-        return self.quantile is not None and self.mean - self.quantile > MAX_SPREAD
+        """Whether a calibration is the first advice.
+
+        It is if mean and quantile differ by more than 0.05, and the draws by more than chance.
+        """
+        if self.quantile is None or self.mean - self.quantile <= MAX_SPREAD:
+            return False
+        mean = float(np.mean(self.rates))
+        variance = max(mean * (1.0 - mean), 1e-12) / self.n_runs
+        excess = float(np.sum((self.rates - mean) ** 2)) / variance
+        return bool(chdtrc(len(self.rates) - 1, excess) < CERTAIN)
 
     def spare(self, wanted: float) -> float:
         """Return the share of probability that may be wrong before a wanted success is missed.
