@@ -33,6 +33,7 @@ from fixel.cli import (
     jobs,
     next_pushes,
     overlay,
+    plan,
     project,
     record,
     replay,
@@ -88,6 +89,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
         "sensitivity": sensitivity.sensitivity,
         "uncertainty": uncertainty.uncertainty,
         "next": next_pushes.next_,
+        "plan": plan.app,
         "report": report.report,
     },
     "Bench": {

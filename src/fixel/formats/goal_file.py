@@ -45,7 +45,7 @@ from fixel.model.goals import (
     Seated,
 )
 from fixel.planning.belief import Belief, RigError
-from fixel.planning.pushes import FreePushes, PushChoice, RigPushes
+from fixel.planning.pushes import FreePushes, RigPushes
 from fixel.uncertainty.starts import StartError, preset
 
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
@@ -224,7 +224,7 @@ class GoalFile:
     """
 
     goal: Goal
-    choose: PushChoice | None = None
+    choose: FreePushes | RigPushes | None = None
     belief: Belief = field(default_factory=Belief)
     calibration: int | None = None
     run_to_run: bool = True
@@ -333,7 +333,7 @@ def _event(record: EventRecord, path: str) -> Any:
     return built(Contact if form == "contact" else Exit, inner, f"{path}.{form}", "goal.")
 
 
-def _choice(record: ChooseRecord, path: str) -> PushChoice:
+def _choice(record: ChooseRecord, path: str) -> FreePushes | RigPushes:
     form = only_form(record, path)
     path = f"{path}.{form}"
     if record.free is not None:

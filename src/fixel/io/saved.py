@@ -9,6 +9,7 @@ import json
 import math
 import sys
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import import_module
@@ -33,6 +34,10 @@ _CONTAINERS: Final[Mapping[str, Callable[[Any], Any]]] = {
     "dict": dict,
     "mappingproxy": lambda pairs: MappingProxyType(dict(pairs)),
 }
+_DAMAGED: Final = (
+    zipfile.BadZipFile, zlib.error, KeyError, TypeError, AttributeError, ValueError, EOFError,
+    NotImplementedError, RuntimeError, OverflowError,
+)  # fmt: skip
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -108,7 +113,7 @@ def load(path: str | Path) -> Any:
         raise _refused(path, f"a result that this version cannot read: {problem}") from None
     except OSError as problem:
         raise _refused(path, os_reason(problem)) from None
-    except (zipfile.BadZipFile, KeyError, TypeError, AttributeError, ValueError, EOFError):
+    except _DAMAGED:
         raise _refused(path, "another kind of file, or a damaged one") from None
 
 

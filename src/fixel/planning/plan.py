@@ -162,7 +162,7 @@ class PushPlan(Result):
         rows = np.linspace(0, len(self.runs.margin) - 1, min(n, len(self.runs.margin)))
         simulator = replace(self._simulator(threads), samples=samples)
         own = self.runs.scenarios.rows(rows.astype(np.int64))
-        return simulator.run(self._planned(), np.zeros(own.n, np.int64), own)
+        return simulator.run(self.planned(), np.zeros(own.n, np.int64), own)
 
     def capture(
         self, push: int, offsets: FloatArray, *, runs: int = 16, threads: int | None = None
@@ -188,7 +188,7 @@ class PushPlan(Result):
         own = self.runs.scenarios.rows(np.tile(rows, len(offsets)))
         own = own._replace(start=np.repeat(np.asarray(offsets, np.float64), runs, axis=0))
         simulator = self._simulator(threads)
-        found = simulator.run(self._planned(), np.zeros(own.n, np.int64), own, first=push)
+        found = simulator.run(self.planned(), np.zeros(own.n, np.int64), own, first=push)
         return np.asarray((simulator.margins(found) >= 0.0).reshape(-1, runs).mean(axis=1))
 
     def explain(self) -> Explanation:
@@ -224,7 +224,8 @@ class PushPlan(Result):
             self.scene, self.goal, self.choose, self.belief, self.motion, self.stepper, threads
         )
 
-    def _planned(self) -> PlannedMotions:
+    def planned(self) -> PlannedMotions:
+        """Return the planned motions, to simulate them in other scenarios."""
         fixels = None if self.fixels is None else self.fixels[None]
         nominal = Runs(
             self.end[None, None], np.zeros(1, np.int64), np.zeros(1, bool), np.zeros(1), fixels

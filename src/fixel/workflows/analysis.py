@@ -27,7 +27,7 @@ from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.workflows.figures import ENDINGS, Picture, make_folder, write_picture
 
-Kind = Literal["tracking", "growth", "domain", "sensitivity", "uncertainty", "next"]
+Kind = Literal["tracking", "growth", "domain", "sensitivity", "uncertainty", "next", "plan"]
 
 ANALYSES: Final = "analyses"
 CONTENT: Final = "analysis.json"

@@ -1,0 +1,201 @@
+"""Plans under the present calibration, and new plans from a seen pose."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.errors import InvalidInput
+from fixel.model.goals import BodyTrack
+from fixel.model.scene import Scene
+from fixel.planning.belief import Belief
+from fixel.planning.plan import PushPlan, simulator_of
+from fixel.planning.pushes import FreePushes
+from fixel.planning.success import SuccessProbability
+from fixel.planning.trials import Trials
+from fixel.progress import ProgressOption
+from fixel.typing import FloatArray
+from fixel.uncertainty.starts import RPI_CAMERA, StartError
+from fixel.workflows.planning.request import FoundPlan, inputs_of, warnings_of
+from fixel.workflows.planning.run import plan
+from fixel.workflows.planning.stored import load_plan, load_trials
+
+WORLDS: Final = 64
+FRESH: Final = 1_000_003  # added to the seed of a plan, so that a check draws other scenarios
+QUICK: Final = 20_000  # rollouts of a new plan from a seen pose
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class CheckedPlan:
+    """Plan with its success probability under the present calibration, and its trials.
+
+    Attributes
+    ----------
+    found : FoundPlan
+    id : str
+    now : SuccessProbability
+    calibration : int or None
+        Id of the present calibration.
+    changed : bool
+        Whether the plan was made with another calibration.
+    trials : Trials
+    """
+
+    found: FoundPlan
+    id: str
+    now: SuccessProbability
+    calibration: int | None
+    changed: bool
+    trials: Trials
+
+    @property
+    def sentences(self) -> list[str]:
+        """What the check found, in sentences."""
+        plan = self.found.plan
+        lines = [f"Stated when it was made: {plan.success.sentence}."]
+        if self.changed:
+            lines.append(f"The calibration has changed: now {self.calibration}.")
+        lines.append(f"Under the present calibration: {self.now.sentence}.")
+        if self.now.stated < self.found.wanted:
+            lines.append(f"This is below the wanted {self.found.wanted:g}: plan again.")
+        if self.trials.n:
+            lines.append(str(self.trials).splitlines()[0] + ".")
+        else:
+            lines.append("No trials yet.")
+        return lines
+
+
+def check_plan(project: Project | None, path: Path, *, threads: int | None = None) -> CheckedPlan:
+    """Compute the success probability of a stored plan under the present calibration.
+
+    Raises
+    ------
+    InvalidInput
+        The plan file or its trials cannot be read.
+    """
+    file = load_plan(path)
+    trials = load_trials(path, file)
+    belief, number = present_belief(project, file.found)
+    return CheckedPlan(
+        found=file.found,
+        id=file.id,
+        now=success_under(file.found.plan, belief, threads=threads),
+        calibration=number,
+        changed=number != file.found.calibration,
+        trials=trials,
+    )
+
+
+def present_belief(project: Project | None, found: FoundPlan) -> tuple[Belief, int | None]:
+    """Return the belief of a plan with the present calibration of its project, and its id."""
+    if project is None or found.calibration is None:
+        return found.plan.belief, found.calibration
+    request = replace(found.request, calibration=None)
+    own = inputs_of(project, request)
+    return own.belief, own.calibration
+
+
+def success_under(
+    plan: PushPlan, belief: Belief, *, threads: int | None = None
+) -> SuccessProbability:
+    """Compute the success probability of a plan from fresh scenarios of a belief."""
+    scenarios = belief.scenarios(plan.scene, worlds=WORLDS, runs=WORLDS, seed=plan.seed + FRESH)
+    simulator = simulator_of(
+        plan.scene, plan.goal, plan.choose, belief, plan.motion, plan.stepper, threads
+    )
+    runs = simulator.run(plan.planned(), np.zeros(scenarios.n, np.int64), scenarios)
+    margins = simulator.margins(runs)
+    return SuccessProbability.of(margins.reshape(WORLDS, WORLDS))
+
+
+def seen_pose(text: str, where: str = "--seen") -> FloatArray:
+    """Return a pose (3,) [m, m, rad] from text such as `120.5,3,-10` [mm, mm, deg]."""
+    try:
+        x, y, angle = (float(part) for part in text.split(","))
+        if not all(map(math.isfinite, (x, y, angle))):
+            raise ValueError
+    except ValueError:
+        raise InvalidInput(
+            where, found=repr(text), expected="x,y,angle in mm, mm and degrees: 120.5,3,-10"
+        ) from None
+    return np.array([x / 1e3, y / 1e3, math.radians(angle)])
+
+
+def next_plan(
+    project: Project | None,
+    path: Path,
+    seen: FloatArray,
+    *,
+    done: int = 0,
+    error: StartError | None = None,
+    rollouts: int = QUICK,
+    threads: int | None = None,
+    progress: ProgressOption = None,
+) -> FoundPlan:
+    """Plan again from a seen pose of the part, with the pushes that are left.
+
+    Parameters
+    ----------
+    project : Project or None
+    path : Path
+        Plan file.
+    seen : (3,) float64
+        Pose of the part [m, m, rad].
+    done : int
+        Number of pushes that were carried out.
+    error : StartError, optional
+        Error of the seen pose; by default that of the stickers' camera.
+    rollouts : int
+    threads : int, optional
+    progress : bool or callable, optional
+    """
+    found = load_plan(path).found
+    old = found.plan
+    belief, number = present_belief(project, found)
+    left = len(old.pushes) - done
+    if left < 1:
+        raise InvalidInput(
+            "--done", found=done, expected=f"less than {len(old.pushes)}, the plan's pushes"
+        )
+    choose = replace(old.choose, most=left) if isinstance(old.choose, FreePushes) else old.choose
+    scene = at_pose(old.scene, seen)
+    again = plan(
+        scene,
+        old.goal,
+        choose,
+        replace(belief, start=error or RPI_CAMERA),
+        rollouts=rollouts,
+        seed=old.seed,
+        motion=old.motion,
+        stepper=old.stepper,
+        untrusted=found.request.untrusted,
+        threads=threads,
+        progress=progress,
+    )
+    return FoundPlan(
+        plan=again,
+        request=found.request,
+        calibration=number,
+        wanted=found.wanted,
+        warnings=tuple(warnings_of(again, found.wanted)),
+    )
+
+
+def already_met(plan: PushPlan, seen: FloatArray) -> bool:
+    """Return whether a seen pose already meets the goal, as far as the pose alone tells."""
+    try:
+        return bool(plan.goal.met(plan.scene, BodyTrack.of_ends(seen))[0])
+    except InvalidInput:  # the goal needs forces or stalls
+        return False
+
+
+def at_pose(scene: Scene, pose: Sequence[float] | FloatArray) -> Scene:
+    """Return a scene with its part at another pose (3,) [m, m, rad]."""
+    return replace(scene, bodies=(replace(scene.bodies[0], pose=np.asarray(pose)),))

@@ -1,0 +1,238 @@
+"""Carry out plans: on the simulated testbed, or on a rig with one straight axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, final
+
+import numpy as np
+
+from fixel.errors import FixelError, InvalidInput
+from fixel.model import Scene
+from fixel.model.goals import BodyTrack
+from fixel.model.trajectory import wrapped
+from fixel.planning.plan import PushPlan
+from fixel.planning.pushes import RigPush, scene_of_push
+from fixel.planning.trials import PlanTrial, Trials
+from fixel.testbed.motion import AbstractActuator
+from fixel.testbed.repeated_pushes import repeat_pushes
+from fixel.testbed.simulated import SimulatedTestbed
+from fixel.typing import FloatArray, Notify
+from fixel.workflows.planning.stored import PlanFile, add_trials, load_plan
+
+# Standard deviations of the start by which a seen start may differ from the planned one; more
+# would carry out a plan for another start.
+MAX_DEVIATION: Final = 3.0
+# Least deviation that is allowed: 1 mm and 1 degree, as for placing parts of a rig.
+LEAST: Final = np.array([1e-3, 1e-3, math.radians(1.0)])
+
+AskPose = Callable[[str], FloatArray]  # sentence -> seen pose (3,) [m, m, rad]
+
+
+def run_on_testbed(
+    path: Path, *, trials: int = 1, seed: int = 1, threads: int | None = None
+) -> Trials:
+    """Carry out a plan on the simulated testbed, which is another model, and add its trials.
+
+    Parameters
+    ----------
+    path : Path
+        Plan file.
+    trials : int
+    seed : int
+        Seed of the testbed: its plate and its conditions.
+    threads : int, optional
+
+    Returns
+    -------
+    Trials
+        All trials of the plan.
+    """
+    file = load_plan(path)
+    plan = file.found.plan
+    rng = np.random.default_rng([seed, 18])
+    error = plan.belief.start
+    drawn = np.zeros((trials, 3)) if error is None else error.samples(trials, seed)
+    starts = plan.start[0] + drawn[rng.permutation(trials)]
+    done = repeat_pushes(
+        SimulatedTestbed(seed=seed), scenes_of(plan), starts, name=file.id, threads=threads
+    )
+    fixels = None if plan.fixels is None else np.repeat(plan.fixels[None], trials, axis=0)
+    track = BodyTrack(done.pose[:, 1:], done.stalled, np.abs(done.force), fixels)
+    met = plan.goal.met(plan.scene, track) & np.equal(done.failure, "")
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    rows = [
+        PlanTrial(
+            time=now,
+            met=bool(ok),
+            failure="" if ok else (why or "missed the goal"),
+            start=tuple(pose[0].tolist()),
+            end=tuple(pose[-1].tolist()),
+            by=f"simulated testbed, seed {seed}",
+        )
+        for ok, why, pose in zip(met, done.failure, done.pose, strict=True)
+    ]
+    return add_trials(path, file, *rows)
+
+
+def scenes_of(plan: PushPlan) -> list[Scene]:
+    """Return the scenes of the pushes of a plan, with its fixels where they should be."""
+    scene = plan.scene
+    if plan.fixels is not None:
+        moved = [
+            replace(fixel, pose=fixel.pose + shift)
+            for fixel, shift in zip(scene.fixels, plan.fixels, strict=True)
+        ]
+        scene = replace(scene, fixels=tuple(moved))
+    return [
+        scene_of_push(scene, start, path) for start, path in zip(plan.start, plan.path, strict=True)
+    ]
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class DriveRun:
+    """One execution of a plan on a drive.
+
+    Attributes
+    ----------
+    trial : PlanTrial or None
+        The trial; none if the drive was stopped before the part was pushed.
+    trials : Trials
+        All trials of the plan.
+    stopped : str
+        Why the drive was stopped; empty if it was not.
+    """
+
+    trial: PlanTrial | None
+    trials: Trials
+    stopped: str
+
+
+def run_on_drive(
+    path: Path,
+    actuator: AbstractActuator,
+    *,
+    seen: AskPose,
+    notify: Notify,
+    by: str = "",
+) -> DriveRun:
+    """Carry out a plan once with a drive that moves along one straight axis, and add the trial.
+
+    The part is placed and seen first. The drive does not move if the seen start differs from the
+    planned one by more than the plan allows for. It stops on Ctrl-C and on any alarm.
+
+    Parameters
+    ----------
+    path : Path
+        Plan file.
+    actuator : AbstractActuator
+    seen : callable
+        Asks for the pose of the part, such as the one that a camera sees.
+    notify : callable
+    by : str
+        Person or program that carries out the plan.
+
+    Raises
+    ------
+    InvalidInput
+        The plan is not for one straight axis, or the seen start is not the planned one.
+    DeviceFailed
+        The drive failed. The trial is stored as a failure if the part was pushed.
+    """
+    file = load_plan(path)
+    plan = file.found.plan
+    push = _straight(plan)
+    x, y, angle = plan.start[0]
+    start = seen(
+        f"Place the part at {1e3 * x:.2f}, {1e3 * y:.2f} mm, {math.degrees(angle):.2f} deg."
+    )
+    check_start(plan, start)
+    notify(f"Moving the drive by {1e3 * push.stroke:.2f} mm.")
+    speed = plan.scene.pushers[0].drive.speed  # type: ignore[union-attr]
+    with actuator:
+        begun = actuator.position()
+        try:
+            actuator.move(by=push.stroke, speed=speed)
+            back = getattr(plan.choose, "retract", 0.0)
+            if back:
+                actuator.move(by=-back, speed=speed)
+        except (FixelError, KeyboardInterrupt) as problem:
+            why = "Ctrl-C" if isinstance(problem, KeyboardInterrupt) else str(problem)
+            if _moved(actuator, begun):
+                _add(path, file, start, None, False, f"drive stopped: {why}"[:200], by)
+            raise
+    end = seen("Enter the pose of the part at its end.")
+    # These drives report neither stalls nor forces: the goal is judged by the pose alone.
+    track = BodyTrack(end[None, None], np.array([True]), np.zeros(1), _planned_fixels(plan))
+    met = bool(plan.goal.met(plan.scene, track)[0])
+    return _add(path, file, start, end, met, "" if met else "missed the goal", by)
+
+
+def check_start(plan: PushPlan, seen: FloatArray) -> None:
+    """Raise `InvalidInput` if a seen start differs from the planned one by more than allowed."""
+    own = plan.belief.start
+    allowed = np.maximum(LEAST, 0.0 if own is None else MAX_DEVIATION * own.deviation)
+    off = seen - plan.start[0]
+    off[2] = wrapped(off[2])
+    if (np.abs(off) > allowed).any():
+        x, y, angle = off * (1e3, 1e3, math.degrees(1.0))
+        a, b, c = allowed * (1e3, 1e3, math.degrees(1.0))
+        raise InvalidInput(
+            "seen start",
+            found=f"{x:+.2f}, {y:+.2f} mm and {angle:+.2f} deg from the planned one",
+            expected=f"at most {a:.2f}, {b:.2f} mm and {c:.2f} deg",
+            hint="place the part again, or plan from where it is: fixel plan next",
+        )
+
+
+def _straight(plan: PushPlan) -> RigPush:
+    push = plan.pushes[0]
+    if not isinstance(push, RigPush) or len(plan.pushes) != 1:
+        raise InvalidInput(
+            "plan",
+            found="pushes of a free tool",
+            expected="one stroke along the axis of the rig",
+            hint="give its waypoints to a robot: fixel plan check PLAN --waypoints way.csv",
+        )
+    return push
+
+
+def _planned_fixels(plan: PushPlan) -> FloatArray | None:
+    return None if plan.fixels is None else plan.fixels[None]
+
+
+def _moved(actuator: AbstractActuator, begun: float) -> bool:
+    """Return whether the drive has moved; also where its position is lost."""
+    try:
+        return actuator.position() != begun
+    except FixelError:
+        return True
+
+
+def _add(
+    path: Path,
+    file: PlanFile,
+    start: Sequence[float] | FloatArray,
+    end: FloatArray | None,
+    met: bool,
+    failure: str,
+    by: str,
+) -> DriveRun:
+    trial = PlanTrial(
+        time=datetime.now(UTC).isoformat(timespec="seconds"),
+        met=met,
+        failure=failure,
+        start=tuple(map(float, start)),  # type: ignore[arg-type]
+        end=None if end is None else tuple(end.tolist()),
+        by=by,
+    )
+    return DriveRun(
+        trial=trial,
+        trials=add_trials(path, file, trial),
+        stopped="" if end is not None else failure,
+    )

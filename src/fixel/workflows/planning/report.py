@@ -1,0 +1,149 @@
+"""Report of a plan, to store: sentences, tables and pictures."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from fixel.database.project import Project
+from fixel.drawing.planning import CaptureChart, PathsChart
+from fixel.planning.plan import PushPlan
+from fixel.table import Column, Table
+from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
+from fixel.workflows.figures import Picture
+from fixel.workflows.planning.request import FoundPlan, PlanRequest
+from fixel.workflows.planning.stored import ENDING, save_plan
+
+FILE = f"plan{ENDING}"  # in the folder of the analysis
+
+
+def store_plan(project: Project, found: FoundPlan, command: str, seconds: float) -> StoredAnalysis:
+    """Store a plan in its project, with its pictures and its plan file."""
+    plan = found.plan
+    numbers = numbers_of(found)
+    analysis = Analysis(
+        kind="plan",
+        title=f"Plan: {plan.goal}",
+        question=asdict(found.request),
+        headline=tuple(headline_of(found)),
+        warnings=found.warnings,
+        tables=(pushes_table(plan), success_table(plan)),
+        methods=(methods_of(plan),),
+        numbers=numbers,
+        calibrations=() if found.calibration is None else (found.calibration,),
+        command=command,
+        seed=found.request.seed,
+        seconds=seconds,
+    )
+    pictures = [
+        Picture(
+            "paths", PathsChart.of(plan), "",
+            "Simulated motions of the part in samples of what is unknown; failures in colour.",
+        ),
+        Picture(
+            "capture", CaptureChart.of(plan), "",
+            "Success of the rest of the plan from poses before each push, with the poses in"
+            " samples of what is unknown before and after it.",
+        ),
+    ]  # fmt: skip
+    kept = store_analysis(project, analysis, pictures)
+    save_plan(found, kept.folder / FILE)
+    return kept
+
+
+def headline_of(found: FoundPlan) -> list[str]:
+    """Return the main results of a plan in sentences."""
+    plan = found.plan
+    lines = [f"{len(plan.pushes)} push{'es' * (len(plan.pushes) > 1)}, {plan.success.sentence}."]
+    nominal = plan.nominal_success.stated
+    lines.append(
+        "The plan that is best without any error has a stated success probability of"
+        f" {nominal:.2f}."
+    )
+    if plan.failures:
+        kinds = (f"{100.0 * share:.1f} % {why}" for why, share in plan.failures.items())
+        lines.append(f"Failures: {', '.join(kinds)}.")
+    return lines
+
+
+def pushes_table(plan: PushPlan) -> Table:
+    """Return the pushes of a plan."""
+    rows = [(k, str(push)) for k, push in enumerate(plan.pushes, 1)]
+    return Table(("push", "what"), rows, title="Pushes", left=2)
+
+
+def success_table(plan: PushPlan) -> Table:
+    """Return the success probabilities of a plan and of the nominal one."""
+    head: tuple[Column | str, ...] = (
+        "plan",
+        *(Column(name, format=".3f") for name in ("stated", "mean", "bound")),
+    )
+    rows = [
+        (name, own.stated, own.mean, own.bound)
+        for name, own in (
+            ("this plan", plan.success),
+            ("best without errors", plan.nominal_success),
+        )
+    ]
+    return Table(head, rows, title="Success probability")
+
+
+def methods_of(plan: PushPlan) -> str:
+    """Return a sentence for the methods section of a paper."""
+    own = plan.success
+    return (
+        f"Open-loop pushes were planned with {plan.rollouts} simulated pushes (seed {plan.seed});"
+        f" the success probability was computed from {own.n} scenarios that the search had not"
+        f" used, {len(own.rates)} samples of the parameters with {own.n_runs} runs each."
+    )
+
+
+def numbers_of(found: FoundPlan) -> dict[str, Any]:
+    """Return a plan as plain values in SI units, for `--json` and the page."""
+    plan, own = found.plan, found.plan.success
+    body = plan.scene.bodies[0]
+    return {
+        "goal": str(plan.goal),
+        "pushes": [str(push) for push in plan.pushes],
+        "success": {
+            "stated": own.stated,
+            "mean": own.mean,
+            "bound": own.bound,
+            "quantile": own.quantile,
+            "margin": own.margin,
+            "wanted": found.wanted,
+        },
+        "nominal_success": {"stated": plan.nominal_success.stated},
+        "failures": dict(plan.failures),
+        "unseen": list(plan.unseen),
+        "start_m_rad": plan.start.tolist(),
+        "end_m_rad": plan.end.tolist(),
+        "waypoints_s_m_rad": plan.path.tolist(),
+        "fixels_m_rad": None if plan.fixels is None else plan.fixels.tolist(),
+        "outline_m": body.shape.outline.tolist(),
+        "calibration": found.calibration,
+        "rollouts": plan.rollouts,
+    }
+
+
+def command_of(request: PlanRequest, goal: str, folder: Path = Path()) -> str:
+    """Return the command that repeats a plan."""
+    words = ["fixel", "plan", goal]
+    words += ["--project", str(folder)] if folder != Path() else []
+    words += ["--scene", request.scene] if request.scene else []
+    words += ["--calibration", str(request.calibration)] if request.calibration else []
+    words += ["--rollouts", str(request.rollouts)]
+    words += ["--seed", str(request.seed)] * bool(request.seed)
+    words += ["--untrusted"] * request.untrusted
+    return shlex.join(words)
+
+
+def waypoints_text(plan: PushPlan, path: Path) -> str:
+    """Return the motion of the tool as CSV, or as JSON for a name that ends in `.json`."""
+    table = plan.waypoints()
+    if path.suffix.lower() != ".json":
+        return table.csv()
+    return json.dumps({"units": "s, m, rad", "waypoints": table.records()}, indent=1) + "\n"

@@ -1,0 +1,144 @@
+"""Plans on the simulated testbed and on drives, which stop on Ctrl-C, alarms and other starts."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fixel
+from fixel.errors import DeviceFailed, InvalidInput
+from fixel.testbed.motion_simulated import SimulatedActuator
+from fixel.testbed.repeated_pushes import repeat_pushes
+from fixel.testbed.simulated import SimulatedTestbed
+from fixel.workflows.planning.check import check_plan, seen_pose
+from fixel.workflows.planning.execute import run_on_drive, run_on_testbed, scenes_of
+from fixel.workflows.planning.request import FoundPlan, PlanRequest
+from fixel.workflows.planning.stored import load_plan, load_trials, save_plan
+
+from .plans import rig_plan, square_plan
+
+
+def stored(plan, path: Path) -> Path:
+    save_plan(FoundPlan(plan=plan, request=PlanRequest(goal={})), path)
+    return path
+
+
+def poses(*given: str) -> Callable[[str], np.ndarray]:
+    waiting = iter(given)
+    return lambda sentence: seen_pose(next(waiting))
+
+
+class Clock:
+    """Seconds that pass a little whenever one looks."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        self.now += 0.05
+        return self.now
+
+
+def test_trials_on_the_testbed_are_those_of_its_own_runs(tmp_path: Path):
+    path = stored(square_plan(), tmp_path / "a.plan")
+    found = run_on_testbed(path, trials=12, seed=4, threads=1)
+    again = run_on_testbed(stored(square_plan(), tmp_path / "b.plan"), trials=12, seed=4, threads=1)
+    assert [one.end for one in found.trials] == [one.end for one in again.trials]
+    assert found.n == 12
+    plan = square_plan()
+    starts = np.array([one.start for one in found.trials])
+    assert (np.abs(starts - plan.start[0]) <= (1e-3, 1e-3, math.radians(1.0))).all()
+    file = load_plan(path)
+    own = repeat_pushes(SimulatedTestbed(seed=4), scenes_of(plan), starts, name=file.id, threads=1)
+    for trial, pose in zip(found.trials, own.pose, strict=True):
+        assert trial.end == tuple(pose[-1].tolist())
+        off = np.hypot(*(pose[-1, :2] - (0.03, 0.0))) / 5e-3
+        turn = abs(pose[-1, 2]) / math.radians(5.0)
+        assert trial.met == (max(off, turn) <= 1.0)
+
+
+def test_a_drive_carries_out_a_stroke_and_the_trial_is_stored(tmp_path: Path):
+    path = stored(rig_plan(), tmp_path / "a.plan")
+    actuator = SimulatedActuator(clock=Clock())
+    done = run_on_drive(
+        path, actuator, seen=poses("90,0,22.5", "100,0,22"), notify=lambda _: None, by="me"
+    )
+    assert done.trial is not None
+    assert (done.trial.met, done.trial.by, done.stopped) == (True, "me", "")
+    with actuator:
+        assert actuator.position() == pytest.approx(0.015)  # a stroke of 20 mm, back by 5 mm
+    assert load_trials(path, load_plan(path)).trials == (done.trial,)
+
+
+def test_another_start_than_planned_does_not_move_the_drive(tmp_path: Path):
+    path = stored(rig_plan(), tmp_path / "a.plan")
+    actuator = SimulatedActuator(clock=Clock())
+    with pytest.raises(InvalidInput, match=r"\+4\.00, \+0\.00 mm.*fixel plan next"):
+        run_on_drive(path, actuator, seen=poses("94,0,22.5"), notify=lambda _: None)
+    with actuator:
+        assert actuator.position() == 0.0
+    assert load_trials(path, load_plan(path)).n == 0
+
+
+@pytest.mark.parametrize(
+    ("problem", "failure"),
+    [(KeyboardInterrupt(), "Ctrl-C"), (DeviceFailed("hard limit: a limit switch"), "hard limit")],
+)
+def test_ctrl_c_and_alarms_stop_the_drive_and_count_as_a_failure(
+    problem: BaseException, failure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    path = stored(rig_plan(), tmp_path / "a.plan")
+    actuator = SimulatedActuator(clock=Clock())
+    waited = actuator.wait
+
+    def wait(self: SimulatedActuator) -> None:
+        for _ in range(5):
+            actuator.position()  # time passes: the part is pushed
+        raise problem
+
+    monkeypatch.setattr(SimulatedActuator, "wait", wait)
+    with pytest.raises(type(problem)):
+        run_on_drive(path, actuator, seen=poses("90,0,22.5"), notify=lambda _: None)
+    monkeypatch.setattr(SimulatedActuator, "wait", lambda self: waited())
+    with actuator:
+        assert not actuator.moving
+        assert 0.0 < actuator.position() < 0.02
+    (trial,) = load_trials(path, load_plan(path)).trials
+    assert not trial.met
+    assert trial.failure.startswith("drive stopped")
+    assert failure in trial.failure
+
+
+def test_pushes_of_a_free_tool_are_not_for_one_axis(tmp_path: Path):
+    path = stored(square_plan(), tmp_path / "a.plan")
+    with pytest.raises(InvalidInput, match="one stroke along the axis"):
+        run_on_drive(path, SimulatedActuator(), seen=poses("0,0,0"), notify=lambda _: None)
+
+
+@pytest.mark.parametrize("text", ["", "1,2", "1,2,x", "1,2,nan", "1;2;3"])
+def test_poses_that_are_not_three_numbers_are_refused(text: str):
+    with pytest.raises(InvalidInput, match="in mm, mm and degrees"):
+        seen_pose(text)
+
+
+def test_a_check_counts_trials_and_repeats_the_statement(tmp_path: Path):
+    path = stored(square_plan(), tmp_path / "a.plan")
+    run_on_testbed(path, trials=3, seed=4, threads=1)
+    checked = check_plan(None, path, threads=1)
+    assert checked.trials.n == 3
+    assert not checked.changed
+    assert abs(checked.now.mean - checked.found.plan.success.mean) < 0.15
+    assert "3 trials" in " ".join(checked.sentences)
+
+
+def test_displaced_fixels_are_where_the_plan_wants_them():
+    choose = fixel.RigPushes(stroke=(0.02, 0.1), fixels={"fixel-1": ((-0.01, 0.01), (0.0, 0.01))})
+    from .plans import grasp, plan_of
+
+    plan = plan_of(
+        grasp("seated"), fixel.Seated("fixel-1"), choose, [(0, 0, 0, 0.02, 0.004, 0.006)]
+    )
+    before, after = plan.scene.fixels[0].pose, scenes_of(plan)[0].fixels[0].pose
+    np.testing.assert_allclose(after - before, (0.004, 0.006, 0.0), atol=1e-12)

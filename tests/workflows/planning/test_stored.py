@@ -1,0 +1,134 @@
+"""Plan files and trials: what is damaged, foreign or of another version is rejected by name."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fixel
+from fixel.errors import InvalidInput
+from fixel.io import save
+from fixel.planning.trials import PlanTrial
+from fixel.workflows.planning.request import FoundPlan, PlanRequest
+from fixel.workflows.planning.stored import (
+    add_trials,
+    load_plan,
+    load_trials,
+    plan_id,
+    save_plan,
+    trials_path,
+)
+
+from .plans import rig_plan, square_plan
+
+FOUND = FoundPlan(plan=square_plan(), request=PlanRequest(goal={"fixel": 1}), calibration=7)
+
+
+def trial(k: int, met: bool = True) -> PlanTrial:
+    return PlanTrial(
+        time=f"2026-11-22T21:00:{k:02d}+00:00",
+        met=met,
+        failure="" if met else "slid off",
+        start=(0.0, 1e-3, 0.1),
+        end=(0.03, 0.0, 0.0) if met else None,
+        by="a person",
+    )
+
+
+def outcome(path: Path):
+    """The plan of a file, or the file that the error names."""
+    try:
+        return load_plan(path).found.plan
+    except InvalidInput as problem:
+        return problem.where
+
+
+def test_a_plan_file_has_the_plan_and_its_request(tmp_path: Path):
+    written = save_plan(FOUND, tmp_path / "a.plan")
+    again = load_plan(tmp_path / "a.plan")
+    assert again.found.plan == FOUND.plan
+    assert again.found.calibration == 7
+    assert again.found.request.goal == {"fixel": 1}
+    assert (again.id, again.version, again.created) == (
+        written.id,
+        written.version,
+        written.created,
+    )
+    assert plan_id(rig_plan()) != written.id
+
+
+def test_a_plan_that_python_saved_is_a_plan_file(tmp_path: Path):
+    FOUND.plan.save(tmp_path / "a.plan")
+    assert load_plan(tmp_path / "a.plan").found.plan == FOUND.plan
+
+
+def test_damaged_foreign_and_newer_files_are_refused_by_name(tmp_path: Path):
+    path = tmp_path / "a.plan"
+    save_plan(FOUND, path)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    bad = tmp_path / "bad.plan"
+    for k in range(60):
+        content = bytearray(whole)
+        if k % 3:
+            at = int(rng.integers(len(whole)))
+            content[at] ^= int(rng.integers(1, 256))
+        else:
+            del content[int(rng.integers(len(whole))) :]
+        bad.write_bytes(bytes(content))
+        assert outcome(bad) in (FOUND.plan, str(bad))  # some bytes have no meaning
+    save(fixel.Disk(0.005), bad)
+    with pytest.raises(InvalidInput, match="a saved Disk, expected a plan file"):
+        load_plan(bad)
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(bad, "w") as new:
+        for name in old.namelist():
+            head = json.loads(old.read(name)) if name == "result.json" else None
+            content = old.read(name) if head is None else json.dumps(head | {"format": 99})
+            new.writestr(name, content)
+    with pytest.raises(InvalidInput, match="install a newer one"):
+        load_plan(bad)
+    with pytest.raises(InvalidInput, match=r"none\.plan"):
+        load_plan(tmp_path / "none.plan")
+
+
+def test_trials_are_added_next_to_the_plan(tmp_path: Path):
+    path = tmp_path / "a.plan"
+    file = save_plan(FOUND, path)
+    assert load_trials(path, file).n == 0
+    for k in range(3):
+        add_trials(path, file, trial(k, met=k != 1))
+    again = load_trials(path, file)
+    assert again.trials == (trial(0), trial(1, met=False), trial(2))
+    assert again.stated == pytest.approx(FOUND.plan.success.stated)
+    assert not again.refuted
+    assert add_trials(path, file, *(trial(k, met=False) for k in range(10, 30))).refuted
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("plan,time", "plan,when", "another header"),
+        (",1,,", ",yes,,", "line 2"),
+        ("21:00:00", "21:99:00", "line 2"),
+        (",0.03,", ",much,", "line 2"),
+    ],
+)
+def test_damaged_trials_are_refused(old: str, new: str, message: str, tmp_path: Path):
+    path = tmp_path / "a.plan"
+    file = save_plan(FOUND, path)
+    add_trials(path, file, trial(0))
+    where = trials_path(path)
+    assert old in where.read_text()
+    where.write_text(where.read_text().replace(old, new, 1))
+    with pytest.raises(InvalidInput, match=message):
+        load_trials(path, file)
+
+
+def test_trials_of_another_plan_are_refused(tmp_path: Path):
+    path = tmp_path / "a.plan"
+    add_trials(path, save_plan(FOUND, path), trial(0))
+    other = save_plan(FoundPlan(plan=rig_plan(), request=PlanRequest(goal={})), path)
+    with pytest.raises(InvalidInput, match=f"expected trials of plan {other.id}"):
+        load_trials(path, other)
