@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple, final
+from typing import Any, ClassVar, Final, NamedTuple, final
 
 import numpy as np
 
@@ -99,6 +99,11 @@ class PushPlan(Result):
     >>> len(plan.pushes)
     1
     """
+
+    _drawings: ClassVar[Mapping[str, str]] = {
+        "paths": "fixel.drawing.planning:draw_paths",
+        "capture": "fixel.drawing.planning:draw_capture_regions",
+    }
 
     scene: Scene
     goal: Goal
