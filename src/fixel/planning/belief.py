@@ -32,7 +32,7 @@ Interval = tuple[float, float]
 # SI units of the unknowns that are no parameters.
 UNKNOWN_UNITS: Final[Mapping[str, str]] = {
     "start x": "m", "start y": "m", "start angle": "rad",
-    "tool travel": "m", "tool path": "m", "tool heading": "rad",
+    "tool along its path": "m", "tool across its path": "m", "tool heading": "rad",
 }  # fmt: skip
 
 
@@ -99,17 +99,8 @@ class Scenarios(NamedTuple):
 
     def unknowns(self) -> dict[str, FloatArray]:
         """Return what differs between scenarios, (n,) each, by name."""
-        named = {
-            **self.values,
-            **{
-                f"start {name}": x
-                for name, x in zip(("x", "y", "angle"), self.start.T, strict=True)
-            },
-            **{
-                f"tool {name}": x
-                for name, x in zip(("travel", "path", "heading"), self.tool.T, strict=True)
-            },
-        }
+        errors = np.column_stack((self.start, self.tool))
+        named = {**self.values, **dict(zip(UNKNOWN_UNITS, errors.T, strict=True))}
         return {name: x for name, x in named.items() if np.ptp(x) > 0.0}
 
 

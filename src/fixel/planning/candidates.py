@@ -8,8 +8,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fixel.model import Scene
+from fixel.model import Disk, Scene
 from fixel.planning.belief import Belief, Scenarios
+from fixel.planning.geometric import geometric_pushes
 from fixel.planning.goal_places import goal_poses, needs_fixtures, surroundings
 from fixel.planning.pushes import FreePushes, PushChoice
 from fixel.planning.rollout import CARRIED_OUT, PlanSimulator, part_overlap
@@ -27,34 +28,33 @@ JOINED: Final = 768  # sequences kept for each number of pushes
 Numbers = list[FloatArray]  # a plan each: (k, d) numbers of its pushes
 
 
-def single_pushes(scene: Scene, choice: PushChoice, n: int, seed: int) -> FloatArray:
-    """Return numbers (m, 1, d) of single pushes: evenly spread ones, then those of mechanics."""
+def spread_pushes(scene: Scene, choice: PushChoice, n: int, seed: int) -> FloatArray:
+    """Return numbers (n, 1, d) of single pushes, evenly spread over the ranges of the choice."""
     low, high = choice.bounds(scene)
     wide = np.flatnonzero(high > low)
     numbers = np.tile(low, (n, 1))
     if len(wide):
         numbers[:, wide] += (high - low)[wide] * even_points(n, len(wide), seed)
-    if isinstance(choice, FreePushes):
-        numbers = np.vstack((numbers, straight_pushes(scene, choice)))
     return numbers[:, None]
 
 
-def straight_pushes(scene: Scene, choice: FreePushes) -> FloatArray:
-    """Return pushes (n, 3) through the centre of mass, which turn the part least.
-
-    From the point of each edge whose normal goes through the centre of mass.
-    """
-    body = scene.bodies[0]
-    ring = np.asarray(body.shape.outline)
-    edge = np.roll(ring, -1, axis=0) - ring
-    size = np.hypot(*edge.T)
-    share = np.einsum("ij,ij->i", np.asarray(body.com) - ring, edge) / size**2
-    inside = (share > 0.0) & (share < 1.0)
-    contact = ((np.cumsum(size) - size + share * size) / size.sum())[inside]
+def pushes_towards(simulator: PlanSimulator) -> Numbers:
+    """Return pushes that reach the poses of the goal by the closed form of a sticking contact."""
+    scene, choice = simulator.scene, simulator.choice
+    body, tool = scene.bodies[0], scene.pushers[0]
+    has_friction = getattr(body.support, "friction", 0.0) > 0.0
+    if not (isinstance(choice, FreePushes) and isinstance(tool.shape, Disk) and has_friction):
+        return []
     low, high = choice.bounds(scene)
-    length = np.linspace(low[2], high[2], 12)
-    grid = np.array(np.meshgrid(contact, [0.0], length, indexing="ij"))
-    return grid.reshape(3, -1).T
+    start = np.asarray(body.pose, np.float64)[None]
+    found = [
+        geometric_pushes(
+            body, moved, friction=tool.friction, tool_radius=tool.shape.radius,
+            angle=choice.angle, length=(float(low[2]), float(high[2])),
+        )
+        for moved in composed(_inverse(start), goal_poses(scene, simulator.goal))
+    ]  # fmt: skip
+    return [push[None] for pushes in found for push in pushes]
 
 
 class Table(NamedTuple):
@@ -72,7 +72,7 @@ def displacements(
     scene = simulator.scene
     body = replace(scene.bodies[0], pose=np.zeros(3))
     alone = replace(simulator, scene=replace(scene, bodies=(body,), fixels=()))
-    numbers = single_pushes(alone.scene, alone.choice, n, seed)
+    numbers = spread_pushes(alone.scene, alone.choice, n, seed)
     planned = alone.planned(numbers)
     good = planned.nominal.failure == CARRIED_OUT
     planned, numbers = planned.rows(np.flatnonzero(good)), numbers[good]

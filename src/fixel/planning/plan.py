@@ -12,6 +12,7 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.model import Scene
 from fixel.model.fields import instance
+from fixel.model.goal_checks import check_goal
 from fixel.model.goals import Goal
 from fixel.planning.belief import UNKNOWN_UNITS, Belief, Scenarios
 from fixel.planning.causes import Explanation
@@ -33,6 +34,7 @@ from fixel.table import Column, Table
 from fixel.typing import FloatArray
 
 SAMPLES: Final = 12  # poses of each push that goals about the whole motion regard
+MIN_ROLLOUTS: Final = 1000
 MISSED: Final = "misses the goal"
 
 
@@ -328,7 +330,10 @@ def find_plan(
     report : callable, optional
         Called with the stage, the number of rollouts, their budget and the best success rate.
     """
-    _check(goal, rollouts)
+    instance(goal, Goal, "goal", "a goal, such as PoseRegion or Seated")
+    if isinstance(rollouts, bool) or rollouts < MIN_ROLLOUTS:
+        raise InvalidInput("rollouts", found=rollouts, expected=f"{MIN_ROLLOUTS} or more")
+    check_goal(goal, scene)
     prepared = choose.prepared(scene)
     simulator = simulator_of(prepared, goal, choose, belief, motion, stepper, threads)
     search = PlanSearch(
@@ -396,9 +401,3 @@ def _seen(simulator: PlanSimulator, belief: Belief, plans: list[FloatArray]) -> 
         expected="experiments with similar pushes",
         hint="record some (fixel next proposes them), or plan with untrusted=True",
     )
-
-
-def _check(goal: Goal, rollouts: int) -> None:
-    instance(goal, Goal, "goal", "a goal, such as PoseRegion or Seated")
-    if isinstance(rollouts, bool) or rollouts < 1000:
-        raise InvalidInput("rollouts", found=rollouts, expected="1000 or more")

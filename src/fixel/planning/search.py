@@ -17,7 +17,13 @@ from scipy.special import expit
 
 from fixel.errors import InvalidInput
 from fixel.planning.belief import Belief, Scenarios
-from fixel.planning.candidates import Numbers, displacements, sequences, single_pushes
+from fixel.planning.candidates import (
+    Numbers,
+    displacements,
+    pushes_towards,
+    sequences,
+    spread_pushes,
+)
 from fixel.planning.race import RaceResult, race
 from fixel.planning.rollout import CARRIED_OUT, PlannedMotions, PlanSimulator
 from fixel.planning.success import SuccessProbability
@@ -32,6 +38,7 @@ REFINE_WORLDS, REFINE_RUNS = 32, 4
 FINALISTS: Final = 8
 FINAL_RUNS: Final = 16
 APART: Final = 0.1  # shares of the ranges by which plans differ that are refined separately
+REACHED: Final = math.log1p(0.8)  # score of a nominal end well inside the goal
 SOFTNESS: Final = 0.3  # margin over which a success is counted partly in the refinement
 # Shares of the budget of rollouts: candidates, race and refinement; the rest is for fresh samples.
 SHARES: Final = (0.15, 0.45, 0.85)
@@ -105,7 +112,7 @@ class PlanSearch:
         """Return plans whose nominal end is near the goal, the nearest first."""
         simulator, choice = self.simulator, self.simulator.choice
         n = min(8192, max(256, 2 ** int(math.log2(max(2, 0.5 * SHARES[0] * self.rollouts)))))
-        plans: Numbers = list(single_pushes(simulator.scene, choice, n, self.seed))
+        plans = [*pushes_towards(simulator), *spread_pushes(simulator.scene, choice, n, self.seed)]
         self._show("candidates")
         if choice.most > 1:
             table = displacements(simulator, self.belief, seed=self.seed)
@@ -149,7 +156,7 @@ class PlanSearch:
     def reaching(self, plans: Numbers) -> Numbers:
         """Return plans whose nominal end is moved to the goal; those that reach it come first."""
         found = [
-            self._improved(plan, self._nominal_scores, 600 * len(plan), 100 + number)
+            self._improved(plan, self._nominal_scores, 600 * len(plan), 100 + number, REACHED)
             for number, plan in enumerate(plans)
         ]
         margin = nominal_margins(self.simulator, found)
@@ -185,8 +192,9 @@ class PlanSearch:
         evaluate: Callable[[Numbers, str], FloatArray],
         budget: float,
         number: int,
+        enough: float = math.inf,
     ) -> FloatArray:
-        """Return the best plan that CMA-ES finds from one, in `budget` simulated pushes of each."""
+        """Return the best plan that CMA-ES finds from one within `budget` pushes, or `enough`."""
         low, high = self.simulator.choice.bounds(self.simulator.scene)
         wide = np.flatnonzero(high > low)
         k = len(plan)
@@ -200,7 +208,7 @@ class PlanSearch:
         names = self.simulator.choice.names(self.simulator.scene)
         around = np.tile([names[j] == "contact" for j in wide], k)
         best, best_score, spent, turn = plan, -np.inf, 0, 0
-        while spent < budget and not search.stop():
+        while spent < budget and best_score < enough and not search.stop():
             points = np.array(search.ask())
             inside = np.where(around, points % 1.0, np.clip(points, 0.0, 1.0))
             plans = [_placed(plan, wide, low, (span * x).reshape(k, -1)) for x in inside]
