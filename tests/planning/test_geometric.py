@@ -8,9 +8,12 @@ import shapely
 from tests import closed_form
 
 from fixel.errors import InvalidInput
-from fixel.model import Body, Disk, Ellipsoid, LineDrive, Polygon, Pusher, Scene
+from fixel.model import Body, Disk, Ellipsoid, LineDrive, Polygon, PoseRegion, Pusher, Scene
+from fixel.planning.belief import Belief
+from fixel.planning.candidates import plans_of_mechanics
 from fixel.planning.geometric import geometric_pushes, point_push
-from fixel.planning.pushes import outline_points
+from fixel.planning.plan import simulator_of
+from fixel.planning.pushes import FreePushes, outline_points
 from fixel.simulation import simulate_batch
 
 ARM = 0.03
@@ -105,3 +108,15 @@ def test_lengths_and_angles_stay_in_their_ranges():
 def test_a_displacement_that_is_none_is_refused(wanted):
     with pytest.raises(InvalidInput, match="displacement"):
         geometric_pushes(PART, wanted)
+
+
+def test_mechanics_propose_nothing_for_a_goal_that_is_met_already():
+    """Also where a symmetric pose of the goal is the start."""
+    square = Body("part", Polygon.rectangle(0.06, 0.06), mass=1.0, support=PART.support)
+    choose = FreePushes(tool=Disk(0.002))
+    goal = PoseRegion((0.02, 0.0, 0.0), position=0.1, angle=0.1, symmetry=4)
+    near = PoseRegion((0.0, 0.0, pi / 2), position=0.1, angle=0.1, symmetry=4)
+    for own, some in ((goal, True), (near, False)):
+        scene = choose.prepared(Scene(square, duration=1.0))
+        plans = plans_of_mechanics(simulator_of(scene, own, choose, Belief(), None, None, None))
+        assert len(plans) >= 32 * some

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fixel.errors import InvalidInput
 from fixel.model import Disk, Scene
 from fixel.planning.belief import Belief, Scenarios
-from fixel.planning.geometric import geometric_pushes
+from fixel.planning.geometric import fence_pushes, geometric_pushes
 from fixel.planning.goal_places import goal_poses, needs_fixtures, surroundings
 from fixel.planning.pushes import FreePushes, PushChoice
 from fixel.planning.rollout import CARRIED_OUT, PlanSimulator, part_overlap
@@ -38,23 +40,34 @@ def spread_pushes(scene: Scene, choice: PushChoice, n: int, seed: int) -> FloatA
     return numbers[:, None]
 
 
-def pushes_towards(simulator: PlanSimulator) -> Numbers:
-    """Return pushes that reach the poses of the goal by the closed form of a sticking contact."""
+def plans_of_mechanics(simulator: PlanSimulator) -> Numbers:
+    """Return plans towards the poses of the goal that mechanics propose.
+
+    For a round tool these are pushes by the closed form of a sticking contact, for a fence wider
+    than the part those that orient it from any angle.
+    """
     scene, choice = simulator.scene, simulator.choice
-    body, tool = scene.bodies[0], scene.pushers[0]
-    has_friction = getattr(body.support, "friction", 0.0) > 0.0
-    if not (isinstance(choice, FreePushes) and isinstance(tool.shape, Disk) and has_friction):
+    if not isinstance(choice, FreePushes):
         return []
+    body, tool = scene.bodies[0], scene.pushers[0]
     low, high = choice.bounds(scene)
+    length = (float(low[2]), float(high[2]))
     start = np.asarray(body.pose, np.float64)[None]
-    found = [
-        geometric_pushes(
-            body, moved, friction=tool.friction, tool_radius=tool.shape.radius,
-            angle=choice.angle, length=(float(low[2]), float(high[2])),
-        )
-        for moved in composed(_inverse(start), goal_poses(scene, simulator.goal))
-    ]  # fmt: skip
-    return [push[None] for pushes in found for push in pushes]
+    found: Numbers = []
+    for pose in goal_poses(scene, simulator.goal):
+        # Nothing is proposed for disks, for parts without friction, and where the goal is met.
+        with suppress(InvalidInput):
+            if isinstance(tool.shape, Disk):
+                pushes = geometric_pushes(
+                    body, composed(_inverse(start), pose)[0], friction=tool.friction,
+                    tool_radius=tool.shape.radius, angle=choice.angle, length=length,
+                )  # fmt: skip
+                found += list(pushes[:, None])
+            elif np.ptp(tool.shape.outline[:, 1]) >= 2.0 * body.shape.radius:
+                found += fence_pushes(
+                    body, float(pose[2]), most=choice.most, angle=choice.angle, length=length
+                )
+    return found
 
 
 class Table(NamedTuple):

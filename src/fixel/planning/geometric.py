@@ -12,13 +12,16 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model import Body, Shape
 from fixel.model.fields import non_negative, positive, vector
-from fixel.planning.alignment import friction_arm
+from fixel.planning.alignment import flush_distance, friction_arm
+from fixel.planning.orienting import OrientingPlan, largest_angle_error, orienting_plan
 from fixel.planning.pushes import outline_points
 from fixel.typing import BoolArray, FloatArray
+from fixel.units import deg
 
 CONTACTS: Final = 64  # evenly spaced along the outline, besides those in line with the centre
 ANGLES: Final = 9  # of each contact, up to the largest
 LENGTHS: Final = 48  # of each angle, up to the longest
+ANGLE_ERRORS: Final = (0.0, 5.0 * deg, 10.0 * deg)  # that plans by a fence survive
 
 
 def geometric_pushes(
@@ -108,6 +111,73 @@ def geometric_pushes(
     slips |= _slips(point[own], inward[own], heading - moved[rows, best, 2], friction, arm)
     order = np.lexsort((far[rows, best], slips))[:n]
     return np.column_stack((share[own], turns, ways[best]))[order]
+
+
+def fence_pushes(
+    part: Body, target: float, *, most: int, angle: float = pi / 6, length: tuple[float, float]
+) -> list[FloatArray]:
+    """Return plans by a fence wider than the part that turn it to an angle from any other angle.
+
+    Parameters
+    ----------
+    part : Body
+        Part at its planned start pose.
+    target : float
+        Angle of the part after the plan, in the world [rad].
+    most : int
+        Largest number of pushes.
+    angle : float
+        Largest angle between a push and the inward normal at its contact [rad].
+    length : (float, float)
+        Range of the length of a push [m].
+
+    Returns
+    -------
+    list of (k, 3) float64
+        Contact as a share of the way round the outline [-], angle from the inward normal [rad] and
+        length [m] of each push: the plan of fewest pushes, and those that survive larger errors.
+
+    Raises
+    ------
+    InvalidInput
+        The part has no corners.
+
+    Examples
+    --------
+    >>> from fixel import Polygon, UniformPressure
+    >>> block = Polygon.rectangle(0.05, 0.035)
+    >>> part = Body("part", block, mass=1, support=UniformPressure(friction=0.3))
+    >>> [plan.shape for plan in fence_pushes(part, 0.0, most=2, angle=1.0, length=(0.02, 0.1))]
+    [(2, 3)]
+    """
+    largest = largest_angle_error(part)
+    plans = [orienting_plan(part, angle_error=own) for own in ANGLE_ERRORS if own <= largest]
+    found = {tuple(plan.rotations): plan for plan in plans if plan.pushes <= most}
+    return [_carried_out(part, target, plan, angle, length) for plan in found.values()]
+
+
+def _carried_out(
+    part: Body, target: float, plan: OrientingPlan, angle: float, length: tuple[float, float]
+) -> FloatArray:
+    """Return the pushes (k, 3) of an orienting plan, from the planned pose of a part."""
+    share = _contacts(part)
+    point, inward = outline_points(part.shape, share)
+    normal = np.arctan2(inward[:, 1], inward[:, 0])
+    # Until flush from every start that is not closer to a border than the margins.
+    off = min(plan.margin, 5.0 * deg)
+    starts = pi - np.concatenate((plan.function.borders - off, plan.function.borders + off))
+    way = float(np.clip(flush_distance(part, starts).max(), *length))
+    heading = target - plan.angle - float(plan.rotations.sum())
+    own, rows = float(part.pose[2]), []
+    for rotation in (*plan.rotations.tolist(), 0.0):
+        turns = np.mod(heading - own - normal + pi, 2.0 * pi) - pi
+        across = np.array([-np.sin(heading - own), np.cos(heading - own)])
+        aside = np.abs((point - part.com) @ across)
+        best = int(np.argmin(np.where(np.abs(turns) <= angle, aside, np.inf)))
+        rows.append((share[best], turns[best], way))
+        rest = plan.function.stable[plan.function.rest(pi - own + heading)]
+        own, heading = pi - float(rest) + heading, heading + rotation
+    return np.array(rows)
 
 
 def point_push(contact: ArrayLike, heading: ArrayLike, length: ArrayLike, arm: float) -> FloatArray:

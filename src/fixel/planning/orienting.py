@@ -216,7 +216,7 @@ def orienting_plan(part: Body | Shape, *, angle_error: float = 0.0) -> Orienting
         raise InvalidInput(
             "angle_error",
             found=f"{degrees(least):.3g} deg",
-            expected=f"at most {degrees(_largest_error(function)):.3g} deg for this part",
+            expected=f"at most {degrees(largest_angle_error(part)):.3g} deg for this part",
             hint="no plan of any length survives a larger error of the rotations",
         )
     chain, last = found
@@ -228,6 +228,33 @@ def orienting_plan(part: Body | Shape, *, angle_error: float = 0.0) -> Orienting
         symmetry=function.symmetry,
         function=function,
     )
+
+
+def largest_angle_error(part: Body | Shape) -> float:
+    """Return the largest error of the rotations between pushes that some orienting plan survives.
+
+    Parameters
+    ----------
+    part : Body or Shape
+        Part with an outline of corners; of a shape the centroid is the centre of mass.
+
+    Returns
+    -------
+    float
+        Error [rad]; pi for parts that one push orients.
+
+    Examples
+    --------
+    >>> from math import degrees
+    >>> from fixel import Polygon
+    >>> round(degrees(largest_angle_error(Polygon.rectangle(0.05, 0.035))), 2)
+    10.01
+    """
+    function, low, high = PushFunction.of(part), 0.0, pi
+    while high - low > SAME:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _search(function, middle) else (low, middle)
+    return low
 
 
 # --- push function ------------------------------------------------------------------------------
@@ -347,12 +374,3 @@ def _rotations(
             width += float(widths[k % n])
             k += 1
         yield float(np.mod(low + 0.5 * width, period)), 0.5 * width, image
-
-
-def _largest_error(function: PushFunction) -> float:
-    """Return the largest error of the rotations that some plan survives, within rounding [rad]."""
-    low, high = 0.0, pi
-    while high - low > SAME:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _search(function, middle) else (low, middle)
-    return low

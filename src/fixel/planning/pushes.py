@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Final, NamedTuple, Protocol, final
 
 import numpy as np
+import shapely
 
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Body, Disk, LineDrive, PathDrive, Pusher, Scene, Shape
@@ -377,8 +378,11 @@ def _touching(
     c, s = np.cos(heading), np.sin(heading)
     x, y = point.T
     far = np.column_stack((-(c * x + s * y), s * x - c * y, -heading))
-    low = np.full(len(point), -(part.radius + tool.radius))
-    high = np.full(len(point), 2.0 * (part.radius + tool.radius))
+    # From a tool that covers the point to one that is behind the part.
+    axis = shapely.LineString([(-tool.radius, 0.0), (tool.radius, 0.0)])
+    back, _, front, _ = axis.intersection(shapely.Polygon(tool.outline)).bounds
+    low = np.full(len(point), 0.5 * (back + front))
+    high = np.full(len(point), front + 2.0 * part.radius)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         poses = far + np.column_stack((middle, np.zeros((len(far), 2))))

@@ -20,7 +20,7 @@ from fixel.planning.belief import Belief, Scenarios
 from fixel.planning.candidates import (
     Numbers,
     displacements,
-    pushes_towards,
+    plans_of_mechanics,
     sequences,
     spread_pushes,
 )
@@ -112,7 +112,10 @@ class PlanSearch:
         """Return plans whose nominal end is near the goal, the nearest first."""
         simulator, choice = self.simulator, self.simulator.choice
         n = min(8192, max(256, 2 ** int(math.log2(max(2, 0.5 * SHARES[0] * self.rollouts)))))
-        plans = [*pushes_towards(simulator), *spread_pushes(simulator.scene, choice, n, self.seed)]
+        plans = [
+            *plans_of_mechanics(simulator),
+            *spread_pushes(simulator.scene, choice, n, self.seed),
+        ]
         self._show("candidates")
         if choice.most > 1:
             table = displacements(simulator, self.belief, seed=self.seed)
