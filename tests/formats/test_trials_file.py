@@ -3,7 +3,7 @@
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.formats.trials_file import append_trial, read_trials, write_trials
+from fixel.formats.trials_file import append_trials, read_trials, write_trials
 from fixel.planning.trials import PlanTrial, Trials
 
 NOW = "2026-11-22T21:00:00+00:00"
@@ -18,8 +18,8 @@ TRIALS = (
 @pytest.fixture
 def path(tmp_path):
     path = write_trials(tmp_path / "trials.csv", NONE)
-    for trial in TRIALS:
-        append_trial(path, trial, plan="a1")
+    append_trials(path, TRIALS[0], plan="a1")
+    append_trials(path, *TRIALS[1:], plan="a1")
     return path
 
 
@@ -35,7 +35,7 @@ def test_any_cut_loses_at_most_the_row_that_was_being_written(path):
         path.write_bytes(whole[:length])
         found = read_trials(path)
         assert found == NONE.added(*TRIALS[: whole[first:length].count(b"\n")])
-    assert append_trial(path, TRIALS[2]) == NONE.added(*TRIALS)
+    assert append_trials(path, TRIALS[2]) == NONE.added(*TRIALS)
     assert path.read_bytes() == whole
 
 
@@ -62,7 +62,7 @@ def test_damaged_and_foreign_files_are_rejected_by_line(path, old, new, where):
     with pytest.raises(InvalidInput, match=where):
         read_trials(path, plan="a1")
     with pytest.raises(InvalidInput, match=where):
-        append_trial(path, TRIALS[0], plan="a1")
+        append_trials(path, TRIALS[0], plan="a1")
     assert path.read_bytes() == before
 
 

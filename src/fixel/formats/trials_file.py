@@ -70,14 +70,14 @@ def write_trials(path: str | Path, trials: Trials) -> Path:
     return path
 
 
-def append_trial(path: str | Path, trial: PlanTrial, *, plan: str | None = None) -> Trials:
-    """Append a trial to a file of trials; it is durable when this returns.
+def append_trials(path: str | Path, *trials: PlanTrial, plan: str | None = None) -> Trials:
+    """Append trials to a file of trials; they are durable when this returns.
 
     Parameters
     ----------
     path : str or path
         File made by `write_trials`.
-    trial : PlanTrial
+    *trials : PlanTrial
     plan : str, optional
         Id of the plan that was executed.
 
@@ -95,19 +95,20 @@ def append_trial(path: str | Path, trial: PlanTrial, *, plan: str | None = None)
     """
     path = Path(path)
     with FileLock(path.with_name(f".{path.name}.lock"), f"the file {path}"):
-        trials = read_trials(path, plan=plan)
+        before = read_trials(path, plan=plan)
+        rows = b"".join(_row(k, trial) for k, trial in enumerate(trials, before.n + 1))
         try:
             with path.open("r+b") as stream:
                 stream.truncate(stream.read().rfind(b"\n") + 1)
                 stream.seek(0, os.SEEK_END)
-                stream.write(_row(trials.n + 1, trial))
+                stream.write(rows)
                 stream.flush()
                 os.fsync(stream.fileno())
         except OSError as problem:
             raise InvalidInput(
                 str(path), found=os_reason(problem), expected="a file that can be written"
             ) from None
-    return trials.added(trial)
+    return before.added(*trials)
 
 
 def read_trials(path: str | Path, *, plan: str | None = None) -> Trials:
@@ -206,7 +207,9 @@ def _trial(row: list[str], number: int, where: str) -> PlanTrial:
     try:
         return PlanTrial(values["time"], met, failure, by=values["by"], **poses)
     except InvalidInput as problem:
-        raise InvalidInput(where, found=str(problem), expected="a trial") from None
+        raise InvalidInput(
+            f"{where}, {problem.where}", found=problem.found, expected=problem.expected
+        ) from None
 
 
 def _row(number: int, trial: PlanTrial) -> bytes:

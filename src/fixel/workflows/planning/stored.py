@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -14,17 +12,13 @@ from typing import Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput
+from fixel.formats.trials_file import append_trials, read_trials, write_trials
 from fixel.io import load, save
-from fixel.io.atomic import written_whole
 from fixel.planning.plan import PushPlan
 from fixel.planning.trials import PlanTrial, Trials
 from fixel.workflows.planning.request import FoundPlan, PlanRequest
 
 ENDING: Final = ".plan"
-COLUMNS: Final = (
-    "plan", "time", "met", "failure", "by",
-    "start_x_m", "start_y_m", "start_angle_rad", "end_x_m", "end_y_m", "end_angle_rad",
-)  # fmt: skip
 
 
 @final
@@ -99,57 +93,17 @@ def load_trials(path: Path, file: PlanFile) -> Trials:
     InvalidInput
         The trials are damaged, or those of another plan.
     """
-    plan = file.found.plan
-    stated = min(plan.success.stated, 1.0 - 1e-9)
-    empty = Trials(plan=file.id, stated=stated, mean=max(stated, plan.success.mean))
     where = trials_path(path)
-    if not where.is_file():
-        return empty
-    try:
-        rows = list(csv.reader(io.StringIO(where.read_text(encoding="utf-8"))))
-    except (OSError, UnicodeDecodeError, csv.Error) as problem:
-        raise InvalidInput(str(where), found=str(problem), expected="a table of trials") from None
-    if not rows or tuple(rows[0]) != COLUMNS:
-        raise InvalidInput(str(where), found="another header", expected=",".join(COLUMNS))
-    trials = []
-    for number, row in enumerate(rows[1:], 2):
-        if row and row[0] != file.id:
-            raise InvalidInput(
-                f"{where}, line {number}",
-                found=f"a trial of plan {row[0]}",
-                expected=f"trials of plan {file.id}",
-            )
-        try:
-            trials.append(_trial(row))
-        except (ValueError, IndexError) as problem:
-            raise InvalidInput(
-                f"{where}, line {number}", found=str(problem), expected="a trial"
-            ) from None
-    return empty.added(*trials)
+    if where.exists():
+        return read_trials(where, plan=file.id)
+    success = file.found.plan.success
+    stated = min(success.stated, 1.0 - 1e-9)
+    return Trials(plan=file.id, stated=stated, mean=max(stated, success.mean))
 
 
 def add_trials(path: Path, file: PlanFile, *trials: PlanTrial) -> Trials:
-    """Add trials to those of a plan file, whole or not at all; return all of them."""
-    every = load_trials(path, file).added(*trials)
-    with written_whole(trials_path(path)) as unfinished, unfinished.open("w", newline="") as out:
-        writer = csv.writer(out)
-        writer.writerow(COLUMNS)
-        for one in every.trials:
-            poses = [*(one.start or [""] * 3), *(one.end or [""] * 3)]
-            writer.writerow([file.id, one.time, int(one.met), one.failure, one.by, *poses])
-    return every
-
-
-def _trial(row: list[str]) -> PlanTrial:
-    _, time, met, failure, by, *numbers = row
-    if met not in ("0", "1") or len(numbers) != 6:
-        raise ValueError(f"the row {','.join(row)!r}")
-    poses = [tuple(map(float, own)) if own[0] else None for own in (numbers[:3], numbers[3:])]
-    return PlanTrial(
-        time=time,
-        met=met == "1",
-        failure=failure,
-        start=poses[0],  # type: ignore[arg-type]
-        end=poses[1],  # type: ignore[arg-type]
-        by=by,
-    )
+    """Add trials to those of a plan file, durably; return all of them."""
+    where = trials_path(path)
+    if not where.exists():
+        write_trials(where, load_trials(path, file))
+    return append_trials(where, *trials, plan=file.id)
