@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fixel
-from fixel import Belief, Body, FreePushes, Polygon, PoseRegion, Scene, StartError, Tripod
+from fixel import Adaptive, Belief, Body, FreePushes, Polygon, PoseRegion, Scene, StartError, Tripod
 from fixel.planning.geometric import fence_pushes
 from fixel.planning.plan import simulator_of
 from fixel.units import deg, mm
@@ -52,6 +52,41 @@ def test_K1_two_pushes_do_what_one_does_for_the_share_of_its_basin():
     assert rate(*block, plan) >= 0.97
     # From the middle of a long side, at 25 of 170 mm, into the basins of 220 of 360 degrees.
     assert rate(*block, np.array([[25 / 170, 0.0, 0.15]])) == pytest.approx(0.61, abs=0.04)
+
+
+def test_K22_one_of_two_angles_that_a_fence_cannot_tell_apart_is_reached_half_the_time():
+    block = problem(Polygon.rectangle(50 * mm, 35 * mm), 1, 150 * mm)
+    [plan] = fence_pushes(block[0].bodies[0], 0.0, most=2, angle=1.4, length=(0.0, 0.15))
+    assert rate(*block, plan) == pytest.approx(0.5, abs=0.1)
+
+
+def test_K7_the_shortest_push_that_always_succeeds_is_within_the_bound():
+    """Start within 10 degrees, tripods of any radius in the square, flush within 0.1 degrees."""
+    side = 107.5 * mm
+    square = Polygon.rectangle(side, side)
+    part = Body("part", square, mass=0.5, support=Tripod(radius=15 * mm, friction=0.3))
+    belief = Belief(
+        parameters={"tripod_radius": (10 * mm, 60 * mm)}, start=StartError(theta=10 * deg)
+    )
+    choose = FreePushes(tool=FENCE, clearance=10 * mm, friction=0.0)
+    scene = choose.prepared(Scene(part, duration=1.0))
+    goal = PoseRegion((0, 0, 0), angle=0.1 * deg)
+    simulator = simulator_of(scene, goal, choose, belief, None, Adaptive(tolerance=1e-6), None)
+    lengths = np.array([5.0, 10.0, 14.59, 20.0, 25.0, 29.26]) * mm
+    # The middle of the bottom edge; contact begins up to 8 mm earlier where the part is turned.
+    corner = 0.5 * side * (np.cos(10 * deg) + np.sin(10 * deg) - 1.0)
+    numbers = np.array([[[0.125, 0.0, x - corner]] for x in lengths])
+    scenarios = belief.scenarios(scene, worlds=128, runs=1)
+    runs = simulator.run(
+        simulator.planned(numbers),
+        np.repeat(np.arange(6), 128),
+        scenarios.rows(np.tile(np.arange(128), 6)),
+    )
+    success = (simulator.margins(runs) >= 0.0).reshape(6, 128).mean(axis=1)
+    assert np.all(np.diff(success) >= 0.0)
+    assert success[0] < 0.6
+    assert success[2] < 1.0  # what even pressure needs
+    assert success[-1] == 1.0
 
 
 def test_K2_with_an_error_of_5_degrees_four_pushes_do_what_three_do_not():
