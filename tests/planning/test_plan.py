@@ -99,7 +99,8 @@ def test_a_placement_on_the_rig_seats_the_part():
 
 
 def test_a_sequence_reaches_what_no_single_push_does():
-    goal = PoseRegion((0.0, 0.05, 0.0), position=5 * mm, angle=5 * deg)
+    goal = PoseRegion((0.02, 0.05, 1.0), position=5 * mm, angle=5 * deg)
     choose = FreePushes(most=2, length=(5 * mm, 60 * mm))
     plan = fixel.plan(pushed_square(), goal, choose, rollouts=10_000, progress=False)
     assert plan.success.mean == 1.0
+    assert len(plan.pushes) == 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final, NamedTuple, final
 
@@ -167,9 +167,15 @@ class PushPlan(Result):
         Runs
         """
         rows = np.linspace(0, len(self.runs.margin) - 1, min(n, len(self.runs.margin)))
-        simulator = replace(self._simulator(threads), samples=samples)
         own = self.runs.scenarios.rows(rows.astype(np.int64))
-        return simulator.run(self.planned(), np.zeros(own.n, np.int64), own)
+        return self.run(own, samples=samples, threads=threads)
+
+    def run(
+        self, scenarios: Scenarios, *, samples: int = SAMPLES, threads: int | None = None
+    ) -> Runs:
+        """Simulate the plan once in each of some scenarios, with `samples` poses of each push."""
+        simulator = replace(self._simulator(threads), samples=samples)
+        return simulator.run(self.planned(), np.zeros(scenarios.n, np.int64), scenarios)
 
     def capture(
         self, push: int, offsets: FloatArray, *, runs: int = 16, threads: int | None = None
@@ -316,6 +322,7 @@ def find_plan(
     motion: AbstractMotionModel | None = None,
     stepper: AbstractStepper | None = None,
     untrusted: bool = False,
+    first: Sequence[Sequence[PlanPush | RigPush]] = (),
     answers: Answers | None = None,
     report: Report | None = None,
 ) -> PushPlan:
@@ -323,7 +330,7 @@ def find_plan(
 
     Parameters
     ----------
-    scene, goal, choose, belief, rollouts, seed, threads, motion, stepper, untrusted
+    scene, goal, choose, belief, rollouts, seed, threads, motion, stepper, untrusted, first
         As for `fixel.plan`.
     answers : mutable mapping, optional
         Margins that were computed before, by what was asked; new ones are added.
@@ -339,6 +346,7 @@ def find_plan(
     search = PlanSearch(
         simulator=simulator, belief=belief, rollouts=rollouts, seed=seed,
         answers={} if answers is None else answers, report=report,
+        first=[choose.numbers(own) for own in first],
     )  # fmt: skip
     plans = search.candidates()
     nominal_best = plans[0]
@@ -350,11 +358,11 @@ def find_plan(
     if belief.has_known_pushes and not untrusted:
         better = [plan for plan in better if not _unseen(simulator, belief, plan)]
     finalists += [plan for plan in better if nominal_margins(simulator, [plan])[0] > -np.inf]
-    first, outcomes = search.chosen(finalists)
-    plan = finalists[first]
+    winner, outcomes = search.chosen(finalists)
+    plan = finalists[winner]
     success, margin = search.success(plan)
     nominal_success, _ = search.success(nominal_best)
-    order = np.argsort(np.arange(len(finalists)) != first, kind="stable")
+    order = np.argsort(np.arange(len(finalists)) != winner, kind="stable")
     planned = simulator.planned(plan[None])
     return PushPlan(
         scene=prepared, goal=goal, choose=choose, belief=belief,

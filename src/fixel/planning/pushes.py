@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
 from typing import Final, NamedTuple, Protocol, final
 
@@ -117,6 +117,9 @@ class PushChoice(Protocol):
 
     def pushes(self, scene: Scene, numbers: FloatArray) -> tuple[PlanPush | RigPush, ...]:
         """Pushes of a plan (k, d)."""
+
+    def numbers(self, pushes: Sequence[PlanPush | RigPush]) -> FloatArray:
+        """Numbers (k, d) of the pushes of a plan."""
 
 
 @final
@@ -234,6 +237,12 @@ class FreePushes:
         """Pushes of a plan (k, 3)."""
         return tuple(PlanPush(c % 1.0, a, x) for c, a, x in numbers.tolist())
 
+    def numbers(self, pushes: Sequence[PlanPush | RigPush]) -> FloatArray:
+        """Numbers (k, 3) of the pushes of a plan."""
+        for push in pushes:
+            instance(push, PlanPush, "first", "pushes of a free tool")
+        return np.array([astuple(push) for push in pushes])
+
     def _tool(self, scene: Scene) -> Shape:
         if self.tool is not None:
             return self.tool
@@ -335,6 +344,16 @@ class RigPushes:
             x, y, theta, stroke = row[:4]
             found.append(RigPush(x, y, theta, stroke, moved))
         return tuple(found)
+
+    def numbers(self, pushes: Sequence[PlanPush | RigPush]) -> FloatArray:
+        """Numbers (1, d) of the push of a plan."""
+        rows = []
+        for push in pushes:
+            instance(push, RigPush, "first", "placements on the rig")
+            assert isinstance(push, RigPush)
+            moved = [push.fixels.get(name, (0.0, 0.0)) for name in self.fixels or {}]
+            rows.append([push.x, push.y, push.theta, push.stroke, *np.ravel(moved)])
+        return np.array(rows)
 
     def _displacements(self, scene: Scene, numbers: FloatArray) -> FloatArray | None:
         if not self.fixels:

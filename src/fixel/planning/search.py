@@ -61,6 +61,8 @@ class PlanSearch:
     seed : int
     answers : mutable mapping of str to (m, n) float64
         Margins by what was asked; a stored one makes the search resumable.
+    first : sequence of (k, d) float64
+        Plans that are candidates in any case.
     report : callable, optional
     """
 
@@ -69,6 +71,7 @@ class PlanSearch:
     rollouts: int = 160_000
     seed: int = 0
     answers: Answers = field(default_factory=dict)
+    first: Sequence[FloatArray] = ()
     report: Report | None = None
     best: float = 0.0
 
@@ -113,6 +116,7 @@ class PlanSearch:
         simulator, choice = self.simulator, self.simulator.choice
         n = min(8192, max(256, 2 ** int(math.log2(max(2, 0.5 * SHARES[0] * self.rollouts)))))
         plans = [
+            *self.first,
             *plans_of_mechanics(simulator),
             *spread_pushes(simulator.scene, choice, n, self.seed),
         ]

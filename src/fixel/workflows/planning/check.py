@@ -17,6 +17,7 @@ from fixel.model.scene import Scene
 from fixel.planning.belief import Belief
 from fixel.planning.plan import PushPlan, simulator_of
 from fixel.planning.pushes import FreePushes
+from fixel.planning.seen import belief_after
 from fixel.planning.success import SuccessProbability
 from fixel.planning.trials import Trials
 from fixel.progress import ProgressOption
@@ -166,16 +167,18 @@ def next_plan(
         )
     choose = replace(old.choose, most=left) if isinstance(old.choose, FreePushes) else old.choose
     scene = at_pose(old.scene, seen)
+    told = belief_after(replace(old, belief=belief), seen, done, error or RPI_CAMERA)
     again = plan(
         scene,
         old.goal,
         choose,
-        replace(belief, start=error or RPI_CAMERA),
+        told.belief,
         rollouts=rollouts,
         seed=old.seed,
         motion=old.motion,
         stepper=old.stepper,
         untrusted=found.request.untrusted,
+        first=[old.pushes[done:]],
         threads=threads,
         progress=progress,
     )
@@ -184,7 +187,7 @@ def next_plan(
         request=found.request,
         calibration=number,
         wanted=found.wanted,
-        warnings=tuple(warnings_of(again, found.wanted)),
+        warnings=(*warnings_of(again, found.wanted), *filter(None, [told.note])),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, MutableMapping
+from collections.abc import Iterator, MutableMapping, Sequence
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
@@ -17,7 +17,7 @@ from fixel.model import Scene
 from fixel.model.goals import Goal
 from fixel.planning.belief import Belief
 from fixel.planning.plan import PushPlan, find_plan
-from fixel.planning.pushes import FreePushes, RigPushes
+from fixel.planning.pushes import FreePushes, PlanPush, RigPush, RigPushes
 from fixel.progress import Progress, ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.simulate import SceneWithMethod, scene_file
@@ -39,6 +39,7 @@ def plan(
     motion: AbstractMotionModel | str | None = None,
     stepper: AbstractStepper | None = None,
     untrusted: bool = False,
+    first: Sequence[Sequence[PlanPush | RigPush]] = (),
     threads: int | None = None,
     store: PathLike[str] | str | None = None,
     progress: ProgressOption = None,
@@ -66,6 +67,8 @@ def plan(
         Method of the simulations; by default that of the calibration, else quasi-static.
     untrusted : bool
         Whether pushes may be chosen that resemble none of the calibration's experiments.
+    first : sequence of sequences of PlanPush or RigPush
+        Plans that are tried besides those that the search finds.
     threads : int, optional
         Number of threads; all cores by default.
     store : path, optional
@@ -111,7 +114,7 @@ def plan(
                 own, goal, choose or FreePushes(), belief or Belief(),
                 rollouts=rollouts, seed=seed, threads=threads,
                 motion=None if motion is None else motion_model(motion), stepper=stepper,
-                untrusted=untrusted, answers=answers, report=show,
+                untrusted=untrusted, first=first, answers=answers, report=show,
             )  # fmt: skip
         except KeyboardInterrupt:
             hint = "the same call continues" if store else "with store='FOLDER' it would continue"

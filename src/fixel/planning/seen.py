@@ -1,0 +1,91 @@
+"""What a pose seen during a plan tells about the parameters of that run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.model.trajectory import wrapped
+from fixel.planning.belief import Belief
+from fixel.planning.plan import PushPlan
+from fixel.typing import BoolArray, FloatArray
+from fixel.uncertainty.starts import StartError
+
+WORLDS: Final = 2048  # parameter draws that are weighted
+FRESH: Final = 11  # number of their stream of random values
+SETS: Final = 256  # parameter sets that are kept
+MIN_EFFECTIVE: Final = 32.0  # runs near the seen pose that count
+WIDEST: Final = 0.5  # standard deviations of the runs by which the likelihood may be made wider
+
+
+class SeenBelief(NamedTuple):
+    """Belief after a pose was seen."""
+
+    belief: Belief
+    note: str  # why the parameters are as before; empty where they were narrowed
+
+
+def belief_after(
+    plan: PushPlan,
+    seen: FloatArray,
+    done: int,
+    error: StartError,
+    *,
+    threads: int | None = None,
+) -> SeenBelief:
+    """Return the belief for the rest of a plan, from the pose seen after some of its pushes.
+
+    Parameters
+    ----------
+    plan : PushPlan
+    seen : (3,) float64
+        Pose of the part [m, m, rad].
+    done : int
+        Number of pushes that were carried out.
+    error : StartError
+        Error of the seen pose.
+    threads : int, optional
+
+    Notes
+    -----
+    Simulated runs are weighted by the likelihood of the seen pose, a normal distribution with the
+    error of the pose, made wider until enough runs count. Friction and pressure of the run stay
+    what they were, and are not drawn anew.
+    """
+    start = replace(plan.belief, start=error)
+    if done == 0:
+        return SeenBelief(start, "")
+    scenarios = plan.belief.scenarios(plan.scene, worlds=WORLDS, runs=1, seed=plan.seed + FRESH)
+    runs = plan.run(scenarios, samples=1, threads=threads)
+    poses = runs.pose[:, done - 1]
+    off = poses - seen
+    off[:, 2] = wrapped(off[:, 2])
+    weight = _weights(off, error.deviation, runs.failure == 0)
+    if weight is None:
+        return SeenBelief(
+            start, "the seen pose is unlike the planned runs, and says nothing about parameters"
+        )
+    # Systematic resampling: each run as often as its weight says, up to one.
+    places = (np.arange(SETS) + 0.5) / SETS
+    rows = np.searchsorted(np.cumsum(weight) / weight.sum(), places)
+    values = scenarios.values
+    sets = [{name: float(column[row]) for name, column in values.items()} for row in rows]
+    nearest = int(np.argmax(weight))
+    sets.insert(0, {name: float(column[nearest]) for name, column in values.items()})
+    scatter = plan.belief.run_to_run
+    if scatter is not None:
+        scatter = replace(scatter, start=0.0, centre=0.0, friction=0.0)
+    return SeenBelief(replace(start, parameters=tuple(sets), run_to_run=scatter), "")
+
+
+def _weights(off: FloatArray, deviation: FloatArray, good: BoolArray) -> FloatArray | None:
+    """Return the weights (n,) of runs that end `off` (n, 3) from the seen pose; None if too far."""
+    spread = off.std(axis=0)
+    for wider in (0.0, *np.geomspace(0.01, WIDEST, 12)):
+        width = np.maximum(np.hypot(deviation, wider * spread), 1e-12)
+        weight = np.where(good, np.exp(-0.5 * np.sum((off / width) ** 2, axis=1)), 0.0)
+        if weight.sum() ** 2 >= MIN_EFFECTIVE * np.sum(weight**2) > 0.0:
+            return weight
+    return None
