@@ -70,6 +70,9 @@ class PlanOptions:
         exists=True,
         dir_okay=False,
     )
+    experiment: str | None = option(
+        None, "Experiment of the project whose scene is used, by id or name.", metavar="KEY"
+    )
     calibration: int | None = option(
         None, "Id of the calibration; by default that of the goal file, else the newest.", min=1
     )
@@ -89,6 +92,7 @@ class PlanOptions:
         return PlanRequest.of_file(
             goal,
             scene="" if self.scene is None else str(self.scene),
+            experiment=self.experiment or "",
             calibration=self.calibration,
             rollouts=self.rollouts,
             seed=self.seed,
@@ -329,6 +333,7 @@ def _lines(
         [f"Goal: {plan.goal}", *pushes_table(plan).lines(), "", *success_table(plan).lines()],
         [
             *headline_of(found),
+            *plan.explain().sentences,
             *(f"Warning: {text}." for text in found.warnings if text not in plan.unseen),
         ],
         [*wrote(files), f"{stored}in {seconds(duration)}"],

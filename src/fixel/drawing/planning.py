@@ -209,7 +209,7 @@ class CaptureChart(AbstractChart):
 
     def figure(self) -> Figure:
         n = len(self.regions)
-        figure = sheet(min(WIDE, 0.7 + 2.4 * n), 2.5, self.title)
+        figure = sheet(min(WIDE, 1.4 + 2.6 * n), 2.7, self.title)
         row = figure.subplots(1, n, squeeze=False)[0]
         for k, (axes, own) in enumerate(zip(row, self.regions, strict=True), 1):
             unit = unit_for(20.0 * float(own.across[-1]))

@@ -25,6 +25,7 @@ _MODULES: Final = {
     "calibration-result": "fixel.workflows.calibration.project",
     "domain": "fixel.workflows.domain.job",
     "next": "fixel.workflows.next_pushes.job",
+    "plan": "fixel.workflows.planning.job",
     "toy": "fixel.testing.toy_work",
 }
 _ALLOWED: set[tuple[str, str]] = set()  # module and name

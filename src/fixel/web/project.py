@@ -21,6 +21,7 @@ from fixel.web.api import (
     experiments,
     jobs,
     next_pushes,
+    planning,
     scenes,
     system,
 )
@@ -34,7 +35,7 @@ ROUTERS: Final = tuple(
     resource.router
     for resource in (
         analyses, calibration, changes, compare, domain, experiments, jobs, next_pushes,
-        scenes, system,
+        planning, scenes, system,
     )
 )  # fmt: skip
 

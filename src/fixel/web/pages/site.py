@@ -1,7 +1,7 @@
 """All pages of a project, and what the simple ones show.
 
 `Page.place` orders the navigation: Experiments 10, Compare 20, Calibrations 30, Domain 40,
-Next pushes 45, Simulate 50, Jobs 60, System 70, API 90.
+Next pushes 45, Plan 47, Simulate 50, Jobs 60, System 70, API 90.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fixel.model.selection import ExperimentQuery
 from fixel.web.app import API, Page
 from fixel.web.context import ProjectContext
 from fixel.web.pages import calibration, experiment
-from fixel.web.views import next_view, scene_editor
+from fixel.web.views import next_view, plan_view, scene_editor
 from fixel.web.views.system_status import system_status
 from fixel.workflows.analysis import load_with_errors
 
@@ -36,6 +36,7 @@ def project_pages(context: ProjectContext) -> list[Page]:
         ("/calibrations", "Calibrations", "calibrations.html", 30, None),
         ("/domain", "Domain", "domain.html", 40, domain_page),
         ("/next", "Next pushes", "next.html", 45, next_page),
+        ("/plan", "Plan", "plan.html", 47, plan_page),
         ("/simulate", "Simulate", "simulate.html", 50, simulate_page),
         ("/jobs", "Jobs", "jobs.html", 60, None),
         ("/system", "System", "system.html", 70, system_page),
@@ -93,7 +94,7 @@ def domain_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "others": [
             (one.folder.name, one.analysis)
             for one in every
-            if one.analysis.kind not in ("domain", "next")
+            if one.analysis.kind not in ("domain", "next", "plan")
         ],
         "unreadable": [str(problem) for problem in unreadable],
     }
@@ -117,6 +118,24 @@ def next_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "surfaces": surfaces,
         "wanted_part": numbers.get("part", ""),
         "wanted_surface": numbers.get("surface", ""),
+    }
+
+
+def plan_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/plan?plan=NAME&experiment=KEY`; by default with the newest plan."""
+    every, unreadable = load_with_errors(context.project, "plan")
+    wanted = request.query_params.get("plan", "")
+    chosen = next((one for one in every if one.folder.name == wanted), every[0] if every else None)
+    question = {} if chosen is None else chosen.analysis.question
+    listed = context.store.experiments(ExperimentQuery(limit=OFFERED)).rows
+    return {
+        "name": "" if chosen is None else chosen.folder.name,
+        "chosen": None if chosen is None else chosen.analysis,
+        "plans": [(one.folder.name, one.analysis) for one in every],
+        "trials": [] if chosen is None else plan_view.trials_of(chosen.folder),
+        "unreadable": [str(problem) for problem in unreadable],
+        "keys": [row.key for row in listed],
+        "key": request.query_params.get("experiment", "") or question.get("experiment", ""),
     }
 
 

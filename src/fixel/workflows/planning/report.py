@@ -6,10 +6,12 @@ import json
 import shlex
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from fixel.database.project import Project
 from fixel.drawing.planning import CaptureChart, PathsChart
+from fixel.io.atomic import written_whole
+from fixel.io.document import yaml_text
 from fixel.planning.plan import PushPlan
 from fixel.table import Column, Table
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
@@ -17,13 +19,14 @@ from fixel.workflows.figures import Picture
 from fixel.workflows.planning.request import FoundPlan, PlanRequest
 from fixel.workflows.planning.stored import ENDING, save_plan
 
-FILE = f"plan{ENDING}"  # in the folder of the analysis
+# Files in the folder of the analysis.
+FILE: Final = f"plan{ENDING}"
+GOAL: Final = "goal.yaml"
 
 
 def store_plan(project: Project, found: FoundPlan, command: str, seconds: float) -> StoredAnalysis:
     """Store a plan in its project, with its pictures and its plan file."""
     plan = found.plan
-    numbers = numbers_of(found)
     analysis = Analysis(
         kind="plan",
         title=f"Plan: {plan.goal}",
@@ -32,7 +35,7 @@ def store_plan(project: Project, found: FoundPlan, command: str, seconds: float)
         warnings=found.warnings,
         tables=(pushes_table(plan), success_table(plan)),
         methods=(methods_of(plan),),
-        numbers=numbers,
+        numbers=numbers_of(found),
         calibrations=() if found.calibration is None else (found.calibration,),
         command=command,
         seed=found.request.seed,
@@ -51,6 +54,8 @@ def store_plan(project: Project, found: FoundPlan, command: str, seconds: float)
     ]  # fmt: skip
     kept = store_analysis(project, analysis, pictures)
     save_plan(found, kept.folder / FILE)
+    with written_whole(kept.folder / GOAL) as path:
+        path.write_text(yaml_text(dict(found.request.goal)), encoding="utf-8")
     return kept
 
 
@@ -118,6 +123,7 @@ def numbers_of(found: FoundPlan) -> dict[str, Any]:
         },
         "nominal_success": {"stated": plan.nominal_success.stated},
         "failures": dict(plan.failures),
+        "why": list(plan.explain().sentences),
         "unseen": list(plan.unseen),
         "start_m_rad": plan.start.tolist(),
         "end_m_rad": plan.end.tolist(),
@@ -134,6 +140,7 @@ def command_of(request: PlanRequest, goal: str, folder: Path = Path()) -> str:
     words = ["fixel", "plan", goal]
     words += ["--project", str(folder)] if folder != Path() else []
     words += ["--scene", request.scene] if request.scene else []
+    words += ["--experiment", request.experiment] if request.experiment else []
     words += ["--calibration", str(request.calibration)] if request.calibration else []
     words += ["--rollouts", str(request.rollouts)]
     words += ["--seed", str(request.seed)] * bool(request.seed)

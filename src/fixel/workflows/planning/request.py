@@ -39,6 +39,8 @@ class PlanRequest:
     scene : str
         Scene file; by default that of the goal file, else the first experiment's of the
         calibration.
+    experiment : str
+        Experiment of the project whose scene is used, by id or name.
     calibration : int, optional
         Id of a stored calibration; by default that of the goal file, else the newest one.
     rollouts, seed : int
@@ -49,6 +51,7 @@ class PlanRequest:
     goal: Mapping[str, Any]
     folder: str = ""
     scene: str = ""
+    experiment: str = ""
     calibration: int | None = None
     rollouts: int = ROLLOUTS
     seed: int = 0
@@ -121,6 +124,9 @@ def inputs_of(project: Project | None, request: PlanRequest) -> PlanInputs:
             scatter, note = _run_to_run(calibration, experiments)
             belief = replace(belief, run_to_run=scatter)
             warnings += [note] if note else []
+    if request.experiment and project is not None:
+        with project.store() as store:
+            experiments = [store.experiment(store.find(request.experiment)), *experiments]
     scene = _scene(request.scene or file.scene, experiments)
     check_goal(file.goal, scene)
     return PlanInputs(file, scene, belief, number, tuple(warnings))

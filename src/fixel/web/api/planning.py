@@ -1,0 +1,123 @@
+"""Plans of pushes, searched in a process of their own, and trials on the simulated testbed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import APIRouter
+from pydantic import Field
+
+from fixel.errors import NotStored
+from fixel.web.context import Context, ProjectContext
+from fixel.web.values import Answer, RequestBody, Text
+from fixel.web.views import job_list
+from fixel.web.views.plan_view import PlanScene, as_question, plan_scene, trials_of
+from fixel.workflows import jobs
+from fixel.workflows.analysis import load_with_errors
+from fixel.workflows.planning import job
+from fixel.workflows.planning.execute import run_on_testbed
+from fixel.workflows.planning.report import FILE, command_of
+from fixel.workflows.planning.request import PlanRequest
+
+router = APIRouter(prefix="/plan", tags=["planning"])
+
+Coordinate = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
+Tolerance = Annotated[float, Field(gt=0.0, le=1e5, allow_inf_nan=False)]
+Key = Annotated[Text, Field(min_length=1, max_length=200)]
+
+
+class PlanForm(RequestBody):
+    """A goal for the part of an experiment: a pose, or fixels to touch."""
+
+    experiment: Key
+    x_mm: Coordinate = 0.0
+    y_mm: Coordinate = 0.0
+    angle_deg: Coordinate = 0.0
+    position_mm: Tolerance = 2.0
+    tolerance_deg: Tolerance = 2.0
+    symmetry: int = Field(1, ge=1, le=360)
+    fixels: list[Key] = Field([], max_length=20, description="fixels to touch, instead of a pose")
+    pushes: int = Field(1, ge=1, le=4, description="largest number of pushes")
+    rig: bool = Field(False, description="placement and stroke on one axis, instead of pushes")
+    start_mm: float = Field(0.5, ge=0.0, le=1e3, description="standard deviation of the start")
+    start_deg: float = Field(0.5, ge=0.0, le=180.0, description="that of its angle")
+    rollouts: int = Field(40_000, ge=1000, le=10_000_000, description="simulated pushes")
+    untrusted: bool = Field(False, description="allow pushes that resemble no experiment")
+
+
+class PlanJob(Answer):
+    """A search that is being computed."""
+
+    name: str
+    state: str
+    ended: bool
+    reason: str
+    stage: str = Field(description="stage of the computation")
+
+
+class PlanTrialAnswer(Answer):
+    """Trials of a stored plan, as lines of text."""
+
+    lines: list[str]
+
+
+@router.get("/scene", summary="Get the part, the start and the fixels of an experiment")
+def scene(context: Context, experiment: Key) -> PlanScene:
+    return plan_scene(context.store.experiment(context.store.find(experiment)).scene)
+
+
+@router.post("", summary="Search for a plan in a separate process")
+def begin(context: Context, wanted: PlanForm) -> PlanJob:
+    scene(context, wanted.experiment)
+    request = PlanRequest(
+        goal=as_question(wanted),
+        experiment=wanted.experiment,
+        rollouts=wanted.rollouts,
+        untrusted=wanted.untrusted,
+    )
+    with job_list.job_slot(context.project.folder):
+        folder = job.begin(context.project, request, command_of(request, "goal.yaml"))
+    return _answer(folder)
+
+
+@router.get("/jobs/{name}", summary="Get the progress of a search")
+def progress(context: Context, name: str) -> PlanJob:
+    return _answer(_folder(context, name))
+
+
+@router.post("/jobs/{name}/stop", summary="Stop a search; finished simulations stay stored")
+def stop(context: Context, name: str) -> PlanJob:
+    folder = _folder(context, name)
+    jobs.cancel(folder)
+    return _answer(folder)
+
+
+@router.post("/{name}/trials", summary="Carry out a plan 20 times on the simulated testbed")
+def trials(context: Context, name: str) -> PlanTrialAnswer:
+    every, _ = load_with_errors(context.project, "plan")
+    own = next((one.folder for one in every if one.folder.name == name), None)
+    if own is None or not (own / FILE).is_file():
+        raise NotStored(f"plan {name!r}", hint="/analyses lists all")
+    run_on_testbed(own / FILE, trials=20)
+    return PlanTrialAnswer(lines=trials_of(own))
+
+
+def _folder(context: ProjectContext, name: str) -> Path:
+    # Only what the project lists itself: no part of an address becomes a path.
+    every = (path.parent for path in (context.project.folder / jobs.JOBS).glob("plan-*/job.json"))
+    own = next((folder for folder in every if folder.name == name), None)
+    if own is None:
+        raise NotStored(f"job {name!r}", hint="the page Jobs lists all")
+    return own
+
+
+def _answer(folder: Path) -> PlanJob:
+    one = jobs.status_of(folder)
+    return PlanJob(
+        name=folder.name,
+        state=one.state,
+        ended=one.ended,
+        reason=one.reason,
+        stage=job.stage_of(folder),
+    )

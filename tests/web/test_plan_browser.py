@@ -1,0 +1,40 @@
+"""The page of plans, in a real browser."""
+
+import pytest
+from tests.fixtures import project_of
+
+from fixel.testing.pushes import example_pushes
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plans") / "my_lab"
+    project_of(folder, example_pushes(2, duration=1.0))
+    return folder
+
+
+def test_a_goal_is_dragged_planned_shown_and_tried(browser_page, server):
+    page = browser_page
+    page.goto(server.home + "plan")
+    page.wait_for_selector("#stage .goal")
+    before = float(page.input_value("#x_mm"))
+    box = page.locator("#stage .goal").bounding_box()
+    middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.move(*middle)
+    page.mouse.down()
+    page.mouse.move(middle[0] + 30, middle[1], steps=4)
+    page.mouse.up()
+    assert float(page.input_value("#x_mm")) > before + 1.0
+    page.fill("#x_mm", str(before))
+    for name, value in (("position_mm", 8), ("tolerance_deg", 10), ("rollouts", 2000)):
+        page.fill(f"#{name}", str(value))
+    with page.expect_navigation(timeout=120_000):
+        page.click("#start")
+    page.wait_for_selector("#title")
+    assert "stated success probability" in page.inner_text("#content")
+    assert page.locator(".plan-pictures img").count() == 2
+    page.click("#try")
+    page.wait_for_selector("#trials:has-text('20 trials')", timeout=60_000)
+    for width in (1280, 390):
+        page.set_viewport_size({"width": width, "height": 800})
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
