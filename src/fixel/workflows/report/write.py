@@ -52,6 +52,7 @@ WANTED: Final[dict[Kind, str]] = {
     "growth": "Domain of applicability, grown as in the thesis",
     "sensitivity": "Sensitivity to the start pose",
     "uncertainty": "Parameter uncertainty and predictions",
+    "plan": "Plan of pushes and its success probability",
 }
 
 
