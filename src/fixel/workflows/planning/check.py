@@ -66,6 +66,12 @@ class CheckedPlan:
         lines.append(f"Under the present calibration: {self.now.sentence}.")
         if self.now.stated < self.found.wanted:
             lines.append(f"This is below the wanted {self.found.wanted:g}: plan again.")
+        else:
+            share = 100.0 * self.now.spare(self.found.wanted)
+            lines.append(
+                f"As long as less than {share:.1f} % of the samples are misplaced, it is at least"
+                f" the wanted {self.found.wanted:g}."
+            )
         if self.trials.n:
             lines.append(str(self.trials).splitlines()[0] + ".")
         else:
