@@ -35,7 +35,7 @@ def reproduce_published(
     only: str = option(
         "mit",
         "Part of the benchmark: mit, error-bounds, new-sides, new-parts, learned-sides, coverage,"
-        " rates, cmu-tripod, rpi-141, repeats, asme-table-1 or asme-figure-11.",
+        " plans, rates, cmu-tripod, rpi-141, repeats, asme-table-1 or asme-figure-11.",
         metavar="PART",
     ),
     protocol: list[str] | None = option(

@@ -25,6 +25,7 @@ from reproductions import (
     mit_push,
     new_parts,
     new_sides,
+    plans,
     rates,
     repeats,
     rpi_141,
@@ -57,6 +58,7 @@ REPRODUCTIONS: Final[Mapping[str, tuple[str | None, Callable[[RunOptions], Repro
             "new-parts": (MIT_PUSHES, new_parts.run),
             "learned-sides": (MIT_PUSHES, learned_sides.run),
             "coverage": (MIT_PUSHES, coverage.run),
+            "plans": (MIT_PUSHES, plans.run),
             "rates": ("", rates.run),
         }
     )

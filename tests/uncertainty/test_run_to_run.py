@@ -4,17 +4,18 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.testing.pushes import example_pushes
+from fixel.testing.pushes import TRUTH, example_pushes
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.uncertainty.run_to_run import (
     CENTRE,
     FRICTION,
+    REST_ANGLE,
     TURN,
     RunEffects,
     RunToRun,
     arm_of,
+    learn_run_to_run,
     rest_at,
-    run_effects,
 )
 
 
@@ -88,11 +89,25 @@ def test_a_scene_ten_times_as_small_scatters_ten_times_less():
     assert np.abs(runs.start[:, :2]).max() < 0.02 * arm_of(scene)
 
 
-def test_effects_of_exact_experiments_have_no_residual():
-    effects = run_effects(example_pushes(4, duration=0.5), {"mu_pusher": 0.25})
-    assert effects.start.shape == (4, 3, 3)
-    assert np.abs(effects.centre).max() > 0.0
-    assert np.abs(effects.residual).max() < 0.2
+def test_experiments_that_the_model_predicts_narrow_the_scatter():
+    pushes = example_pushes(10, duration=1.0)
+    found = learn_run_to_run(pushes, TRUTH)
+    assert found.experiments == 10
+    assert found.centre < 0.5 * CENTRE
+    assert found.rest_angle < REST_ANGLE
+    assert found == learn_run_to_run(pushes, TRUTH, threads=1)
+
+
+def test_the_remainder_makes_up_for_simulated_effects_that_are_too_small():
+    """Draws without any effect of the scatter: all errors become noise and remainder."""
+    rng = np.random.default_rng(4)
+    turned = rng.uniform(0.0, 0.6, 500)
+    size = np.column_stack((0.05 * turned, 0.05 * turned, 0.1 * turned))
+    found = RunToRun(freedom=50.0).with_remainder(
+        size * rng.standard_normal((500, 3)), np.zeros((500, 8, 3)), turned
+    )
+    assert found.rest_position == pytest.approx(0.05, rel=0.1)
+    assert found.rest_angle == pytest.approx(0.1, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -103,8 +118,8 @@ def test_effects_of_exact_experiments_have_no_residual():
         lambda: RunToRun(freedom=1.0),
         lambda: RunToRun.learned(synthetic(2, 0.1, (0.02, 0.04))),
         lambda: RunToRun.learned(synthetic(3, 0.1, (0.02, 0.04)), fitted=9),
-        lambda: run_effects([], {}),
-        lambda: run_effects(["no experiment"], {}),
+        lambda: learn_run_to_run([], {}),
+        lambda: learn_run_to_run(["no experiment"], {}),
     ],
 )
 def test_bad_input_is_refused(bad):

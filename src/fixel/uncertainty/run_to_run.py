@@ -13,19 +13,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from fixel.calibration.target import target_of
+from fixel.calibration.target import Target, target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene, wrapped
 from fixel.model.fields import instance, non_negative, settle
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.stepper import AbstractStepper
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.push import CalibratedModel
 
 # Scatter of real pushes: rounded medians of the 14 plates and surfaces of the MIT push dataset.
@@ -38,8 +38,13 @@ FREEDOMS: Final = (1.5, 50.0)
 # Largest factor of Student's t on the scatter of one run: 2 % of the runs exceed it.
 MAX_FACTOR: Final = 3.0
 # Standard deviation of the logarithm of a scatter over its default, before any experiment.
-PRIOR: Final = 0.7
+PRIOR: Final = 1.0
 MIN_EXPERIMENTS: Final = 3
+# Draws of each experiment from which the remainder is learned.
+DRAWS: Final = 64
+# Size at which the effects on ends are taken, in default scatters: tails decide about 90 % regions,
+# and large changes have smaller effects than in proportion.
+FAR: Final = 2.0
 # Rotation at which the remainder of a draw is given [rad].
 TURN: Final = 0.25
 _NUMBERS: Final = (
@@ -56,6 +61,12 @@ class RunChanges(NamedTuple):
     values: dict[str, FloatArray]  # parameters (n,) by name, with the scatter of each run
     start: FloatArray  # (n, 3) errors of the start [m, m, rad]
     rest: FloatArray  # (n, 3) errors of the end, for a part that turns by `TURN` [m, m, rad]
+
+    @property
+    def parameters(self) -> dict[str, FloatArray]:
+        """Parameters of the runs, with the errors of the start added to those that are given."""
+        own = zip(_SHIFTS, self.start.T, strict=True)
+        return self.values | {name: self.values.get(name, 0.0) + error for name, error in own}
 
 
 class RunEffects(NamedTuple):
@@ -130,14 +141,14 @@ class RunToRun:
 
     @classmethod
     def learned(cls, effects: RunEffects, *, fitted: int = 0) -> RunToRun:
-        """Fit the scatter to the errors of experiments.
+        """Fit the scatter to the errors of experiments, by their linear effects.
 
-        The prior is the default within a factor of two, so few experiments change little.
+        The prior is the default within a factor of three, so few experiments change little.
 
         Parameters
         ----------
         effects : RunEffects
-            Errors of experiments, from `run_effects`; best of those that were not calibrated on.
+            Errors of experiments and effects on them.
         fitted : int
             Number of parameters that were fitted to the same experiments, whose errors are smaller.
 
@@ -145,13 +156,6 @@ class RunToRun:
         ------
         InvalidInput
             There are fewer than three experiments, or as many parameters as measured numbers.
-
-        Examples
-        --------
-        >>> from fixel.testing.pushes import example_pushes
-        >>> effects = run_effects(example_pushes(6, duration=0.5), {"mu_pusher": 0.2})
-        >>> RunToRun.learned(effects).experiments
-        6
         """
         from scipy.optimize import minimize
 
@@ -191,6 +195,40 @@ class RunToRun:
         }
         freedom = float(np.exp(np.clip(z[-1], *np.log(FREEDOMS))))
         return cls(**numbers, freedom=freedom, experiments=k)
+
+    def with_remainder(
+        self, residual: FloatArray, drawn: FloatArray, turned: FloatArray
+    ) -> RunToRun:
+        """Fit remainder and noise to errors, given the simulated effects of the other numbers.
+
+        Unlike `learned`, this is right for effects that do not grow in proportion.
+
+        Parameters
+        ----------
+        residual : (k, 3) float64
+            Measured minus predicted ends: positions in radii of gyration, angles [rad].
+        drawn : (k, n, 3) float64
+            Simulated ends of n runs of each, in the same way; NaN where one failed.
+        turned : (k,) float64
+            Predicted rotation [rad].
+        """
+        from scipy.optimize import minimize
+        from scipy.stats import t as student
+
+        low, high = np.nanquantile(drawn, (0.16, 0.84), axis=1)
+        inside = (0.5 * (high - low)) ** 2
+        names = ("noise_position", "noise_angle", "rest_position", "rest_angle")
+        usual = np.log([max(getattr(self, name), 1e-6) for name in names])
+
+        def cost(z: FloatArray) -> float:
+            square = np.exp(2.0 * z)
+            own = square[:2] + square[2:] * turned[:, None] ** 2
+            scale = np.sqrt(inside + own[:, [0, 0, 1]])
+            fit = student.logpdf(residual / scale, self.freedom) - np.log(scale)
+            return 0.5 * float(np.sum((z - usual) ** 2)) / PRIOR**2 - float(fit.sum())
+
+        z = minimize(cost, usual, method="L-BFGS-B").x
+        return replace(self, **dict(zip(names, np.exp(z).tolist(), strict=True)))
 
     def drawn(
         self, n: int, *, seed: int, scene: Scene, values: Mapping[str, FloatArray] | None = None
@@ -258,80 +296,125 @@ def _frictions(scene: Scene, values: Mapping[str, Any]) -> tuple[Any, Any]:
 # --- errors of experiments ------------------------------------------------------------------------
 
 
-def run_effects(
+def learn_run_to_run(
     experiments: Sequence[Experiment],
     model: Mapping[str, float] | CalibratedModel,
     *,
+    fitted: int = 0,
     motion: AbstractMotionModel | None = None,
     stepper: AbstractStepper | None = None,
+    seed: int = 0,
     threads: int | None = None,
-) -> RunEffects:
-    """Simulate experiments, and what a scatter between runs would change at their ends.
+) -> RunToRun:
+    """Learn the scatter between runs from the errors of predicted experiments.
 
     Experiments that cannot be simulated are left out.
 
     Parameters
     ----------
     experiments : sequence of Experiment
+        Best those that were not calibrated on.
     model : mapping of str to float or Calibration
         Parameters [SI].
+    fitted : int
+        Number of parameters that were fitted to the same experiments.
     motion : AbstractMotionModel, optional
         By default that of the calibration, else quasi-static.
     stepper : AbstractStepper, optional
+    seed : int
     threads : int, optional
 
     Examples
     --------
     >>> from fixel.testing.pushes import example_pushes
-    >>> len(run_effects(example_pushes(3, duration=0.5), {"mu_pusher": 0.2}))
-    3
+    >>> learn_run_to_run(example_pushes(6, duration=0.5), {"mu_pusher": 0.2}).experiments
+    6
     """
     for experiment in experiments:
         instance(experiment, Experiment, "experiments", "experiments")
-    targets = [target_of(experiment) for experiment in experiments]
-    if not targets:
+    if not len(experiments):
         raise InvalidInput("experiments", found="none", expected="at least one")
-    given = [_values(model, target.conditions) for target in targets]
-    names = sorted({name for own in given for name in own})
-    if any(sorted(own) != names for own in given):
-        raise InvalidInput(
-            "model", found="different parameters for experiments", expected="the same for all"
-        )
-    table = {name: np.array([own[name] for own in given]) for name in names}
-    cases = [t.case._replace(times=t.case.times[-1:]) for t in targets]
-    calibrated = getattr(model, "motion", None)
-    ensemble = Ensemble(cases, motion or calibrated or QuasiStatic(), stepper, threads=threads)
-    which, arm = np.arange(len(cases)), np.array([arm_of(case.scene) for case in cases])
-    size = np.column_stack((arm, arm, np.ones(len(arm))))
+    motion = motion or getattr(model, "motion", None)
+    ends = _ExperimentEnds([target_of(e) for e in experiments], model, motion, stepper, threads)
+    effects = ends.effects()
+    scatter = RunToRun.learned(effects, fitted=fitted)
+    left = effects.residual / math.sqrt(1.0 - fitted / (3.0 * len(effects)))
+    return scatter.with_remainder(left, ends.drawn(scatter, seed), effects.turned)
 
-    def ends(changes: Mapping[str, FloatArray]) -> FloatArray:
-        outcome = ensemble.simulate(which, table | dict(changes))
-        return np.asarray(np.where(outcome.converged[:, None], outcome.pose[:, -1], np.nan))
 
-    def effect(name: str, step: FloatArray, mu: FloatArray | None = None) -> FloatArray:
-        low, high = (
-            ends(
-                {name: table.get(name, 0.0) + way * step if mu is None else mu * np.exp(way * step)}
+@final
+class _ExperimentEnds:
+    """Simulated ends of experiments: positions in radii of gyration, angles in radians."""
+
+    def __init__(
+        self,
+        targets: Sequence[Target],
+        model: Mapping[str, float] | CalibratedModel,
+        motion: AbstractMotionModel | None,
+        stepper: AbstractStepper | None,
+        threads: int | None,
+    ) -> None:
+        given = [_values(model, target.conditions) for target in targets]
+        names = sorted({name for own in given for name in own})
+        if any(sorted(own) != names for own in given):
+            raise InvalidInput(
+                "model", found="different parameters for experiments", expected="the same for all"
             )
-            for way in (-1.0, 1.0)
-        )
-        return np.asarray(np.nan_to_num(0.5 * pose_difference(high, low) / size))
+        cases = [t.case._replace(times=t.case.times[-1:]) for t in targets]
+        table = {name: np.array([own[name] for own in given]) for name in names}
+        self._ensemble = Ensemble(cases, motion or QuasiStatic(), stepper, threads=threads)
+        base = self._poses(np.arange(len(cases)), table)
+        self._rows = np.flatnonzero(np.isfinite(base).all(axis=1))
+        self._scenes = [cases[k].scene for k in self._rows]
+        self._table = {name: column[self._rows] for name, column in table.items()}
+        self._base = base[self._rows]
+        self._measured = np.array([targets[k].pose[-1] for k in self._rows.tolist()]).reshape(-1, 3)
+        arm = np.array([arm_of(scene) for scene in self._scenes])
+        self._size = np.column_stack((arm, arm, np.ones(len(arm))))
 
-    base = ends({})
-    pusher = np.array([_frictions(c.scene, {})[0] or 0.0 for c in cases])
-    friction = table.get("mu_pusher", pusher)
-    sizes = zip(_SHIFTS, (arm, arm, np.ones(len(arm))), strict=True)
-    measured = np.array([target.pose[-1] for target in targets])
-    start = np.array([case.scene.bodies[0].pose for case in cases])
-    found = RunEffects(
-        residual=pose_difference(measured, base) / size,
-        start=np.stack([effect(name, START * length) for name, length in sizes], axis=2),
-        centre=np.stack([effect(name, CENTRE * arm) for name in _CENTRES], axis=2),
-        friction=effect("mu_pusher", np.full(len(cases), FRICTION), friction)[:, :, None],
-        turned=np.abs(wrapped(base[:, 2] - start[:, 2])),
-    )
-    good = np.isfinite(base).all(axis=1)
-    return RunEffects(*(column[good] for column in found[:-1]))
+    def effects(self) -> RunEffects:
+        """Return the errors of the predicted ends, and the effects of the default scatter."""
+        start = np.array([scene.bodies[0].pose for scene in self._scenes]).reshape(-1, 3)
+        own = [_frictions(scene, {})[0] or 0.0 for scene in self._scenes]
+        mu = self._table.get("mu_pusher", np.array(own))
+        friction = [mu * np.exp(way * FAR * FRICTION) for way in (-1.0, 1.0)]
+        return RunEffects(
+            residual=pose_difference(self._measured, self._base) / self._size,
+            start=np.stack(
+                [
+                    self._effect(name, *self._around(name, START * length))
+                    for name, length in zip(_SHIFTS, self._size.T, strict=True)
+                ],
+                axis=2,
+            ),
+            centre=np.stack(
+                [self._effect(c, *self._around(c, CENTRE * self._size[:, 0])) for c in _CENTRES],
+                axis=2,
+            ),
+            friction=self._effect("mu_pusher", *friction)[:, :, None],
+            turned=np.abs(wrapped(self._base[:, 2] - start[:, 2])),
+        )
+
+    def drawn(self, scatter: RunToRun, seed: int) -> FloatArray:
+        """Return the changes (k, n, 3) of ends in n draws of the scatter; NaN where one failed."""
+        found = []
+        for k, scene in enumerate(self._scenes):
+            own = {name: np.full(DRAWS, column[k]) for name, column in self._table.items()}
+            changes = scatter.drawn(DRAWS, seed=seed + k, scene=scene, values=own)
+            ends = self._poses(np.full(DRAWS, self._rows[k]), changes.parameters)
+            found.append(pose_difference(ends, self._base[k]) / self._size[k])
+        return np.array(found)
+
+    def _around(self, name: str, size: FloatArray) -> list[FloatArray]:
+        return [self._table.get(name, 0.0) + way * FAR * size for way in (-1.0, 1.0)]
+
+    def _effect(self, name: str, low: FloatArray, high: FloatArray) -> FloatArray:
+        ends = [self._poses(self._rows, self._table | {name: own}) for own in (low, high)]
+        return np.asarray(np.nan_to_num(0.5 / FAR * pose_difference(*ends[::-1]) / self._size))
+
+    def _poses(self, which: IntArray, values: Mapping[str, FloatArray]) -> FloatArray:
+        outcome = self._ensemble.simulate(which, values)
+        return np.asarray(np.where(outcome.converged[:, None], outcome.pose[:, -1], np.nan))
 
 
 def _values(
