@@ -35,7 +35,8 @@ def reproduce_published(
     only: str = option(
         "mit",
         "Part of the benchmark: mit, error-bounds, new-sides, new-parts, learned-sides, coverage,"
-        " plans, rates, cmu-tripod, rpi-141, repeats, asme-table-1 or asme-figure-11.",
+        " plans, repeated-plans, rates, cmu-tripod, rpi-141, repeats, asme-table-1"
+        " or asme-figure-11.",
         metavar="PART",
     ),
     protocol: list[str] | None = option(

@@ -27,6 +27,7 @@ from reproductions import (
     new_sides,
     plans,
     rates,
+    repeated_plans,
     repeats,
     rpi_141,
 )
@@ -59,6 +60,7 @@ REPRODUCTIONS: Final[Mapping[str, tuple[str | None, Callable[[RunOptions], Repro
             "learned-sides": (MIT_PUSHES, learned_sides.run),
             "coverage": (MIT_PUSHES, coverage.run),
             "plans": (MIT_PUSHES, plans.run),
+            "repeated-plans": ("cmu_two_point_push", repeated_plans.run),
             "rates": ("", rates.run),
         }
     )
