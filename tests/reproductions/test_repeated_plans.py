@@ -19,7 +19,7 @@ def test_levels_are_those_of_a_normal_distribution():
 
 
 def test_runs_that_slip_off_count_but_do_not_shape_the_region():
-    slipped = np.vstack((draws(1900), draws(100) + (0.1, 0.0, 0.0)))
+    slipped = np.vstack((draws(1900), draws(100) + np.array([0.1, 0.0, 0.0])))
     end = np.array([0.0, 4e-3, 0.0])
     assert RunPrediction("plan", slipped, end, 1.0).level == pytest.approx(0.95, abs=0.005)
 

@@ -18,7 +18,7 @@ from fixel.planning.belief import Belief
 from fixel.planning.plan import PushPlan
 from fixel.planning.pushes import FreePushes
 from fixel.progress import ProgressOption
-from fixel.uncertainty.run_to_run import MIN_EXPERIMENTS, RunToRun, run_effects
+from fixel.uncertainty.run_to_run import MIN_EXPERIMENTS, RunToRun, learn_run_to_run
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.project import stored_calibration
 from fixel.workflows.calibration.stored import newest_calibration
@@ -209,9 +209,8 @@ def _run_to_run(calibration: Calibration, experiments: list[Experiment]) -> tupl
     usable = [own for own in experiments if own.scene is not None]
     if len(usable) >= MIN_EXPERIMENTS:
         try:
-            effects = run_effects(usable, calibration, motion=calibration.motion)
-            fitted = min(len(calibration), 3 * len(effects) - 1)
-            return RunToRun.learned(effects, fitted=fitted), ""
+            fitted = min(len(calibration), 3 * len(usable) - 1)
+            return learn_run_to_run(usable, calibration, fitted=fitted), ""
         except InvalidInput as problem:
             return RunToRun(), f"The scatter between runs is that of public pushes: {problem}"
     return RunToRun(), (
