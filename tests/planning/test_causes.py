@@ -57,6 +57,17 @@ def test_draws_with_several_scenarios_are_not_divided():
     assert mixed.worth > 0.1
 
 
+def test_unknowns_of_each_run_are_found_despite_different_draws():
+    rng = np.random.default_rng(7)
+    world = np.arange(N) % 64
+    draw, run, none = rng.normal(size=64)[world], rng.normal(size=N), rng.normal(size=N)
+    margins = (1.0 - draw - 0.7 * run)[None]
+    found = Explanation.of(margins, {"draw": draw, "run": run, "none": none}, worlds=world)
+    assert [own.name for own in found.effects] == ["draw", "run", "none"]
+    assert found.effects[1].share > 0.1
+    assert found.effects[2].share == 0.0
+
+
 def test_value_of_a_noisy_influence():
     # Plan 0 succeeds with 0.85 + 0.1 on one side and 0.85 - 0.1 on the other, plan 1 reversed:
     # whoever knows the side gains 0.1.

@@ -172,8 +172,9 @@ class Explanation(Result):
         plan : int
             Row of the plan to explain.
         worlds : (n,) int64, optional
-            Parameter draw of each scenario. Scenarios of one draw then stay together when some are
-            used to choose and others to judge. Necessary if draws have several scenarios.
+            Parameter draw of each scenario. For unknowns with one value for each draw, scenarios of
+            one draw then stay together when some are used to choose and others to judge. Necessary
+            if draws have several scenarios.
         units : mapping of str to str, optional
             SI units of unknowns; those of parameters are known.
         kinds : sequence of str, optional
@@ -320,6 +321,12 @@ def _worlds(n: int, worlds: ArrayLike | None) -> IntArray:
     return np.asarray(np.unique(own, return_inverse=True)[1], dtype=np.int64)
 
 
+def _is_of_draws(value: FloatArray, world: IntArray) -> bool:
+    """Whether an unknown has one value for each parameter draw."""
+    first = np.unique(world, return_index=True)[1]
+    return bool(np.all(value == value[first[world]]))
+
+
 def _folds(world: IntArray) -> IntArray:
     """Divide scenarios into folds (n,), those of one parameter draw together."""
     # In a fixed random order, so that no pattern of the scenarios falls into one fold.
@@ -355,7 +362,9 @@ def _counts(good: BoolArray, value: FloatArray, fold: IntArray, bins: int) -> _C
 def _effect(
     name: str, value: FloatArray, good: BoolArray, plan: int, world: IntArray, unit: str | None
 ) -> UnknownEffect:
-    fold = _folds(world)
+    # Scenarios of one draw stay together for an unknown of the draw; for one of each run, no draw
+    # is known by its value, and scenarios are divided.
+    fold = _folds(world if _is_of_draws(value, world) else np.arange(len(value)))
     tables = [_counts(good, value, fold, bins) for bins in BINS]
     known = KNOWN_PARAMETERS.get(name)
     share = max(0.0, *(_share_explained(table, plan) for table in tables))
