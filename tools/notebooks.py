@@ -17,7 +17,7 @@ from typing import Any, Final
 ROOT: Final = Path(__file__).parents[1]
 PAGES: Final = ROOT / "docs" / "tutorials"
 FOLDER: Final = ROOT / "examples" / "notebooks"
-NAMES: Final = ("first_push", "own_experiments", "calibration")
+NAMES: Final = ("first_push", "own_experiments", "calibration", "plan")
 
 BLOCK: Final = re.compile(r"^```python\n(.*?)^```\n", re.DOTALL | re.MULTILINE)
 OUTPUT: Final = re.compile(r"\s*```text\n(.*?)^```\n", re.DOTALL | re.MULTILINE)

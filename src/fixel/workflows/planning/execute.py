@@ -34,13 +34,13 @@ AskPose = Callable[[str], FloatArray]  # sentence -> seen pose (3,) [m, m, rad]
 
 
 def run_on_testbed(
-    path: Path, *, trials: int = 1, seed: int = 1, threads: int | None = None
+    path: str | Path, *, trials: int = 1, seed: int = 1, threads: int | None = None
 ) -> Trials:
     """Carry out a plan on the simulated testbed, which is another model, and add its trials.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         Plan file.
     trials : int
     seed : int
@@ -52,6 +52,7 @@ def run_on_testbed(
     Trials
         All trials of the plan.
     """
+    path = Path(path)
     file = load_plan(path)
     plan = file.found.plan
     rng = np.random.default_rng([seed, 18])
