@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar, Final, NamedTuple, final
 
 import numpy as np
@@ -25,7 +26,7 @@ from fixel.planning.pushes import (
     scene_of_push,
 )
 from fixel.planning.rollout import FAILURES, PlannedMotions, PlanSimulator, Runs
-from fixel.planning.search import REFINED, Answers, PlanSearch, Report, nominal_margins
+from fixel.planning.search import Answers, PlanSearch, Report, Rounds, conduct
 from fixel.planning.success import SuccessProbability
 from fixel.results import Result, Summary
 from fixel.simulation.motion import AbstractMotionModel
@@ -337,48 +338,65 @@ def find_plan(
     report : callable, optional
         Called with the stage, the number of rollouts, their budget and the best success rate.
     """
+    search = search_of(
+        scene, goal, choose, belief, rollouts=rollouts, seed=seed, threads=threads,
+        motion=motion, stepper=stepper, first=first, report=report,
+    )  # fmt: skip
+    rounds = plan_rounds(search, untrusted=untrusted)
+    return conduct(search, rounds, {} if answers is None else answers)
+
+
+def search_of(
+    scene: Scene,
+    goal: Goal,
+    choose: FreePushes | RigPushes,
+    belief: Belief,
+    *,
+    rollouts: int,
+    seed: int,
+    threads: int | None = None,
+    motion: AbstractMotionModel | None = None,
+    stepper: AbstractStepper | None = None,
+    first: Sequence[Sequence[PlanPush | RigPush]] = (),
+    report: Report | None = None,
+) -> PlanSearch:
+    """Return the search for a plan, after checks; parameters as for `find_plan`."""
     instance(goal, Goal, "goal", "a goal, such as PoseRegion or Seated")
     if isinstance(rollouts, bool) or rollouts < MIN_ROLLOUTS:
         raise InvalidInput("rollouts", found=rollouts, expected=f"{MIN_ROLLOUTS} or more")
     check_goal(goal, scene)
     prepared = choose.prepared(scene)
-    simulator = simulator_of(prepared, goal, choose, belief, motion, stepper, threads)
-    search = PlanSearch(
-        simulator=simulator, belief=belief, rollouts=rollouts, seed=seed,
-        answers={} if answers is None else answers, report=report,
+    return PlanSearch(
+        simulator=simulator_of(prepared, goal, choose, belief, motion, stepper, threads),
+        belief=belief, rollouts=rollouts, seed=seed, report=report,
         first=[choose.numbers(own) for own in first],
     )  # fmt: skip
-    plans = search.candidates()
-    nominal_best = plans[0]
-    if belief.has_known_pushes and not untrusted:
-        plans = _seen(simulator, belief, plans)
-    ranked = [plans[k] for k in search.race(plans).plans]
-    finalists = search.distinct(ranked, 8)
-    better = search.refined(search.distinct(ranked, REFINED))
-    if belief.has_known_pushes and not untrusted:
-        better = [plan for plan in better if not _unseen(simulator, belief, plan)]
-    finalists += [plan for plan in better if nominal_margins(simulator, [plan])[0] > -np.inf]
-    winner, outcomes = search.chosen(finalists)
-    plan = finalists[winner]
-    success, margin = search.success(plan)
-    nominal_success, _ = search.success(nominal_best)
-    order = np.argsort(np.arange(len(finalists)) != winner, kind="stable")
+
+
+def plan_rounds(search: PlanSearch, *, untrusted: bool = False) -> Rounds[PushPlan]:
+    """Search for a plan in rounds of requests, whose answers may come from anywhere."""
+    simulator, belief = search.simulator, search.belief
+    checked = belief.has_known_pushes and not untrusted
+    found = yield from search.rounds(partial(_unseen, simulator, belief) if checked else None)
+    plan = found.plans[0]
     planned = simulator.planned(plan[None])
+    choose: Any = simulator.choice
     return PushPlan(
-        scene=prepared, goal=goal, choose=choose, belief=belief,
-        pushes=choose.pushes(prepared, plan),
+        scene=simulator.scene, goal=simulator.goal, choose=choose, belief=belief,
+        pushes=choose.pushes(simulator.scene, plan),
         start=planned.start[0], path=planned.path[0], end=planned.nominal.pose[0, -1],
         fixels=None if planned.fixels is None else planned.fixels[0],
-        success=success, nominal_success=nominal_success,
-        runs=_runs(search, planned, margin),
-        alternatives=outcomes[order], compared=search.final_scenarios,
-        unseen=_unseen(simulator, belief, plan), motion=simulator.motion, stepper=stepper,
-        rollouts=search.done, seed=seed,
+        success=search.success(found.margins),
+        nominal_success=search.success(found.nominal_margins),
+        runs=_runs(search, planned, found.margins),
+        alternatives=found.compared, compared=search.scenarios(search.final_stage),
+        unseen=_unseen(simulator, belief, plan), motion=simulator.motion,
+        stepper=simulator.stepper, rollouts=search.done, seed=search.seed,
     )  # fmt: skip
 
 
 def _runs(search: PlanSearch, planned: PlannedMotions, margin: FloatArray) -> PlanRuns:
-    scenarios = search.fresh_scenarios
+    scenarios = search.scenarios(search.fresh_stage)
     runs = search.simulator.run(planned, np.zeros(scenarios.n, np.int64), scenarios)
     why = [
         "" if ok >= 0.0 else (FAILURES[code] if code else MISSED)
@@ -395,17 +413,3 @@ def _unseen(simulator: PlanSimulator, belief: Belief, plan: FloatArray) -> tuple
         for text in belief.unseen(scene_of_push(simulator.scene, start, path))
     ]
     return tuple(dict.fromkeys(texts))
-
-
-def _seen(simulator: PlanSimulator, belief: Belief, plans: list[FloatArray]) -> list[FloatArray]:
-    """Return the plans whose pushes resemble those of the calibration's experiments."""
-    found = [_unseen(simulator, belief, plan) for plan in plans]
-    good = [plan for plan, unseen in zip(plans, found, strict=True) if not unseen]
-    if good:
-        return good
-    raise InvalidInput(
-        "belief.parameters",
-        found=f"no experiment that resembles a push towards the goal: {'; '.join(found[0])}",
-        expected="experiments with similar pushes",
-        hint="record some (fixel next proposes them), or plan with untrusted=True",
-    )

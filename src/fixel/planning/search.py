@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Callable, MutableMapping, Sequence
+from collections.abc import Callable, Generator, MutableMapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from hashlib import sha256
-from importlib import import_module
-from importlib.util import find_spec
-from typing import Any, Final, final
+from typing import Final, NamedTuple, TypeVar, final
 
 import numpy as np
 from scipy.special import expit
@@ -24,8 +20,9 @@ from fixel.planning.candidates import (
     sequences,
     spread_pushes,
 )
-from fixel.planning.race import RaceResult, race
-from fixel.planning.rollout import CARRIED_OUT, PlannedMotions, PlanSimulator
+from fixel.planning.race import RaceResult, RaceRound, race_rounds
+from fixel.planning.refine import PlanRefinement, can_refine
+from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlannedMotions, PlanSimulator
 from fixel.planning.success import SuccessProbability
 from fixel.typing import FloatArray, IntArray
 
@@ -34,17 +31,63 @@ RACE: Final = (8, 16, 32, 64, 128, 256, 512, 1024)  # scenarios of a plan, round
 NEAR: Final = 3.0  # tolerances by which the nominal end of a candidate may miss the goal
 ENTRANTS: Final = 1024  # candidates in the race
 REFINED: Final = 4  # plans from which the refinement starts
-REFINE_WORLDS, REFINE_RUNS = 32, 4
 FINALISTS: Final = 8
 FINAL_RUNS: Final = 16
 APART: Final = 0.1  # shares of the ranges by which plans differ that are refined separately
 REACHED: Final = math.log1p(0.8)  # score of a nominal end well inside the goal
+REACH_ROUNDS: Final = 80  # of CMA-ES, to move nominal ends to the goal
 SOFTNESS: Final = 0.3  # margin over which a success is counted partly in the refinement
 # Shares of the budget of rollouts: candidates, race and refinement; the rest is for fresh samples.
 SHARES: Final = (0.15, 0.45, 0.85)
 
 Answers = MutableMapping[str, FloatArray]
 Report = Callable[[str, int, int, float], None]  # stage, rollouts, budget, best success so far
+
+
+Unseen = Callable[[FloatArray], tuple[str, ...]]
+
+
+class Stage(NamedTuple):
+    """Scenarios of one stage of a search; no two stages share any."""
+
+    stream: int  # of random values
+    worlds: int  # parameter draws
+    runs: int  # of each draw
+
+
+RACE_STAGE: Final = Stage(1, WORLDS, RACE[-1] // WORLDS)
+REFINE_STAGE: Final = Stage(2, 32, 4)
+FINAL, FRESH = 3, 4  # streams of the last two stages
+
+
+class MarginRequest(NamedTuple):
+    """Plans whose margins are wanted, in scenarios `first` to `last` of a stage."""
+
+    plans: Numbers
+    stage: Stage
+    first: int
+    last: int
+
+    @property
+    def name(self) -> str:
+        """Name that differs for every other request of a search."""
+        digest = sha256(repr((self.stage, self.first, self.last)).encode())
+        for plan in self.plans:
+            digest.update(np.ascontiguousarray(plan).tobytes())
+        return digest.hexdigest()
+
+
+T = TypeVar("T")
+Rounds = Generator[MarginRequest, FloatArray, T]  # is sent the margins (m, n)
+
+
+class FoundNumbers(NamedTuple):
+    """Result of a search, as numbers of pushes."""
+
+    plans: Numbers  # the best of the search, the chosen one first
+    compared: FloatArray  # (m, n) their margins in the scenarios in which it was chosen
+    margins: FloatArray  # (n,) of the chosen plan in fresh scenarios
+    nominal_margins: FloatArray  # (n,) of the plan that would be best if nothing were unknown
 
 
 @final
@@ -59,8 +102,6 @@ class PlanSearch:
     rollouts : int
         Number of simulated pushes that the search should not exceed by much.
     seed : int
-    answers : mutable mapping of str to (m, n) float64
-        Margins by what was asked; a stored one makes the search resumable.
     first : sequence of (k, d) float64
         Plans that are candidates in any case.
     report : callable, optional
@@ -70,46 +111,96 @@ class PlanSearch:
     belief: Belief
     rollouts: int = 160_000
     seed: int = 0
-    answers: Answers = field(default_factory=dict)
     first: Sequence[FloatArray] = ()
     report: Report | None = None
     best: float = 0.0
+    done: int = 0
 
-    def scenarios(self, stream: int, worlds: int, runs: int) -> Scenarios:
-        """Draw scenarios of one stage; no two stages share any."""
-        return self.belief.scenarios(
-            self.simulator.scene, worlds=worlds, runs=runs, seed=1000 * self.seed + stream
-        )
+    @property
+    def final_stage(self) -> Stage:
+        """Stage in which the plan is chosen."""
+        return Stage(FINAL, WORLDS, min(FINAL_RUNS, max(2, self.rollouts // 5_000)))
 
-    def margins(self, plans: Sequence[FloatArray], scenarios: Scenarios, name: str) -> FloatArray:
-        """Return the margins (m, n) of plans in scenarios."""
-        digest = sha256(name.encode())
-        for plan in plans:
-            digest.update(np.ascontiguousarray(plan).tobytes())
-        key = digest.hexdigest()
-        if key not in self.answers:
-            self.answers[key] = self._simulated(plans, scenarios)
-        self._count(scenarios.n * sum(len(plan) for plan in plans))
-        return self.answers[key]
+    @property
+    def fresh_stage(self) -> Stage:
+        """Stage from which the success of the chosen plan is computed.
 
-    def _simulated(self, plans: Sequence[FloatArray], scenarios: Scenarios) -> FloatArray:
-        found = np.zeros((len(plans), scenarios.n))
+        64 runs for each of 64 draws of the parameters, less for searches below 64,000 rollouts.
+        """
+        return Stage(FRESH, WORLDS, min(WORLDS, max(8, self.rollouts // 1_000)))
+
+    def scenarios(self, stage: Stage) -> Scenarios:
+        """Draw the scenarios of a stage."""
+        if stage not in self._drawn:
+            drawn = self.belief.scenarios(
+                self.simulator.scene, worlds=stage.worlds, runs=stage.runs,
+                seed=1000 * self.seed + stage.stream,
+            )  # fmt: skip
+            if stage == RACE_STAGE:  # scenario k belongs to parameter draw k % WORLDS
+                order = np.arange(drawn.n).reshape(stage.worlds, -1).T.reshape(-1)
+                drawn = drawn.rows(order)
+            self._drawn[stage] = drawn
+        return self._drawn[stage]
+
+    _drawn: dict[Stage, Scenarios] = field(default_factory=dict)
+
+    def margins(self, request: MarginRequest) -> FloatArray:
+        """Simulate the margins (m, n) of a request."""
+        scenarios = self.scenarios(request.stage).rows(np.arange(request.first, request.last))
         n = scenarios.n
-        for own, planned in grouped(self.simulator, plans):
+        found = np.zeros((len(request.plans), n))
+        for own, planned in grouped(self.simulator, request.plans):
             which = np.repeat(np.arange(len(own)), n)
             runs = self.simulator.run(
                 planned, which, scenarios.rows(np.tile(np.arange(n), len(own)))
             )
             margin = self.simulator.margins(runs).reshape(len(own), n)
-            found[own] = np.where(planned.collides[:, None], -1e3, margin)
+            found[own] = np.where(planned.collides[:, None], WORST_MARGIN, margin)
         return found
 
-    def _count(self, n: int) -> None:
-        self.done += n
-
-    done: int = 0
+    def _ask(
+        self, plans: Numbers, stage: Stage, first: int = 0, last: int | None = None
+    ) -> Rounds[FloatArray]:
+        last = stage.worlds * stage.runs if last is None else last
+        self.done += (last - first) * sum(len(plan) for plan in plans)
+        return (yield MarginRequest(plans, stage, first, last))
 
     # --- stages -----------------------------------------------------------------------------------
+
+    def rounds(self, unseen: Unseen | None = None) -> Rounds[FoundNumbers]:
+        """Search in rounds of requests; to resume, the stored margins are sent again.
+
+        Parameters
+        ----------
+        unseen : callable, optional
+            Sentences on what no experiment has about a plan; with any, it may not be chosen.
+
+        Raises
+        ------
+        InvalidInput
+            The goal cannot be reached, or only by pushes that resemble no experiment.
+        """
+        plans = self.candidates()
+        nominal_best = plans[0]
+        if unseen is not None:
+            texts = [unseen(plan) for plan in plans]
+            plans = [plan for plan, text in zip(plans, texts, strict=True) if not text]
+            if not plans:
+                raise _refused(texts[0])
+        ranked = yield from self._race(plans)
+        finalists = self.distinct(ranked, FINALISTS)
+        better = yield from self._refined(self.distinct(ranked, REFINED))
+        can = nominal_margins(self.simulator, better)
+        finalists += [
+            plan
+            for plan, margin in zip(better, can, strict=True)
+            if margin > -np.inf and (unseen is None or not unseen(plan))
+        ]
+        compared = yield from self._ask(finalists, self.final_stage)
+        order = self._order(finalists, compared)
+        chosen = finalists[order[0]]
+        both = yield from self._ask([chosen, nominal_best], self.fresh_stage)
+        return FoundNumbers([finalists[k] for k in order], compared[order], both[0], both[1])
 
     def candidates(self) -> Numbers:
         """Return plans whose nominal end is near the goal, the nearest first."""
@@ -129,9 +220,9 @@ class PlanSearch:
         margin = nominal_margins(simulator, plans)
         self.done += sum(len(plan) for plan in plans)
         order = np.argsort(-margin, kind="stable")
-        if margin[order[0]] < 0.0 and find_spec("cma") is not None:
+        if margin[order[0]] < 0.0 and can_refine():
             first = [plans[k] for k in order[:64] if margin[k] > -np.inf]
-            plans = self.reaching(self.distinct(first, 2 * REFINED)) + plans
+            plans = self._reaching(self.distinct(first, 2 * REFINED)) + plans
             margin = nominal_margins(simulator, plans)
             order = np.argsort(-margin, kind="stable")
         if margin[order[0]] < 0.0:
@@ -139,131 +230,88 @@ class PlanSearch:
         near = order[margin[order] > -NEAR][:ENTRANTS]
         return [plans[k] for k in near]
 
-    def race(self, plans: Numbers) -> RaceResult:
-        """Race plans under common scenarios."""
-        scenarios = self.scenarios(1, WORLDS, RACE[-1] // WORLDS)
-        # Scenario k belongs to parameter draw k % WORLDS.
-        order = np.arange(RACE[-1]).reshape(WORLDS, -1).T.reshape(-1)
-        scenarios = scenarios.rows(order)
+    def _race(self, plans: Numbers) -> Rounds[Numbers]:
+        """Race plans under common scenarios; return those of the last round, the best first."""
 
-        def evaluate(which: IntArray, rows: IntArray) -> FloatArray:
-            name = f"race {rows[0]} {rows[-1]}"
-            return self.margins([plans[k] for k in which], scenarios.rows(rows), name)
-
-        def show(turn: Any) -> None:
+        def show(turn: RaceRound) -> None:
             self.best = turn.success
             self._show("race")
 
-        budget = int((SHARES[1] - SHARES[0]) * self.rollouts)
-        return race(
-            evaluate, len(plans), sizes=RACE, worlds=scenarios.world, finalists=FINALISTS,
-            budget=budget, report=show,
+        rounds = race_rounds(
+            len(plans), sizes=RACE, worlds=self.scenarios(RACE_STAGE).world,
+            finalists=FINALISTS, budget=int((SHARES[1] - SHARES[0]) * self.rollouts), report=show,
         )  # fmt: skip
+        try:
+            wanted = next(rounds)
+            while True:
+                own, rows = [plans[int(k)] for k in wanted.plans], wanted.scenarios
+                margins = yield from self._ask(own, RACE_STAGE, int(rows[0]), int(rows[-1]) + 1)
+                wanted = rounds.send(margins)
+        except StopIteration as end:
+            found: RaceResult = end.value
+        return [plans[int(k)] for k in found.plans]
 
-    def reaching(self, plans: Numbers) -> Numbers:
-        """Return plans whose nominal end is moved to the goal; those that reach it come first."""
-        found = [
-            self._improved(plan, self._nominal_scores, 600 * len(plan), 100 + number, REACHED)
+    def _refined(self, plans: Numbers) -> Rounds[Numbers]:
+        """Improve plans by CMA-ES side by side, each within its share of the budget."""
+        if not can_refine() or not plans:
+            return []
+        searches = [
+            PlanRefinement(self.simulator, plan, 1000 * self.seed + number)
             for number, plan in enumerate(plans)
         ]
-        margin = nominal_margins(self.simulator, found)
-        return [found[k] for k in np.argsort(-margin, kind="stable")]
-
-    def refined(self, plans: Numbers) -> Numbers:
-        """Improve plans by CMA-ES, each within its share of the budget; needs the package cma."""
-        if find_spec("cma") is None or not plans:
-            return []
-        share = (SHARES[2] - SHARES[1]) * self.rollouts / len(plans)
-        scenarios = self.scenarios(2, REFINE_WORLDS, REFINE_RUNS)
-
-        def evaluate(numbers: Numbers, name: str) -> FloatArray:
-            margins = self.margins(numbers, scenarios, name)
+        budget = (SHARES[2] - SHARES[1]) * self.rollouts
+        spent, busy = 0, searches
+        while busy and spent < budget:
+            asked = [search.ask() for search in busy]
+            margins = yield from self._ask([plan for own in asked for plan in own], REFINE_STAGE)
+            spent += margins.shape[1] * sum(len(plan) for own in asked for plan in own)
+            scores = soft_score(margins, REFINE_STAGE.worlds)
+            ends = np.cumsum([len(own) for own in asked])[:-1]
+            for search, score in zip(busy, np.split(scores, ends), strict=True):
+                search.tell(score)
             self.best = max(self.best, float((margins >= 0.0).mean(axis=1).max()))
             self._show("refinement")
-            return soft_score(margins, REFINE_WORLDS)
+            busy = [search for search in busy if not search.is_done]
+        return [search.best for search in searches]
 
-        cost = REFINE_WORLDS * REFINE_RUNS
-        return [
-            self._improved(plan, evaluate, share / cost, number)
+    def _reaching(self, plans: Numbers) -> Numbers:
+        """Return plans whose nominal end is moved to the goal by CMA-ES."""
+        searches = [
+            PlanRefinement(self.simulator, plan, 1000 * self.seed + 100 + number)
             for number, plan in enumerate(plans)
         ]
+        busy = searches
+        for _ in range(REACH_ROUNDS):
+            asked = [search.ask() for search in busy]
+            every = [plan for own in asked for plan in own]
+            self.done += sum(len(plan) for plan in every)
+            margin = np.maximum(nominal_margins(self.simulator, every), WORST_MARGIN)
+            scores = np.sign(margin) * np.log1p(np.abs(margin))
+            ends = np.cumsum([len(own) for own in asked])[:-1]
+            for search, score in zip(busy, np.split(scores, ends), strict=True):
+                search.tell(score)
+            busy = [own for own in busy if own.score < REACHED and not own.is_done]
+            if not busy:
+                break
+        return [search.best for search in searches]
 
-    def _nominal_scores(self, plans: Numbers, name: str) -> FloatArray:
-        self._count(sum(len(plan) for plan in plans))
-        margin = np.maximum(nominal_margins(self.simulator, plans), -1e3)
-        return np.sign(margin) * np.log1p(np.abs(margin))
-
-    def _improved(
-        self,
-        plan: FloatArray,
-        evaluate: Callable[[Numbers, str], FloatArray],
-        budget: float,
-        number: int,
-        enough: float = math.inf,
-    ) -> FloatArray:
-        """Return the best plan that CMA-ES finds from one within `budget` pushes, or `enough`."""
-        low, high = self.simulator.choice.bounds(self.simulator.scene)
-        wide = np.flatnonzero(high > low)
-        k = len(plan)
-        span = np.tile((high - low)[wide], k)
-        begin = (plan[:, wide].reshape(-1) - np.tile(low[wide], k)) / span
-        cma = import_module("cma")
-        options = {"seed": 1 + 1000 * self.seed + number, "verbose": -9}
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            search = cma.CMAEvolutionStrategy(begin, 0.05, options)
-        names = self.simulator.choice.names(self.simulator.scene)
-        around = np.tile([names[j] == "contact" for j in wide], k)
-        best, best_score, spent, turn = plan, -np.inf, 0, 0
-        while spent < budget and best_score < enough and not search.stop():
-            points = np.array(search.ask())
-            inside = np.where(around, points % 1.0, np.clip(points, 0.0, 1.0))
-            plans = [_placed(plan, wide, low, (span * x).reshape(k, -1)) for x in inside]
-            score = evaluate(plans, f"refine {number} {turn}")
-            outside = np.where(around, 0.0, np.abs(points - np.clip(points, 0.0, 1.0))).sum(axis=1)
-            search.tell(list(points), list(outside - score))
-            if score.max() > best_score:
-                best, best_score = plans[int(score.argmax())], float(score.max())
-            spent += len(plans) * k
-            turn += 1
-        return best
-
-    def chosen(self, plans: Numbers) -> tuple[int, FloatArray]:
-        """Return the index of the best of some plans in fresh scenarios, and the margins (m, n).
+    def _order(self, plans: Numbers, margins: FloatArray) -> IntArray:
+        """Return the order of plans by their margins (m, n) in fresh scenarios.
 
         By the success rate in the worst 5 % of parameter draws, then by the mean, by the margin in
-        the worst 5 % of scenarios, by the number of pushes and by the spread of the ends.
+        the worst 5 % of scenarios and by the number of pushes.
         """
-        margins = self.margins(plans, self.final_scenarios, "final")
         ranks = []
         for plan, own in zip(plans, margins, strict=True):
-            success = self._success(own)
+            success = self.success(own)
             worst = success.mean if success.quantile is None else success.quantile
             # Differences below the noise of the estimate are ties.
             ranks.append(
                 (-round(50 * worst), -round(50 * success.mean), -success.margin, len(plan))
             )
-        return min(range(len(plans)), key=ranks.__getitem__), margins
+        return np.array(sorted(range(len(plans)), key=ranks.__getitem__), np.int64)
 
-    @cached_property
-    def final_scenarios(self) -> Scenarios:
-        """Scenarios in which the plan is chosen."""
-        return self.scenarios(3, WORLDS, min(FINAL_RUNS, max(2, self.rollouts // 5_000)))
-
-    @cached_property
-    def fresh_scenarios(self) -> Scenarios:
-        """Scenarios from which the success of the chosen plan is computed.
-
-        64 runs for each of 64 draws of the parameters, less for searches below 64,000 rollouts.
-        """
-        return self.scenarios(4, WORLDS, min(WORLDS, max(8, self.rollouts // 1_000)))
-
-    def success(self, plan: FloatArray) -> tuple[SuccessProbability, FloatArray]:
-        """Estimate the success of one plan from fresh scenarios; return also their margins (n,)."""
-        margins = self.margins([plan], self.fresh_scenarios, "success")[0]
-        return self._success(margins), margins
-
-    def _success(self, margins: FloatArray) -> SuccessProbability:
+    def success(self, margins: FloatArray) -> SuccessProbability:
         """Estimate success from margins (n,); by parameter draw only if parameters are unknown."""
         known = self.belief.parameters is None
         return SuccessProbability.of(margins if known else margins.reshape(WORLDS, -1))
@@ -296,6 +344,37 @@ class PlanSearch:
     def _show(self, stage: str) -> None:
         if self.report is not None:
             self.report(stage, self.done, self.rollouts, self.best)
+
+
+def conduct(search: PlanSearch, rounds: Rounds[T], answers: Answers) -> T:
+    """Answer the requests of a search, from stored answers where there are some.
+
+    Parameters
+    ----------
+    search : PlanSearch
+    rounds : generator
+        `PlanSearch.rounds`.
+    answers : mutable mapping of str to (m, n) float64
+        Answers by the names of their requests; new ones are added.
+    """
+    try:
+        request = next(rounds)
+        while True:
+            if request.name not in answers:
+                answers[request.name] = search.margins(request)
+            request = rounds.send(answers[request.name])
+    except StopIteration as end:
+        found: T = end.value
+        return found
+
+
+def _refused(unseen: tuple[str, ...]) -> InvalidInput:
+    return InvalidInput(
+        "belief.parameters",
+        found=f"no experiment that resembles a push towards the goal: {'; '.join(unseen)}",
+        expected="experiments with similar pushes",
+        hint="record some (fixel next proposes them), or plan with untrusted=True",
+    )
 
 
 def grouped(
@@ -331,9 +410,3 @@ def soft_score(margins: FloatArray, worlds: int) -> FloatArray:
     far = 1e-3 * squashed.mean(axis=1)
     worst = np.sort(rate, axis=1)[:, : max(1, worlds // 4)].mean(axis=1)
     return np.asarray(0.5 * rate.mean(axis=1) + 0.5 * worst + far)
-
-
-def _placed(plan: FloatArray, wide: IntArray, low: FloatArray, moved: FloatArray) -> FloatArray:
-    found = plan.copy()
-    found[:, wide] = low[wide] + moved
-    return found
