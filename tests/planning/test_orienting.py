@@ -1,6 +1,7 @@
 """Orienting plans and flush distances: bad input, hollows, another centre of mass, printing."""
 
 from math import pi, tau
+from time import process_time
 
 import numpy as np
 import pytest
@@ -63,6 +64,17 @@ def test_a_plan_prints_its_pushes_with_margins():
     assert text.startswith("Orienting plan of ")
     assert "margin [deg]" in text
     assert repr(orienting_plan(Polygon.rectangle(1, 1))).startswith("Orienting plan of 1 push by")
+
+
+def test_outlines_with_many_corners_take_a_second_at_most():
+    angle = np.sort(np.random.default_rng(5).uniform(0, tau, 40))
+    rough = Polygon(np.column_stack((np.cos(angle), np.sin(angle))))
+    begin = process_time()
+    plan = orienting_plan(rough)
+    assert process_time() - begin < 2.0
+    assert 10 < plan.pushes <= 40
+    ends = plan.ends(np.linspace(0, tau, 1000))
+    assert ends == pytest.approx(np.full(1000, plan.angle))
 
 
 @pytest.mark.parametrize("part", [Disk(0.1), _body(Disk(0.1))])

@@ -13,7 +13,7 @@ from fixel.errors import InvalidInput
 from fixel.model import Body, Shape
 from fixel.model.fields import non_negative, positive, vector
 from fixel.planning.alignment import flush_distance, friction_arm
-from fixel.planning.orienting import OrientingPlan, largest_angle_error, orienting_plan
+from fixel.planning.orienting import OrientingPlan, surviving_plan
 from fixel.planning.pushes import outline_points
 from fixel.typing import BoolArray, FloatArray
 from fixel.units import deg
@@ -150,9 +150,8 @@ def fence_pushes(
     >>> [plan.shape for plan in fence_pushes(part, 0.0, most=2, angle=1.0, length=(0.02, 0.1))]
     [(2, 3)]
     """
-    largest = largest_angle_error(part)
-    plans = [orienting_plan(part, angle_error=own) for own in ANGLE_ERRORS if own <= largest]
-    found = {tuple(plan.rotations): plan for plan in plans if plan.pushes <= most}
+    plans = [surviving_plan(part, error) for error in ANGLE_ERRORS]
+    found = {tuple(plan.rotations): plan for plan in plans if plan and plan.pushes <= most}
     return [_carried_out(part, target, plan, angle, length) for plan in found.values()]
 
 

@@ -210,51 +210,32 @@ def orienting_plan(part: Body | Shape, *, angle_error: float = 0.0) -> Orienting
       The part ends 90.0 deg from the direction of the last push. It repeats every 180 deg.
     """
     least = non_negative(angle_error, "angle_error", "rad")
-    function = PushFunction.of(part)
-    found = _search(function, least)
-    if found is None:
+    plan = surviving_plan(part, least)
+    if plan is None:
+        largest = degrees(_largest_error(PushFunction.of(part)))
         raise InvalidInput(
             "angle_error",
             found=f"{degrees(least):.3g} deg",
-            expected=f"at most {degrees(largest_angle_error(part)):.3g} deg for this part",
+            expected=f"at most {largest:.3g} deg for this part",
             hint="no plan of any length survives a larger error of the rotations",
         )
+    return plan
+
+
+def surviving_plan(part: Body | Shape, angle_error: float) -> OrientingPlan | None:
+    """Return the plan of fewest pushes that survives an error of the rotations [rad], if any."""
+    function = PushFunction.of(part)
+    found = _search(function, angle_error)
+    if found is None:
+        return None
     chain, last = found
-    angle = float(np.mod(pi - function.stable[last], tau / function.symmetry))
     return OrientingPlan(
         rotations=frozen(np.array([turn for turn, _ in chain])),
         margins=frozen(np.array([margin for _, margin in chain])),
-        angle=angle,
+        angle=float(np.mod(pi - function.stable[last], tau / function.symmetry)),
         symmetry=function.symmetry,
         function=function,
     )
-
-
-def largest_angle_error(part: Body | Shape) -> float:
-    """Return the largest error of the rotations between pushes that some orienting plan survives.
-
-    Parameters
-    ----------
-    part : Body or Shape
-        Part with an outline of corners; of a shape the centroid is the centre of mass.
-
-    Returns
-    -------
-    float
-        Error [rad]; pi for parts that one push orients.
-
-    Examples
-    --------
-    >>> from math import degrees
-    >>> from fixel import Polygon
-    >>> round(degrees(largest_angle_error(Polygon.rectangle(0.05, 0.035))), 2)
-    10.01
-    """
-    function, low, high = PushFunction.of(part), 0.0, pi
-    while high - low > SAME:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _search(function, middle) else (low, middle)
-    return low
 
 
 # --- push function ------------------------------------------------------------------------------
@@ -316,28 +297,31 @@ def _symmetry(stable: FloatArray, borders: FloatArray) -> int:
 # --- search -------------------------------------------------------------------------------------
 
 Turn = tuple[float, float]  # rotation of the fence, and its margin [rad]
+Arc = tuple[int, int]  # first stable direction that is possible, and the number of those after it
 
 
 def _search(function: PushFunction, least: float) -> tuple[tuple[Turn, ...], int] | None:
-    """Search sets of possible stable directions breadth first, with margins of at least `least`.
+    """Search arcs of possible stable directions breadth first, with margins of at least `least`.
 
     Returns the rotations with the index of the last direction; None where there is no plan. Of the
-    chains to one set only the one with the largest smallest margin goes on.
+    chains to one arc only the one with the largest smallest margin goes on. Arcs suffice: what a
+    push maps into an arc is an arc, since pushes preserve the order of directions.
     """
-    unlike = len(function.stable) // function.symmetry
-    level: dict[frozenset[int], tuple[Turn, ...]] = {frozenset(range(unlike)): ()}
+    n = len(function.stable) // function.symmetry
+    # Without a sensor all directions are possible; a plan excludes one of the gaps between them.
+    level: dict[Arc, tuple[Turn, ...]] = {(first, n - 1): () for first in range(n)}
     reached = set(level)
     while level:
-        known = [own for own in level if len(own) == 1]
+        known = [arc for arc in level if arc[1] == 0]
         if known:
-            best = max(known, key=lambda own: _smallest(level[own]))
-            return level[best], next(iter(best))
-        following: dict[frozenset[int], tuple[Turn, ...]] = {}
-        for possible, chain in level.items():
-            for rotation, margin, image in _rotations(function, possible):
-                new = (*chain, (rotation, margin))
+            best = max(known, key=lambda arc: _smallest(level[arc]))
+            return level[best], best[0]
+        following: dict[Arc, tuple[Turn, ...]] = {}
+        for arc, chain in level.items():
+            for rotation, margin, image in _rotations(function, arc):
                 if margin < max(least, SAME) or image in reached:
                     continue
+                new = (*chain, (rotation, margin))
                 if image not in following or _smallest(new) > _smallest(following[image]) + SAME:
                     following[image] = new
         reached |= set(following)
@@ -349,28 +333,32 @@ def _smallest(chain: tuple[Turn, ...]) -> float:
     return min((margin for _, margin in chain), default=pi)
 
 
-def _rotations(
-    function: PushFunction, possible: frozenset[int]
-) -> Iterator[tuple[float, float, frozenset[int]]]:
+def _rotations(function: PushFunction, arc: Arc) -> Iterator[tuple[float, float, Arc]]:
     """Yield rotations in the middle of an interval with one effect, its half-width, and the effect:
-    the directions that are possible after the push."""
+    the arc that is possible after the push."""
     period = tau / function.symmetry
-    unlike = len(function.stable) // function.symmetry
-    here = function.stable[sorted(possible)]
-    # Rotations at which one of the directions meets a border.
-    limits = np.sort(np.mod(function.borders[:unlike] - here[:, None], period).ravel())
+    n = len(function.stable) // function.symmetry
+    stable = function.stable[:n]
+    # Borders of the basins, each before its stable direction.
+    borders = stable - np.mod(stable - function.borders[:n], tau)
+    turns, ends = np.divmod([arc[0], arc[0] + arc[1]], n)
+    ends = stable[ends] + period * turns
+    # Rotations at which an end of the arc meets a border.
+    limits = np.sort(np.mod(borders - ends[:, None], period).ravel())
     limits = limits[np.diff(limits, append=limits[0] + period) > SAME]
     widths = np.diff(limits, append=limits[0] + period)
-    rests = function.rest(here + (limits + 0.5 * widths)[:, None]) % unlike
-    images = [frozenset(row) for row in rests.tolist()]
-    n = len(images)
-    first = next((k for k in range(n) if images[k] != images[k - 1]), None)
-    if first is None:  # no rotation matters
-        return
-    k = first
-    while k < first + n:
-        low, width, image = limits[k % n], 0.0, images[k % n]
-        while k < first + n and images[k % n] == image:
-            width += float(widths[k % n])
-            k += 1
-        yield float(np.mod(low + 0.5 * width, period)), 0.5 * width, image
+    middles = limits + 0.5 * widths
+    turns, ahead = np.divmod(ends[:, None] + middles - borders[0], period)
+    first, last = np.searchsorted(borders - borders[0], ahead, side="right") - 1 + n * turns
+    for rotation, width, begin, more in zip(middles, widths, first, last - first, strict=True):
+        if more < n:
+            yield float(rotation % period), 0.5 * float(width), (int(begin) % n, int(more))
+
+
+def _largest_error(function: PushFunction) -> float:
+    """Return the largest error of the rotations that some plan survives, to 0.01 degrees [rad]."""
+    low, high = 0.0, pi
+    while high - low > 1e-4:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _search(function, middle) else (low, middle)
+    return low
