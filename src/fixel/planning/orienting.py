@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import degrees, pi, tau
-from typing import Final, final
+from typing import ClassVar, Final, final
 
 import numpy as np
 import shapely
@@ -110,6 +110,8 @@ class OrientingPlan(Result):
         Number of angles, evenly spaced over a turn, at which the part may end.
     function : PushFunction
         Angles at which the part comes to rest.
+    outline : (m, 2) float64
+        Corners of the convex hull of the part from its centre of mass [m].
 
     Examples
     --------
@@ -124,6 +126,8 @@ class OrientingPlan(Result):
     angle: float
     symmetry: int
     function: PushFunction
+    outline: FloatArray
+    _drawings: ClassVar[Mapping[str, str]] = {"angles": "fixel.drawing.orienting:draw_orienting"}
 
     @property
     def pushes(self) -> int:
@@ -150,11 +154,17 @@ class OrientingPlan(Result):
         (...) float64
             Angles from the direction of the last push, between 0 and 2 pi [rad].
         """
+        return np.asarray(self.track(angles, errors)[-1])
+
+    def track(self, angles: ArrayLike, errors: ArrayLike = 0.0) -> FloatArray:
+        """Compute the angle of the part after each push, (n, ...), as `ends` does for the last."""
         rest = self.function.rest(pi - np.asarray(angles, np.float64))
         off = np.broadcast_to(errors, (*rest.shape, len(self.rotations)))
+        found = [rest]
         for k, rotation in enumerate(self.rotations):
             rest = self.function.rest(self.function.stable[rest] + rotation + off[..., k])
-        return np.asarray(np.mod(pi - self.function.stable[rest], tau))
+            found.append(rest)
+        return np.asarray(np.mod(pi - self.function.stable[np.array(found)], tau))
 
     def _summary(self) -> Summary:
         columns = (Column("push"), Column("rotation", "deg"), Column("margin", "deg"))
@@ -235,6 +245,7 @@ def surviving_plan(part: Body | Shape, angle_error: float) -> OrientingPlan | No
         angle=float(np.mod(pi - function.stable[last], tau / function.symmetry)),
         symmetry=function.symmetry,
         function=function,
+        outline=frozen(hull_of(part)),
     )
 
 
