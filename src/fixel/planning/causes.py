@@ -269,16 +269,15 @@ class Explanation(Result):
 
     def _summary(self) -> Summary:
         columns = (
-            "unknown", "fails mostly", Column("explains", "%", ".0f"),
+            "unknown", "fails mostly", Column("explains", "%", ".0f"), Column("worth", "", "+.3f"),
             Column("failures", "%", ".0f"), Column("scenarios", "%", ".0f"),
-            Column("worth", "", "+.3f"),
         )  # fmt: skip
         rows = []
         for own in self.effects:
             region = own.region
             inside = (None, None) if region is None else (region.failures, region.scenarios)
             shares = [None if one is None else 100.0 * one for one in inside]
-            rows.append((own.name, _limits(own), 100.0 * own.share, *shares, own.worth))
+            rows.append((own.name, _limits(own), 100.0 * own.share, own.worth, *shares))
         heading = f"Success in {100.0 * self.success:.1f} % of {self.n} scenarios"
         kinds = ", ".join(f"{kind} {number}" for kind, number in self.kinds.items())
         notes = [*self.sentences, *([f"Failures: {kinds}."] if kinds else [])]
