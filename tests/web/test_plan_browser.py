@@ -32,7 +32,7 @@ def test_a_goal_is_dragged_planned_shown_and_tried(browser_page, server):
         page.click("#start")
     page.wait_for_selector("#title")
     assert "stated success probability" in page.inner_text("#content")
-    assert page.locator(".plan-pictures img").count() == 2
+    assert page.locator(".plan-pictures img").count() == 3
     page.click("#try")
     page.wait_for_selector("#trials:has-text('20 trials')", timeout=60_000)
     for width in (1280, 390):

@@ -281,7 +281,7 @@ class Explanation(Result):
         heading = f"Success in {100.0 * self.success:.1f} % of {self.n} scenarios"
         kinds = ", ".join(f"{kind} {number}" for kind, number in self.kinds.items())
         notes = [*self.sentences, *([f"Failures: {kinds}."] if kinds else [])]
-        return Summary(heading, [Table(columns, rows, left=2)], notes)
+        return Summary(heading, [Table(columns, rows, title="Causes of failures", left=2)], notes)
 
 
 def _where(own: UnknownEffect) -> str:

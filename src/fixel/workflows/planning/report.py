@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from fixel.database.project import Project
 from fixel.drawing.planning import CaptureChart, PathsChart
+from fixel.drawing.planning_statistics import CausesChart
 from fixel.io.atomic import written_whole
 from fixel.io.document import yaml_text
 from fixel.planning.plan import PushPlan
@@ -27,13 +28,14 @@ GOAL: Final = "goal.yaml"
 def store_plan(project: Project, found: FoundPlan, command: str, seconds: float) -> StoredAnalysis:
     """Store a plan in its project, with its pictures and its plan file."""
     plan = found.plan
+    causes = CausesChart(explanation=plan.explain())
     analysis = Analysis(
         kind="plan",
         title=f"Plan: {plan.goal}",
         question=asdict(found.request),
         headline=tuple(headline_of(found)),
         warnings=found.warnings,
-        tables=(pushes_table(plan), success_table(plan)),
+        tables=(pushes_table(plan), success_table(plan), causes.table()),
         methods=(methods_of(plan),),
         numbers=numbers_of(found),
         calibrations=() if found.calibration is None else (found.calibration,),
@@ -50,6 +52,11 @@ def store_plan(project: Project, found: FoundPlan, command: str, seconds: float)
             "capture", CaptureChart.of(plan), "",
             "Success of the rest of the plan from poses before each push, with the poses in"
             " samples of what is unknown before and after it.",
+        ),
+        Picture(
+            "causes", causes, "",
+            "Share of the failures that each unknown explains alone, and the success gained by"
+            " measuring it before choosing among the best plans.",
         ),
     ]  # fmt: skip
     kept = store_analysis(project, analysis, pictures)
