@@ -169,6 +169,11 @@ def find_plan(
         store=store,
         progress=progress,
     )
+    return found_plan(request, own, found)
+
+
+def found_plan(request: PlanRequest, own: PlanInputs, found: PushPlan) -> FoundPlan:
+    """Return a plan with its request and the warnings that belong to it."""
     return FoundPlan(
         plan=found,
         request=request,
