@@ -11,7 +11,7 @@ from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Ellipsoid, LineDrive, Polygon, PoseRegion, Pusher, Scene
 from fixel.planning.belief import Belief
 from fixel.planning.candidates import plans_of_mechanics
-from fixel.planning.geometric import geometric_pushes, point_push
+from fixel.planning.geometric import fence_pushes, geometric_pushes, point_push
 from fixel.planning.plan import simulator_of
 from fixel.planning.pushes import FreePushes, outline_points
 from fixel.simulation import simulate_batch
@@ -120,3 +120,11 @@ def test_mechanics_propose_nothing_for_a_goal_that_is_met_already():
         scene = choose.prepared(Scene(square, duration=1.0))
         plans = plans_of_mechanics(simulator_of(scene, own, choose, Belief(), None, None, None))
         assert len(plans) >= 32 * some
+
+
+def test_plans_by_a_fence_keep_to_the_largest_angle():
+    wide = {"most": 2, "length": (0.0, 0.2)}
+    [plan] = fence_pushes(PART, 0.3, angle=0.8, **wide)
+    assert np.abs(plan[:, 1]).max() == pytest.approx(pi / 4, abs=0.01)
+    assert fence_pushes(PART, 0.3, angle=0.7, **wide) == []
+    assert fence_pushes(PART, 0.3, angle=0.8, most=1, length=(0.0, 0.2)) == []

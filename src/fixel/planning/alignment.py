@@ -11,6 +11,7 @@ from fixel.errors import InvalidInput
 from fixel.model import Body, Ellipsoid, NoSupport, Shape
 from fixel.model.fields import non_negative, positive
 from fixel.model.support import support_points
+from fixel.model.trajectory import wrapped
 from fixel.planning.orienting import PushFunction, hull_of
 from fixel.typing import FloatArray
 
@@ -123,14 +124,14 @@ def flush_distance(part: Body | Shape, angles: ArrayLike, arm: float | None = No
     arm = float(levers.max()) if arm is None else positive(arm, "arm", "m")
     function = PushFunction.of(part)
     directions = np.mod(pi - np.asarray(angles, np.float64), tau)
-    turn = _wrapped(function.stable[function.rest(directions)] - directions)
+    turn = wrapped(function.stable[function.rest(directions)] - directions)
     # Each corner touches while the fence is between the normals of its two edges.
     along = np.roll(corners, -1, axis=0) - corners
     normal = np.arctan2(-along[:, 0], along[:, 1])
-    low, high = _wrapped(np.roll(normal, 1) - polar), _wrapped(normal - polar)
+    low, high = wrapped(np.roll(normal, 1) - polar), wrapped(normal - polar)
     distance = np.zeros(directions.shape)
     for k, lever in enumerate(levers):
-        start = _wrapped(directions - polar[k])
+        start = wrapped(directions - polar[k])
         for whole in (-tau, 0.0, tau):
             ends = np.clip([start + whole, start + turn + whole], low[k], high[k])
             inner, outer = np.sort(np.abs(ends), axis=0)
@@ -138,10 +139,6 @@ def flush_distance(part: Body | Shape, angles: ArrayLike, arm: float | None = No
             inner, outer = np.where(touches, inner, 1.0), np.where(touches, outer, 1.0)
             distance += alignment_distance(lever, inner, outer, arm)
     return distance
-
-
-def _wrapped(angle: FloatArray) -> FloatArray:
-    return np.asarray(np.mod(angle + pi, tau) - pi)
 
 
 def stable_push_angle(friction: float, half_width: float, depth: float) -> float:

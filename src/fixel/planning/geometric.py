@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model import Body, Shape
 from fixel.model.fields import non_negative, positive, vector
+from fixel.model.trajectory import wrapped
 from fixel.planning.alignment import flush_distance, friction_arm
 from fixel.planning.orienting import OrientingPlan, surviving_plan
 from fixel.planning.pushes import outline_points
@@ -136,6 +137,7 @@ def fence_pushes(
     list of (k, 3) float64
         Contact as a share of the way round the outline [-], angle from the inward normal [rad] and
         length [m] of each push: the plan of fewest pushes, and those that survive larger errors.
+        Plans with a larger angle than allowed at every contact are left out.
 
     Raises
     ------
@@ -152,7 +154,8 @@ def fence_pushes(
     """
     plans = [surviving_plan(part, error) for error in ANGLE_ERRORS]
     found = {tuple(plan.rotations): plan for plan in plans if plan and plan.pushes <= most}
-    return [_carried_out(part, target, plan, angle, length) for plan in found.values()]
+    pushes = [_carried_out(part, target, plan, angle, length) for plan in found.values()]
+    return [own for own in pushes if np.abs(own[:, 1]).max() <= angle]
 
 
 def _carried_out(
@@ -169,7 +172,7 @@ def _carried_out(
     heading = target - plan.angle - float(plan.rotations.sum())
     own, rows = float(part.pose[2]), []
     for rotation in (*plan.rotations.tolist(), 0.0):
-        turns = np.mod(heading - own - normal + pi, 2.0 * pi) - pi
+        turns = wrapped(heading - own - normal)
         across = np.array([-np.sin(heading - own), np.cos(heading - own)])
         aside = np.abs((point - part.com) @ across)
         best = int(np.argmin(np.where(np.abs(turns) <= angle, aside, np.inf)))
@@ -207,7 +210,7 @@ def point_push(contact: ArrayLike, heading: ArrayLike, length: ArrayLike, arm: f
     heading, length = np.asarray(heading, np.float64), np.asarray(length, np.float64)
     lever = np.hypot(contact[..., 0], contact[..., 1])
     ahead = np.arctan2(-contact[..., 1], -contact[..., 0]) - heading
-    start = np.mod(ahead + pi, 2.0 * pi) - pi
+    start = wrapped(ahead)
     growth = np.exp(lever * length / (lever**2 + arm**2))
     # The half angle by its sine and cosine: the centre may lie straight behind the contact.
     end = 2.0 * np.arctan2(np.sin(0.5 * start) * growth, np.cos(0.5 * start))

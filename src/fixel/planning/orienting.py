@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Shape
 from fixel.model.fields import Comparable, frozen, instance, non_negative
+from fixel.model.trajectory import wrapped
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import FloatArray, IntArray
@@ -183,8 +184,8 @@ def orienting_plan(part: Body | Shape, *, angle_error: float = 0.0) -> Orienting
     """Plan the fewest pushes by a wide fence that bring a part to one angle without a sensor.
 
     The angle at the start is unknown. Between pushes the fence, or the plate, is rotated; each push
-    lasts until the part lies flat on the fence. The search over sets of possible angles is exact.
-    Of plans with equally few pushes it returns one with the largest smallest margin.
+    lasts until the part lies flat on the fence. The search is exact. Of plans with equally few
+    pushes it returns one with the largest smallest margin.
 
     Parameters
     ----------
@@ -299,8 +300,7 @@ def _symmetry(stable: FloatArray, borders: FloatArray) -> int:
     for parts in range(n, 1, -1):
         if n % parts == 0:
             ahead = np.roll([stable, borders], -n // parts, axis=1)
-            off = np.mod(ahead - [stable, borders] - tau / parts + pi, tau) - pi
-            if np.abs(off).max() < SAME:
+            if np.abs(wrapped(ahead - [stable, borders] - tau / parts)).max() < SAME:
                 return parts
     return 1
 
