@@ -115,6 +115,7 @@ def test_race_of_one_plan():
         ({"sizes": (8, 8)}, "sizes"),
         ({"sizes": ()}, "sizes"),
         ({"finalists": 0}, "finalists"),
+        ({"worlds": np.arange(N - 1)}, "worlds"),
         ({"confidence": 1.0}, "confidence"),
     ],
 )

@@ -165,7 +165,8 @@ def race(
     Raises
     ------
     InvalidInput
-        Sizes do not increase, or `evaluate` returns another shape or NaN.
+        Sizes do not increase, scenarios are without a draw, or `evaluate` returns another shape or
+        NaN.
 
     Examples
     --------
@@ -213,6 +214,9 @@ def race_rounds(
     """
     _check(n_plans, sizes, finalists, confidence)
     draws = None if worlds is None else np.asarray(worlds, dtype=np.int64)
+    if draws is not None and (draws.ndim != 1 or len(draws) < sizes[-1]):
+        expected = f"the parameter draws of {sizes[-1]} scenarios"
+        raise InvalidInput("worlds", found=f"shape {draws.shape}", expected=expected)
     plans = np.arange(n_plans, dtype=np.int64)
     margins = np.empty((n_plans, 0))
     success, met = np.zeros(n_plans), np.zeros(n_plans, dtype=np.int64)
