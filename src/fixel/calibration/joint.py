@@ -1,6 +1,6 @@
 """Joint distribution of calibrated parameters: intervals of each, with their correlations.
 
-Intervals say how far each parameter may be off, not which combinations the experiments exclude.
+Intervals are how far each parameter may be off, not which combinations the experiments exclude.
 The correlations are those of least squares at the best fit: of the inverse of the information that
 the experiments give about all parameters together.
 """
@@ -91,7 +91,7 @@ def draw_joint(
 def _moved(
     point: FloatArray, up: FloatArray, down: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the two points beside `point` for each parameter."""
+    """Return the points on both sides of `point` for each parameter."""
     pairs = []
     for k in range(len(point)):
         plus, minus = point.copy(), point.copy()

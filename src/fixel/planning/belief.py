@@ -1,4 +1,4 @@
-"""What is unknown when a plan is carried out, and samples of it."""
+"""Unknowns of a plan: parameters, start, rig and runs, and samples of them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ UNKNOWN_UNITS: Final[Mapping[str, str]] = {
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigError:
-    """Standard deviations of the errors of a rig, drawn anew for every run.
+    """Standard deviations of the errors of a rig, drawn for every run.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class Scenarios(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Belief:
-    """What is known about the parameters, the start, the rig and the runs of a plan.
+    """Distribution of the parameters, the start, the rig and the runs of a plan.
 
     Parameters
     ----------

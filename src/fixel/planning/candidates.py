@@ -70,7 +70,7 @@ def plans_of_mechanics(simulator: PlanSimulator) -> Numbers:
     return found
 
 
-class Table(NamedTuple):
+class PushTable(NamedTuple):
     """Displacements of the part by pushes away from all fixels."""
 
     numbers: FloatArray  # (n, d)
@@ -80,7 +80,7 @@ class Table(NamedTuple):
 
 def displacements(
     simulator: PlanSimulator, belief: Belief, n: int = LIBRARY, seed: int = 0
-) -> Table:
+) -> PushTable:
     """Simulate pushes of the part alone; the plane is even, so that any place will do."""
     scene = simulator.scene
     body = replace(scene.bodies[0], pose=np.zeros(3))
@@ -96,10 +96,10 @@ def displacements(
     )
     ends = runs.pose[:, -1].reshape(len(some), 16, 3)
     spread = np.median(ends.std(axis=1), axis=0)
-    return Table(numbers[:, 0], planned.nominal.pose[:, -1], spread)
+    return PushTable(numbers[:, 0], planned.nominal.pose[:, -1], spread)
 
 
-def sequences(simulator: PlanSimulator, table: Table, pushes: int, seed: int = 0) -> Numbers:
+def sequences(simulator: PlanSimulator, table: PushTable, pushes: int, seed: int = 0) -> Numbers:
     """Return sequences of `pushes` pushes whose nominal end is near the goal.
 
     Last pushes are tried from poses near the goal and judged from perturbed starts; the pushes
@@ -130,7 +130,9 @@ def sequences(simulator: PlanSimulator, table: Table, pushes: int, seed: int = 0
     ]
 
 
-def last_pushes(simulator: PlanSimulator, table: Table, seed: int) -> tuple[FloatArray, FloatArray]:
+def last_pushes(
+    simulator: PlanSimulator, table: PushTable, seed: int
+) -> tuple[FloatArray, FloatArray]:
     """Return poses (n, 3) from which a push (n, d) reaches the goal, the least sensitive first."""
     rng = np.random.default_rng([seed, 77])
     before, numbers = [], []

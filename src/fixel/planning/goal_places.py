@@ -1,4 +1,4 @@
-"""Where a goal is: poses that meet it, and the poses around it."""
+"""Places of a goal: poses that meet it, and the poses around it."""
 
 from __future__ import annotations
 

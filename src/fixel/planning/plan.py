@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, Final, NamedTuple, final
@@ -26,8 +26,9 @@ from fixel.planning.pushes import (
     scene_of_push,
 )
 from fixel.planning.rollout import FAILURES, PlannedMotions, PlanSimulator, Runs
-from fixel.planning.search import Answers, PlanSearch, Report, Rounds, conduct
+from fixel.planning.search import Answers, PlanSearch, Rounds, conduct
 from fixel.planning.success import SuccessProbability
+from fixel.progress import Progress
 from fixel.results import Result, Summary
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper
@@ -325,7 +326,7 @@ def find_plan(
     untrusted: bool = False,
     first: Sequence[Sequence[PlanPush | RigPush]] = (),
     answers: Answers | None = None,
-    report: Report | None = None,
+    report: Callable[[Progress], None] | None = None,
 ) -> PushPlan:
     """Search for a plan, and estimate its success probability from fresh scenarios.
 
@@ -336,7 +337,7 @@ def find_plan(
     answers : mutable mapping, optional
         Margins that were computed before, by what was asked; new ones are added.
     report : callable, optional
-        Called with the stage, the number of rollouts, their budget and the best success rate.
+        Called with the progress of the search.
     """
     search = search_of(
         scene, goal, choose, belief, rollouts=rollouts, seed=seed, threads=threads,
@@ -358,7 +359,7 @@ def search_of(
     motion: AbstractMotionModel | None = None,
     stepper: AbstractStepper | None = None,
     first: Sequence[Sequence[PlanPush | RigPush]] = (),
-    report: Report | None = None,
+    report: Callable[[Progress], None] | None = None,
 ) -> PlanSearch:
     """Return the search for a plan, after checks; parameters as for `find_plan`."""
     instance(goal, Goal, "goal", "a goal, such as PoseRegion or Seated")

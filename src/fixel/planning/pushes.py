@@ -97,7 +97,7 @@ class PushMotions(NamedTuple):
 
 
 class PushChoice(Protocol):
-    """What a planner may choose; `FreePushes` and `RigPushes`."""
+    """Pushes that a planner may choose: `FreePushes` or `RigPushes`."""
 
     @property
     def most(self) -> int:

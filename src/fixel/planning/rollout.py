@@ -205,7 +205,7 @@ class PlanSimulator:
         return outcome.pose, failure, outcome.stalled, outcome.force
 
     def _tool_errors(self, path: FloatArray, scenarios: Scenarios) -> dict[str, FloatArray]:
-        """Return the registration of tools that miss their paths, in place of the calibrated."""
+        """Return the registration of tools that miss their paths, instead of the calibrated."""
         if not scenarios.tool.any():
             return {}
         begin, way = path[:, 0, 1:3], path[:, 1, 1:3] - path[:, 0, 1:3]

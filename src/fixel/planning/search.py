@@ -24,6 +24,7 @@ from fixel.planning.race import RaceResult, RaceRound, race_rounds
 from fixel.planning.refine import PlanRefinement, can_refine
 from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlannedMotions, PlanSimulator
 from fixel.planning.success import SuccessProbability
+from fixel.progress import Progress
 from fixel.typing import FloatArray, IntArray
 
 WORLDS: Final = 64  # parameter draws, each with as many runs in the statement of success
@@ -41,13 +42,12 @@ SOFTNESS: Final = 0.3  # margin over which a success is counted partly in the re
 SHARES: Final = (0.15, 0.45, 0.85)
 
 Answers = MutableMapping[str, FloatArray]
-Report = Callable[[str, int, int, float], None]  # stage, rollouts, budget, best success so far
 
 
 Unseen = Callable[[FloatArray], tuple[str, ...]]
 
 
-class Stage(NamedTuple):
+class SearchStage(NamedTuple):
     """Scenarios of one stage of a search; no two stages share any."""
 
     stream: int  # of random values
@@ -55,8 +55,8 @@ class Stage(NamedTuple):
     runs: int  # of each draw
 
 
-RACE_STAGE: Final = Stage(1, WORLDS, RACE[-1] // WORLDS)
-REFINE_STAGE: Final = Stage(2, 32, 4)
+RACE_STAGE: Final = SearchStage(1, WORLDS, RACE[-1] // WORLDS)
+REFINE_STAGE: Final = SearchStage(2, 32, 4)
 FINAL, FRESH = 3, 4  # streams of the last two stages
 
 
@@ -64,7 +64,7 @@ class MarginRequest(NamedTuple):
     """Plans whose margins are wanted, in scenarios `first` to `last` of a stage."""
 
     plans: Numbers
-    stage: Stage
+    stage: SearchStage
     first: int
     last: int
 
@@ -112,24 +112,24 @@ class PlanSearch:
     rollouts: int = 160_000
     seed: int = 0
     first: Sequence[FloatArray] = ()
-    report: Report | None = None
+    report: Callable[[Progress], None] | None = None
     best: float = 0.0
     done: int = 0
 
     @property
-    def final_stage(self) -> Stage:
-        """Stage in which the plan is chosen."""
-        return Stage(FINAL, WORLDS, min(FINAL_RUNS, max(2, self.rollouts // 5_000)))
+    def final_stage(self) -> SearchStage:
+        """SearchStage in which the plan is chosen."""
+        return SearchStage(FINAL, WORLDS, min(FINAL_RUNS, max(2, self.rollouts // 5_000)))
 
     @property
-    def fresh_stage(self) -> Stage:
-        """Stage from which the success of the chosen plan is computed.
+    def fresh_stage(self) -> SearchStage:
+        """SearchStage from which the success of the chosen plan is computed.
 
         64 runs for each of 64 draws of the parameters, less for searches below 64,000 rollouts.
         """
-        return Stage(FRESH, WORLDS, min(WORLDS, max(8, self.rollouts // 1_000)))
+        return SearchStage(FRESH, WORLDS, min(WORLDS, max(8, self.rollouts // 1_000)))
 
-    def scenarios(self, stage: Stage) -> Scenarios:
+    def scenarios(self, stage: SearchStage) -> Scenarios:
         """Draw the scenarios of a stage."""
         if stage not in self._drawn:
             drawn = self.belief.scenarios(
@@ -142,7 +142,7 @@ class PlanSearch:
             self._drawn[stage] = drawn
         return self._drawn[stage]
 
-    _drawn: dict[Stage, Scenarios] = field(default_factory=dict)
+    _drawn: dict[SearchStage, Scenarios] = field(default_factory=dict)
 
     def margins(self, request: MarginRequest) -> FloatArray:
         """Simulate the margins (m, n) of a request."""
@@ -159,7 +159,7 @@ class PlanSearch:
         return found
 
     def _ask(
-        self, plans: Numbers, stage: Stage, first: int = 0, last: int | None = None
+        self, plans: Numbers, stage: SearchStage, first: int = 0, last: int | None = None
     ) -> Rounds[FloatArray]:
         last = stage.worlds * stage.runs if last is None else last
         self.done += (last - first) * sum(len(plan) for plan in plans)
@@ -343,7 +343,8 @@ class PlanSearch:
 
     def _show(self, stage: str) -> None:
         if self.report is not None:
-            self.report(stage, self.done, self.rollouts, self.best)
+            note = f"success {self.best:.3f}"
+            self.report(Progress(stage, self.done, max(self.done, self.rollouts), note=note))
 
 
 def conduct(search: PlanSearch, rounds: Rounds[T], answers: Answers) -> T:

@@ -1,4 +1,4 @@
-"""What a pose seen during a plan tells about the parameters of that run."""
+"""Parameters of a run, from the pose that is seen between two pushes of its plan."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def belief_after(
     -----
     Simulated runs are weighted by the likelihood of the seen pose, a normal distribution with the
     error of the pose, made wider until enough runs count. Friction and pressure of the run stay
-    what they were, and are not drawn anew.
+    what they were, and are not drawn again.
     """
     start = replace(plan.belief, start=error)
     if done == 0:
@@ -65,7 +65,8 @@ def belief_after(
     weight = _weights(off, error.deviation, runs.failure == 0)
     if weight is None:
         return SeenBelief(
-            start, "the seen pose is unlike the planned runs, and says nothing about parameters"
+            start,
+            "the seen pose is unlike the planned runs; parameters stay as uncertain",
         )
     # Systematic resampling: each run as often as its weight says, up to one.
     places = (np.arange(SETS) + 0.5) / SETS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,7 +22,8 @@ from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answer, Chunk, Failure, Round, Work
 from fixel.planning.plan import plan_rounds, search_of
 from fixel.planning.pushes import FreePushes
-from fixel.planning.search import MarginRequest, PlanSearch, Report, Stage
+from fixel.planning.search import MarginRequest, PlanSearch, SearchStage
+from fixel.progress import Progress
 from fixel.typing import FloatArray
 from fixel.workflows import jobs
 from fixel.workflows.planning.report import store_plan
@@ -38,9 +39,9 @@ def plan_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     """Search for a plan as `fixel plan` does, in rounds of chunks that workers simulate."""
     began = time.monotonic()
 
-    def show(stage: str, done: int, budget: int, best: float) -> None:
+    def show(now: Progress) -> None:
         with written_whole(inputs.parent / STAGE) as path:
-            path.write_text(f"{stage}, {min(99, 100 * done // budget)} %, success {best:.3f}")
+            path.write_text(f"{now.stage}, {100.0 * (now.share or 0.0):.0f} %, {now.note}")
 
     project, request, own, search = _search(inputs, options, show)
     rounds = plan_rounds(search, untrusted=request.untrusted)
@@ -70,7 +71,7 @@ def _worker_search(inputs: Path) -> PlanSearch:
 
 
 def _search(
-    inputs: Path, options: Mapping[str, Any], report: Report | None = None
+    inputs: Path, options: Mapping[str, Any], report: Callable[[Progress], None] | None = None
 ) -> tuple[Project, PlanRequest, PlanInputs, PlanSearch]:
     # The job is in the folder `jobs` of its project.
     project = Project(inputs.resolve().parents[2])
@@ -103,7 +104,7 @@ def _request(payload: bytes) -> MarginRequest:
     own = arrays_of(payload)
     plans = np.split(own["numbers"], np.cumsum(own["pushes"])[:-1])
     first, last = own["rows"].tolist()
-    return MarginRequest(plans, Stage(*own["stage"].tolist()), first, last)
+    return MarginRequest(plans, SearchStage(*own["stage"].tolist()), first, last)
 
 
 def _margins(answer: Answer) -> FloatArray:

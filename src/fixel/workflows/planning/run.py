@@ -18,7 +18,7 @@ from fixel.model.goals import Goal
 from fixel.planning.belief import Belief
 from fixel.planning.plan import PushPlan, find_plan
 from fixel.planning.pushes import FreePushes, PlanPush, RigPush, RigPushes
-from fixel.progress import Progress, ProgressOption, show_progress
+from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.simulate import SceneWithMethod, scene_file
 from fixel.simulation.stepper import AbstractStepper
@@ -105,16 +105,12 @@ def plan(
         file = scene_file(scene, "a Scene or a scene file")
         own, motion, stepper = file.scene, motion or file.motion, stepper or file.stepper
     with show_progress(progress, "planning") as report, _answers(store) as answers:
-
-        def show(stage: str, done: int, budget: int, best: float) -> None:
-            report.show(Progress(stage, done, max(done, budget), note=f"success {best:.3f}"))
-
         try:
             return find_plan(
                 own, goal, choose or FreePushes(), belief or Belief(),
                 rollouts=rollouts, seed=seed, threads=threads,
                 motion=None if motion is None else motion_model(motion), stepper=stepper,
-                untrusted=untrusted, first=first, answers=answers, report=show,
+                untrusted=untrusted, first=first, answers=answers, report=report.show,
             )  # fmt: skip
         except KeyboardInterrupt:
             hint = "the same call continues" if store else "with store='FOLDER' it would continue"
