@@ -248,8 +248,9 @@ def run(
     from fixel.workflows.planning.stored import load_plan
 
     found = load_plan(plan).found
+    again = command_of("plan", "check", plan, project=folder)
     if present_belief(_project(folder), found)[1] != found.calibration:
-        notify(f"The calibration has changed since: {command_of('plan', 'check', plan)}")
+        notify(f"The calibration has changed since: {again}")
     if driver == "testbed":
         done = execute.run_on_testbed(plan, trials=trials, seed=seed)
     else:
@@ -267,7 +268,7 @@ def run(
         as_json,
         lambda: {"met": last.met, "failure": last.failure, "trials": done.n,
                  "successes": done.successes, "stated": done.stated, "refuted": done.refuted},
-        lambda: [*str(done).splitlines(), f"Next: {command_of('plan', 'check', plan)}"],
+        lambda: [*str(done).splitlines(), f"Next: {again}"],
     )  # fmt: skip
 
 
