@@ -27,10 +27,12 @@ from fixel.cli.screen import (
     seconds,
     wrote,
 )
+from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
     from fixel.typing import FloatArray
+    from fixel.workflows.acquisition.record import RecordPlan
     from fixel.workflows.analysis import StoredAnalysis
     from fixel.workflows.planning.check import CheckedPlan
     from fixel.workflows.planning.request import FoundPlan, PlanRequest
@@ -237,6 +239,13 @@ def run(
         None, "Pose of the part after: x,y,angle [mm, mm, deg]; asked for by default.",
         metavar="X,Y,ANGLE",
     ),
+    camera: str | None = option(
+        None, "Camera to record with, as for fixel record; by default none.", metavar="SOURCE"
+    ),
+    out: Path | None = option(None, "New folder for the recording.", metavar="FOLDER"),
+    rig: str | None = option(
+        None, "Rig of the camera: the end of the part is tracked and not asked for.", metavar="RIG"
+    ),
     by: str = option("", "Person who carries it out, stored with the trial.", metavar="NAME"),
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
@@ -262,7 +271,11 @@ def run(
             return seen_pose(text or typer.prompt("Seen pose [mm, mm, deg]"), "seen pose")
 
         actuator = chosen_actuator(driver, port, notify=notify)
-        done = execute.run_on_drive(plan, actuator, seen=seen, notify=notify, by=by).trials
+        recording = None if camera is None else _recording(camera, out, rig)
+        done = execute.run_on_drive(
+            plan, actuator, seen=seen, notify=notify, by=by, camera=recording,
+            project=None if _project(folder) is None else folder,
+        ).trials  # fmt: skip
     last = done.trials[-1]
     print_answer(
         as_json,
@@ -270,6 +283,14 @@ def run(
                  "successes": done.successes, "stated": done.stated, "refuted": done.refuted},
         lambda: [*str(done).splitlines(), f"Next: {again}"],
     )  # fmt: skip
+
+
+def _recording(camera: str, out: Path | None, rig: str | None) -> "RecordPlan":
+    from fixel.workflows.acquisition.record import RecordPlan
+
+    if out is None:
+        raise InvalidInput("--out", found=None, expected="a new folder for the recording")
+    return RecordPlan(camera=camera, folder=out, rig=rig)
 
 
 def _project(folder: Path) -> "Project | None":

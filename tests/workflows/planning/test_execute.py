@@ -1,6 +1,8 @@
 """Plans on the simulated testbed and on drives, which stop on Ctrl-C, alarms and other starts."""
 
 import math
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,9 +11,14 @@ import pytest
 
 import fixel
 from fixel.errors import DeviceFailed, InvalidInput
+from fixel.formats.recording import open_recording
+from fixel.testbed.emulators.grbl import EmulatedGrbl
+from fixel.testbed.motion_grbl import GrblActuator
 from fixel.testbed.motion_simulated import SimulatedActuator
 from fixel.testbed.repeated_pushes import repeat_pushes
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.workflows.acquisition.film import FilmSettings, film
+from fixel.workflows.acquisition.record import RecordPlan
 from fixel.workflows.planning.check import check_plan, seen_pose
 from fixel.workflows.planning.execute import run_on_drive, run_on_testbed, scenes_of
 from fixel.workflows.planning.request import FoundPlan, PlanRequest
@@ -70,6 +77,61 @@ def test_a_drive_carries_out_a_stroke_and_the_trial_is_stored(tmp_path: Path):
     with actuator:
         assert actuator.position() == pytest.approx(0.015)  # a stroke of 20 mm, back by 5 mm
     assert load_trials(path, load_plan(path)).trials == (done.trial,)
+
+
+@pytest.mark.slow  # renders and tracks 20 pictures
+def test_a_camera_records_the_move_and_sees_the_end(tmp_path: Path):
+    plan = rig_plan()
+    path = stored(plan, tmp_path / "a.plan")
+    scene = scenes_of(plan)[0].save(tmp_path / "scene.yaml")
+    (filmed,) = film(
+        [str(scene)],
+        tmp_path / "film",
+        FilmSettings(rig="thesis-tags", looks="clean", rate=8.0, lead=0.3),
+    )
+    out = tmp_path / "recorded"
+    done = run_on_drive(
+        path,
+        SimulatedActuator(speed_ratio=1.0),
+        seen=poses("90,0,22.5"),
+        notify=lambda _: None,
+        camera=RecordPlan(camera=str(filmed.folder), folder=out, rig="thesis-tags", fast=True),
+    )
+    assert done.trial is not None
+    np.testing.assert_allclose(done.trial.end, plan.end, atol=0.005)
+    assert open_recording(out).complete
+
+
+def test_a_camera_that_cannot_be_opened_does_not_move_the_drive(tmp_path: Path):
+    path = stored(rig_plan(), tmp_path / "a.plan")
+    actuator = SimulatedActuator(clock=Clock())
+    camera = RecordPlan(camera=str(tmp_path / "none.mp4"), folder=tmp_path / "out")
+    with pytest.raises(InvalidInput):
+        run_on_drive(path, actuator, seen=poses("90,0,22.5"), notify=lambda _: None, camera=camera)
+    with actuator:
+        assert actuator.position() == 0.0
+    assert load_trials(path, load_plan(path)).n == 0
+
+
+def test_an_alarm_of_a_real_controller_stops_the_plan(tmp_path: Path):
+    """The controller is emulated: a limit switch is hit while the part is pushed."""
+    path = stored(rig_plan(), tmp_path / "a.plan")
+    with EmulatedGrbl(acceleration=2000.0) as controller:
+        drive = GrblActuator(controller.port, guard=False)
+
+        def hit() -> None:
+            until = time.monotonic() + 10.0
+            while controller.speed < 5.0 and time.monotonic() < until:
+                time.sleep(0.001)
+            controller.hit_switch()
+
+        thread = threading.Thread(target=hit)
+        thread.start()
+        with pytest.raises(DeviceFailed):
+            run_on_drive(path, drive, seen=poses("90,0,22.5"), notify=lambda _: None)
+        thread.join()
+    (trial,) = load_trials(path, load_plan(path)).trials
+    assert not trial.met
 
 
 def test_another_start_than_planned_does_not_move_the_drive(tmp_path: Path):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,6 +24,8 @@ from fixel.testbed.motion import AbstractActuator
 from fixel.testbed.repeated_pushes import repeat_pushes
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import FloatArray, Notify
+from fixel.workflows.acquisition.record import RecordPlan, record
+from fixel.workflows.acquisition.track import track_film
 from fixel.workflows.planning.stored import PlanFile, add_trials, load_plan
 
 # Standard deviations of the start by which a seen start may differ from the planned one; more
@@ -121,6 +125,8 @@ def run_on_drive(
     seen: AskPose,
     notify: Notify,
     by: str = "",
+    camera: RecordPlan | None = None,
+    project: Path | None = None,
 ) -> DriveRun:
     """Carry out a plan once with a drive that moves along one straight axis, and add the trial.
 
@@ -137,6 +143,10 @@ def run_on_drive(
     notify : callable
     by : str
         Person or program that carries out the plan.
+    camera : RecordPlan, optional
+        Recording while the drive moves. With a rig, the end is tracked in it and not asked for.
+    project : Path, optional
+        Project in which the tracked experiment is stored.
 
     Raises
     ------
@@ -158,20 +168,66 @@ def run_on_drive(
     with actuator:
         begun = actuator.position()
         try:
-            actuator.move(by=push.stroke, speed=speed)
             back = getattr(plan.choose, "retract", 0.0)
-            if back:
-                actuator.move(by=-back, speed=speed)
+            with _recording(camera):
+                actuator.move(by=push.stroke, speed=speed)
+                if back:
+                    actuator.move(by=-back, speed=speed)
         except (FixelError, KeyboardInterrupt) as problem:
             why = "Ctrl-C" if isinstance(problem, KeyboardInterrupt) else str(problem)
             if _moved(actuator, begun):
                 _add(path, file, start, None, False, f"drive stopped: {why}"[:200], by)
             raise
-    end = seen("Enter the pose of the part at its end.")
+    if camera is not None and camera.rig is not None:
+        end = _tracked_end(plan, camera, project)
+    else:
+        end = seen("Enter the pose of the part at its end.")
     # These drives report neither stalls nor forces: the goal is judged by the pose alone.
     track = BodyTrack(end[None, None], np.array([True]), np.zeros(1), _planned_fixels(plan))
     met = bool(plan.goal.met(plan.scene, track)[0])
     return _add(path, file, start, end, met, "" if met else "missed the goal", by)
+
+
+@contextmanager
+def _recording(camera: RecordPlan | None) -> Iterator[None]:
+    """Record from before a move until after it; an error of the camera is raised at the end."""
+    if camera is None:
+        yield
+        return
+    begun, ended = threading.Event(), threading.Event()
+    problems: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            record(
+                camera,
+                stop=lambda: "the drive has arrived" if ended.is_set() else "",
+                watch=lambda arrived, status: begun.set(),
+            )
+        except BaseException as problem:
+            problems.append(problem)
+        begun.set()
+
+    thread = threading.Thread(target=work, name="fixel-recording", daemon=True)
+    thread.start()
+    try:
+        begun.wait()
+        if problems:  # the camera cannot be opened: the drive does not move
+            raise problems[0]
+        yield
+    finally:
+        ended.set()
+        thread.join()
+    if problems:
+        raise problems[0]
+
+
+def _tracked_end(plan: PushPlan, camera: RecordPlan, project: Path | None) -> FloatArray:
+    """Return the last tracked pose (3,) of the part in a recording."""
+    scene = camera.folder / "scene.yaml"
+    scenes_of(plan)[0].save(scene)
+    tracked = track_film(camera.folder, rig=camera.rig or "", scene=scene, project=project)
+    return np.asarray(tracked.experiment.trajectory.pose[-1])
 
 
 def check_start(plan: PushPlan, seen: FloatArray) -> None:
