@@ -1,6 +1,7 @@
 """Predictions against single simulations from the same starts."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from fixel.calibration.noise import Noise
 from fixel.errors import InvalidInput
 from fixel.model import Probability, Seated
 from fixel.testing.pushes import ANGLE_NOISE, POSITION_NOISE, TRUTH, example_pushes
-from fixel.testing.scenes import grasp, micro_push
+from fixel.testing.scenes import grasp, micro_push, pushed_square
 from fixel.uncertainty.likelihood import LogLikelihood
 from fixel.uncertainty.posterior import NestedSampling
+from fixel.uncertainty.run_to_run import RunToRun
 from fixel.uncertainty.starts import ASME, StartError
 from fixel.workflows.uncertainty.prediction import predict
 
@@ -147,3 +149,43 @@ def test_the_posterior_holds_the_truth_and_predicts_another_push(tmp_path, monke
     assert fixel.load(tmp_path / "posterior") == found
     with pytest.raises(InvalidInput, match="did you mean 'mu_pusher'"):
         fixel.posterior(pushes[0], {"mu_pushr": (0, 1)}, **QUIET)
+
+
+# --- scatter between runs -----------------------------------------------------------------------
+
+
+def test_the_scatter_between_runs_grows_with_the_motion():
+    scatter = RunToRun()
+    ends = {}
+    for duration in (0.6, 1.2):
+        scene = pushed_square(duration)
+        found = predict(scene, run_to_run=scatter, samples=200, progress=False)
+        ends[duration] = found.ends.std(axis=0)
+        assert found.drift is not None
+        assert found.failed == 0
+    assert (ends[1.2] > ends[0.6]).all()
+
+
+def test_a_part_that_is_not_touched_has_the_error_of_its_start_alone():
+    scene = pushed_square(0.5)
+    away = replace(scene.bodies[0], pose=scene.bodies[0].pose + np.array([0.0, 0.5, 0.0]))
+    scene = replace(scene, bodies=(away,))
+    found = predict(scene, run_to_run=RunToRun(start=0.0), samples=20, progress=False)
+    assert np.ptp(found.ends, axis=0).max() < 1e-9
+
+
+def test_a_seated_part_has_no_remainder_and_bits_do_not_depend_on_threads():
+    scene = grasp("seated")
+    given = {"run_to_run": RunToRun(), "samples": 30, "seed": 3, "progress": False}
+    one = predict(scene, {"mu_support": 0.3}, threads=1, **given)
+    two = predict(scene, {"mu_support": 0.3}, threads=2, **given)
+    assert (one.ends == two.ends).all()
+    seated = one.meets(Seated("fixel-1"))
+    assert (one.drift[one.ended][seated] == 0.0).all()
+
+
+def test_scatter_and_model_error_together_are_refused():
+    with pytest.raises(InvalidInput, match="one of the two"):
+        predict(pushed_square(), run_to_run=RunToRun(), model_error=1e-3)
+    with pytest.raises(InvalidInput, match="RunToRun"):
+        predict(pushed_square(), run_to_run="learned")

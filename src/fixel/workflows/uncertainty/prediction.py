@@ -16,6 +16,7 @@ from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Scene
 from fixel.model.fields import instance, non_negative
+from fixel.model.goals import touching
 from fixel.parts.model import PartModel
 from fixel.parts.prior import NAMES
 from fixel.progress import ProgressOption, show_progress
@@ -28,6 +29,7 @@ from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.prediction import Prediction
 from fixel.uncertainty.push import Push, push_of
 from fixel.uncertainty.repetition import predict_repetition
+from fixel.uncertainty.run_to_run import RunChanges, RunToRun, rest_at
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import StartError
 
@@ -40,6 +42,7 @@ def predict(
     *,
     start: StartError | None = None,
     model_error: bool | float | None = None,
+    run_to_run: RunToRun | None = None,
     times: ArrayLike | None = None,
     samples: int = 1000,
     motion: AbstractMotionModel | str | None = None,
@@ -65,6 +68,9 @@ def predict(
         Standard deviation of the model's own error at the end of the way [m]. True: that of the
         posterior. By default as the posterior has it; none with fixed parameters; of a part model
         the median error on parts that were left out.
+    run_to_run : RunToRun, optional
+        Scatter between runs of the same push, which replaces the model error: it acts inside the
+        simulation, and grows with how far the part moves and turns.
     times : (n_time,) array_like, optional
         Instants of the path [s]; by default those of the experiment, or twelve up to the end.
     samples : int
@@ -105,11 +111,24 @@ def predict(
     if isinstance(samples, bool) or not 2 <= samples <= MAX_SAMPLES:
         raise InvalidInput("samples", found=samples, expected=f"2 to {MAX_SAMPLES} runs")
     instance(start, StartError | None, "start", "a StartError")
+    instance(run_to_run, RunToRun | None, "run_to_run", "a RunToRun")
+    if run_to_run is not None and model_error:
+        raise InvalidInput(
+            "model_error", found="also a scatter between runs", expected="one of the two"
+        )
     as_measured = isinstance(scene, Experiment) and start is None and times is None
+    as_measured = as_measured and run_to_run is None
     if isinstance(model, Posterior) and isinstance(scene, Experiment) and as_measured:
         return _repetition(scene, model, motion, model_error, samples, seed, threads)
-    push, values, best, tau = _parameters(scene, model, motion, start, model_error, samples, seed)
-    if not isinstance(model_error, bool | None):
+    uncertain = start is not None or bool(model_error) or run_to_run is not None
+    push, values, best, tau = _parameters(scene, model, motion, uncertain, samples, seed)
+    runs = None
+    if run_to_run is not None:
+        runs = _runs(run_to_run, push.scene, start, values, samples, seed)
+        values, tau = runs.values, None
+        usual = _scene_friction(push.scene)
+        best = {name: best.get(name, usual.get(name, 0.0)) for name in values}
+    elif not isinstance(model_error, bool | None):
         tau = np.full(samples, non_negative(model_error, "model_error", "m"))
     elif model_error is False:
         tau = None
@@ -120,6 +139,7 @@ def predict(
             push.scene,
             start,
             samples,
+            drawn=None if runs is None else runs.start,
             values=values,
             nominal=best,
             times=push.times if times is None else times,
@@ -129,7 +149,38 @@ def predict(
             threads=threads,
             progress=report,
         )
-    return replace(found, unseen=_unseen(model, scene, push.scene), drift=_drift(found, tau))
+    drift = _drift(found, tau) if runs is None else _rest(found, runs)
+    return replace(found, unseen=_unseen(model, scene, push.scene), drift=drift)
+
+
+def _runs(
+    scatter: RunToRun,
+    scene: Scene,
+    start: StartError | None,
+    values: Mapping[str, ArrayLike],
+    samples: int,
+    seed: int,
+) -> RunChanges:
+    """Draw runs with their scatter, and with the errors of the start."""
+    table = {name: np.broadcast_to(np.asarray(x, float), samples) for name, x in values.items()}
+    runs = scatter.drawn(samples, seed=seed, scene=scene, values=table)
+    own = np.zeros((samples, 3)) if start is None else start.samples(samples, seed)
+    return runs._replace(start=runs.start + own)
+
+
+def _scene_friction(scene: Scene) -> dict[str, float]:
+    """Return the friction of the pusher and of the fixels of a scene, if there are any."""
+    own = (("mu_fixel", scene.fixels), ("mu_pusher", scene.pushers))
+    return {name: float(bodies[0].friction) for name, bodies in own if bodies}
+
+
+def _rest(found: Prediction, runs: RunChanges) -> FloatArray:
+    """Return the remainder (n, n_time, 3) of runs; zero for those that end against a fixel."""
+    body = found.scene.bodies[0]
+    free = ~np.any(touching(found.scene, body, found.pose[:, -1]), axis=1)
+    turned = found.pose[:, :, 2] - found.start[:, None, 2]
+    rest = [rest_at(runs.rest, column) for column in turned.T]
+    return np.asarray(np.stack(rest, axis=1) * free[:, None, None])
 
 
 class _SampledPush(NamedTuple):
@@ -145,8 +196,7 @@ def _parameters(
     scene: Scene | SceneWithMethod | str | PathLike[str] | Experiment,
     model: Mapping[str, float] | Posterior | PartModel | None,
     motion: AbstractMotionModel | str | None,
-    start: StartError | None,
-    model_error: bool | float | None,
+    uncertain: bool,
     samples: int,
     seed: int,
 ) -> _SampledPush:
@@ -168,7 +218,7 @@ def _parameters(
         }
         tau = own.points[rows, -1] if own.labels[-1] == LABEL else None
         return _SampledPush(push, values, nominal, tau)
-    if start is None and not model_error:
+    if not uncertain:
         raise InvalidInput(
             "start",
             found="no start error, no posterior and no model error",
