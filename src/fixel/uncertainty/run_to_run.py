@@ -1,4 +1,4 @@
-"""What differs between runs of the same push: friction, pressure, start, and what no model has.
+"""Scatter between runs of the same push: start, friction, pressure centre, and a remainder.
 
 A calibrated simulator predicts the same end for the same push. Real pushes end elsewhere each time,
 and farther apart the more the part moves and turns. Most of that is explained by a friction of the
