@@ -56,7 +56,7 @@ def _draw_success(axes: Axes, rows: Sequence[Row], methods: Mapping[str, str]) -
         )  # fmt: skip
     axes.set_yticks(np.arange(len(names)), [_folded(methods[name]) for name in names])
     axes.set_xlabel("feasible goals met [%], 2 standard errors")
-    axes.set_ylim(-0.6, len(names) - 0.4)
+    axes.set(xlim=(0, 102), ylim=(-0.6, len(names) - 0.4))
     clean(axes)
     axes.legend(frameon=False, loc="lower left", handletextpad=0.2)
 

@@ -35,7 +35,7 @@ REST_POSITION, REST_ANGLE = 0.02, 0.04
 FREEDOM: Final = 3.0
 # Bounds of the degrees of freedom of Student's t: from "a mean exists" to "normal".
 FREEDOMS: Final = (1.5, 50.0)
-# Largest factor of Student's t on the scatter of one run: 2 % of the runs exceed it.
+# Largest factor of Student's t on the scatter of one run: 5 % of the runs would exceed it.
 MAX_FACTOR: Final = 3.0
 # Standard deviation of the logarithm of a scatter over its default, before any experiment.
 PRIOR: Final = 1.0
@@ -82,7 +82,9 @@ class RunEffects(NamedTuple):
     turned: FloatArray  # (k,) predicted rotation [rad]
     known: FloatArray | float = 0.0  # (k, 3, 3) covariance from other sources, as of parameters
 
-    def __len__(self) -> int:
+    @property
+    def experiments(self) -> int:
+        """Number of experiments k."""
         return len(self.residual)
 
 
@@ -159,7 +161,7 @@ class RunToRun:
         """
         from scipy.optimize import minimize
 
-        k = len(effects)
+        k = effects.experiments
         if k < MIN_EXPERIMENTS:
             raise InvalidInput(
                 "experiments",
@@ -338,7 +340,7 @@ def learn_run_to_run(
     ends = _ExperimentEnds([target_of(e) for e in experiments], model, motion, stepper, threads)
     effects = ends.effects()
     scatter = RunToRun.learned(effects, fitted=fitted)
-    left = effects.residual / math.sqrt(1.0 - fitted / (3.0 * len(effects)))
+    left = effects.residual / math.sqrt(1.0 - fitted / (3.0 * effects.experiments))
     return scatter.with_remainder(left, ends.drawn(scatter, seed), effects.turned)
 
 
