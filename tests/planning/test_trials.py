@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import beta, binom
+from scipy.stats import beta, binom, norm
 
 from fixel.errors import InvalidInput
 from fixel.planning.trials import (
@@ -91,14 +91,12 @@ def test_three_failures_in_the_first_ten():
     assert evidence_against(0.95, [False] * 3)[-1] >= 20.0
 
 
-def test_prior_is_the_beta_distribution_of_mean_and_worst_draws():
-    a, b = prior_counts(0.9, 0.8)
-    assert a / (a + b) == pytest.approx(0.9)
-    if a + b < 20.0:
-        assert beta.ppf(0.05, a, b) == pytest.approx(0.8, abs=1e-9)
-    a, b = prior_counts(0.9, 0.6)
-    assert beta.ppf(0.05, a, b) == pytest.approx(0.6, abs=1e-9)
-    assert sum(prior_counts(0.99, 0.98)) == pytest.approx(20.0)
+def test_prior_has_the_mean_and_the_spread_of_the_statement():
+    a, b = prior_counts(0.8, 0.5)
+    assert a / (a + b) == pytest.approx(0.8)
+    assert beta.std(a, b) == pytest.approx(0.3 / norm.ppf(0.95), rel=1e-3)
+    assert sum(prior_counts(0.9992, 0.9962)) == pytest.approx(20.0)
+    assert sum(prior_counts(0.9, 0.9)) == pytest.approx(20.0)
     assert sum(prior_counts(0.5, 0.0)) == pytest.approx(2.0)
 
 

@@ -261,11 +261,14 @@ class Explanation(Result):
         return found
 
     def _tolerances(self) -> list[str]:
+        if self.success == 1.0:
+            return []
+        enough = min(0.02, 0.5 * (1.0 - self.success))
         for wide, success in self.tolerance.items():
-            if wide > 1.0 and success >= self.success + 0.02:
+            if wide > 1.0 and success >= self.success + enough:
                 text = f"A tolerance {wide:g} times as wide would raise success to {success:.2f}."
                 return [text]
-        return [] if self.success == 1.0 else ["A tolerance up to 3 times as wide would not help."]
+        return ["A tolerance up to 3 times as wide would not help."]
 
     def _summary(self) -> Summary:
         columns = (

@@ -283,10 +283,9 @@ class SuccessProbability(Result):
     @property
     def sentence(self) -> str:
         """One line: the stated probability, the mean and its bound."""
-        return (
-            f"stated success probability {_share(self.stated)} (mean {_share(self.mean)}, "
-            f"at least {_share(self.bound)} with {100.0 * self.confidence:g} % confidence)"
-        )
+        stated, mean, bound = map(probability_text, (self.stated, self.mean, self.bound))
+        level = f"{100.0 * self.confidence:g} % confidence"
+        return f"stated success probability {stated} (mean {mean}, at least {bound} with {level})"
 
     def _by_draw(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in ("rates", "n_runs", "quantile", "margin")}
@@ -358,7 +357,7 @@ def effective_number(successes: ArrayLike, numbers: ArrayLike, confidence: float
     return min(n, effective * ratio**2)
 
 
-def _share(value: float) -> str:
+def probability_text(value: float) -> str:
     """Format a probability; one that is nearly 1 with more digits, never rounded to 1."""
     digits = 2 if value < 0.99 else 3 if value < 0.999 else 4
     return f"{value if value == 1.0 else min(value, 0.9999):.{digits}f}"

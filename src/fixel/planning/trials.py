@@ -15,7 +15,7 @@ from scipy.special import betainc, betaincinv, betaln
 from fixel.errors import InvalidInput
 from fixel.model.fields import name_of, settle
 from fixel.model.probability import Probability
-from fixel.planning.success import WORST
+from fixel.planning.success import WORST, probability_text
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
@@ -25,6 +25,8 @@ HORIZONS: Final = (30, 40)  # numbers of trials within which the test has the mo
 DROP: Final = 0.15  # difference from the stated rate at which it has the most power
 RESERVE: Final = 0.03  # least share of the test that regards trials after the horizon, too
 MIXTURE: Final = (5.0, 2.0)  # density of the true rate below the stated one: a beta distribution
+NORMAL_QUANTILE: Final = 1.645  # standard deviations from the mean to the 5 % quantile
+MIN_PRIOR_TRIALS: Final = 2.0
 MAX_PRIOR_TRIALS: Final = 20.0  # number of trials that a stated probability counts as, at most
 MET: Final = "met"
 
@@ -91,7 +93,7 @@ class Trials(Result):
         Stated success probability, at least 0 and below 1.
     mean : float
         Expected success probability, at least the stated one. The success rate is believed to be
-        beta distributed with this mean, and below the stated probability with 5 % probability.
+        beta distributed with this mean, and to be below the stated one with about 5 % probability.
     trials : sequence of PlanTrial
 
     Raises
@@ -179,7 +181,7 @@ class Trials(Result):
 
     def _summary(self) -> Summary:
         verdict = "is refuted" if self.refuted else "is not refuted"
-        stated = f"the stated success probability {self.stated:.2f}"
+        stated = f"the stated success probability {probability_text(self.stated)}"
         rows: list[tuple[str, float | None, str]] = [("stated", self.stated, "before the trials")]
         if (seen := self.observed) is not None:
             text = f"{seen.low:.2f} to {seen.high:.2f} with 95 % confidence"
@@ -202,9 +204,9 @@ class Trials(Result):
 def prior_counts(mean: float, stated: float) -> tuple[float, float]:
     """Return the successes and failures that a belief about a success rate counts as.
 
-    They are the parameters of the beta distribution with this mean whose 5 % quantile is the
-    stated probability. Their sum is at most 20, because the model may be wrong in a way that no
-    belief about its parameters includes, and at least 2.
+    They are the parameters of the beta distribution with this mean. Its variance is that of a
+    normal distribution whose 5 % quantile is the stated probability. Their sum is at most 20,
+    because the model may be wrong in a way that none of its parameters includes, and at least 2.
 
     Parameters
     ----------
@@ -214,23 +216,12 @@ def prior_counts(mean: float, stated: float) -> tuple[float, float]:
     Examples
     --------
     >>> [round(count, 1) for count in prior_counts(0.95, 0.8)]
-    [8.0, 0.4]
+    [4.5, 0.2]
     """
-    from scipy.optimize import brentq
-
     middle = min(max(mean, 1e-3), 1.0 - 1e-3)
-
-    def excess(log_sum: float) -> float:
-        total = math.exp(log_sum)
-        return float(betaincinv(middle * total, (1.0 - middle) * total, WORST)) - stated
-
-    low, high = math.log(2.0), math.log(MAX_PRIOR_TRIALS)
-    if excess(high) <= 0.0:
-        total = MAX_PRIOR_TRIALS
-    elif excess(low) >= 0.0:
-        total = 2.0
-    else:
-        total = math.exp(brentq(excess, low, high))
+    spread = max(mean - stated, 1e-6) / NORMAL_QUANTILE
+    total = middle * (1.0 - middle) / spread**2 - 1.0
+    total = min(max(total, MIN_PRIOR_TRIALS), MAX_PRIOR_TRIALS)
     return middle * total, (1.0 - middle) * total
 
 

@@ -69,8 +69,8 @@ class CheckedPlan:
         else:
             share = 100.0 * self.now.spare(self.found.wanted)
             lines.append(
-                f"As long as less than {share:.1f} % of the samples are misplaced, it is at least"
-                f" the wanted {self.found.wanted:g}."
+                f"It is at least the wanted {self.found.wanted:g} as long as less than"
+                f" {share:.1f} % of the samples are misplaced."
             )
         if self.trials.n:
             lines.append(str(self.trials).splitlines()[0] + ".")

@@ -14,6 +14,7 @@ from fixel.drawing.planning_statistics import CausesChart
 from fixel.io.atomic import written_whole
 from fixel.io.document import yaml_text
 from fixel.planning.plan import PushPlan
+from fixel.planning.success import probability_text
 from fixel.table import Column, Table
 from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
 from fixel.workflows.figures import Picture
@@ -73,7 +74,7 @@ def headline_of(found: FoundPlan) -> list[str]:
     nominal = plan.nominal_success.stated
     lines.append(
         "The plan that is best without any error has a stated success probability of"
-        f" {nominal:.2f}."
+        f" {probability_text(nominal)}."
     )
     if plan.failures:
         kinds = (f"{100.0 * share:.1f} % {why}" for why, share in plan.failures.items())
