@@ -1,9 +1,12 @@
 """Scatter between runs: fits to known scatter, draws, and bad input."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
+from fixel.model import PairFriction
 from fixel.testing.pushes import TRUTH, example_pushes
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.uncertainty.run_to_run import (
@@ -79,6 +82,13 @@ def test_fixels_of_one_friction_scatter_and_equal_seeds_agree():
     one, two = (RunToRun().drawn(10, seed=5, scene=scene) for _ in range(2))
     assert np.ptp(one.values["mu_fixel"]) > 0.0
     assert all((one.values[name] == two.values[name]).all() for name in one.values)
+
+
+def test_the_friction_of_a_pair_is_that_about_which_runs_scatter():
+    scene = pushed_square()
+    pair = PairFriction((scene.bodies[0].name, scene.pushers[0].name), friction=0.07)
+    runs = RunToRun(friction=0.0).drawn(3, seed=0, scene=replace(scene, contact_friction=(pair,)))
+    assert runs.values["mu_pusher"] == pytest.approx(0.07)
 
 
 def test_starts_scatter_by_a_small_share_of_the_part():

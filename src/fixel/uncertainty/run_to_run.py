@@ -254,11 +254,10 @@ class RunToRun:
         found = dict(values or {})
         for name, column in zip(_CENTRES, normal[:, :2].T, strict=True):
             found[name] = found.get(name, 0.0) + arm * self.centre * column
-        for name, mu, column in zip(
-            ("mu_pusher", "mu_fixel"), _frictions(scene, found), normal[:, 2:4].T, strict=True
-        ):
-            if mu is not None:
-                found[name] = mu * np.exp(self.friction * column)
+        usual: dict[str, Any] = {**contact_friction(scene), **found}
+        for name, column in zip(("mu_pusher", "mu_fixel"), normal[:, 2:4].T, strict=True):
+            if name in usual:
+                found[name] = usual[name] * np.exp(self.friction * column)
         size = np.array([arm, arm, 1.0])
         rest = TURN * np.array([self.rest_position, self.rest_position, self.rest_angle])
         return RunChanges(found, self.start * size * normal[:, 4:7], rest * size * normal[:, 7:])
@@ -287,12 +286,17 @@ def arm_of(scene: Scene) -> float:
     return math.sqrt(scene.bodies[0].shape.unit_inertia)
 
 
-def _frictions(scene: Scene, values: Mapping[str, Any]) -> tuple[Any, Any]:
-    """Return the friction of pusher and fixels; None where there are none, or different ones."""
-    own = {float(f.friction) for f in scene.fixels}
-    pusher = float(scene.pushers[0].friction) if scene.pushers else None
-    fixel = own.pop() if len(own) == 1 else None
-    return values.get("mu_pusher", pusher), values.get("mu_fixel", fixel)
+def contact_friction(scene: Scene) -> dict[str, float]:
+    """Return the friction of pusher and fixels, `mu_pusher` and `mu_fixel`.
+
+    A kind is left out if there is none of it, or if its members differ.
+    """
+    body, found = scene.bodies[0].name, {}
+    for name, others in (("mu_pusher", scene.pushers), ("mu_fixel", scene.fixels)):
+        own = {scene.friction(body, other.name) for other in others}
+        if len(own) == 1:
+            found[name] = own.pop()
+    return found
 
 
 # --- errors of experiments ------------------------------------------------------------------------
@@ -377,7 +381,7 @@ class _ExperimentEnds:
     def effects(self) -> RunEffects:
         """Return the errors of the predicted ends, and the effects of the default scatter."""
         start = np.array([scene.bodies[0].pose for scene in self._scenes]).reshape(-1, 3)
-        own = [_frictions(scene, {})[0] or 0.0 for scene in self._scenes]
+        own = [contact_friction(scene).get("mu_pusher", 0.0) for scene in self._scenes]
         mu = self._table.get("mu_pusher", np.array(own))
         friction = [mu * np.exp(way * FAR * FRICTION) for way in (-1.0, 1.0)]
         return RunEffects(

@@ -29,7 +29,7 @@ from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.prediction import Prediction
 from fixel.uncertainty.push import Push, push_of
 from fixel.uncertainty.repetition import predict_repetition
-from fixel.uncertainty.run_to_run import RunChanges, RunToRun, rest_at
+from fixel.uncertainty.run_to_run import RunChanges, RunToRun, contact_friction, rest_at
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import StartError
 
@@ -126,7 +126,7 @@ def predict(
     if run_to_run is not None:
         runs = _runs(run_to_run, push.scene, start, values, samples, seed)
         values, tau = runs.values, None
-        usual = _scene_friction(push.scene)
+        usual = contact_friction(push.scene)
         best = {name: best.get(name, usual.get(name, 0.0)) for name in values}
     elif not isinstance(model_error, bool | None):
         tau = np.full(samples, non_negative(model_error, "model_error", "m"))
@@ -166,12 +166,6 @@ def _runs(
     runs = scatter.drawn(samples, seed=seed, scene=scene, values=table)
     own = np.zeros((samples, 3)) if start is None else start.samples(samples, seed)
     return runs._replace(start=runs.start + own)
-
-
-def _scene_friction(scene: Scene) -> dict[str, float]:
-    """Return the friction of the pusher and of the fixels of a scene, if there are any."""
-    own = (("mu_fixel", scene.fixels), ("mu_pusher", scene.pushers))
-    return {name: float(bodies[0].friction) for name, bodies in own if bodies}
 
 
 def _rest(found: Prediction, runs: RunChanges) -> FloatArray:
