@@ -1,12 +1,19 @@
 """Goal files against the objects that they describe; errors name the key or the line."""
 
+import json
 import math
 from pathlib import Path
 
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.formats.goal_file import goal_dict, goal_file_from_dict, goal_from_dict, load_goal
+from fixel.formats.goal_file import (
+    goal_dict,
+    goal_file_from_dict,
+    goal_from_dict,
+    goal_json_schema,
+    load_goal,
+)
 from fixel.io.document import parse_yaml, yaml_text
 from fixel.model.goals import (
     AllOf,
@@ -93,6 +100,14 @@ def test_a_goal_survives_being_written():
     assert goal_from_dict(goal_dict(one)) == one
     nested = AllOf(one, never=[ForceAbove(2.0)])
     assert goal_from_dict(goal_dict(nested)) == nested
+
+
+def test_the_schema_accepts_what_is_read():
+    schema = goal_json_schema()
+    assert json.loads(json.dumps(schema)) == schema
+    assert set(parse_yaml(FULL, "text")) == set(schema["properties"])
+    assert schema["required"] == ["fixel", "goal"]
+    assert schema["additionalProperties"] is False
 
 
 def test_free_pushes_and_intervals_of_parameters():

@@ -31,6 +31,7 @@ from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
+    from fixel.planning.trials import Trials
     from fixel.typing import FloatArray
     from fixel.workflows.acquisition.record import RecordPlan
     from fixel.workflows.analysis import StoredAnalysis
@@ -218,64 +219,92 @@ def next_(
     )
 
 
-@app.command("run")
-@with_options
-def run(
-    *,
-    plan: PlanPath,
+@dataclass(frozen=True, kw_only=True)
+class DriveOptions:
+    """Options of `fixel plan run` for a drive and a camera."""
+
     driver: str = option(
         "testbed",
-        "Where to carry it out: testbed (simulated), or a drive: grbl, manual or simulated.",
+        "Device: testbed (simulated), or a drive: grbl, manual or simulated.",
         metavar="DRIVER",
-    ),
-    port: str | None = option(None, "Serial port of the drive.", metavar="PORT"),
-    trials: int = option(1, "Number of trials on the simulated testbed.", "--trials", "-n", min=1),
-    seed: Seed = 1,
+    )
+    port: str | None = option(None, "Serial port of the drive.", metavar="PORT")
     start: str | None = option(
-        None, "Pose of the part before: x,y,angle [mm, mm, deg]; asked for by default.",
+        None, "Pose of the part before: x,y,angle [mm, mm, deg]; by default a prompt.",
         metavar="X,Y,ANGLE",
-    ),
+    )  # fmt: skip
     end: str | None = option(
-        None, "Pose of the part after: x,y,angle [mm, mm, deg]; asked for by default.",
+        None, "Pose of the part after: x,y,angle [mm, mm, deg]; by default a prompt.",
         metavar="X,Y,ANGLE",
-    ),
+    )  # fmt: skip
     camera: str | None = option(
         None, "Camera to record with, as for fixel record; by default none.", metavar="SOURCE"
-    ),
-    out: Path | None = option(None, "New folder for the recording.", metavar="FOLDER"),
+    )
+    out: Path | None = option(None, "New folder for the recording.", metavar="FOLDER")
     rig: str | None = option(
-        None, "Rig of the camera: the end of the part is tracked and not asked for.", metavar="RIG"
-    ),
-    by: str = option("", "Person who carries it out, stored with the trial.", metavar="NAME"),
-    folder: ProjectFolder = Path(),
-    as_json: AsJson = False,
-) -> None:  # fmt: skip
-    """Carry out a plan and add the trial; Ctrl-C, an alarm or another start stops the drive."""
-    from fixel.workflows.acquisition.actuator import chosen_actuator
-    from fixel.workflows.planning import execute
-    from fixel.workflows.planning.check import present_belief, seen_pose
-    from fixel.workflows.planning.stored import load_plan
+        None, "Rig of the camera: the end of the part is then tracked.", metavar="RIG"
+    )
+    by: str = option("", "Person who carries it out, stored with the trial.", metavar="NAME")
 
-    found = load_plan(plan).found
-    again = command_of("plan", "check", plan, project=folder)
-    if present_belief(_project(folder), found)[1] != found.calibration:
-        notify(f"The calibration has changed since: {again}")
-    if driver == "testbed":
-        done = execute.run_on_testbed(plan, trials=trials, seed=seed)
-    else:
-        given = iter([start, end])
+    @property
+    def recording(self) -> "RecordPlan | None":
+        """Recording to make while the drive moves."""
+        from fixel.workflows.acquisition.record import RecordPlan
+
+        if self.camera is None:
+            return None
+        if self.out is None:
+            raise InvalidInput("--out", found=None, expected="a new folder for the recording")
+        return RecordPlan(camera=self.camera, folder=self.out, rig=self.rig)
+
+    def run(self, plan: Path, project: Path | None) -> "Trials":
+        """Carry out a plan once with the drive."""
+        from fixel.workflows.acquisition.actuator import chosen_actuator
+        from fixel.workflows.planning.check import seen_pose
+        from fixel.workflows.planning.execute import run_on_drive
+
+        given = iter([self.start, self.end])
 
         def seen(sentence: str) -> "FloatArray":
             notify(sentence)
             text = next(given)
             return seen_pose(text or typer.prompt("Seen pose [mm, mm, deg]"), "seen pose")
 
-        actuator = chosen_actuator(driver, port, notify=notify)
-        recording = None if camera is None else _recording(camera, out, rig)
-        done = execute.run_on_drive(
-            plan, actuator, seen=seen, notify=notify, by=by, camera=recording,
-            project=None if _project(folder) is None else folder,
-        ).trials  # fmt: skip
+        return run_on_drive(
+            plan,
+            chosen_actuator(self.driver, self.port, notify=notify),
+            seen=seen,
+            notify=notify,
+            by=self.by,
+            camera=self.recording,
+            project=project,
+        ).trials
+
+
+@app.command("run")
+@with_options
+def run(
+    *,
+    plan: PlanPath,
+    options: DriveOptions,
+    trials: int = option(1, "Number of trials on the simulated testbed.", "--trials", "-n", min=1),
+    seed: Seed = 1,
+    folder: ProjectFolder = Path(),
+    as_json: AsJson = False,
+) -> None:
+    """Carry out a plan and add the trial; Ctrl-C, an alarm or another start stops the drive."""
+    from fixel.workflows.planning.check import present_belief
+    from fixel.workflows.planning.execute import run_on_testbed
+    from fixel.workflows.planning.stored import load_plan
+
+    found, project = load_plan(plan).found, _project(folder)
+    again = command_of("plan", "check", plan, project=folder)
+    if present_belief(project, found)[1] != found.calibration:
+        notify(f"The calibration has changed since: {again}")
+    if options.driver == "testbed":
+        done = run_on_testbed(plan, trials=trials, seed=seed)
+    else:
+        done = options.run(plan, None if project is None else folder)
     last = done.trials[-1]
     print_answer(
         as_json,
@@ -283,14 +312,6 @@ def run(
                  "successes": done.successes, "stated": done.stated, "refuted": done.refuted},
         lambda: [*str(done).splitlines(), f"Next: {again}"],
     )  # fmt: skip
-
-
-def _recording(camera: str, out: Path | None, rig: str | None) -> "RecordPlan":
-    from fixel.workflows.acquisition.record import RecordPlan
-
-    if out is None:
-        raise InvalidInput("--out", found=None, expected="a new folder for the recording")
-    return RecordPlan(camera=camera, folder=out, rig=rig)
 
 
 def _project(folder: Path) -> "Project | None":

@@ -144,11 +144,11 @@ class RigPushesRecord(FileRecord):
     fixels_mm: dict[str, Annotated[list[Range], Field(min_length=2, max_length=2)]] = Field(
         {}, description="ranges along x and y in which fixels may be displaced [mm]"
     )
-    retract_mm: NonNegative = Field(0.0, description="way back before the end is judged [mm]")
+    retract_mm: NonNegative = Field(0.0, description="way back before the end [mm]")
 
 
 class ChooseRecord(FileRecord):
-    """What the planner may choose, in exactly one form."""
+    """Pushes that may be chosen, in exactly one form."""
 
     free: FreePushesRecord | None = Field(None, description="pushes of a tool that can be lifted")
     rig: RigPushesRecord | None = Field(None, description="placement and stroke on one axis")
@@ -194,9 +194,9 @@ class GoalFileRecord(FileRecord):
 
     fixel: Literal[1] = Field(description="version of the format")
     scene: str | None = Field(None, description="scene file, relative to this file")
-    goal: GoalRecord = Field(description="what the plan should reach")
-    choose: ChooseRecord | None = Field(None, description="what the planner may choose")
-    belief: BeliefRecord | None = Field(None, description="what is known")
+    goal: GoalRecord = Field(description="goal of the plan")
+    choose: ChooseRecord | None = Field(None, description="pushes that may be chosen")
+    belief: BeliefRecord | None = Field(None, description="parameters, errors of start and rig")
     want: WantRecord = Field(WantRecord(success=0.95, confidence=0.95), description="wanted")
 
 
@@ -277,6 +277,16 @@ def goal_file_from_dict(raw: Any, folder: Path | None = None) -> GoalFile:
         confidence=record.want.confidence,
         raw=MappingProxyType(dict(raw)),
     )
+
+
+def goal_json_schema() -> dict[str, Any]:
+    """JSON schema of goal files, for editors and other programs."""
+    schema = GoalFileRecord.model_json_schema()
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "title": "fixel goal file",
+    }
 
 
 def goal_from_dict(raw: Any) -> Goal:

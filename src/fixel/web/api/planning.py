@@ -41,7 +41,7 @@ class PlanForm(RequestBody):
     pushes: int = Field(1, ge=1, le=4, description="largest number of pushes")
     rig: bool = Field(False, description="placement and stroke on one axis, instead of pushes")
     start_mm: float = Field(0.5, ge=0.0, le=1e3, description="standard deviation of the start")
-    start_deg: float = Field(0.5, ge=0.0, le=180.0, description="that of its angle")
+    start_deg: float = Field(0.5, ge=0.0, le=180.0, description="standard deviation of its angle")
     rollouts: int = Field(40_000, ge=1000, le=10_000_000, description="simulated pushes")
     untrusted: bool = Field(False, description="allow pushes that resemble no experiment")
 

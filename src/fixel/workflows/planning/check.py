@@ -58,7 +58,7 @@ class CheckedPlan:
 
     @property
     def sentences(self) -> list[str]:
-        """What the check found, in sentences."""
+        """Results of the check, in sentences."""
         plan = self.found.plan
         lines = [f"Stated when it was made: {plan.success.sentence}."]
         if self.changed:
@@ -198,7 +198,7 @@ def next_plan(
 
 
 def already_met(plan: PushPlan, seen: FloatArray) -> bool:
-    """Return whether a seen pose already meets the goal, as far as the pose alone tells."""
+    """Return whether a seen pose already meets the goal, judged by the pose alone."""
     try:
         return bool(plan.goal.met(plan.scene, BodyTrack.of_ends(seen))[0])
     except InvalidInput:  # the goal needs forces or stalls

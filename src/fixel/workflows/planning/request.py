@@ -66,7 +66,7 @@ class PlanRequest:
 
 
 class PlanInputs(NamedTuple):
-    """What a request for a plan refers to."""
+    """Scene, goal and belief that a request for a plan refers to."""
 
     file: GoalFile
     scene: Scene
