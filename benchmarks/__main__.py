@@ -39,6 +39,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "misfit": ("misfit", "run", "intervals of 100 laboratories that the model misfits"),
     "new-parts": ("new_parts", "run", "learning curves of parts never pushed, with their bounds"),
     "domain": ("domain", "run", "maps of the simulated laboratory, judged by new experiments"),
+    "planning": ("planning", "run", "plans carried out in another model: stated and held success"),
     "sbc": ("sbc", "run", "posteriors of 300 data sets drawn from the prior"),
     "planning-statistics": (
         "planning_statistics",
@@ -62,7 +63,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
 ONLY_WHEN_ASKED = {
     *("peers", "varied", "tracking", "arrival", "coverage", "misfit", "domain", "sbc"),
     *("new-parts", "camera", "other-camera", "web", "filter-coverage", "filter-wrong"),
-    "planning-statistics",
+    *("planning", "planning-statistics"),
 }
 
 

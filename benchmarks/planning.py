@@ -24,7 +24,9 @@ from fixel.model import Body, Ellipsoid, Experiment, PlannedExperiment, Polygon,
 from fixel.model.goals import BodyTrack, Goal, PoseRegion, Seated, touching
 from fixel.parts.candidates import push_candidates
 from fixel.planning.belief import Belief
+from fixel.planning.plan import simulator_of
 from fixel.planning.pushes import FreePushes, PushChoice, RigPushes, scene_of_push
+from fixel.planning.search import PlanSearch
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.testbed.repeated_pushes import repeat_pushes
@@ -37,7 +39,7 @@ SEED: Final = 18_001
 RUNS: Final = 200  # executions of a plan
 EXPERIMENTS: Final = 8  # recorded before planning
 START: Final = StartError(x=1 * mm, y=1 * mm, theta=1.5 * deg, kind="normal")
-ROLLOUTS: Final = 60_000
+ROLLOUTS: Final = 20_000
 HARD_MM_DEG, EASY_MM_DEG = 3.0, 5.0
 TOOL: Final = Polygon.rectangle(10 * mm, 40 * mm)
 MASS, FRICTION = 0.3, 0.25
@@ -56,12 +58,14 @@ class Task(NamedTuple):
     world: SimulatedTestbed
 
 
-class PlanInWorld(NamedTuple):
-    """Planned pushes, and the success that the planner states."""
+class Compared(NamedTuple):
+    """Pushes of two plans, and the success that the planner states for them."""
 
-    scenes: Sequence[Scene]
-    mean: float
-    low: float  # 5 % quantile over samples of the parameters
+    robust: Sequence[Scene]
+    nominal: Sequence[Scene]  # best if nothing were unknown
+    stated: float  # mean over samples of the parameters
+    low: float  # success in the worst 5 % of these samples
+    nominal_stated: float
 
 
 class Row(NamedTuple):
@@ -78,7 +82,7 @@ class Row(NamedTuple):
     seconds: float
 
 
-Planner = Callable[[Task, Belief, int], PlanInWorld]
+Planner = Callable[[Task, Belief, int], Compared]
 
 
 def run(size: Size) -> list[Figure]:
@@ -105,10 +109,11 @@ def figures(rows: Sequence[Row], *, bar: bool) -> list[Figure]:
     below = 100.0 * float((held < low).mean())
     gain = 100.0 * float((held - nominal)[hard].mean())
     off = 100.0 * float(np.abs(stated - held).mean())
+    limit = at_least(20.0) if bar else None
     return [
         Figure("plans, stated less held success", "points", (off,), at_most(5.0) if bar else None),
         Figure("plans, held below 5 % quantile", "%", (below,), at_most(10.0) if bar else None),
-        Figure("plans, robust less nominal, harder half", "points", (gain,), at_least(20.0) if bar else None),
+        Figure("plans, robust less nominal, hard half", "points", (gain,), limit),
         Figure("plans, success held", "%", (100.0 * float(held.mean()),)),
         Figure("plans, time of a plan", "s", (float(np.median([r.seconds for r in rows])),)),
     ]  # fmt: skip
@@ -120,42 +125,41 @@ def compared(task: Task, runs: int, rollouts: int, planner: Planner | None = Non
     fit = fixel.calibrate(
         recorded(task), unknowns(task), motion="quasistatic", threads=1, progress=False
     )
-    robust = Belief(parameters=fit, start=START, run_to_run=None)
-    nominal = Belief(parameters=dict(fit))
     begun = time.perf_counter()
-    chosen = find(task, robust, rollouts)
-    seconds = time.perf_counter() - begun
-    other = find(task, nominal, rollouts)
+    found = find(task, Belief(parameters=fit, start=START), rollouts)
     return Row(
-        task.name, task.kind, chosen.mean, chosen.low, held(task, chosen, runs), other.mean,
-        held(task, other, runs), len(chosen.scenes), seconds,
+        task.name, task.kind, found.stated, found.low, held(task, found.robust, runs),
+        found.nominal_stated, held(task, found.nominal, runs), len(found.robust),
+        time.perf_counter() - begun,
     )  # fmt: skip
 
 
-def planned(task: Task, belief: Belief, rollouts: int) -> PlanInWorld:
+def planned(task: Task, belief: Belief, rollouts: int) -> Compared:
     """Plan with `fixel.plan`."""
     plan = fixel.plan(
         task.scene, task.goal, task.choose, belief, rollouts=rollouts, threads=1, progress=False,
         untrusted=True,
     )  # fmt: skip
-    return PlanInWorld(pushes_of(plan), plan.success.mean, plan.success.stated)
+    simulator = simulator_of(plan.scene, task.goal, task.choose, belief, None, None, 1)
+    search = PlanSearch(simulator=simulator, belief=belief, rollouts=rollouts)
+    other = simulator.planned(search.candidates()[0][None])
+    return Compared(
+        plan.scenes,
+        pushes_of(plan.scene, other.start[0], other.path[0]),
+        plan.success.mean, plan.success.stated, plan.nominal_success.mean,
+    )  # fmt: skip
 
 
-def pushes_of(plan: fixel.PushPlan) -> list[Scene]:
-    """Scenes of the planned pushes, in the world."""
-    moved = np.zeros((len(plan.scene.fixels), 3)) if plan.fixels is None else plan.fixels
-    fixels = tuple(
-        replace(own, pose=own.pose + by) for own, by in zip(plan.scene.fixels, moved, strict=True)
-    )
-    scene = replace(plan.scene, fixels=fixels)
-    return [scene_of_push(scene, *own) for own in zip(plan.start, plan.path, strict=True)]
+def pushes_of(scene: Scene, start: FloatArray, path: FloatArray) -> list[Scene]:
+    """Scenes of planned pushes in the world; no task moves fixels."""
+    return [scene_of_push(scene, *own) for own in zip(start, path, strict=True)]
 
 
-def held(task: Task, plan: PlanInWorld, runs: int) -> float:
+def held(task: Task, pushes: Sequence[Scene], runs: int) -> float:
     """Share of executions in the world of a task that meet the goal."""
     rng = np.random.default_rng([task.world.seed, 2])
-    starts = plan.scenes[0].bodies[0].pose + rng.standard_normal((runs, 3)) * START.size
-    done = repeat_pushes(task.world, plan.scenes, starts, threads=1)
+    starts = pushes[0].bodies[0].pose + rng.standard_normal((runs, 3)) * START.size
+    done = repeat_pushes(task.world, pushes, starts, threads=1)
     met = task.goal.met(done.scene, BodyTrack(done.pose[:, 1:], done.stalled, done.force))
     return float((met & np.equal(done.failure, "")).mean())
 

@@ -18,6 +18,7 @@ from fixel.replay.mit_pushes import read_mit_pushes
 from fixel.typing import ProgressCallback
 from reproductions import (
     asme_2006,
+    asme_assembly,
     cmu_tripod,
     coverage,
     error_bounds,
@@ -53,6 +54,7 @@ REPRODUCTIONS: Final[Mapping[str, tuple[str | None, Callable[[RunOptions], Repro
             "rpi-141": ("rpi_2dgad", rpi_141.run),
             "asme-table-1": (None, asme_2006.run_table_1),
             "asme-figure-11": (None, asme_2006.run_figure_11),
+            "asme-assembly": (None, asme_assembly.run),
             "repeats": ("cmu_two_point_push", repeats.run),
             "error-bounds": (MIT_PUSHES, error_bounds.run),
             "new-sides": (MIT_PUSHES, new_sides.run),

@@ -1,0 +1,87 @@
+"""Figures of the assembly: success against clearance, and planned pushes into the slot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from fixel.drawing import palette
+from fixel.drawing.chart import WIDE, sheet, tint
+from fixel.model import placed
+from fixel.replay.base import Row
+from fixel.replay.charts import closed, hide_spines
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from fixel.planning.plan import PushPlan
+
+COLOURS: Final = (palette.BODY, palette.FORCE)
+MM: Final = 1e3
+SHOWN_RUNS: Final = 60
+
+
+def assembly_figure(curve: Sequence[Row], plans: Sequence[tuple[PushPlan, int]]) -> Figure:
+    """Draw the success of the last push against clearance, and a plan for each clearance.
+
+    Parameters
+    ----------
+    curve : sequence of dict
+        Rows of the last push, from `last_push_curve`.
+    plans : sequence of (PushPlan, int)
+        Plans with their clearances [um].
+    """
+    figure = sheet(WIDE, 2.6)
+    left, *others = figure.subplots(1, 1 + len(plans))
+    _curves(left, [one for one in curve if one["start"] == "normal"])
+    for axes, (plan, clearance) in zip(others, plans, strict=True):
+        _plan(axes, plan)
+        axes.set_title(f"{clearance} µm: stated {plan.success.stated:.2f}", loc="left")
+    return figure
+
+
+def _curves(axes: Axes, rows: Sequence[Row]) -> None:
+    probes = [name for name in rows[0] if name.startswith("probe_")]
+    for ahead, colour in zip(
+        dict.fromkeys(one["mouth_ahead_um"] for one in rows), COLOURS, strict=True
+    ):
+        own = [one for one in rows if one["mouth_ahead_um"] == ahead]
+        for name, dash in zip(probes, ("-", "--", ":"), strict=True):
+            where = name.removeprefix("probe_").removesuffix("_um")
+            axes.plot(
+                [one["clearance_um"] for one in own], [one[name] for one in own], dash,
+                color=colour, marker=".", linewidth=1.0, label=f"{ahead} µm ahead, probe {where} µm",
+            )  # fmt: skip
+    axes.set(
+        xscale="log", xlabel="clearance [µm]", ylabel="success of the last push", ylim=(0, 1.03)
+    )
+    ticks = sorted({one["clearance_um"] for one in rows})
+    axes.set_xticks(ticks, [str(x) for x in ticks])
+    axes.minorticks_off()
+    axes.legend(frameon=False, fontsize=5.0, loc="lower right")
+    hide_spines(axes)
+
+
+def _plan(axes: Axes, plan: PushPlan) -> None:
+    """Draw walls, planned poses before each push, ways of the tool, and simulated ends."""
+    scene, outline = plan.scene, plan.scene.bodies[0].shape.outline
+    for fixel in scene.fixels:
+        axes.fill(*closed(placed(fixel.shape.outline, fixel.pose), MM), color=palette.FIXEL)
+    failed = np.array([bool(why) for why in plan.runs.outcome])
+    for bad, colour in ((False, palette.TOUCHED), (True, palette.FORCE)):
+        for pose in plan.runs.end[failed == bad][:SHOWN_RUNS]:
+            axes.plot(*closed(placed(outline, pose), MM), color=colour, linewidth=0.3, alpha=0.3)
+    for k, (pose, path) in enumerate(zip(plan.start, plan.path, strict=True)):
+        ring = closed(placed(outline, pose), MM)
+        axes.fill(*ring, color=tint(palette.BODY, 0.15))
+        axes.plot(*ring, color=palette.BODY, linewidth=0.6)
+        axes.annotate(
+            "", xy=MM * path[1, 1:3], xytext=MM * path[0, 1:3],
+            arrowprops={"arrowstyle": "->", "color": palette.PUSHER, "linewidth": 1.0},
+        )  # fmt: skip
+        axes.text(*(MM * path[0, 1:3]), f"{k + 1} ", ha="right", va="center", color=palette.INK)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+    hide_spines(axes)
