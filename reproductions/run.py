@@ -31,6 +31,7 @@ from reproductions import (
     repeated_plans,
     repeats,
     rpi_141,
+    thesis_grasps,
 )
 from reproductions.charts.pictures import benchmark_figure
 from reproductions.protocols import PROTOCOLS, BenchmarkRequest
@@ -55,6 +56,7 @@ REPRODUCTIONS: Final[Mapping[str, tuple[str | None, Callable[[RunOptions], Repro
             "asme-table-1": (None, asme_2006.run_table_1),
             "asme-figure-11": (None, asme_2006.run_figure_11),
             "asme-assembly": (None, asme_assembly.run),
+            "thesis-grasps": (None, thesis_grasps.run),
             "repeats": ("cmu_two_point_push", repeats.run),
             "error-bounds": (MIT_PUSHES, error_bounds.run),
             "new-sides": (MIT_PUSHES, new_sides.run),

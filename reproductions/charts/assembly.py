@@ -53,7 +53,7 @@ def _curves(axes: Axes, rows: Sequence[Row]) -> None:
             where = name.removeprefix("probe_").removesuffix("_um")
             axes.plot(
                 [one["clearance_um"] for one in own], [one[name] for one in own], dash,
-                color=colour, marker=".", linewidth=1.0, label=f"{ahead} µm ahead, probe {where} µm",
+                color=colour, marker=".", linewidth=1.0, label=f"{ahead} µm ahead, at {where} µm",
             )  # fmt: skip
     axes.set(
         xscale="log", xlabel="clearance [µm]", ylabel="success of the last push", ylim=(0, 1.03)
@@ -82,6 +82,44 @@ def _plan(axes: Axes, plan: PushPlan) -> None:
             "", xy=MM * path[1, 1:3], xytext=MM * path[0, 1:3],
             arrowprops={"arrowstyle": "->", "color": palette.PUSHER, "linewidth": 1.0},
         )  # fmt: skip
-        axes.text(*(MM * path[0, 1:3]), f"{k + 1} ", ha="right", va="center", color=palette.INK)
+        axes.text(
+            MM * path[0, 1],
+            MM * path[0, 2],
+            f"{k + 1} ",
+            ha="right",
+            va="center",
+            color=palette.INK,
+        )
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
     hide_spines(axes)
+
+
+def grasps_figure(rows: Sequence[Row]) -> Figure:
+    """Draw stated and held success of every grasp.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+        Rows of `thesis-grasps`.
+    """
+    figure = sheet(WIDE, 0.16 * len(rows) + 0.8)
+    axes = figure.subplots()
+    order = sorted(range(len(rows)), key=lambda k: rows[k]["held"])
+    place = np.arange(len(rows))
+    for name, colour, marker, label in (
+        ("stated", palette.PUSHER, "|", "stated: worst 5 % of parameters"),
+        ("mean", palette.BODY, "o", "mean over parameters"),
+        ("held", palette.FORCE, "D", "held in the simulated laboratory"),
+    ):
+        axes.plot(
+            [rows[k][name] for k in order], place, marker, color=colour, label=label, markersize=4.0
+        )
+    axes.hlines(place, [rows[k]["stated"] for k in order], [rows[k]["mean"] for k in order],
+                color=palette.FAINT, zorder=0)  # fmt: skip
+    axes.set_yticks(
+        place, [f"{rows[k]['shape']}, {rows[k]['layout']}: {rows[k]['mode']}" for k in order]
+    )
+    axes.set(xlabel="success probability", xlim=(-0.02, 1.02))
+    axes.legend(frameon=False, loc="lower left")
+    hide_spines(axes)
+    return figure

@@ -314,8 +314,9 @@ class Calibration(Result, Mapping[str, float]):
     ) -> dict[str, FloatArray]:
         """Return n samples of the parameters for an experiment, (n,) each by name.
 
-        Normal distributions about the best fit with the intervals of `estimates` and the
-        correlations of least squares. A parameter whose interval is open is even within its bounds.
+        Normal distributions with the values and intervals of `estimates`, within the bounds of the
+        search, and the correlations of least squares. An interval with one open end has the width
+        of its other half; a parameter without ends is even within its bounds.
 
         Parameters
         ----------
@@ -325,14 +326,13 @@ class Calibration(Result, Mapping[str, float]):
         """
         space = self.space
         own = [self.estimates[label] for label in space.labels]
-        width = NormalDist().inv_cdf(0.5 + 0.5 * self.level)
-        sd = [
-            math.inf if e.low is None or e.high is None else 0.5 * (e.high - e.low) / width
-            for e in own
-        ]
-        points = draw_joint(
-            self.found.point, space.low, space.high, np.array(sd), self.correlation, n, seed
-        )
+        value = np.array([e.value for e in own])
+        ends = np.array([[np.nan if x is None else x for x in (e.low, e.high)] for e in own])
+        half = np.abs(ends - value[:, None])
+        closed = np.isfinite(half).any(axis=1)
+        sd = np.full(len(own), math.inf)
+        sd[closed] = np.nanmean(half[closed], axis=1) / NormalDist().inv_cdf(0.5 + 0.5 * self.level)
+        points = draw_joint(value, space.low, space.high, sd, self.correlation, n, seed)
         return space.columns(points, conditions)
 
     @cached_property
