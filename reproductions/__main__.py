@@ -26,7 +26,7 @@ def reproduce_published(
     *,
     data: Path | None = option(
         None,
-        "Folder of the datasets; asme-table-1 and asme-figure-11 need none.",
+        "Folder of the datasets; those of the ASME paper and thesis-grasps need none.",
         metavar="FOLDER",
         exists=True,
         file_okay=False,
@@ -35,8 +35,8 @@ def reproduce_published(
     only: str = option(
         "mit",
         "Part of the benchmark: mit, error-bounds, new-sides, new-parts, learned-sides, coverage,"
-        " plans, repeated-plans, rates, cmu-tripod, rpi-141, repeats, asme-table-1"
-        " or asme-figure-11.",
+        " plans, repeated-plans, rates, cmu-tripod, rpi-141, repeats, asme-table-1,"
+        " asme-figure-11, asme-assembly or thesis-grasps.",
         metavar="PART",
     ),
     protocol: list[str] | None = option(

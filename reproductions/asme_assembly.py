@@ -99,7 +99,7 @@ def run(options: RunOptions) -> Reproduction:
     found = []
     for k, clearance in enumerate(PLANNED[:1] if quick else PLANNED):
         options.progress(3 + k, total, f"assembly with a clearance of {clearance} um")
-        found.append(assembled(clearance, sets, 2_000 if quick else 16_000, 1 if quick else 4))
+        found.append(assembled(clearance, sets, 2_000 if quick else 8_000, 1 if quick else 4))
     options.progress(total, total, "assembly")
     rows = [row for own in found for row in own.rows]
     return Reproduction(

@@ -18,7 +18,7 @@ from fixel import simulate
 
 PACKAGE_OF = {"chipmunk": "pymunk", "box2d": "Box2D", "mujoco": "mujoco"}
 # Each is run by hand for its figures; here they would take the longest of all tests.
-SECONDS_LONG = ("compile", "coverage", "sbc", "camera", "web")
+SECONDS_LONG = ("compile", "coverage", "sbc", "camera", "web", "planning")
 
 
 @pytest.mark.parametrize("name", [n for n in command.SCENARIOS if n not in SECONDS_LONG])
