@@ -37,7 +37,7 @@ from fixel.model.goals import BodyTrack, Inside
 from fixel.planning.belief import Belief
 from fixel.planning.plan import simulator_of
 from fixel.planning.pushes import FreePushes
-from fixel.planning.search import PlanSearch
+from fixel.planning.search import MarginRequest, PlanSearch
 from fixel.replay.base import Row
 from fixel.sampling.eight_push import PART_LENGTH, PART_MASS, PART_WIDTH, PROBE_SIDE
 from fixel.simulation.ensemble import Ensemble, RolloutCase
@@ -250,10 +250,14 @@ def assembled(clearance: int, sets: Sequence[Values], rollouts: int, trees: int)
     belief, goal = Belief(parameters=list(sets), start=ASME), in_slot(clearance * UM)
     plan = fixel.plan(scene, goal, choose, belief, rollouts=rollouts, progress=False)
     simulator = simulator_of(plan.scene, goal, choose, belief, None, None, None)
-    judge = PlanSearch(simulator=simulator, belief=belief)
+    judge = PlanSearch(simulator=simulator, belief=belief, rollouts=rollouts)
     grown = [nominal_rrt(simulator, seed) for seed in range(trees)]
     trees_found = [own for own in grown if own is not None]
-    rates = [judge.success(own)[0] for own in trees_found]
+    stage = judge.fresh_stage
+    rates = [
+        judge.success(judge.margins(MarginRequest([own], stage, 0, stage.worlds * stage.runs))[0])
+        for own in trees_found
+    ]
     rows = [
         _plan_row(clearance, "robust", len(plan.pushes), plan.success),
         _plan_row(clearance, "nominal", len(plan.pushes), plan.nominal_success),
