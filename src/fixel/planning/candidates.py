@@ -20,10 +20,10 @@ from fixel.simulation.vary import composed
 from fixel.typing import FloatArray
 from fixel.uncertainty.starts import even_points
 
-LIBRARY: Final = 2048  # pushes in the table of displacements
-LAST: Final = 8192  # last pushes that are tried from poses near the goal
-KEPT_LAST: Final = 256
-PERTURBED: Final = 16  # starts from which a last push is judged
+LIBRARY: Final = (256, 2048)  # least and largest number of pushes in the table of displacements
+EACH: Final = 40  # rollouts of a search for each of them
+TRIED: Final = 4  # poses near the goal for each of them, from which last pushes are tried
+PERTURBED: Final = 8  # starts from which a last push is judged
 CHAINS: Final = 131_072  # sequences joined from the table
 JOINED: Final = 768  # sequences kept for each number of pushes
 
@@ -79,12 +79,13 @@ class PushTable(NamedTuple):
 
 
 def displacements(
-    simulator: PlanSimulator, belief: Belief, n: int = LIBRARY, seed: int = 0
+    simulator: PlanSimulator, belief: Belief, rollouts: int, seed: int = 0
 ) -> PushTable:
     """Simulate pushes of the part alone; the plane is even, so that any place will do."""
+    n = 2 ** int(np.log2(np.clip(rollouts / EACH, *LIBRARY)))
     scene = simulator.scene
     body = replace(scene.bodies[0], pose=np.zeros(3))
-    alone = replace(simulator, scene=replace(scene, bodies=(body,), fixels=()))
+    alone = replace(simulator, rollouts=0, scene=replace(scene, bodies=(body,), fixels=()))
     numbers = spread_pushes(alone.scene, alone.choice, n, seed)
     planned = alone.planned(numbers)
     good = planned.nominal.failure == CARRIED_OUT
@@ -96,16 +97,19 @@ def displacements(
     )
     ends = runs.pose[:, -1].reshape(len(some), 16, 3)
     spread = np.median(ends.std(axis=1), axis=0)
+    simulator.rollouts += alone.rollouts
     return PushTable(numbers[:, 0], planned.nominal.pose[:, -1], spread)
 
 
-def sequences(simulator: PlanSimulator, table: PushTable, pushes: int, seed: int = 0) -> Numbers:
+def sequences(
+    simulator: PlanSimulator, table: PushTable, ends: LastPushes, pushes: int, seed: int = 0
+) -> Numbers:
     """Return sequences of `pushes` pushes whose nominal end is near the goal.
 
-    Last pushes are tried from poses near the goal and judged from perturbed starts; the pushes
-    before them are taken from the table, so that they lead to one of these poses.
+    The pushes before the last one are taken from the table, so that they lead to a pose from which
+    a last push reaches the goal.
     """
-    before, last = last_pushes(simulator, table, seed)
+    before, last = ends
     if not len(last):
         return []
     rng = np.random.default_rng([seed, pushes])
@@ -130,10 +134,16 @@ def sequences(simulator: PlanSimulator, table: PushTable, pushes: int, seed: int
     ]
 
 
-def last_pushes(
-    simulator: PlanSimulator, table: PushTable, seed: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return poses (n, 3) from which a push (n, d) reaches the goal, the least sensitive first."""
+class LastPushes(NamedTuple):
+    """Pushes that reach the goal, the least sensitive first."""
+
+    before: FloatArray  # (n, 3) pose of the part before the push [m, m, rad]
+    numbers: FloatArray  # (n, d)
+
+
+def last_pushes(simulator: PlanSimulator, table: PushTable, seed: int) -> LastPushes:
+    """Return last pushes, tried from poses near the goal and judged from perturbed starts."""
+    tried, kept = TRIED * len(table.moved), max(32, len(table.moved) // 8)
     rng = np.random.default_rng([seed, 77])
     before, numbers = [], []
     scene, goal = simulator.scene, simulator.goal
@@ -142,18 +152,18 @@ def last_pushes(
         numbers.append(table.numbers)
     if needs_fixtures(goal):
         low, high = surroundings(scene, goal)
-        even = even_points(LAST, 3, seed)
+        even = even_points(tried, 3, seed)
         before.append(low + (high - low) * even)
-        numbers.append(table.numbers[rng.integers(len(table.numbers), size=LAST)])
+        numbers.append(table.numbers[rng.integers(len(table.numbers), size=tried)])
     poses, pushes = np.vstack(before), np.vstack(numbers)
     planned = simulator.planned(pushes[:, None], poses)
     margin = np.where(planned.collides, -np.inf, simulator.margins(planned.nominal))
     # Poses inside a fixel are impossible starts.
     margin[part_overlap(scene, poses, None) > 0.0] = -np.inf
     rows = np.flatnonzero(margin >= 0.0)
-    rows = rows[np.argsort(-margin[rows], kind="stable")][: 4 * KEPT_LAST]
+    rows = rows[np.argsort(-margin[rows], kind="stable")][: 4 * kept]
     if not len(rows):
-        return poses[:0], pushes[:0]
+        return LastPushes(poses[:0], pushes[:0])
     shaken = rng.standard_normal((len(rows) * PERTURBED, 3)) * table.spread
     n = len(shaken)
     none = np.zeros((n, 3))
@@ -163,8 +173,8 @@ def last_pushes(
     )  # fmt: skip
     runs = simulator.run(planned, np.repeat(rows, PERTURBED), nothing)
     met = (simulator.margins(runs) >= 0.0).reshape(len(rows), PERTURBED).mean(axis=1)
-    best = np.argsort(-met, kind="stable")[:KEPT_LAST]
-    return poses[rows[best]], pushes[rows[best]]
+    best = np.argsort(-met, kind="stable")[:kept]
+    return LastPushes(poses[rows[best]], pushes[rows[best]])
 
 
 def _embedded(pose: FloatArray, arm: float) -> FloatArray:

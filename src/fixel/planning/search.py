@@ -16,6 +16,7 @@ from fixel.planning.belief import Belief, Scenarios
 from fixel.planning.candidates import (
     Numbers,
     displacements,
+    last_pushes,
     plans_of_mechanics,
     sequences,
     spread_pushes,
@@ -213,12 +214,12 @@ class PlanSearch:
         ]
         self._show("candidates")
         if choice.most > 1:
-            table = displacements(simulator, self.belief, seed=self.seed)
+            table = displacements(simulator, self.belief, self.rollouts, self.seed)
+            ends = last_pushes(simulator, table, self.seed)
             for k in range(2, choice.most + 1):
-                plans += sequences(simulator, table, k, self.seed)
+                plans += sequences(simulator, table, ends, k, self.seed)
                 self._show("candidates")
         margin = nominal_margins(simulator, plans)
-        self.done += sum(len(plan) for plan in plans)
         order = np.argsort(-margin, kind="stable")
         if margin[order[0]] < 0.0 and can_refine():
             first = [plans[k] for k in order[:64] if margin[k] > -np.inf]
@@ -227,6 +228,7 @@ class PlanSearch:
             order = np.argsort(-margin, kind="stable")
         if margin[order[0]] < 0.0:
             raise self._unreachable(float(margin[order[0]]))
+        self.done = simulator.rollouts
         near = order[margin[order] > -NEAR][:ENTRANTS]
         return [plans[k] for k in near]
 
@@ -284,7 +286,6 @@ class PlanSearch:
         for _ in range(REACH_ROUNDS):
             asked = [search.ask() for search in busy]
             every = [plan for own in asked for plan in own]
-            self.done += sum(len(plan) for plan in every)
             margin = np.maximum(nominal_margins(self.simulator, every), WORST_MARGIN)
             scores = np.sign(margin) * np.log1p(np.abs(margin))
             ends = np.cumsum([len(own) for own in asked])[:-1]

@@ -1,0 +1,219 @@
+"""Stated success of choices among pushes, compared with the recorded ends of those pushes.
+
+Experiments are left out in turn. A calibration and the scatter between runs are learned from the
+others; for each of many goals the push with the highest stated success is chosen among those left
+out, and its recorded end decides. Goals are predicted ends of these pushes, displaced at random, so
+that they depend on no recorded end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final, final
+
+import numpy as np
+
+from fixel.calibration.target import Target, target_of
+from fixel.errors import InvalidInput
+from fixel.model import Experiment, Probability, wrapped
+from fixel.model.fields import positive
+from fixel.planning.belief import Belief
+from fixel.progress import ProgressOption, show_progress
+from fixel.results import Result, Summary
+from fixel.simulation.vary import composed
+from fixel.table import Column, Table
+from fixel.typing import BoolArray, FloatArray
+from fixel.uncertainty.run_to_run import learn_run_to_run, rest_at
+from fixel.uncertainty.start_ensemble import simulate_starts
+from fixel.units import deg, mm
+from fixel.workflows.calibration.calibration import Calibration
+from fixel.workflows.calibration.run import calibrate
+
+FOLDS: Final = 5
+LEAST: Final = 20  # experiments from which the comparison is made
+GOALS: Final = 200  # of each fold
+WORLDS, RUNS = 32, 8
+# One half of the draws chooses and the other states, so that choosing does not raise the statement.
+BINS: Final = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.0)
+
+
+@final
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class HeldSuccess(Result):
+    """Stated success of chosen pushes, and whether their recorded ends met the goals.
+
+    Attributes
+    ----------
+    stated : (n,) float64
+        Stated success probability of the push that was chosen for each goal.
+    held : (n,) bool
+        Whether its recorded end meets the goal.
+    push : (n,) int64
+        Number of the chosen experiment.
+    position, angle : float
+        Tolerances of the goals [m], [rad].
+    """
+
+    stated: FloatArray
+    held: BoolArray
+    push: np.ndarray
+    position: float
+    angle: float
+
+    @property
+    def curve(self) -> Table:
+        """Held success by stated success, with 95 % intervals for the number of pushes."""
+        columns: tuple[Column | str, ...] = (
+            "stated", Column("choices"), Column("pushes"),
+            *(Column(name, format=".3f") for name in ("mean stated", "held", "low", "high")),
+        )  # fmt: skip
+        rows = []
+        for low, high in pairwise(BINS):
+            own = (self.stated >= low) & ((self.stated < high) | (high == 1.0))
+            if not own.any():
+                continue
+            pushes = len(np.unique(self.push[own]))
+            share = float(self.held[own].mean())
+            # Choices of the same push share its end, so that only pushes count as independent.
+            span = Probability.of(round(share * pushes), pushes)
+            rows.append(
+                (f"{low:g} to {high:g}", int(own.sum()), pushes,
+                 float(self.stated[own].mean()), share, span.low, span.high)
+            )  # fmt: skip
+        return Table(columns, rows)
+
+    def _summary(self) -> Summary:
+        off = float(np.abs(self.stated.mean() - self.held.mean()))
+        return Summary(
+            f"Stated {self.stated.mean():.3f} and held {self.held.mean():.3f} in {len(self.held)}"
+            f" choices among {len(np.unique(self.push))} recorded pushes",
+            [self.curve],
+            [
+                f"goals within {self.position / mm:g} mm and {self.angle / deg:g} deg",
+                f"means differ by {100.0 * off:.1f} points",
+            ],
+        )
+
+
+def held_success(
+    calibration: Calibration,
+    experiments: Sequence[Experiment],
+    *,
+    position: float = 3 * mm,
+    angle: float = 3 * deg,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: ProgressOption = None,
+) -> HeldSuccess:
+    """Compare stated with held success in choices among experiments that were left out.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Calibration whose parameters and motion model are used; each fold has its own fit.
+    experiments : sequence of Experiment
+        Pushes, at least 20.
+    position, angle : float
+        Tolerances of the goals [m], [rad].
+    seed : int
+    threads : int, optional
+    progress : bool or callable, optional
+
+    Raises
+    ------
+    InvalidInput
+        There are fewer than 20 experiments with a scene and a motion.
+    """
+    positive(position, "position", "m"), positive(angle, "angle", "rad")
+    if len(experiments) < LEAST:
+        raise InvalidInput(
+            "experiments",
+            found=f"{len(experiments)} pushes",
+            expected=f"{LEAST} or more, to leave some out and choose among them",
+        )
+    rng = np.random.default_rng(seed)
+    fold = rng.permutation(len(experiments)) % FOLDS
+    parts = []
+    with show_progress(progress, "leaving out") as report:
+        for k in range(FOLDS):
+            report(k, FOLDS)
+            train = [own for own, at in zip(experiments, fold, strict=True) if at != k]
+            rows = np.flatnonzero(fold == k)
+            left = [experiments[int(row)] for row in rows]
+            stated, held, chosen = _choices(
+                calibration, train, left, (position, angle), rng, seed, threads
+            )
+            parts.append((stated, held, rows[chosen]))
+    stated, held, chosen = (np.concatenate(own) for own in zip(*parts, strict=True))
+    return HeldSuccess(stated=stated, held=held, push=chosen, position=position, angle=angle)
+
+
+def _choices(
+    calibration: Calibration,
+    train: Sequence[Experiment],
+    left: Sequence[Experiment],
+    tolerance: tuple[float, float],
+    rng: np.random.Generator,
+    seed: int,
+    threads: int | None,
+) -> tuple[FloatArray, BoolArray, np.ndarray]:
+    """Return stated and held success (GOALS,) of the chosen pushes, and which these are."""
+    space = {
+        u.label: u.nominal if u.frozen else (u.low, u.high) for u in calibration.space.unknowns
+    }
+    fit = calibrate(
+        train, space, motion=calibration.motion, seed=seed, threads=threads, progress=False
+    )
+    scatter = learn_run_to_run(
+        train, fit, fitted=min(len(fit), 3 * len(train) - 1), seed=seed, threads=threads
+    )
+    belief = Belief(parameters=fit, run_to_run=scatter)
+    targets = [target_of(own) for own in left]
+    draws = np.array([_ends(belief, own, seed, threads) for own in targets])
+    measured = np.array([_motion(own, own.pose[-1:])[0] for own in targets])
+    nominal = np.array([_nominal(fit, own, threads) for own in targets])
+    size = np.array([tolerance[0], tolerance[0], tolerance[1]])
+    goals = nominal[rng.integers(len(nominal), size=GOALS)]
+    goals = goals + (2.0 * rng.random((GOALS, 3)) - 1.0) * size
+    met = np.array([_within(draws, goal, tolerance) for goal in goals])  # (goal, push, draw)
+    even = np.arange(draws.shape[1]) % 2 == 0
+    chosen = met[:, :, even].mean(axis=2).argmax(axis=1)
+    at = np.arange(GOALS)
+    hit = np.array([_within(measured, goal, tolerance) for goal in goals])
+    return met[:, :, ~even].mean(axis=2)[at, chosen], hit[at, chosen], chosen
+
+
+def _ends(belief: Belief, target: Target, seed: int, threads: int | None) -> FloatArray:
+    """Return predicted motions (n, 3) of a push in the part's own frame; NaN where none ended."""
+    scene = target.case.scene
+    drawn = belief.scenarios(scene, worlds=WORLDS, runs=RUNS, seed=seed)
+    found = simulate_starts(
+        scene, None, drawn=drawn.start, values=drawn.values, times=target.case.times[-1:],
+        motion=belief.motion, threads=threads,
+    )  # fmt: skip
+    ends = found.pose[:, -1] + rest_at(drawn.rest, found.pose[:, -1, 2] - found.start[:, 2])
+    return np.where(found.ended[:, None], _motion(target, ends), np.nan)
+
+
+def _nominal(fit: Calibration, target: Target, threads: int | None) -> FloatArray:
+    found = simulate_starts(
+        target.case.scene, None, 1, values=Belief(parameters=fit).nominal(target.case.scene),
+        times=target.case.times[-1:], motion=fit.motion, threads=threads,
+    )  # fmt: skip
+    return np.asarray(_motion(target, found.nominal[-1:])[0])
+
+
+def _motion(target: Target, ends: FloatArray) -> FloatArray:
+    """Return ends (n, 3) in the frame of the part at its start."""
+    x, y, angle = target.case.scene.bodies[0].pose
+    c, s = math.cos(angle), math.sin(angle)
+    return composed(np.array([[-c * x - s * y, s * x - c * y, -angle]]), ends)
+
+
+def _within(motions: FloatArray, goal: FloatArray, tolerance: tuple[float, float]) -> BoolArray:
+    off = motions - goal
+    near = np.hypot(off[..., 0], off[..., 1]) <= tolerance[0]
+    return np.asarray(near & (np.abs(wrapped(off[..., 2])) <= tolerance[1]))
