@@ -187,6 +187,30 @@ def check(
     )
 
 
+@app.command()
+@with_options
+def held(
+    *,
+    folder: ProjectFolder = Path(),
+    calibration: int | None = option(None, "Id of a calibration; by default the newest one."),
+    position_mm: float = option(3.0, "Tolerance of the position [mm].", min=1e-6),
+    angle_deg: float = option(3.0, "Tolerance of the angle [deg].", min=1e-6),
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Compare stated with held success in choices among experiments that are left out."""
+    from fixel.units import deg, mm
+    from fixel.workflows.planning.held_out import held_success_of
+
+    project = _project(folder)
+    if project is None:
+        raise InvalidInput("--project", found=str(folder), expected="a project with a calibration")
+    found = held_success_of(
+        project, calibration, position=position_mm * mm, angle=angle_deg * deg, seed=seed
+    )
+    print_answer(as_json, found.to_dict, lambda: str(found))
+
+
 @app.command("next")
 @with_options
 def next_(

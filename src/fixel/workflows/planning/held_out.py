@@ -12,11 +12,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, final
+from typing import Final, TypedDict, Unpack, final
 
 import numpy as np
 
 from fixel.calibration.target import Target, target_of
+from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Probability, wrapped
 from fixel.model.fields import positive
@@ -30,7 +31,9 @@ from fixel.uncertainty.run_to_run import learn_run_to_run, rest_at
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.units import deg, mm
 from fixel.workflows.calibration.calibration import Calibration
+from fixel.workflows.calibration.project import stored_calibration
 from fixel.workflows.calibration.run import calibrate
+from fixel.workflows.calibration.stored import newest_calibration
 
 FOLDS: Final = 5
 LEAST: Final = 20  # experiments from which the comparison is made
@@ -98,6 +101,16 @@ class HeldSuccess(Result):
         )
 
 
+class HeldOptions(TypedDict, total=False):
+    """Options of `held_success`."""
+
+    position: float
+    angle: float
+    seed: int
+    threads: int | None
+    progress: ProgressOption
+
+
 def held_success(
     calibration: Calibration,
     experiments: Sequence[Experiment],
@@ -149,6 +162,29 @@ def held_success(
             parts.append((stated, held, rows[chosen]))
     stated, held, chosen = (np.concatenate(own) for own in zip(*parts, strict=True))
     return HeldSuccess(stated=stated, held=held, push=chosen, position=position, angle=angle)
+
+
+def held_success_of(
+    project: Project, number: int | None = None, **options: Unpack[HeldOptions]
+) -> HeldSuccess:
+    """Compare stated with held success for a stored calibration; by default the newest.
+
+    Parameters
+    ----------
+    project : Project
+    number : int, optional
+        Id of the calibration.
+    **options
+        Options of `held_success`.
+    """
+    with project.store() as store:
+        number = newest_calibration(store) if number is None else number
+        if number is None:
+            hint = "fixel calibrate makes one"
+            raise InvalidInput("project", found="no calibration", expected="one", hint=hint)
+        members = store.calibration(number).members
+        experiments = [store.experiment(own.experiment_id) for own in members]
+    return held_success(stored_calibration(project, number), experiments, **options)
 
 
 def _choices(

@@ -1,0 +1,39 @@
+"""Stated against held success in choices among recorded pushes."""
+
+import numpy as np
+import pytest
+
+import fixel
+from fixel import InvalidInput
+from fixel.testing.pushes import example_pushes
+from fixel.units import deg, mm
+from fixel.workflows.planning.held_out import HeldSuccess, held_success
+
+SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
+
+
+def test_pushes_of_a_right_model_hold_what_is_stated():
+    """Recorded by the model itself: what is left out ends where it is predicted, and no surprise."""
+    pushes = example_pushes(20, duration=0.6)
+    fit = fixel.calibrate(pushes, SPACE, verdicts=False, progress=False)
+    found = held_success(fit, pushes, position=5 * mm, angle=5 * deg, progress=False)
+    assert len(found.stated) == len(found.held) == 1000
+    assert found.held[found.stated > 0.9].mean() > 0.9
+    assert "choices among" in repr(found)
+
+
+def test_the_curve_counts_pushes_and_not_choices():
+    held = HeldSuccess(
+        stated=np.full(100, 0.97), held=np.ones(100, bool), push=np.zeros(100, np.int64),
+        position=1 * mm, angle=1 * deg,
+    )  # fmt: skip
+    ((_, choices, pushes, _, share, low, high),) = held.curve.rows
+    assert (choices, pushes, share) == (100, 1, 1.0)
+    assert (low, high) == (pytest.approx(0.025), 1.0)  # one success proves little
+
+
+def test_too_few_pushes_are_refused():
+    pushes = example_pushes(3, duration=0.3)
+    fit = fixel.calibrate(pushes, SPACE, verdicts=False, progress=False)
+    with pytest.raises(InvalidInput, match="found 3 pushes, expected 20 or more"):
+        held_success(fit, pushes, progress=False)
