@@ -89,7 +89,7 @@ def run(options: RunOptions) -> Reproduction:
         scatters = {LEARNED: RunToRun.learned(_joined(known)), DEFAULT: RunToRun(), NONE: None}
         for k in range(group.runs):
             for name, scatter in scatters.items():
-                n = 64 if options.quick else RIGS
+                n = 256 if options.quick else RIGS
                 found[name].append(_left_out(group, k, others, scatter, n))
             options.progress(len(found[LEARNED]), total, group.name)
     rows = [_row(name, one, k) for name, own in found.items() for k, one in enumerate(own)]
