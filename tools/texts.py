@@ -44,7 +44,7 @@ REJECTED = {
     r"promis(?:e|es|ed)|calm|unknowns|dice": "rule 8: error bound, insensitive, parameter, rng",
     r"things?": "rule 8: the glossary has a word for each",
     r"judged?|judges|clerk|desk|fan": "rule 6: metaphor",
-    r"believe[ds]?|(?<!prior )belief": "rule 8: trust; prior",
+    r"believe[ds]?": "rule 8: trust",  # `Belief` is the term of planning for what is unknown
     r"goes on|go on|going on|went on|on and on": "rule 4: continue, resume",
     r"went away|part ways|set apart|taken? back": "rule 6: metaphor",
     r"(?<!there )(?<!which )is no (?!longer|more)|that are no|that is no": "archaic: is not a",

@@ -85,6 +85,7 @@ def test_a_plan_is_made_again_from_a_seen_pose(capsys, plan, tmp_path):
         (("plan", "check", "goal.yaml"), "a result saved by fixel"),
         (("plan", "next", "made.plan", "--seen", "1,2"), "x,y,angle"),
         (("plan", "next", "made.plan", "--seen", "0,0,0", "--done", "1"), "--done"),
+        (("plan", "next", "made.plan", "--seen", "31,0,90"), "no push is needed"),
         (("plan", "run", "made.plan", "--driver", "simulated"), "one stroke along the axis"),
         (("plan", "run", "made.plan", "--driver", "robot"), "--driver"),
         (("plan", "bad.yaml"), "goal.pose.symmetry"),

@@ -8,13 +8,11 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.formats.goal_file import (
-    goal_dict,
     goal_file_from_dict,
-    goal_from_dict,
     goal_json_schema,
     load_goal,
 )
-from fixel.io.document import parse_yaml, yaml_text
+from fixel.io.document import parse_yaml
 from fixel.model.goals import (
     AllOf,
     AnyOf,
@@ -91,15 +89,6 @@ def test_a_goal_file_describes_goal_choice_and_belief(tmp_path: Path):
     assert (found.calibration, found.run_to_run) == (7, False)
     assert (found.success, found.confidence) == (0.9, 0.95)
     assert found.scene == tmp_path / "scenes" / "rig.yaml"
-
-
-def test_a_goal_survives_being_written():
-    again = parse_yaml(yaml_text(goal_dict(GOAL)), "text")
-    assert goal_from_dict(again) == GOAL
-    one = AllOf(Seated("a"), never=[Contact("b")])
-    assert goal_from_dict(goal_dict(one)) == one
-    nested = AllOf(one, never=[ForceAbove(2.0)])
-    assert goal_from_dict(goal_dict(nested)) == nested
 
 
 def test_the_schema_accepts_what_is_read():

@@ -302,7 +302,7 @@ class DriveOptions:
             by=self.by,
             camera=self.recording,
             project=project,
-        ).trials
+        )
 
 
 @app.command("run")

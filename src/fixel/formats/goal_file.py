@@ -26,7 +26,6 @@ from fixel.formats.records import (
     built,
     only_form,
     si_fields,
-    unit_content,
     validated,
     within,
 )
@@ -53,6 +52,7 @@ Corners = Annotated[list[Point], Field(min_length=3)]
 Values = dict[str, Number | Range]
 
 ON_PART: Final = "free body; by default the only one"
+_KINDS: Final[dict[str, Any]] = {"pose": PoseRegion, "inside": Inside, "beyond": Beyond}
 GAP: Final = "largest gap that counts as contact [mm]; by default 0.1 % of the part's size"
 
 
@@ -289,26 +289,6 @@ def goal_json_schema() -> dict[str, Any]:
     }
 
 
-def goal_from_dict(raw: Any) -> Goal:
-    """Build a goal from the content of the key `goal` of a goal file."""
-    return _goal(validated(GoalRecord, raw, "goal"), "goal")
-
-
-def goal_dict(goal: Goal) -> dict[str, Any]:
-    """Return a goal as the content of the key `goal` of a goal file."""
-    if isinstance(goal, AnyOf):
-        return {"any": [goal_dict(own) for own in goal.goals]}
-    if isinstance(goal, AllOf):
-        own = [goal_dict(one) for one in goal.goals]
-        bare = len(own) == 1 and "never" not in own[0]
-        content: dict[str, Any] = own[0] if bare else {"all": own}
-        return {**content, "never": [_event_dict(x) for x in goal.never]} if goal.never else content
-    for form, kind, record in _FORMS:
-        if isinstance(goal, kind):
-            return {form: _clause_dict(goal, record)}
-    raise InvalidInput("goal", found=repr(goal), expected="a goal of fixel")
-
-
 # --- from records ---------------------------------------------------------------------------------
 
 
@@ -330,8 +310,7 @@ def _goal(record: GoalRecord, path: str) -> Goal:
         with within(where, "goal."):
             goal = Seated(*fields.pop("fixels"), **fields)
     else:
-        kind = next(kind for name, kind, _ in _FORMS if name == form)
-        goal = built(kind, inner, where, "goal.")
+        goal = built(_KINDS[form], inner, where, "goal.")
     return AllOf(goal, never=never) if never else goal
 
 
@@ -402,39 +381,3 @@ def _start(record: StartRecord) -> StartError:
         raise InvalidInput("start", found="a preset and sizes", expected="one of them")
     with within("start"):
         return preset(name)
-
-
-# --- to records -----------------------------------------------------------------------------------
-
-_FORMS: Final[tuple[tuple[str, Any, type[FileRecord]], ...]] = (
-    ("pose", PoseRegion, PoseGoalRecord),
-    ("seated", Seated, SeatedRecord),
-    ("inside", Inside, RegionRecord),
-    ("beyond", Beyond, BeyondRecord),
-)
-
-
-def _clause_dict(clause: Any, record: type[FileRecord]) -> dict[str, Any]:
-    defaults = {name: own.default for name, own in record.model_fields.items()}
-    content = unit_content(_Flat(clause), record)
-    return {key: value for key, value in content.items() if value != defaults[key]}
-
-
-class _Flat:
-    """A clause with the vertices of its region instead of the polygon."""
-
-    def __init__(self, clause: Any) -> None:
-        self._clause = clause
-
-    def __getattr__(self, name: str) -> Any:
-        value = getattr(self._clause, name)
-        return value.vertices if isinstance(value, Polygon) else value
-
-
-def _event_dict(event: Any) -> dict[str, Any]:
-    if isinstance(event, ForceAbove):
-        return {"force_above": event.newton}
-    form, record = (
-        ("contact", ContactRecord) if isinstance(event, Contact) else ("exit", RegionRecord)
-    )
-    return {form: _clause_dict(event, record)}

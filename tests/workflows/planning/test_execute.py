@@ -72,11 +72,11 @@ def test_a_drive_carries_out_a_stroke_and_the_trial_is_stored(tmp_path: Path):
     done = run_on_drive(
         path, actuator, seen=poses("90,0,22.5", "100,0,22"), notify=lambda _: None, by="me"
     )
-    assert done.trial is not None
-    assert (done.trial.met, done.trial.by, done.stopped) == (True, "me", "")
+    (trial,) = done.trials
+    assert (trial.met, trial.by) == (True, "me")
     with actuator:
         assert actuator.position() == pytest.approx(0.015)  # a stroke of 20 mm, back by 5 mm
-    assert load_trials(path, load_plan(path)).trials == (done.trial,)
+    assert load_trials(path, load_plan(path)).trials == (trial,)
 
 
 @pytest.mark.slow  # renders and tracks 20 pictures
@@ -97,8 +97,7 @@ def test_a_camera_records_the_move_and_sees_the_end(tmp_path: Path):
         notify=lambda _: None,
         camera=RecordPlan(camera=str(filmed.folder), folder=out, rig="thesis-tags", fast=True),
     )
-    assert done.trial is not None
-    np.testing.assert_allclose(done.trial.end, plan.end, atol=0.005)
+    np.testing.assert_allclose(done.trials[0].end, plan.end, atol=0.005)
     assert open_recording(out).complete
 
 

@@ -165,6 +165,11 @@ def next_plan(
     """
     found = load_plan(path).found
     old = found.plan
+    if already_met(old, seen):
+        hint = "no push is needed"
+        raise InvalidInput(
+            "--seen", found="a pose that meets the goal", expected="another", hint=hint
+        )
     belief, number = present_belief(project, found)
     left = len(old.pushes) - done
     if left < 1:

@@ -6,10 +6,10 @@ import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, final
+from typing import Final
 
 import numpy as np
 
@@ -98,26 +98,6 @@ def scenes_of(plan: PushPlan) -> list[Scene]:
     ]
 
 
-@final
-@dataclass(frozen=True, kw_only=True)
-class DriveRun:
-    """One execution of a plan on a drive.
-
-    Attributes
-    ----------
-    trial : PlanTrial or None
-        The trial; none if the drive was stopped before the part was pushed.
-    trials : Trials
-        All trials of the plan.
-    stopped : str
-        Why the drive was stopped; empty if it was not.
-    """
-
-    trial: PlanTrial | None
-    trials: Trials
-    stopped: str
-
-
 def run_on_drive(
     path: Path,
     actuator: AbstractActuator,
@@ -127,7 +107,7 @@ def run_on_drive(
     by: str = "",
     camera: RecordPlan | None = None,
     project: Path | None = None,
-) -> DriveRun:
+) -> Trials:
     """Carry out a plan once with a drive that moves along one straight axis, and add the trial.
 
     The part is placed and seen first. The drive does not move if the seen start differs from the
@@ -147,6 +127,11 @@ def run_on_drive(
         Recording while the drive moves. With a rig, the end is tracked in it and not asked for.
     project : Path, optional
         Project in which the tracked experiment is stored.
+
+    Returns
+    -------
+    Trials
+        All trials of the plan.
 
     Raises
     ------
@@ -279,7 +264,7 @@ def _add(
     met: bool,
     failure: str,
     by: str,
-) -> DriveRun:
+) -> Trials:
     trial = PlanTrial(
         time=datetime.now(UTC).isoformat(timespec="seconds"),
         met=met,
@@ -288,8 +273,4 @@ def _add(
         end=None if end is None else tuple(end.tolist()),
         by=by,
     )
-    return DriveRun(
-        trial=trial,
-        trials=add_trials(path, file, trial),
-        stopped="" if end is not None else failure,
-    )
+    return add_trials(path, file, trial)
