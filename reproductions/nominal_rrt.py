@@ -42,9 +42,8 @@ def nominal_rrt(simulator: PlanSimulator, seed: int) -> FloatArray | None:
     low, high = simulator.choice.bounds(scene)
     poses = np.array(scene.bodies[0].pose, np.float64)[None]
     plans: list[FloatArray] = [np.zeros((0, len(low)))]
-    around = np.vstack(
-        (poses[:, :2], [f.pose[:2] for f in scene.fixels], goal_poses(scene, simulator.goal)[:, :2])
-    )
+    places = [scene.bodies[0].pose[:2], *(fixel.pose[:2] for fixel in scene.fixels)]
+    around = np.vstack((places, goal_poses(scene, simulator.goal)[:, :2]))
     box = around.min(axis=0) - radius, around.max(axis=0) + radius
     for _ in range(MAX_ROUNDS):
         targets = np.column_stack(

@@ -1,0 +1,61 @@
+"""Assembly of the ASME paper: the goal, the last push, and the tree over nominal simulations."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reproductions import asme_assembly as assembly
+from reproductions.nominal_rrt import nominal_rrt
+from reproductions.thesis_grasps import grasp_scenes, seating_modes
+
+import fixel
+from fixel.model.goals import BodyTrack
+from fixel.planning.plan import simulator_of
+from fixel.testing.scenes import pushed_square
+from fixel.units import deg, mm
+
+UM = 1e-6
+
+
+@pytest.mark.parametrize(
+    ("front", "y", "angle", "met"),
+    [
+        (850 * UM, 0.0, 90.0, True),
+        (850 * UM, 0.0, -90.0, True),
+        (700 * UM, 0.0, 90.0, False),
+        (850 * UM, 200 * UM, 90.0, False),
+        (850 * UM, 0.0, 0.0, False),
+    ],
+)
+def test_part_is_in_the_slot_where_its_front_is_deep_enough(front, y, angle, met):
+    scene = assembly.last_push(130 * UM, 50 * UM, 0.0, assembly.ellipsoid())
+    pose = (front - 0.5 * assembly.PART_LENGTH, y, np.radians(angle))
+    assert assembly.in_slot(130 * UM).met(scene, BodyTrack.of_ends([pose]))[0] == met
+
+
+def test_success_of_the_last_push_rises_with_the_clearance():
+    values = {**assembly._start_values(assembly.ASME, 64), "mu_pusher": np.full(64, 0.6)}
+    rates = [assembly._inserted(c, 300, 0, assembly.ellipsoid(), values) for c in (13, 20, 40, 158)]
+    assert rates == sorted(rates)
+    assert rates[0] < 0.9
+    assert rates[-1] == 1.0
+
+
+def test_tree_over_nominal_simulations_reaches_the_goal_without_errors():
+    scene, choose = pushed_square(), fixel.FreePushes(length=(10 * mm, 60 * mm))
+    goal = fixel.PoseRegion((0.04, 0.01, 0.2), position=15 * mm, angle=25 * deg)
+    prepared = choose.prepared(replace(scene, duration=1.0))
+    simulator = simulator_of(prepared, goal, choose, fixel.Belief(), None, None, 1)
+    plan = nominal_rrt(simulator, seed=1)
+    assert plan is not None
+    end = simulator.planned(plan[None]).nominal
+    assert simulator.margins(end)[0] >= 0.0
+    assert (nominal_rrt(simulator, seed=1) == plan).all()
+
+
+def test_tightly_seated_square_touches_all_fixels():
+    first = grasp_scenes()[0]
+    modes = list(seating_modes(first.scene, n=200))
+    assert len(grasp_scenes()) == 20
+    assert modes[0] == ("fixel-1", "fixel-2", "fixel-3")
+    assert sorted(map(len, modes), reverse=True) == [len(mode) for mode in modes]
