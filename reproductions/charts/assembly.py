@@ -35,7 +35,7 @@ def assembly_figure(curve: Sequence[Row], plans: Sequence[tuple[PushPlan, int]])
         Plans with their clearances [um].
     """
     figure = sheet(WIDE, 2.6)
-    left, *others = figure.subplots(1, 1 + len(plans))
+    left, *others = figure.subplots(1, 1 + len(plans), squeeze=False)[0]
     _curves(left, [one for one in curve if one["start"] == "normal"])
     for axes, (plan, clearance) in zip(others, plans, strict=True):
         _plan(axes, plan)
