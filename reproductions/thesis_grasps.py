@@ -49,7 +49,7 @@ BELIEF: Final = {
 def run(options: RunOptions) -> Reproduction:
     """Plan a grasp for every shape and layout, and carry it out."""
     scenes = grasp_scenes()[: 2 if options.quick else None]
-    runs, rollouts = (20, 1_000) if options.quick else (RUNS, 4_000)
+    runs, rollouts = (20, 1_000) if options.quick else (RUNS, 2_000)
     rows: list[Row] = []
     for k, own in enumerate(scenes):
         options.progress(k, len(scenes), own.name)

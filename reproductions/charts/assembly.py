@@ -120,6 +120,6 @@ def grasps_figure(rows: Sequence[Row]) -> Figure:
         place, [f"{rows[k]['shape']}, {rows[k]['layout']}: {rows[k]['mode']}" for k in order]
     )
     axes.set(xlabel="success probability", xlim=(-0.02, 1.02))
-    axes.legend(frameon=False, loc="lower left")
+    figure.legend(frameon=False, ncols=3, loc="outside lower center")
     hide_spines(axes)
     return figure
