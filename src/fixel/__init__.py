@@ -84,6 +84,10 @@ if TYPE_CHECKING:
     from fixel.uncertainty.outcomes import Sensitivity as Sensitivity
     from fixel.uncertainty.posterior import Posterior as Posterior
     from fixel.uncertainty.prediction import Prediction as Prediction
+    from fixel.uncertainty.run_to_run import (
+        learn_run_to_run as learn_run_to_run,
+        RunToRun as RunToRun,
+    )
     from fixel.uncertainty.starts import StartError as StartError
     from fixel.workflows.calibration.calibration import (
         Calibration as Calibration,
@@ -141,6 +145,7 @@ _NAMES = {
     "fixel.uncertainty.outcomes": "Sensitivity",
     "fixel.uncertainty.posterior": "Posterior",
     "fixel.uncertainty.prediction": "Prediction",
+    "fixel.uncertainty.run_to_run": "learn_run_to_run RunToRun",
     "fixel.uncertainty.starts": "StartError",
     "fixel.workflows.calibration.calibration": "Calibration Calibrations",
     "fixel.workflows.calibration.run": "calibrate calibrate_campaign calibrate_each",

@@ -168,6 +168,12 @@ class Belief:
         return isinstance(self.parameters, Posterior | PartModel | CalibratedModel)
 
     @property
+    def misfit(self) -> str:
+        """Why the calibrated model does not fit its experiments; empty where it does."""
+        own: Any = getattr(self.parameters, "misfit", None)
+        return str(own.reason) if getattr(own, "model_error", False) else ""
+
+    @property
     def has_known_pushes(self) -> bool:
         """Whether it is known which pushes the parameters were calibrated to."""
         return getattr(self.parameters, "known", None) is not None

@@ -269,6 +269,8 @@ class PushPlan(Result):
         notes = [f"fails: {100.0 * share:.1f} % {why}" for why, share in self.failures.items()]
         if self.success.calibrate_first:
             notes.append("calibrate first: success depends on parameters that are not known")
+        if self.belief.misfit:
+            notes.insert(0, f"calibration: {self.belief.misfit}")
         if not self.belief.is_calibrated:
             notes.append("not compared with experiments: parameters are given or nominal")
         x, y, theta = self.end

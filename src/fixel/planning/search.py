@@ -197,6 +197,8 @@ class PlanSearch:
             for plan, margin in zip(better, can, strict=True)
             if margin > -np.inf and (unseen is None or not unseen(plan))
         ]
+        if unseen is None or not unseen(nominal_best):
+            finalists.append(nominal_best)
         compared = yield from self._ask(finalists, self.final_stage)
         order = self._order(finalists, compared)
         chosen = finalists[order[0]]

@@ -187,6 +187,8 @@ def warnings_of(found: PushPlan, wanted: float) -> list[str]:
     """Return what a reader must know before relying on a plan, in sentences."""
     own = found.success
     warnings = list(found.unseen)
+    if found.belief.misfit:
+        warnings.append(f"Calibration: {found.belief.misfit}")
     if own.stated < wanted:
         warnings.append(
             f"The stated success probability {own.stated:.3f} is below the wanted {wanted:g}"
