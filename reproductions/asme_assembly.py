@@ -244,7 +244,7 @@ def assembled(clearance: int, sets: Sequence[Values], rollouts: int, trees: int)
     )  # fmt: skip
     scene = Scene((part,), (), walls(clearance * UM), duration=1.0)
     choose = FreePushes(
-        most=2, tool=box(PROBE_SIDE, PROBE_SIDE), length=(100 * UM, 2600 * UM), clearance=60 * UM,
+        most=4, tool=box(PROBE_SIDE, PROBE_SIDE), length=(100 * UM, 2600 * UM), clearance=400 * UM,
         speed=SPEED, friction=sets[0]["mu_pusher"],
     )  # fmt: skip
     belief, goal = Belief(parameters=list(sets), start=ASME), in_slot(clearance * UM)
