@@ -13,7 +13,7 @@ SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
 
 
 def test_pushes_of_a_right_model_hold_what_is_stated():
-    """Recorded by the model itself: what is left out ends where it is predicted, and no surprise."""
+    """Recorded by the model itself, so that what is left out ends where it is predicted."""
     pushes = example_pushes(20, duration=0.6)
     fit = fixel.calibrate(pushes, SPACE, verdicts=False, progress=False)
     found = held_success(fit, pushes, position=5 * mm, angle=5 * deg, progress=False)
