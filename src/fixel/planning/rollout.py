@@ -165,6 +165,7 @@ class PlanSimulator:
             )
             failure = np.where(failure == CARRIED_OUT, failed, failure)
             force = np.maximum(force, peak)
+            # The pushes share one draw; so divided, it has the variance of k independent ones.
             pose[:, -1] += self._error(pose[:, -1], actual, fixels, scenarios) / np.sqrt(k)
             poses[:, push * self.samples : (push + 1) * self.samples] = pose
             actual = pose[:, -1]
@@ -209,7 +210,7 @@ class PlanSimulator:
         if not scenarios.tool.any():
             return {}
         begin, way = path[:, 0, 1:3], path[:, 1, 1:3] - path[:, 0, 1:3]
-        along = way / np.hypot(*way.T)[:, None]
+        along = way / np.maximum(np.hypot(*way.T), 1e-12)[:, None]  # a stroke may be zero
         across = np.column_stack((-along[:, 1], along[:, 0]))
         travel, aside, heading = scenarios.tool.T
         shift = travel[:, None] * along + aside[:, None] * across

@@ -20,7 +20,7 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.acquisition.film import FilmSettings, film
 from fixel.workflows.acquisition.record import RecordPlan
 from fixel.workflows.planning.check import check_plan, seen_pose
-from fixel.workflows.planning.execute import run_on_drive, run_on_testbed, scenes_of
+from fixel.workflows.planning.execute import run_on_drive, run_on_testbed
 from fixel.workflows.planning.request import FoundPlan, PlanRequest
 from fixel.workflows.planning.stored import load_plan, load_trials, save_plan
 
@@ -58,7 +58,7 @@ def test_trials_on_the_testbed_are_those_of_its_own_runs(tmp_path: Path):
     starts = np.array([one.start for one in found.trials])
     assert (np.abs(starts - plan.start[0]) <= (1e-3, 1e-3, math.radians(1.0))).all()
     file = load_plan(path)
-    own = repeat_pushes(SimulatedTestbed(seed=4), scenes_of(plan), starts, name=file.id, threads=1)
+    own = repeat_pushes(SimulatedTestbed(seed=4), plan.scenes, starts, name=file.id, threads=1)
     for trial, pose in zip(found.trials, own.pose, strict=True):
         assert trial.end == tuple(pose[-1].tolist())
         off = np.hypot(*(pose[-1, :2] - (0.03, 0.0))) / 5e-3
@@ -83,7 +83,7 @@ def test_a_drive_carries_out_a_stroke_and_the_trial_is_stored(tmp_path: Path):
 def test_a_camera_records_the_move_and_sees_the_end(tmp_path: Path):
     plan = rig_plan()
     path = stored(plan, tmp_path / "a.plan")
-    scene = scenes_of(plan)[0].save(tmp_path / "scene.yaml")
+    scene = plan.scenes[0].save(tmp_path / "scene.yaml")
     (filmed,) = film(
         [str(scene)],
         tmp_path / "film",
@@ -201,5 +201,5 @@ def test_displaced_fixels_are_where_the_plan_wants_them():
     plan = plan_of(
         grasp("seated"), fixel.Seated("fixel-1"), choose, [(0, 0, 0, 0.02, 0.004, 0.006)]
     )
-    before, after = plan.scene.fixels[0].pose, scenes_of(plan)[0].fixels[0].pose
+    before, after = plan.scene.fixels[0].pose, plan.scenes[0].fixels[0].pose
     np.testing.assert_allclose(after - before, (0.004, 0.006, 0.0), atol=1e-12)

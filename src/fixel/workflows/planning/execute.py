@@ -6,7 +6,6 @@ import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
@@ -14,11 +13,10 @@ from typing import Final
 import numpy as np
 
 from fixel.errors import FixelError, InvalidInput
-from fixel.model import Scene
 from fixel.model.goals import BodyTrack
 from fixel.model.trajectory import wrapped
 from fixel.planning.plan import PushPlan
-from fixel.planning.pushes import RigPush, scene_of_push
+from fixel.planning.pushes import RigPush
 from fixel.planning.trials import PlanTrial, Trials
 from fixel.testbed.motion import AbstractActuator
 from fixel.testbed.repeated_pushes import repeat_pushes
@@ -64,7 +62,7 @@ def run_on_testbed(
     drawn = np.zeros((trials, 3)) if error is None else error.samples(trials, seed)
     starts = plan.start[0] + drawn[rng.permutation(trials)]
     done = repeat_pushes(
-        SimulatedTestbed(seed=seed), scenes_of(plan), starts, name=file.id, threads=threads
+        SimulatedTestbed(seed=seed), plan.scenes, starts, name=file.id, threads=threads
     )
     fixels = None if plan.fixels is None else np.repeat(plan.fixels[None], trials, axis=0)
     track = BodyTrack(done.pose[:, 1:], done.stalled, np.abs(done.force), fixels)
@@ -82,20 +80,6 @@ def run_on_testbed(
         for ok, why, pose in zip(met, done.failure, done.pose, strict=True)
     ]
     return add_trials(path, file, *rows)
-
-
-def scenes_of(plan: PushPlan) -> list[Scene]:
-    """Return the scenes of the pushes of a plan, with its fixels where they should be."""
-    scene = plan.scene
-    if plan.fixels is not None:
-        moved = [
-            replace(fixel, pose=fixel.pose + shift)
-            for fixel, shift in zip(scene.fixels, plan.fixels, strict=True)
-        ]
-        scene = replace(scene, fixels=tuple(moved))
-    return [
-        scene_of_push(scene, start, path) for start, path in zip(plan.start, plan.path, strict=True)
-    ]
 
 
 def run_on_drive(
@@ -210,7 +194,7 @@ def _recording(camera: RecordPlan | None) -> Iterator[None]:
 def _tracked_end(plan: PushPlan, camera: RecordPlan, project: Path | None) -> FloatArray:
     """Return the last tracked pose (3,) of the part in a recording."""
     scene = camera.folder / "scene.yaml"
-    scenes_of(plan)[0].save(scene)
+    plan.scenes[0].save(scene)
     tracked = track_film(camera.folder, rig=camera.rig or "", scene=scene, project=project)
     return np.asarray(tracked.experiment.trajectory.pose[-1])
 
