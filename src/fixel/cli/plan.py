@@ -222,7 +222,7 @@ def next_(
     ],
     done: int = option(0, "Number of pushes that were carried out.", min=0),
     save: Path | None = option(None, "Write the new plan to this file.", "--save"),
-    rollouts: int = option(20_000, "Number of simulated pushes.", min=1000),
+    rollouts: int = option(12_000, "Number of simulated pushes.", min=1000),
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:

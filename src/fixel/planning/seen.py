@@ -58,7 +58,8 @@ def belief_after(
     if done == 0:
         return SeenBelief(start, "")
     scenarios = plan.belief.scenarios(plan.scene, worlds=WORLDS, runs=1, seed=plan.seed + FRESH)
-    runs = plan.run(scenarios, samples=1, threads=threads)
+    begun = replace(plan, start=plan.start[:done], path=plan.path[:done])
+    runs = begun.run(scenarios, samples=1, threads=threads)
     poses = runs.pose[:, done - 1]
     off = poses - seen
     off[:, 2] = wrapped(off[:, 2])

@@ -29,7 +29,7 @@ from fixel.workflows.planning.stored import load_plan, load_trials
 
 WORLDS: Final = 64
 FRESH: Final = 1_000_003  # added to the seed of a plan, so that a check draws other scenarios
-QUICK: Final = 20_000  # rollouts of a new plan from a seen pose
+QUICK: Final = 12_000  # rollouts of a new plan from a seen pose
 
 
 @final
