@@ -20,7 +20,7 @@ from fixel.simulation.vary import composed
 from fixel.typing import FloatArray
 from fixel.uncertainty.starts import even_points
 
-LIBRARY: Final = (256, 2048)  # least and largest number of pushes in the table of displacements
+LIBRARY: Final = (1024, 2048)  # least and largest number of pushes in the table of displacements
 EACH: Final = 40  # rollouts of a search for each of them
 TRIED: Final = 4  # poses near the goal for each of them, from which last pushes are tried
 PERTURBED: Final = 8  # starts from which a last push is judged
