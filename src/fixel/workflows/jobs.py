@@ -6,6 +6,8 @@ from its journal.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import shlex
 import shutil
@@ -39,6 +41,7 @@ END_S: Final = 60.0  # [s] within which a coordinator ends when requested to
 LOST: Final = "lost"  # the state of a job whose coordinator died: `resume` continues it
 UNREADABLE: Final = "unreadable"  # the state of a folder that another program wrote into
 JOBS: Final = "jobs"  # folder of the jobs in a project
+STAGE: Final = "stage.txt"  # in the folder of a job: what it is doing
 # Contents of a packed job: nothing that is secret or specific to one machine.
 _PACKED: Final = ("job.json", "run.json", "state.json", "journal", "log.txt", "result")
 _MAX_BYTES: Final = 50_000_000_000
@@ -193,6 +196,46 @@ def run_detached(folder: Path, then: str = "") -> JobStatus:
     threading.Thread(target=_wait_for, args=(process.pid,), daemon=True).start()
     process.returncode = process.returncode or 0
     return status_of(folder)
+
+
+def begin_for_page(project: Path, kind: str, maker: str, question: Any, command: str) -> Path:
+    """Start a job in its own process for a page; the same question continues the same job.
+
+    Parameters
+    ----------
+    project : Path
+        Folder of the project.
+    kind : str
+        Start of the job's name.
+    maker : str
+        As for `prepare_job`; its options are the `question` and the `command`.
+    question : mapping, or sequence of a mapping and marks
+        JSON content; marks are part of the question, but not given to the maker.
+    command : str
+        The command that does the same.
+    """
+    digest = hashlib.sha256(json.dumps(question).encode()).hexdigest()[:10]
+    folder = project / JOBS / f"{kind}-{digest}"
+    if not (folder / "job.json").is_file():
+        asked = question if isinstance(question, Mapping) else question[0]
+        prepare_job(folder, maker=maker, options={"question": asked, "command": command})
+    arrange(folder)
+    run_detached(folder)
+    return folder
+
+
+def write_stage(folder: Path, text: str) -> None:
+    """Write what a job is doing, for pages."""
+    with written_whole(folder / STAGE) as path:
+        path.write_text(text)
+
+
+def stage_of(folder: Path) -> str:
+    """Return what a job is doing; empty before it has begun."""
+    try:
+        return (folder / STAGE).read_text()
+    except OSError:
+        return ""
 
 
 def _wait_for(pid: int) -> None:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 from fastapi import APIRouter
 from pydantic import Field
 
 from fixel.errors import NotStored
-from fixel.web.context import Context, ProjectContext
+from fixel.web.context import Context
 from fixel.web.values import Answer, RequestBody, Text
-from fixel.web.views import job_list
+from fixel.web.views.job_list import PageJob, job_slot, page_job
 from fixel.web.views.plan_view import PlanScene, as_question, plan_scene, trials_of
 from fixel.workflows import jobs
 from fixel.workflows.analysis import load_with_errors
@@ -46,16 +45,6 @@ class PlanForm(RequestBody):
     untrusted: bool = Field(False, description="allow pushes that resemble no experiment")
 
 
-class PlanJob(Answer):
-    """A search that is being computed."""
-
-    name: str
-    state: str
-    ended: bool
-    reason: str
-    stage: str = Field(description="stage of the computation")
-
-
 class PlanTrialAnswer(Answer):
     """Trials of a stored plan, as lines of text."""
 
@@ -68,7 +57,7 @@ def scene(context: Context, experiment: Key) -> PlanScene:
 
 
 @router.post("", summary="Search for a plan in a separate process")
-def begin(context: Context, wanted: PlanForm) -> PlanJob:
+def begin(context: Context, wanted: PlanForm) -> PageJob:
     scene(context, wanted.experiment)
     request = PlanRequest(
         goal=as_question(wanted),
@@ -76,21 +65,21 @@ def begin(context: Context, wanted: PlanForm) -> PlanJob:
         rollouts=wanted.rollouts,
         untrusted=wanted.untrusted,
     )
-    with job_list.job_slot(context.project.folder):
+    with job_slot(context.project.folder):
         folder = job.begin(context.project, request, command_of(request, "goal.yaml"))
-    return _answer(folder)
+    return PageJob.of(folder)
 
 
 @router.get("/jobs/{name}", summary="Get the progress of a search")
-def progress(context: Context, name: str) -> PlanJob:
-    return _answer(_folder(context, name))
+def progress(context: Context, name: str) -> PageJob:
+    return PageJob.of(page_job(context.project.folder, "plan", name))
 
 
 @router.post("/jobs/{name}/stop", summary="Stop a search; finished simulations stay stored")
-def stop(context: Context, name: str) -> PlanJob:
-    folder = _folder(context, name)
+def stop(context: Context, name: str) -> PageJob:
+    folder = page_job(context.project.folder, "plan", name)
     jobs.cancel(folder)
-    return _answer(folder)
+    return PageJob.of(folder)
 
 
 @router.post("/{name}/trials", summary="Carry out a plan 20 times on the simulated testbed")
@@ -101,23 +90,3 @@ def trials(context: Context, name: str) -> PlanTrialAnswer:
         raise NotStored(f"plan {name!r}", hint="/analyses lists all")
     run_on_testbed(own / FILE, trials=20)
     return PlanTrialAnswer(lines=trials_of(own))
-
-
-def _folder(context: ProjectContext, name: str) -> Path:
-    # Only what the project lists itself: no part of an address becomes a path.
-    every = (path.parent for path in (context.project.folder / jobs.JOBS).glob("plan-*/job.json"))
-    own = next((folder for folder in every if folder.name == name), None)
-    if own is None:
-        raise NotStored(f"job {name!r}", hint="the page Jobs lists all")
-    return own
-
-
-def _answer(folder: Path) -> PlanJob:
-    one = jobs.status_of(folder)
-    return PlanJob(
-        name=folder.name,
-        state=one.state,
-        ended=one.ended,
-        reason=one.reason,
-        stage=job.stage_of(folder),
-    )

@@ -49,6 +49,35 @@ class JobLog(Answer):
     whole: bool = Field(description="whether these are all lines")
 
 
+class PageJob(Answer):
+    """A job that a page has started."""
+
+    name: str
+    state: str
+    ended: bool
+    reason: str
+    stage: str = Field(description="stage of the computation")
+
+    @classmethod
+    def of(cls, folder: Path) -> PageJob:
+        one = jobs.status_of(folder)
+        return cls(
+            name=folder.name,
+            state=one.state,
+            ended=one.ended,
+            reason=one.reason,
+            stage=jobs.stage_of(folder),
+        )
+
+
+def page_job(project: Path, kind: str, name: str) -> Path:
+    """Return the folder of a job of a kind, among those that the project lists itself."""
+    own = _folders(project).get(name)
+    if own is None or not name.startswith(f"{kind}-"):
+        raise NotStored(f"job {name!r}", hint="the page Jobs lists all")
+    return own
+
+
 def list_jobs(project: Path) -> list[JobStatus]:
     """Return the jobs of a project, newest first."""
     found = [_status(folder) for folder in _folders(project).values()]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, replace
@@ -16,7 +14,6 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of, bytes_of
-from fixel.io.atomic import written_whole
 from fixel.jobs.folder import read_job
 from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answer, Chunk, Failure, Round, Work
@@ -30,7 +27,6 @@ from fixel.workflows.planning.report import store_plan
 from fixel.workflows.planning.request import PlanInputs, PlanRequest, found_plan, inputs_of
 
 MAKER: Final = "plan:plan_work"
-STAGE: Final = "stage.txt"  # what the job is doing
 CHUNK: Final = 4096  # rollouts of a chunk
 
 
@@ -40,8 +36,8 @@ def plan_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     began = time.monotonic()
 
     def show(now: Progress) -> None:
-        with written_whole(inputs.parent / STAGE) as path:
-            path.write_text(f"{now.stage}, {100.0 * (now.share or 0.0):.0f} %, {now.note}")
+        share = 100.0 * (now.share or 0.0)
+        jobs.write_stage(inputs.parent, f"{now.stage}, {share:.0f} %, {now.note}")
 
     project, request, own, search = _search(inputs, options, show)
     rounds = plan_rounds(search, untrusted=request.untrusted)
@@ -124,18 +120,4 @@ def begin(project: Project, request: PlanRequest, command: str) -> Path:
     present = inputs_of(project, request)  # errors appear here, not in the job
     # A calibration that is added later must not change a job that is resumed.
     question = asdict(replace(request, calibration=present.calibration))
-    digest = hashlib.sha256(json.dumps(question).encode()).hexdigest()[:10]
-    folder = project.folder / jobs.JOBS / f"plan-{digest}"
-    if not (folder / "job.json").is_file():
-        jobs.prepare_job(folder, maker=MAKER, options={"question": question, "command": command})
-    jobs.arrange(folder)
-    jobs.run_detached(folder)
-    return folder
-
-
-def stage_of(folder: Path) -> str:
-    """Return what a job is doing; empty before it has begun."""
-    try:
-        return (folder / STAGE).read_text()
-    except OSError:
-        return ""
+    return jobs.begin_for_page(project.folder, "plan", MAKER, question, command)
