@@ -1,6 +1,6 @@
 """Scenes as arrays: units of their own, parameters on the right entries, scenes end to end."""
 
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
@@ -17,7 +17,15 @@ from fixel.model import (
     Scene,
     SupportPoints,
 )
-from fixel.simulation import Adaptive, Dynamic, FirstOrder, QuasiStatic
+from fixel.simulation import (
+    AbstractMotionModel,
+    Adaptive,
+    Dynamic,
+    FirstOrder,
+    QuasiStatic,
+    StewartTrinkle,
+    simulate,
+)
 from fixel.simulation.pack import characteristic_units, pack, pusher_path, stack
 from fixel.simulation.vary import Variation
 from fixel.testing.scenes import box, grasp, heap, micro_push, sliding_block
@@ -211,3 +219,64 @@ def test_kernels_compile_once_for_all_scenes():
     for array in (*packed.batch.model[:-1], packed.batch.pose, packed.batch.velocity):
         assert array.flags.writeable
         assert array.flags.c_contiguous
+
+
+def _arrays(value):
+    """Yield all arrays in a scene."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _arrays(item)
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield from _arrays(getattr(value, field.name))
+
+
+def test_no_array_of_a_scene_can_be_written_to():
+    # Its packed arrays are stored for the scene itself, not for its values.
+    rough = FrictionMap(origin=(0, 0), cell=(1, 1), factor=[[1.0, 2.0], [1.0, 1.0]])
+    net = SupportPoints(points=NET, friction=np.full(4, 0.2), loads=np.ones(4))
+    part = replace(grasp().bodies[0], support=net, centre_of_mass=(1e-3, 0.0))
+    rows = [[0.0, 0.1, 0.2, 0.3], [2.0, 0.2, 0.2, 0.4]]
+    head = replace(grasp().pushers[0], pose=None, drive=PathDrive(waypoints=rows))
+    scene = Scene(part, head, grasp().fixels, duration=1.0, plane=Plane(friction_map=rough))
+    arrays = list(_arrays(scene))
+    assert len(arrays) > 20
+    assert not any(array.flags.writeable for array in arrays)
+
+
+def _bytes(batch):
+    return [np.asarray(array).tobytes() for array in (*batch.model, *batch[3:])]
+
+
+@pytest.mark.parametrize("plain", [False, True])
+def test_simulations_leave_shared_arrays_unchanged(plain):
+    scene = grasp("slip", force_limit=None)
+    before = _pack(scene).batch
+    saved = _bytes(before)
+    values = {name: [0.01] for name in ("start_x", "mu_fixel", "mass", "tripod_radius")}
+    simulate(scene, {name: value[0] for name, value in values.items()}, duration=0.3, plain=plain)
+    _pack(scene, values)
+    after = _pack(scene).batch
+    assert after.model.vertex is before.model.vertex
+    assert _bytes(after) == _bytes(before) == saved
+
+
+class Heavier(AbstractMotionModel):
+    """Motion model that writes to what it should only read."""
+
+    name = "heavier"
+
+    def assemble(self, model, state, step, pose, problem):
+        model.mass[:] *= 1.5
+        return Dynamic().assemble(model, state, step, pose, problem)
+
+    def move(self, model, state, step, problem, extrapolation):
+        Dynamic().move(model, state, step, problem, extrapolation)
+
+
+def test_a_plug_in_cannot_change_later_simulations():
+    scene = sliding_block(0.5, 0.25, duration=0.05)
+    runs = [simulate(scene, motion=Heavier(), stepper=StewartTrinkle(step=0.01)) for _ in range(2)]
+    assert runs[0].final == runs[1].final

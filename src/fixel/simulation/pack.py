@@ -6,10 +6,12 @@ then of the same size for a part of 1.6 mm and a block of 107 mm.
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
 from collections.abc import Sequence
 from statistics import median
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, TypeVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,9 +27,9 @@ from fixel.model import (
     Ellipsoid,
     Fixel,
     LineDrive,
-    NoSupport,
     Pusher,
     Scene,
+    Shape,
     Tripod,
     support_points,
 )
@@ -51,6 +53,10 @@ MIN_SCALE, MAX_SCALE = 1e-100, 1e100
 DEFAULT_TOLERANCE = 1e-5
 SMALLEST_STEP = 1e-7  # of an adaptive stepper, scaled
 
+Rows = TypeVar("Rows", bound=NDArray[Any])
+
+RECENT_SCENES = 16  # whose arrays are stored, for calls that simulate a scene again
+
 
 class Units(NamedTuple):
     """Characteristic values of one scene [m, s, kg], which are the units of numbers in the
@@ -73,9 +79,18 @@ class Units(NamedTuple):
         return self.force * self.length
 
 
-def characteristic_units(scene: Scene, speed: float | None = None) -> Units:
+def characteristic_units(
+    scene: Scene, speed: float | None = None, friction: Sequence[float] | None = None
+) -> Units:
     """Compute the units of a scene: radius of gyration, fastest prescribed or initial motion (or a
     given `speed` [m/s]), mass or friction.
+
+    Parameters
+    ----------
+    scene : Scene
+    speed : float, optional
+    friction : (n_free,) sequence of float, optional
+        Largest friction force under each body [N], where it is known.
 
     Raises
     ------
@@ -83,7 +98,7 @@ def characteristic_units(scene: Scene, speed: float | None = None) -> Units:
         Products of speeds, sizes, masses and forces overflow.
     """
     try:
-        units = _units(scene, speed)
+        units = _units(scene, speed, friction or _friction_forces(_elements(scene), scene))
         scales = [*units, units.speed, units.force, units.torque]
     except (OverflowError, ZeroDivisionError):
         scales = [math.inf]
@@ -98,13 +113,13 @@ def characteristic_units(scene: Scene, speed: float | None = None) -> Units:
     return units
 
 
-def _units(scene: Scene, speed: float | None) -> Units:
+def _units(scene: Scene, speed: float | None, friction: Sequence[float]) -> Units:
     bodies = scene.bodies
     length = median(math.sqrt(b.moment_of_inertia / b.mass) for b in bodies)
     if speed is None:
         speed = fastest_motion(scene, length)
     mass = median(b.mass for b in bodies)
-    forces = [_friction_force(b, scene.gravity) + math.hypot(*b.force[:2]) for b in bodies]
+    forces = [f + math.hypot(*b.force[:2]) for f, b in zip(friction, bodies, strict=True)]
     force = median(forces)
     if speed < SLOWEST:
         # Without prescribed motion: the speed that the forces would cause over one length.
@@ -131,39 +146,39 @@ def _fastest(pusher: Pusher, length: float) -> float:
     return float(rate.sum() / steps[:, 0].sum()) if len(steps) else 0.0
 
 
-def _friction_force(body: Body, gravity: float) -> float:
-    if isinstance(body.support, NoSupport):
-        return 0.0
-    if isinstance(body.support, Ellipsoid):
-        return float(body.support.force)
-    _, loads, friction = support_points(body.support, body.shape, body.com, body.mass, gravity)
-    return float(loads @ friction)
+def _friction_forces(elements: Elements, scene: Scene) -> list[float]:
+    """Compute the largest friction force under each body [N]."""
+    end = np.searchsorted(elements.body, np.arange(len(scene.bodies) + 1)).tolist()
+    return [float(elements.load[i:k] @ elements.friction[i:k]) for i, k in itertools.pairwise(end)]
 
 
 def _elements(scene: Scene) -> Elements:
-    rows: list[tuple[int, int, FloatArray, float, float, float, FloatArray]] = []
-    nowhere = np.zeros(2)
-    for b, body in enumerate(scene.bodies):
+    parts: list[tuple[FloatArray, ...]] = []
+    for body in scene.bodies:
         support = body.support
         if isinstance(support, Ellipsoid):
-            point = np.asarray(support.centre) - body.com
-            arm = support.torque / support.force
-            rows.append((b, codes.ELLIPSOID, point, support.force, 1.0, arm, nowhere))
+            points = (np.asarray(support.centre) - body.com)[None]
+            of_one = (support.force, 1.0, support.torque / support.force)
+            parts.append((points, *np.array(of_one)[:, None], np.zeros((1, 2))))
             continue
         points, loads, friction = support_points(
             support, body.shape, body.com, body.mass, scene.gravity
         )
-        for point, load, mu in zip(points, loads, friction, strict=True):
-            unit = point / support.radius if isinstance(support, Tripod) else nowhere
-            rows.append((b, codes.POINT, point, float(load), float(mu), 0.0, unit))
+        unit = points / support.radius if isinstance(support, Tripod) else np.zeros(points.shape)
+        parts.append((points, loads, friction, np.zeros(len(points)), unit))
+    count = [len(part[0]) for part in parts]
+    kind = [
+        codes.ELLIPSOID if isinstance(b.support, Ellipsoid) else codes.POINT for b in scene.bodies
+    ]
+    point, load, friction, arm, unit = (np.concatenate(rows) for rows in zip(*parts, strict=True))
     return Elements(
-        np.array([r[0] for r in rows], np.int64),
-        np.array([r[1] for r in rows], np.int64),
-        np.array([r[2] for r in rows], np.float64).reshape(-1, 2),
-        np.array([r[3] for r in rows], np.float64),
-        np.array([r[4] for r in rows], np.float64),
-        np.array([r[5] for r in rows], np.float64),
-        np.array([r[6] for r in rows], np.float64).reshape(-1, 2),
+        np.repeat(np.arange(len(count)), count),
+        np.repeat(kind, count),
+        point,
+        load,
+        friction,
+        arm,
+        unit,
     )
 
 
@@ -183,31 +198,43 @@ def _items(scene: Scene) -> list[Body | Pusher | Fixel]:
     return [*scene.bodies, *scene.pushers, *scene.fixels]
 
 
-def _pieces(scene: Scene) -> Pieces:
-    body_of, start, bound, radius = [], [0], [], []
-    vertex: list[FloatArray] = []
-    real: list[NDArray[np.bool_]] = []
-    for k, item in enumerate(_items(scene)):
-        shift = item.com if isinstance(item, Body) else np.zeros(2)
-        rounding = item.shape.radius if isinstance(item.shape, Disk) else 0.0
-        for corners, outline in contact_pieces(item.shape):
-            local = corners - shift
-            centre = 0.5 * (local.min(axis=0) + local.max(axis=0))
-            reach = float(np.hypot(*(local - centre).T).max()) + rounding
-            body_of.append(k)
-            start.append(start[-1] + len(local))
-            bound.append([centre[0], centre[1], reach])
-            radius.append(rounding)
-            vertex.append(local)
-            real.append(outline)
-    return Pieces(
-        np.array(body_of, np.int64),
-        np.array(start, np.int64),
-        np.array(bound, np.float64),
-        np.array(radius, np.float64),
-        np.concatenate(vertex),
-        np.concatenate(real).astype(np.int64),
-    )
+@final
+class _Same:
+    """Objects as the key of a cache: themselves, since hashing their arrays takes longer than
+    packing them. No array of a scene can be written to."""
+
+    __slots__ = ("ids", "objects")
+
+    def __init__(self, *objects: object) -> None:
+        self.objects: Any = objects
+        self.ids = tuple(map(id, objects))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.ids == other.ids
+
+    def __hash__(self) -> int:
+        return hash(self.ids)
+
+
+@functools.lru_cache(maxsize=RECENT_SCENES)
+def _pieces(key: _Same, com: tuple[tuple[float, float], ...]) -> Pieces:
+    """Return the pieces of shapes with these origins in their own frames, one after another."""
+    shapes: tuple[Shape, ...] = key.objects
+    pieces = [contact_pieces(shape) for shape in shapes]
+    body = np.repeat(np.arange(len(shapes)), [len(own) for own in pieces])
+    corners = [piece for own in pieces for piece, _ in own]
+    count = [len(piece) for piece in corners]
+    start = np.concatenate(([0], np.cumsum(count)))
+    vertex = np.concatenate(corners) - np.repeat(np.array(com)[body], count, axis=0)
+    low = np.minimum.reduceat(vertex, start[:-1])
+    centre = 0.5 * (low + np.maximum.reduceat(vertex, start[:-1]))
+    away = vertex - np.repeat(centre, count, axis=0)
+    rounding = [shape.radius if isinstance(shape, Disk) else 0.0 for shape in shapes]
+    radius = np.array(rounding)[body]
+    reach = np.maximum.reduceat(np.hypot(away[:, 0], away[:, 1]), start[:-1]) + radius
+    real = np.concatenate([outline for own in pieces for _, outline in own])
+    bound = np.column_stack((centre, reach))
+    return Pieces(body, start, bound, radius, vertex, real.astype(np.int64))
 
 
 def _pair_tables(scene: Scene) -> tuple[FloatArray, FloatArray]:
@@ -237,16 +264,15 @@ def pusher_path(pusher: Pusher, duration: float) -> FloatArray:
     drive = pusher.drive
     if not isinstance(drive, LineDrive):
         return np.array(drive.waypoints, np.float64)
-    start = np.array([0.0, *pusher.pose])
+    x, y, theta = pusher.pose.tolist()
     if drive.speed == 0.0 or drive.travel == 0.0:
-        return start[None, :]
+        return np.array([[0.0, x, y, theta]])
     # A force-limited pusher may lag and need its line for longer than the duration
     # requires.
     seconds = min(drive.travel / drive.speed, max(duration, 1e-9))
-    end = start.copy()
-    end[0] = seconds
-    end[1:3] += drive.speed * seconds * np.asarray(drive.direction)
-    return np.stack((start, end))
+    way, (along_x, along_y) = drive.speed * seconds, drive.direction.tolist()
+    end = [seconds, x + way * along_x, y + way * along_y, theta]
+    return np.array([[0.0, x, y, theta], end])
 
 
 def _drag(
@@ -277,12 +303,13 @@ def _drag(
     return drag / speed
 
 
-def check_motion(scene: Scene, motion_kind: int) -> None:
+def check_motion(scene: Scene, motion_kind: int, friction: Sequence[float] | None = None) -> None:
     """Raise for a motion model that needs support friction if a body has none."""
     if motion_kind not in (codes.QUASI_STATIC, codes.FIRST_ORDER):
         return
+    friction = _friction_forces(_elements(scene), scene) if friction is None else friction
     for k, body in enumerate(scene.bodies):
-        if _friction_force(body, scene.gravity) <= 0.0:
+        if friction[k] <= 0.0:
             raise InvalidInput(
                 f"bodies[{k}].support",
                 found=f"no support friction under body {body.name!r}",
@@ -312,6 +339,128 @@ def pack(
     return Template(scene, motion, stepper).packed(variation, n, duration)
 
 
+class SceneArrays(NamedTuple):
+    """Arrays of a scene under one kind of motion; in a batch, of rollouts that do not vary them.
+
+    Nothing writes to them.
+    """
+
+    units: Units
+    com: FloatArray  # (n_free, 2) centres of mass in their shape frames [m]
+    elements: Elements
+    friction: FloatArray  # (n_body, n_body)
+    growing: NDArray[np.bool_]  # (n_piece,) whether a piece belongs to a pusher
+    factors: FloatArray  # (n_row, n_column) of the friction map
+    frame: FloatArray  # (4,) its scaled origin and cell
+    model: Model  # scaled; without paths, and with a row for one rollout of `plane` and `map_frame`
+    pose: FloatArray  # (n_body, 3) at time zero, scaled; of centres of mass for free bodies
+    velocity: FloatArray  # (n_free, 3) scaled
+
+
+@functools.lru_cache(maxsize=RECENT_SCENES)
+def _scene_arrays(key: _Same, motion_kind: int, speed: float | None) -> SceneArrays:
+    scene: Scene = key.objects[0]
+    items = _items(scene)
+    n_free, n_driven = len(scene.bodies), len(scene.pushers)
+    elements = _elements(scene)
+    forces = _friction_forces(elements, scene)
+    check_motion(scene, motion_kind, forces)
+    units = characteristic_units(scene, speed, forces)
+    origins = [item.com.tolist() if isinstance(item, Body) else [0.0, 0.0] for item in items]
+    pieces = _pieces(_Same(*(item.shape for item in items)), tuple(map(tuple, origins)))
+    com = np.array(origins[:n_free])
+    friction, restitution = _pair_tables(scene)
+    own = scene.plane.friction_map
+    factors = np.zeros((0, 0)) if own is None else own.factor
+    frame = np.zeros(4) if own is None else np.concatenate((own.origin, own.cell))
+    per_time = np.array([units.length, units.length, 1.0]) / units.time
+    return SceneArrays(
+        units=units,
+        com=com,
+        elements=elements,
+        friction=friction,
+        growing=(pieces.body >= n_free) & (pieces.body < n_free + n_driven),
+        factors=factors,
+        frame=frame / units.length,
+        model=_constant_model(scene, units, pieces, elements, motion_kind)._replace(
+            friction=friction.reshape(-1),
+            restitution=restitution.reshape(-1),
+            map_factor=np.array(factors).reshape(-1),
+        ),
+        pose=_scaled_poses(np.array([item.pose for item in items])[None], com, units.length),
+        velocity=np.array([b.velocity for b in scene.bodies]) / per_time,
+    )
+
+
+def _constant_model(
+    scene: Scene, units: Units, pieces: Pieces, elements: Elements, motion_kind: int
+) -> Model:
+    """Scale the bodies, drives, pieces and supports of a scene; other fields are empty."""
+    bodies, length, force = scene.bodies, units.length, units.force
+    point, limit, arm, drag = _scaled_supports(elements, len(bodies), units, motion_kind)
+    limits = np.array([p.drive.force_limit or math.inf for p in scene.pushers])
+    limited = np.isfinite(limits)
+    drive_dof = np.where(limited, 3 * len(bodies) + np.cumsum(limited) - 1, -1)
+    inertia = np.array([b.moment_of_inertia for b in bodies])
+    return Model(
+        mass=np.array([b.mass for b in bodies]) / units.mass,
+        inertia=inertia / (units.mass * length**2),
+        wrench=np.array([b.force for b in bodies]) / (force * np.array([1.0, 1.0, length])),
+        spring=np.array([_spring(b, units) for b in bodies]),
+        drag=drag,
+        piece_body=pieces.body,
+        piece_start=pieces.start,
+        piece_bound=pieces.bound / length,
+        piece_radius=pieces.radius / length,
+        vertex=pieces.vertex / length,
+        edge_real=pieces.edge_real,
+        friction=np.zeros(0),
+        restitution=np.zeros(0),
+        element_body=elements.body,
+        element_kind=elements.kind,
+        element_point=point,
+        element_limit=limit,
+        element_ratio=arm,
+        path_start=np.zeros(0, np.int64),
+        path=np.zeros((0, 4)),
+        force_limit=limits / force,
+        drive_dof=drive_dof.astype(np.int64),
+        plane=np.zeros((0, 3)),
+        map_frame=np.zeros((0, 4)),
+        map_factor=np.zeros(0),
+        sides=0,
+    )
+
+
+def _scaled_supports(
+    elements: Elements, n_free: int, units: Units, motion_kind: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Scale points, limits and arms of supports ([n,] n_element), and compute the drag of the
+    bodies; rows of all rollouts one after another."""
+    limit = elements.load * elements.friction
+    drag = np.zeros((n_free, 3, 3))
+    if motion_kind == codes.FIRST_ORDER:
+        drag = _drag(elements, n_free, limit, elements.point, units.speed)
+        scale = np.array([1.0, 1.0, units.length])
+        drag = drag * (units.speed / units.force) / np.outer(scale, scale)
+    return (
+        np.ascontiguousarray(elements.point.reshape(-1, 2) / units.length),
+        np.ascontiguousarray(limit.reshape(-1) / units.force),
+        np.ascontiguousarray(elements.arm.reshape(-1) / units.length),
+        np.ascontiguousarray(drag.reshape(-1, 3, 3)),
+    )
+
+
+def _scaled_poses(pose: FloatArray, com: FloatArray, length: float) -> FloatArray:
+    """Scale poses (n, n_body, 3), with those of free bodies moved to their centres of mass; the
+    result is new, and has the rows of all rollouts one after another."""
+    n_free = len(com)
+    c, s = np.cos(pose[:, :n_free, 2]), np.sin(pose[:, :n_free, 2])
+    pose[:, :n_free, 0] += c * com[:, 0] - s * com[:, 1]
+    pose[:, :n_free, 1] += s * com[:, 0] + c * com[:, 1]
+    return np.ascontiguousarray(pose.reshape(-1, 3) / np.array([length, length, 1.0]))
+
+
 @final
 class Template:
     """Scene as arrays, to be completed by the quantities that vary between rollouts.
@@ -332,165 +481,97 @@ class Template:
         stepper: AbstractStepper,
         speed: float | None = None,
     ) -> None:
-        check_motion(scene, motion.kind)
         self.scene = scene
         self.motion_kind = motion.kind
-        self.units = characteristic_units(scene, speed)
-        self.com = np.array([b.com for b in scene.bodies], np.float64).reshape(-1, 2)
-        self._elements = _elements(scene)
-        self._friction, restitution = _pair_tables(scene)
-        self._pieces = _pieces(scene)
+        self._arrays = _scene_arrays(_Same(scene), motion.kind, speed)
+        self.units = self._arrays.units
         self._settings = _settings(stepper, self.units)
-        self._model = self._constant(restitution)
-
-    def _constant(self, restitution: FloatArray) -> Model:
-        """Create the model with fields that no parameter changes; others are empty or nominal."""
-        bodies, units = self.scene.bodies, self.units
-        length, force = units.length, units.force
-        pieces, elements = self._pieces, self._elements
-        drives = [p.drive for p in self.scene.pushers]
-        limits = np.array(
-            [math.inf if d.force_limit is None else d.force_limit for d in drives]
-        ).reshape(-1)
-        limited = np.isfinite(limits)
-        drive_dof = np.where(limited, 3 * len(bodies) + np.cumsum(limited) - 1, -1)
-        factors, _ = self._map()
-        return Model(
-            mass=np.array([b.mass / units.mass for b in bodies]),
-            inertia=np.array([b.moment_of_inertia / (units.mass * length**2) for b in bodies]),
-            wrench=np.array([b.force for b in bodies]) / (force * np.array([1.0, 1.0, length])),
-            spring=np.array([_spring(b, units) for b in bodies]),
-            drag=np.zeros((len(bodies), 3, 3)),
-            piece_body=pieces.body,
-            piece_start=pieces.start,
-            piece_bound=pieces.bound / length,
-            piece_radius=pieces.radius / length,
-            vertex=np.ascontiguousarray(pieces.vertex / length),
-            edge_real=pieces.edge_real,
-            friction=np.zeros(0),
-            restitution=restitution.reshape(-1),
-            element_body=elements.body,
-            element_kind=elements.kind,
-            element_point=np.zeros((0, 2)),
-            element_limit=np.zeros(0),
-            element_ratio=np.zeros(0),
-            path_start=np.zeros(0, np.int64),
-            path=np.zeros((0, 4)),
-            force_limit=limits / force,
-            drive_dof=drive_dof.astype(np.int64),
-            plane=np.zeros((0, 3)),
-            map_frame=np.zeros((0, 4)),
-            map_factor=np.array(factors, np.float64).reshape(-1),
-            sides=0,
-        )
-
-    def _map(self) -> tuple[FloatArray, FloatArray]:
-        """Return factors of the friction map, (0, 0) without one, and scaled origin and cell."""
-        own = self.scene.plane.friction_map
-        if own is None:
-            return np.zeros((0, 0)), np.zeros(4)
-        return own.factor, np.concatenate((own.origin, own.cell)) / self.units.length
 
     def packed(self, variation: Variation, n: int, duration: ArrayLike) -> PackedBatch:
-        """Pack the arrays of `n` rollouts, with one duration [s] each or one for all."""
-        scene, units = self.scene, self.units
-        length = units.length
+        """Pack the arrays of `n` rollouts, with one duration [s] each or one for all.
+
+        Rollouts may share arrays with each other and with other batches: they are for reading.
+        """
+        scene, units, own = self.scene, self.units, self._arrays
+        model = own.model
         rows = _FamilyRows(n)
-        n_body, n_driven = len(scene.names), len(scene.pushers)
-        varied = vary(scene, self._elements, self._friction, variation)
+        varied = vary(scene, own.elements, own.friction, variation)
         elements, friction, ratio = varied.elements, varied.friction, varied.mass_ratio
-        point, limit, arm, drag = self._scaled(elements, n, rows, ratio is not None)
-        rows.place(families.PAIR, n_body * n_body, own=friction.ndim == 3)
+        point, limit, arm, drag = self._supports(elements, rows, ratio is not None)
+        rows.place(families.PAIR, len(own.friction) ** 2, own=friction.ndim == 3)
         radius, bound = self._radii(varied.growth, rows)
-        rows.place(families.PIECE_START, len(self._pieces.start))
-        rows.place(families.VERTEX, len(self._pieces.vertex))
-        rows.place(families.DRIVEN, n_driven)
-        rows.place(families.PATH_START, n_driven + 1)
+        rows.place(families.PIECE_START, len(model.piece_start))
+        rows.place(families.VERTEX, len(model.vertex))
+        rows.place(families.DRIVEN, len(scene.pushers))
+        rows.place(families.PATH_START, len(scene.pushers) + 1)
         path, path_start = self._paths(variation, varied, float(np.max(duration)), rows)
         pose = self._poses(varied.start, variation.fixels, rows)
-        factors, frame = self._map()
-        rows.place(families.MAP, factors.size)
-        model = self._model
-        copies = {name: n if own else 1 for name, own in rows.own.items()}
-        per_free, per_pair = copies[families.FREE], copies[families.PAIR]
-        per_piece, per_element = copies[families.PIECE], copies[families.ELEMENT]
-        plane = np.broadcast_to(varied.plane, (n, 3))
-        velocity = np.array([b.velocity for b in scene.bodies], np.float64).reshape(-1, 3)
-        velocity = velocity / (np.array([length, length, 1.0]) / units.time)
-        settings = np.tile(self._settings, (n, 1))
+        rows.place(families.MAP, own.factors.size)
+        settings = _repeated(self._settings, n)
         settings[:, at.DURATION] = np.asarray(duration) / units.time
+        free, pair = rows.copies(families.FREE), rows.copies(families.PAIR)
+        element = rows.copies(families.ELEMENT)
+        model = model._replace(
+            mass=_times(_tiled(model.mass, free), ratio),
+            inertia=_times(_tiled(model.inertia, free), ratio),
+            wrench=_tiled(model.wrench, free),
+            spring=_tiled(model.spring, free),
+            drag=drag if len(drag) == free * len(scene.bodies) else _tiled(drag, n),
+            piece_body=_tiled(model.piece_body, rows.copies(families.PIECE)),
+            piece_bound=bound,
+            piece_radius=radius,
+            friction=np.ascontiguousarray(friction, dtype=np.float64).reshape(-1),
+            restitution=_tiled(model.restitution, pair),
+            element_body=_tiled(elements.body, element),
+            element_kind=_tiled(elements.kind, element),
+            element_point=point,
+            element_limit=limit,
+            element_ratio=arm,
+            path_start=path_start,
+            path=path / np.array([units.time, units.length, units.length, 1.0]),
+            plane=_repeated(varied.plane, n) if varied.plane.ndim == 1 else varied.plane,
+            map_frame=_repeated(own.frame, n),
+        )
         batch = Batch(
             begin=rows.begin,
             count=rows.count,
-            model=model._replace(
-                mass=_times(np.tile(model.mass, per_free), ratio),
-                inertia=_times(np.tile(model.inertia, per_free), ratio),
-                wrench=np.tile(model.wrench, (per_free, 1)),
-                spring=np.tile(model.spring, (per_free, 1)),
-                drag=drag
-                if len(drag) == per_free * len(scene.bodies)
-                else np.tile(drag, (n, 1, 1)),
-                piece_body=np.tile(model.piece_body, per_piece),
-                piece_bound=bound,
-                piece_radius=radius,
-                friction=np.ascontiguousarray(friction, dtype=np.float64).reshape(-1),
-                restitution=np.tile(model.restitution, per_pair),
-                element_body=np.tile(elements.body, per_element),
-                element_kind=np.tile(elements.kind, per_element),
-                element_point=point,
-                element_limit=limit,
-                element_ratio=arm,
-                path_start=path_start,
-                path=np.ascontiguousarray(path / np.array([units.time, length, length, 1.0])),
-                plane=np.array(plane, order="C"),
-                map_frame=np.tile(frame, (n, 1)),
-            ),
-            map_shape=np.tile(np.array(factors.shape, np.int64), (n, 1)),
+            model=model,
+            map_shape=_repeated(np.array(own.factors.shape, np.int64), n),
             sides=np.full(n, scene.support_directions or 0, np.int64),
             pose=pose,
-            velocity=np.tile(velocity, (per_free, 1)),
+            velocity=_tiled(own.velocity, free),
             settings=settings,
         )
-        return PackedBatch(batch, units, self.com, varied.outline)
+        return PackedBatch(batch, units, own.com, varied.outline)
 
-    def _scaled(
-        self, elements: Elements, n: int, rows: _FamilyRows, heavier: bool
+    def _supports(
+        self, elements: Elements, rows: _FamilyRows, heavier: bool
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Scale points, limits and arms of the supports, and compute the drag of the bodies."""
-        units, n_free = self.units, len(self.scene.bodies)
-        n_element = len(elements.body)
-        limit = elements.load * elements.friction
-        point, arm = elements.point, elements.arm
-        own = limit.ndim == 2 or point.ndim == 3 or arm.ndim == 2
-        rows.place(families.ELEMENT, n_element, own=own)
-        if own:
-            limit = np.broadcast_to(limit, (n, n_element))
-            point = np.broadcast_to(point, (n, n_element, 2))
-            arm = np.broadcast_to(arm, (n, n_element))
+        """Return scaled points, limits and arms of the supports, and the drag of the bodies."""
+        n, n_element, n_free = rows.n, len(elements.body), len(self.scene.bodies)
+        own = elements.load.ndim + elements.friction.ndim + elements.arm.ndim > 3
+        own = own or elements.point.ndim == 3
         first_order = self.motion_kind == codes.FIRST_ORDER
+        rows.place(families.ELEMENT, n_element, own=own)
         rows.place(families.FREE, n_free, own=own and (first_order or heavier))
-        drag = np.zeros((n_free, 3, 3))
-        if first_order:
-            drag = _drag(elements._replace(arm=arm), n_free, limit, point, units.speed)
-        scale = np.array([1.0, 1.0, units.length])
-        drag = drag * (units.speed / units.force) / np.outer(scale, scale)
-        return (
-            np.ascontiguousarray(point.reshape(-1, 2) / units.length),
-            np.ascontiguousarray(limit.reshape(-1) / units.force),
-            np.ascontiguousarray(arm.reshape(-1) / units.length),
-            np.ascontiguousarray(drag.reshape(-1, 3, 3)),
-        )
+        if elements is self._arrays.elements:
+            model = self._arrays.model
+            return model.element_point, model.element_limit, model.element_ratio, model.drag
+        if own:
+            elements = elements._replace(
+                point=np.broadcast_to(elements.point, (n, n_element, 2)),
+                load=np.broadcast_to(elements.load, (n, n_element)),
+                arm=np.broadcast_to(elements.arm, (n, n_element)),
+            )
+        return _scaled_supports(elements, n_free, self.units, self.motion_kind)
 
     def _radii(self, grown: FloatArray | None, rows: _FamilyRows) -> tuple[FloatArray, FloatArray]:
         """Return scaled rounding radii and bounding circles of pieces, with enlarged pushers."""
-        radius, bound = self._model.piece_radius, self._model.piece_bound
+        radius, bound = self._arrays.model.piece_radius, self._arrays.model.piece_bound
         rows.place(families.PIECE, len(radius), own=grown is not None)
         if grown is None:
             return radius, bound
-        first = len(self.scene.bodies)
-        body = self._pieces.body
-        pusher = (body >= first) & (body < first + len(self.scene.pushers))
-        more = np.where(pusher, grown[:, None] / self.units.length, 0.0)
+        more = np.where(self._arrays.growing, grown[:, None] / self.units.length, 0.0)
         wide = np.repeat(bound[None], len(grown), axis=0)
         wide[:, :, 2] += more
         return np.ascontiguousarray((radius + more).reshape(-1)), wide.reshape(-1, 3)
@@ -528,22 +609,31 @@ class Template:
         self, start: FloatArray | None, fixels: FloatArray | None, rows: _FamilyRows
     ) -> FloatArray:
         """Return scaled poses of all bodies at time zero; of centres of mass for free bodies."""
-        scene, length = self.scene, self.units.length
-        n_free = len(scene.bodies)
         own = start is not None or fixels is not None
-        rows.place(families.BODY, len(scene.names), own=own)
-        pose = np.array([item.pose for item in _items(scene)])
-        if own:
-            pose = np.tile(pose, (len(rows.begin), 1, 1))
+        rows.place(families.BODY, len(self._arrays.pose), own=own)
+        if not own:
+            return self._arrays.pose
+        scene, com = self.scene, self._arrays.com
+        pose = np.tile(np.array([item.pose for item in _items(scene)]), (rows.n, 1, 1))
         if start is not None:
-            pose[:, :n_free] = start
+            pose[:, : len(com)] = start
         if fixels is not None:
             pose[:, len(pose[0]) - len(scene.fixels) :] += fixels
-        pose = pose.reshape(-1, len(scene.names), 3)
-        c, s = np.cos(pose[:, :n_free, 2]), np.sin(pose[:, :n_free, 2])
-        pose[:, :n_free, 0] += c * self.com[:, 0] - s * self.com[:, 1]
-        pose[:, :n_free, 1] += s * self.com[:, 0] + c * self.com[:, 1]
-        return np.ascontiguousarray(pose.reshape(-1, 3) / np.array([length, length, 1.0]))
+        return _scaled_poses(pose, com, self.units.length)
+
+
+def _tiled(rows: Rows, copies: int) -> Rows:
+    """Repeat rows; the rows themselves for one copy."""
+    if copies == 1:
+        return rows
+    return _repeated(rows, copies).reshape(copies * len(rows), *rows.shape[1:])  # type: ignore[return-value]
+
+
+def _repeated(row: Rows, n: int) -> Rows:
+    """Copy a row `n` times; much faster than `numpy.tile` for short rows."""
+    rows = np.empty((n, *row.shape), row.dtype)
+    rows[:] = row
+    return rows  # type: ignore[return-value]
 
 
 def _times(rows: FloatArray, ratio: FloatArray | None) -> FloatArray:
@@ -555,16 +645,26 @@ class _FamilyRows:
     """Rows of each family that a rollout owns, or shares with the others."""
 
     def __init__(self, n: int) -> None:
-        self.count = np.zeros((n, families.N_FAMILY), np.int64)
+        self.n = n
         self.begin = np.zeros((n, families.N_FAMILY), np.int64)
-        self.own = dict.fromkeys(range(families.N_FAMILY), False)
+        self._count = [0] * families.N_FAMILY
+        self._own: set[int] = set()
+
+    @property
+    def count(self) -> IntArray:
+        """Number of rows (n, N_FAMILY) of every rollout."""
+        return _repeated(np.array(self._count, np.int64), self.n)
+
+    def copies(self, family: int) -> int:
+        """Number of copies of a family's rows in the batch."""
+        return self.n if family in self._own else 1
 
     def place(self, family: int, rows: int, own: bool = False) -> None:
         """Assign `rows` rows of a family to every rollout, shared or its own."""
-        self.count[:, family] = rows
-        self.own[family] = own
+        self._count[family] = rows
         if own:
-            self.begin[:, family] = rows * np.arange(len(self.begin))
+            self._own.add(family)
+            self.begin[:, family] = rows * np.arange(self.n)
 
 
 def _settings(stepper: AbstractStepper, units: Units) -> FloatArray:

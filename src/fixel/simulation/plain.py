@@ -44,7 +44,9 @@ class _Loop:
         batch = packed.batch
         self.motion = motion
         self.solver = solver
-        self.model: Model = kernel.select_one(batch, 0)
+        # A copy: plug-ins get the model, and batches of one scene share arrays.
+        shared: Model = kernel.select_one(batch, 0)
+        self.model = Model._make([*map(np.array, shared[:-1]), shared.sides])
         self.pose = np.array(batch.pose[: batch.count[0, kernel.BODY]])
         self.problem: Problem
         self.work: Workspace

@@ -72,6 +72,9 @@ def vary(
 ) -> VariedScene:
     """Apply a variation to a scene, with its supports and the friction of its pairs."""
     values = variation.parameters
+    if not values:
+        plane = varied_plane(scene, values)
+        return VariedScene(variation.start, elements, None, friction, None, None, plane, None)
     start = varied_start(scene, variation.start, values)
     return VariedScene(
         start=start,
