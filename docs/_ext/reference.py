@@ -17,8 +17,8 @@ from fixel.model import KNOWN_PARAMETERS
 GROUPS = {
     "Scenes": "Scene Body Pusher Fixel Polygon Disk Tripod SupportPoints UniformPressure Ellipsoid"
     " NoSupport LineDrive PathDrive PairFriction Plane Pose Parameters load_scene",
-    "Simulation": "simulate simulate_batch Simulation BatchResult Trajectory Dynamic QuasiStatic"
-    " FirstOrder Adaptive StewartTrinkle Newton Lemke GaussSeidel",
+    "Simulation": "simulate simulate_batch Simulator Simulation BatchResult Trajectory Dynamic"
+    " QuasiStatic FirstOrder Adaptive StewartTrinkle Newton Lemke GaussSeidel",
     "Experiments": "read_experiments Experiment Experiments Project export report load",
     "Calibration": "calibrate calibrate_each calibrate_campaign known_parameters Parameter"
     " Calibration Calibrations Estimate Noise",

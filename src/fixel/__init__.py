@@ -79,6 +79,7 @@ if TYPE_CHECKING:
         simulate as simulate,
         simulate_batch as simulate_batch,
         Simulation as Simulation,
+        Simulator as Simulator,
         StewartTrinkle as StewartTrinkle,
     )
     from fixel.uncertainty.outcomes import Sensitivity as Sensitivity
@@ -141,7 +142,7 @@ _NAMES = {
     "fixel.planning.plan": "PushPlan",
     "fixel.planning.pushes": "FreePushes RigPushes",
     "fixel.simulation": "Adaptive BatchResult Dynamic FirstOrder GaussSeidel Lemke Newton"
-    " QuasiStatic simulate simulate_batch Simulation StewartTrinkle",
+    " QuasiStatic simulate simulate_batch Simulation Simulator StewartTrinkle",
     "fixel.uncertainty.outcomes": "Sensitivity",
     "fixel.uncertainty.posterior": "Posterior",
     "fixel.uncertainty.prediction": "Prediction",

@@ -15,11 +15,12 @@ from fixel.simulation import (
     Lemke,
     Midpoint,
     QuasiStatic,
+    Simulator,
     StewartTrinkle,
     simulate,
 )
 from fixel.simulation.simulate import sample_times
-from fixel.testing.scenes import grasp, sliding_block
+from fixel.testing.scenes import grasp, heap, micro_push, pushed_square, sliding_block
 
 
 def test_samples_at_the_end_of_every_step_by_default():
@@ -176,3 +177,92 @@ def test_a_measured_path_may_rest(force_limit, stepper):
     moved = replace(pusher, pose=None, drive=path)
     run = simulate(replace(scene, pushers=[moved]), stepper=stepper, duration=2.5)
     assert run.pushers[pusher.name].travel == pytest.approx(0.0135, abs=1e-9)
+
+
+# ---- simulator -----------------------------------------------------------------------------------
+
+
+def _timeless(run):
+    return replace(run, wall_time_s=0.0)
+
+
+@pytest.mark.parametrize(
+    ("scene", "parameters", "motion"),
+    [
+        (
+            grasp("slip"),
+            [None, {"mu_pusher": 0.2}, {"mu_support": 0.3, "tripod_radius": 0.03}],
+            None,
+        ),
+        (micro_push(3), [{"mu_support": 0.3}, None, {"start_x": 1e-5}], "quasistatic"),
+        (heap(4, duration=0.3), [None, None], None),
+        (sliding_block(), [None, {"mass": 0.2}, {"mu_support": 0.1}], "first-order"),
+    ],
+)
+def test_a_simulator_returns_the_bits_of_simulate(scene, parameters, motion):
+    simulator = Simulator(scene, motion=motion)
+    for values in (*parameters, *reversed(parameters)):
+        fresh = replace(scene)  # an equal scene, of which nothing is stored
+        expected = simulate(fresh, values, motion=motion, output_interval=scene.duration)
+        run = simulator.run(values, output_interval=scene.duration)
+        assert _timeless(run) == _timeless(expected)
+
+
+def test_a_simulator_changes_start_and_path_for_one_run():
+    scene = pushed_square()
+    simulator = Simulator(scene)
+    before = simulator.run()
+    path = [(0.0, -0.055, 0.01, 0.0), (0.5, -0.045, 0.01, 0.0), (1.0, -0.04, 0.02, 0.0)]
+    start = (0.001, -0.002, 0.05)
+    run = simulator.run({"mu_support": 0.3}, start=start, waypoints=path, duration=1.2)
+    changed = replace(
+        scene,
+        bodies=replace(scene.bodies[0], pose=start),
+        pushers=replace(scene.pushers[0], drive=PathDrive(path)),
+    )
+    assert run.scene == changed
+    assert _timeless(run) == _timeless(simulate(changed, {"mu_support": 0.3}, duration=1.2))
+    assert _timeless(simulator.run()) == _timeless(before)
+
+
+def test_a_simulator_of_a_template_takes_its_path_from_the_run():
+    whole = pushed_square()
+    pusher = whole.pushers[0]
+    simulator = Simulator(replace(whole, pushers=replace(pusher, drive=None)))
+    path = [(0.0, *pusher.pose), (2.0, -0.015, 0.02, 0.0)]
+    run = simulator.run(waypoints=path)
+    assert run.converged
+    with pytest.raises(InvalidInput, match="template"):
+        simulator.run()
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"start": [0.0, 0.0]}, r"start.*shape \(2,\).*\(1, 3\)"),
+        ({"start": np.zeros((2, 3))}, r"start.*shape \(2, 3\)"),
+        ({"start": (np.nan, 0.0, 0.0)}, r"'part'.*pose"),
+        ({"start": (-0.01, 0.0, 0.0)}, "overlap"),
+        ({"waypoints": np.zeros((3, 3))}, "waypoints"),
+        ({"waypoints": [(1, 0, 0, 0), (0, 1, 0, 0)]}, "times"),
+        ({"parameters": {"mu_pushr": 0.1}}, "mu_pusher"),
+        ({"duration": -1.0}, "duration"),
+        ({"output_interval": 0.0}, "output_interval"),
+    ],
+)
+def test_changes_that_do_not_suit_the_scene_are_refused(changes, match):
+    with pytest.raises(InvalidInput, match=match):
+        Simulator(pushed_square()).run(**changes)
+
+
+def test_a_path_needs_one_pusher_and_a_start_every_body():
+    simulator = Simulator(heap(4))
+    with pytest.raises(InvalidInput, match=r"start.*\(4, 3\)"):
+        simulator.run(start=(0, 0, 0))
+    with pytest.raises(InvalidInput, match="0 pushers"):
+        Simulator(sliding_block()).run(waypoints=[(0, 0, 0, 0)])
+
+
+def test_a_simulator_raises_where_asked_to_check():
+    with pytest.raises(SolveFailed, match="max_steps"):
+        Simulator(grasp(), stepper=Adaptive(max_steps=3)).run(check=True)

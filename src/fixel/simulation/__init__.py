@@ -3,7 +3,7 @@
 from fixel.simulation.batch import simulate_batch
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, FirstOrder, QuasiStatic
 from fixel.simulation.result import BatchResult, PusherTrace, Simulation
-from fixel.simulation.simulate import simulate
+from fixel.simulation.simulate import Simulator, simulate
 from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint, StewartTrinkle
 
@@ -22,6 +22,7 @@ __all__ = [
     "PusherTrace",
     "QuasiStatic",
     "Simulation",
+    "Simulator",
     "StewartTrinkle",
     "simulate",
     "simulate_batch",
