@@ -85,7 +85,7 @@ def test_every_batch_is_laid_out_alike():
     ensemble = Ensemble(_cases()[:2])
     values = _values(4) | {"anisotropy_xy": np.full(4, 0.1), "start_x": np.zeros(4)}
     for given in ({}, values):
-        _, packed = ensemble._packed(np.array([0, 1, 0, 1]), given, np.ones(4, bool))
+        _, packed = ensemble._packed(np.arange(4), np.array([0, 1, 0, 1]), given, None)
         for part in packed:
             for array in (*part.batch, *part.batch.model):
                 if isinstance(array, np.ndarray):
@@ -120,7 +120,7 @@ def test_cases_of_one_template_meet_the_table_at_their_own_angles():
         )
         assert (alone.pose[0] == outcome.pose[r]).all()
     assert np.abs(outcome.pose[0, -1] - outcome.pose[2, -1]).max() > 1e-4
-    _, packed = ensemble._packed(which, values, np.ones(3, bool))
+    _, packed = ensemble._packed(np.arange(3), which, values, None)
     assert all(
         a.flags.writeable and a.flags.c_contiguous
         for a in (*packed[0].batch, *packed[0].batch.model)
@@ -224,6 +224,40 @@ def test_many_rollouts_run_in_several_passes(monkeypatch):
     assert (whole.pose == parts.pose).all()
     assert (whole.status == parts.status).all()
     assert whole.reasons == parts.reasons
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_poses_passed_on_are_those_of_simulations(monkeypatch, threads):
+    jammed = replace(grasp(force_limit=None), duration=12.0)
+    cases = [*_cases(), RolloutCase(jammed, np.array([1.0, 5.0, 12.0]))]
+    which = np.array([4, *np.arange(4).repeat(10), 1])
+    values = _values(len(which))
+    values["mu_pusher"][-1] = -0.1
+    ensemble = Ensemble(cases, threads=threads)
+    whole = ensemble.simulate(which, values)
+    monkeypatch.setattr("fixel.simulation.ensemble.MAX_BARE_POSES", 200)
+    found = np.full(whole.pose.shape, np.nan)
+
+    def use(rollouts, pose):
+        assert np.isnan(found[rollouts]).all()
+        found[rollouts] = pose
+
+    converged, reasons = ensemble.simulate_into(use, which, values)
+
+    assert reasons == whole.reasons
+    assert reasons[0].startswith("jammed")
+    assert (converged == whole.converged).all()
+    assert (found[:-1] == whole.pose[:-1]).all()
+    assert np.isnan(found[-1]).all()  # infeasible
+
+
+def test_an_error_in_the_use_of_poses_is_raised():
+    def use(rollouts, pose):
+        raise ValueError("no use")
+
+    for threads in (1, 2):
+        with pytest.raises(ValueError, match="no use"):
+            Ensemble(_cases(), threads=threads).simulate_into(use, np.arange(4), _values(4))
 
 
 @pytest.mark.parametrize(

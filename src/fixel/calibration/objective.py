@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Final, NamedTuple, final
 
@@ -22,9 +22,6 @@ from fixel.simulation.stepper import AbstractStepper
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 ANGLE_SCALE: Final = 35e-3  # [m/rad] length by which the thesis weights angles
-
-# Maximum number of rollouts whose poses are in memory at a time.
-MAX_ROLLOUTS: Final = 4096
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,17 +182,17 @@ class Comparer:
             Index of the target of each rollout.
         points : (n, n_free) float64
         """
-        error, reasons = np.full(len(which), math.inf), []
-        for k in range(0, len(which), MAX_ROLLOUTS):
-            rows = slice(k, k + MAX_ROLLOUTS)
-            difference, good, why = self.differences(which[rows], points[rows])
-            length = self._length[which[rows]]
+        error = np.full(len(which), math.inf)
+
+        def compare(rollouts: IntArray, difference: FloatArray) -> None:
+            length = self._length[which[rollouts]]
             # Grouped by length, not padded: rounding of sums depends on the number of terms.
             for n in np.unique(length):
                 own = length == n
-                error[rows][own] = self.error.of(difference[own, :n])
-            error[rows][~good] = math.inf
-            reasons += why
+                error[rollouts[own]] = self.error.of(difference[own, :n])
+
+        good, reasons = self._compared(compare, which, points)
+        error[~good] = math.inf
         return Evaluation(error, reasons)
 
     def residuals_at(
@@ -230,20 +227,37 @@ class Comparer:
     ) -> tuple[FloatArray, BoolArray, list[str]]:
         """Simulate rollouts: return differences (n, n_sample, 3) from the measured poses, zero
         after the last one, which simulations converged, and reasons of failures."""
-        n, n_sample = len(which), self.ensemble.n_sample
-        pose = np.zeros((n, n_sample, 3))
-        good = np.zeros(n, bool)
-        reasons = [""] * n
+        found = np.zeros((len(which), self.ensemble.n_sample, 3))
+
+        def store(rollouts: IntArray, difference: FloatArray) -> None:
+            found[rollouts] = difference
+
+        good, reasons = self._compared(store, which, points)
+        return found, good, reasons
+
+    def _compared(
+        self,
+        use: Callable[[IntArray, FloatArray], None],
+        which: IntArray,
+        points: FloatArray,
+    ) -> tuple[BoolArray, list[str]]:
+        """Simulate rollouts and pass their differences (k, n_sample, 3) from the measured poses to
+        a function, as `Ensemble.simulate_into` does; they are zero after the last measured pose."""
+        good, reasons = np.zeros(len(which), bool), [""] * len(which)
+        sample = np.arange(self.ensemble.n_sample)
         for own, values in self._columns.groups(which, points):
-            outcome = self.ensemble.simulate(which[own], values)
-            pose[own] = outcome.pose
-            good[own] = outcome.converged
-            for k, reason in zip(own, outcome.reasons, strict=True):
+
+            def compare(rollouts: IntArray, pose: FloatArray, own: IntArray = own) -> None:
+                mine = own[rollouts]
+                difference = pose - self._measured[which[mine]]
+                difference[:, :, 2] = wrapped(difference[:, :, 2])
+                difference[sample >= self._length[which[mine]][:, None]] = 0.0
+                use(mine, difference)
+
+            good[own], why = self.ensemble.simulate_into(compare, which[own], values)
+            for k, reason in zip(own.tolist(), why, strict=True):
                 reasons[k] = reason
-        difference = pose - self._measured[which]
-        difference[:, :, 2] = wrapped(difference[:, :, 2])
-        difference[np.arange(n_sample) >= self._length[which][:, None]] = 0.0
-        return difference, good, reasons
+        return good, reasons
 
 
 class _Columns:

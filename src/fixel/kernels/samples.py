@@ -47,9 +47,11 @@ def write_samples(
     """Write the samples of the last `moved` of time, linear between both states.
 
     `span` is the time over which the impulses of the step acted. With `every_step`, there is one
-    sample at the end, while the record has room; else one for each time of the record.
+    sample at the end, while the record has room; else one for each time of the record. A record
+    without room for velocities has the poses of the free bodies only.
     """
     n_free = model.mass.size
+    only_poses = record.twist.shape[0] == 0
     to_time = control[at.TIME]
     from_time = to_time - moved
     while record.count[SAMPLES] < record.pose.shape[0]:
@@ -66,15 +68,17 @@ def write_samples(
             for k in range(3):
                 old = before.pose[b, k]
                 record.pose[sample, b, k] = old + share * (state.pose[b, k] - old)
-                record.twist[sample, b, k] = state.velocity[3 * b + k]
-        for d in range(model.force_limit.size):
-            _sample_driven(
-                model, before, state, from_time, to_time, span, problem, record, d, share
-            )
-        if record.total[at.LAST_CONTACTS] > 0.0:
-            record.count[CONTACT_ROWS] = 0
-        if to_time > from_time:
-            _sample_contacts(before.velocity, problem, record, to_time - from_time, span)
+                if not only_poses:
+                    record.twist[sample, b, k] = state.velocity[3 * b + k]
+        if not only_poses:
+            for d in range(model.force_limit.size):
+                _sample_driven(
+                    model, before, state, from_time, to_time, span, problem, record, d, share
+                )
+            if record.total[at.LAST_CONTACTS] > 0.0:
+                record.count[CONTACT_ROWS] = 0
+            if to_time > from_time:
+                _sample_contacts(before.velocity, problem, record, to_time - from_time, span)
         record.count[SAMPLES] += 1
         if every_step:
             break

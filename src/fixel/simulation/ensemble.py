@@ -7,7 +7,7 @@ that differ only in start poses and in the pusher's path share one template.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any, NamedTuple, final
 
@@ -36,6 +36,8 @@ from fixel.typing import FloatArray, IntArray
 
 # Largest number of poses recorded in one pass by all rollouts; more need several passes.
 MAX_POSES = 300_000
+# The same if poses are recorded without velocities and forces.
+MAX_BARE_POSES = 5 * MAX_POSES
 
 
 class RolloutCase(NamedTuple):
@@ -65,6 +67,9 @@ class EnsembleOutcome(NamedTuple):
 
 
 INFEASIBLE = -1
+
+# Receives numbers (k,) of rollouts of one template, which are packed like this, and their record.
+_Use = Callable[[IntArray, PackedBatch, BatchRecord], None]
 
 
 @final
@@ -180,25 +185,53 @@ class Ensemble:
         """
         if fixels is not None:
             fixels = self._checked_fixels(fixels, len(which))
-        per_pass = max(1, MAX_POSES // self.n_sample)
-        parts = [
-            self._pass(
-                which[k : k + per_pass],
-                {m: v[k : k + per_pass] for m, v in values.items()},
-                None if fixels is None else fixels[k : k + per_pass],
-            )
-            for k in range(0, len(which), per_pass)
-        ]
-        if len(parts) == 1:
-            return parts[0]
-        return EnsembleOutcome(
-            np.concatenate([p.status for p in parts]),
-            np.concatenate([p.pose for p in parts]),
-            np.concatenate([p.stopped_at for p in parts]),
-            np.concatenate([p.force for p in parts]),
-            np.concatenate([p.stalled for p in parts]),
-            [reason for p in parts for reason in p.reasons],
-        )
+        n = len(which)
+        pose = np.repeat(self._start[which][:, None], self.n_sample, axis=1)
+        force, stalled = np.zeros(n), np.zeros(n, bool)
+
+        def store(own: IntArray, packed: PackedBatch, record: BatchRecord) -> None:
+            pose[own] = _track(packed, record)
+            drive = record.drive.max(axis=2, initial=0.0)  # zeros after an early stop
+            force[own] = drive[:, :, 0].max(axis=1) * packed.units.force
+            last = np.maximum(record.count[:, SAMPLES] - 1, 0)
+            stalled[own] = drive[np.arange(len(own)), last, 1] > 0.0
+
+        status, reached, reasons = self._run(which, values, store, fixels)
+        return EnsembleOutcome(status, pose, reached, force, stalled, reasons)
+
+    def simulate_into(
+        self,
+        use: Callable[[IntArray, FloatArray], None],
+        which: IntArray,
+        values: Mapping[str, FloatArray],
+    ) -> tuple[NDArray[np.bool_], list[str]]:
+        """Simulate cases under parameters, and pass their poses to a function at once.
+
+        This is faster than `simulate` for functions that reduce poses to a few numbers: all threads
+        share their work too, and neither forces nor all poses are stored.
+
+        Parameters
+        ----------
+        use : callable
+            Called as `use(rollouts, pose)` from several threads, each time with the numbers (k,) of
+            other rollouts and their poses (k, n_sample, 3); not called for infeasible ones.
+        which : (n,) int
+            Index of the case of each rollout.
+        values : mapping of name to (n,) float64
+            Parameters of each rollout.
+
+        Returns
+        -------
+        converged : (n,) bool
+        reasons : list of str
+            Why there is no simulation, or it ended early; empty for others.
+        """
+
+        def pass_on(own: IntArray, packed: PackedBatch, record: BatchRecord) -> None:
+            use(own, _track(packed, record))
+
+        status, _, reasons = self._run(which, values, pass_on, bare=True)
+        return np.equal(status, codes.CONVERGED), reasons
 
     def _checked_fixels(self, fixels: FloatArray, n: int) -> FloatArray:
         least = max(len(case.scene.fixels) for case in self.cases)
@@ -212,32 +245,61 @@ class Ensemble:
             )
         return found
 
-    def _pass(
-        self, which: IntArray, values: Mapping[str, FloatArray], fixels: FloatArray | None
-    ) -> EnsembleOutcome:
+    def _run(
+        self,
+        which: IntArray,
+        values: Mapping[str, FloatArray],
+        use: _Use,
+        fixels: FloatArray | None = None,
+        bare: bool = False,
+    ) -> tuple[IntArray, FloatArray, list[str]]:
+        """Simulate in passes; return statuses (n,), times reached (n,) [s], and reasons."""
         reasons = self.refused(which, values)
-        ready = np.array([not reason for reason in reasons], bool)
-        rows, packed = self._packed(which, values, ready, fixels)
-        n = len(which)
-        status = np.full(n, INFEASIBLE, np.int64)
-        pose = np.repeat(self._start[which][:, None], self.n_sample, axis=1)
-        reached, force, stalled = np.zeros(n), np.zeros(n), np.zeros(n, bool)
-        if packed:
-            record = self._rolled(which, rows, packed)
-            at = 0
-            for part, own in zip(packed, rows, strict=True):
-                part_record = BatchRecord._make(a[at : at + len(own)] for a in record)
-                at += len(own)
-                status[own] = part_record.status
-                pose[own] = _track(part, part_record)
-                reached[own] = part_record.total[:, REACHED] * part.units.time
-                drive = part_record.drive.max(axis=2, initial=0.0)  # zeros after an early stop
-                force[own] = drive[:, :, 0].max(axis=1) * part.units.force
-                last = np.maximum(part_record.count[:, SAMPLES] - 1, 0)
-                stalled[own] = drive[np.arange(len(own)), last, 1] > 0.0
-        for k in np.flatnonzero(ready & (status != codes.CONVERGED)):
+        ready = np.flatnonzero([not reason for reason in reasons])
+        status, reached = np.full(len(which), INFEASIBLE, np.int64), np.zeros(len(which))
+
+        def end(own: IntArray, packed: PackedBatch, record: BatchRecord) -> None:
+            status[own] = record.status
+            reached[own] = record.total[:, REACHED] * packed.units.time
+            use(own, packed, record)
+
+        per_pass = max(1, (MAX_BARE_POSES if bare else MAX_POSES) // self.n_sample)
+        for k in range(0, len(ready), per_pass):
+            self._pass(ready[k : k + per_pass], which, values, fixels, end, bare)
+        for k in ready[status[ready] != codes.CONVERGED].tolist():
             reasons[k] = f"{codes.STATUS_NAMES[int(status[k])]} at {reached[k]:.4g} s"
-        return EnsembleOutcome(status, pose, reached, force, stalled, reasons)
+        return status, reached, reasons
+
+    def _pass(
+        self,
+        ready: IntArray,
+        which: IntArray,
+        values: Mapping[str, FloatArray],
+        fixels: FloatArray | None,
+        use: _Use,
+        bare: bool,
+    ) -> None:
+        """Simulate rollouts `ready` (k,); all threads share the calls of `use`."""
+        rows, packed = self._packed(ready, which, values, fixels)
+        batch = stack(packed)
+        ends = np.cumsum([len(own) for own in rows]).tolist()
+        record = empty_record(packed[0]._replace(batch=batch), self.n_sample, 0, bare=bare)
+        for part, own, last in zip(packed, rows, ends, strict=True):
+            record.time[last - len(own) : last] = self._times[which[own]] / part.units.time
+
+        def share(first: int, last: int) -> None:
+            for part, own, end in zip(packed, rows, ends, strict=True):
+                begin = end - len(own)
+                a, b = max(first, begin), min(last, end)
+                if a < b:
+                    outline = None if part.outline is None else part.outline[a - begin : b - begin]
+                    use(
+                        own[a - begin : b - begin],
+                        part._replace(outline=outline),
+                        BatchRecord._make(array[a:b] for array in record),
+                    )
+
+        rollout_in_threads(batch, self._method, record, self._threads, then=share)
 
     def refused(self, which: IntArray, values: Mapping[str, FloatArray]) -> list[str]:
         """Reasons why rollouts of cases `which` (n,) are infeasible; empty for feasible ones."""
@@ -254,16 +316,16 @@ class Ensemble:
 
     def _packed(
         self,
+        ready: IntArray,
         which: IntArray,
         values: Mapping[str, FloatArray],
-        ready: NDArray[np.bool_],
-        fixels: FloatArray | None = None,
+        fixels: FloatArray | None,
     ) -> tuple[list[IntArray], list[PackedBatch]]:
         """Pack a batch for each template; return also the rollouts in each."""
-        group = self._group[which]
+        group = self._group[which[ready]]
         rows, packed = [], []
-        for g in np.unique(group[ready]):
-            own = np.flatnonzero(ready & (group == g))
+        for g in np.unique(group):
+            own = ready[group == g]
             cases = which[own]
             paths, n_fixel = self._paths[g], len(self._templates[g].scene.fixels)
             variation = Variation(
@@ -276,18 +338,6 @@ class Ensemble:
             rows.append(own)
             packed.append(self._templates[g].packed(variation, len(own), self._duration[cases]))
         return rows, packed
-
-    def _rolled(
-        self, which: IntArray, rows: list[IntArray], packed: list[PackedBatch]
-    ) -> BatchRecord:
-        batch = stack(packed)
-        record = empty_record(packed[0]._replace(batch=batch), self.n_sample, 0)
-        at = 0
-        for part, own in zip(packed, rows, strict=True):
-            record.time[at : at + len(own)] = self._times[which[own]] / part.units.time
-            at += len(own)
-        rollout_in_threads(batch, self._method, record, self._threads)
-        return record
 
     def _template(self, key: Any, keys: list[Any]) -> Template:
         scene = self.cases[keys.index(key)].scene

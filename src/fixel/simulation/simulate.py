@@ -365,12 +365,17 @@ def is_compiled(part: AbstractMotionModel | AbstractStepper | AbstractSolver) ->
 
 
 def empty_record(
-    packed: PackedBatch, n_sample: int, n_row: int, times: FloatArray | None = None
+    packed: PackedBatch,
+    n_sample: int,
+    n_row: int,
+    times: FloatArray | None = None,
+    bare: bool = False,
 ) -> BatchRecord:
-    """Allocate `n_sample` samples for every rollout, at `times` [s] where given."""
+    """Allocate `n_sample` samples for every rollout, at `times` [s] where given; if `bare`, only
+    for poses of the free bodies."""
     count = packed.batch.count
     n = len(count)
-    n_driven = int(count[:, kernel.DRIVEN].max(initial=0))
+    n_driven = 0 if bare else int(count[:, kernel.DRIVEN].max(initial=0))
     n_moving = int(count[:, kernel.FREE].max(initial=0)) + n_driven
     time = np.zeros((n, n_sample))
     if times is not None:
@@ -378,7 +383,7 @@ def empty_record(
     return BatchRecord(
         time=time,
         pose=np.zeros((n, n_sample, n_moving, 3)),
-        twist=np.zeros((n, n_sample, n_moving, 3)),
+        twist=np.zeros((n, 0 if bare else n_sample, n_moving, 3)),
         drive=np.zeros((n, n_sample, n_driven, 2)),
         contact=np.zeros((n, n_row, 11)),
         count=np.zeros((n, 4), np.int64),

@@ -17,6 +17,7 @@ from fixel.kernels import batch as kernel
 from fixel.kernels import codes
 from fixel.kernels.arrays import SAMPLES, STOP, Batch, BatchRecord, StepMethod
 
+MAX_RANGE: Final = 64  # rollouts of one call
 WAIT_S: Final = 0.1  # between two looks for Ctrl-C, which interrupts no wait on Windows
 
 
@@ -26,8 +27,20 @@ def rollout_in_threads(
     record: BatchRecord,
     threads: int | None,
     every_step: bool = False,
+    then: Callable[[int, int], None] | None = None,
 ) -> None:
     """Distribute the rollouts among threads, in ranges small enough to balance the load.
+
+    Parameters
+    ----------
+    batch, method, record
+    threads : int, optional
+        Number of threads; all cores by default.
+    every_step : bool
+        See `fixel.kernels.rollout.rollout`.
+    then : callable, optional
+        Called as `then(first, last)` in the thread that has simulated rollouts `first` to
+        ``last - 1``, so that several threads also share the work on the results.
 
     Raises
     ------
@@ -39,11 +52,14 @@ def rollout_in_threads(
     if n_threads < 1:
         raise InvalidInput("threads", found=threads, expected="at least 1")
     roll = partial(kernel.rollout_batch, batch, method, record, every_step)
+    size = max(1, min(MAX_RANGE, n // (4 * n_threads)))
     try:
         if n_threads == 1 or n < 2:
             _run(partial(roll, 0, n), record)
+            for k in range(0, n if then else 0, MAX_RANGE):
+                then(k, min(n, k + MAX_RANGE))  # type: ignore[misc]
         else:
-            _share(roll, record, n, n_threads)
+            _share(roll, then, record, size, n_threads)
     except KeyboardInterrupt:
         record.status[(record.status == codes.CONVERGED) & (record.count[:, SAMPLES] == 0)] = (
             codes.INTERRUPTED
@@ -56,10 +72,21 @@ def _cores() -> int:
     return count or 1
 
 
-def _share(roll: Callable[[int, int], None], record: BatchRecord, n: int, n_threads: int) -> None:
-    size = max(1, min(64, n // (4 * n_threads)))
+def _share(
+    roll: Callable[[int, int], None],
+    then: Callable[[int, int], None] | None,
+    record: BatchRecord,
+    size: int,
+    n_threads: int,
+) -> None:
+    def range_from(first: int) -> None:
+        last = min(len(record.status), first + size)
+        roll(first, last)
+        if then and not record.total[first, STOP]:
+            then(first, last)
+
     with ThreadPoolExecutor(n_threads) as pool:
-        futures = {pool.submit(roll, k, min(n, k + size)) for k in range(0, n, size)}
+        futures = {pool.submit(range_from, k) for k in range(0, len(record.status), size)}
         try:
             while futures:
                 done, futures = wait(futures, WAIT_S)

@@ -19,7 +19,7 @@ from typing import Final, final
 import numpy as np
 
 from fixel.calibration.noise import MIN_SCATTER, Noise
-from fixel.calibration.objective import MAX_ROLLOUTS, Comparer
+from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput
 from fixel.model.trajectory import wrapped
 from fixel.typing import FloatArray
@@ -34,6 +34,9 @@ from fixel.uncertainty.prior import ParameterPrior
 
 # Log likelihood of a failed simulation: finite, but practically impossible for dynesty.
 FLOOR: Final = -1e300
+
+# Maximum number of rollouts whose differences are in memory at a time.
+MAX_ROLLOUTS: Final = 4096
 
 # Maximum number of frames per experiment; of more, every second, third, ... from the last is used.
 MAX_FRAMES: Final = 400
