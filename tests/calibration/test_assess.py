@@ -5,10 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixel.calibration.assess import Frames, assess, noise_from_repeated
+from fixel.calibration.assess import (
+    AssessmentRequest,
+    Frames,
+    assess,
+    assessment_steps,
+    noise_from_repeated,
+    run_assessments,
+)
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.target import target_of
+from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic, QuasiStatic
@@ -74,6 +82,33 @@ def test_a_perfect_fit_has_verdicts_too():
     verdicts = {verdict.label: verdict for verdict in found.estimates}
     assert verdicts["mu_pusher"].verdict == "identified"
     assert verdicts["mu_pusher"].value == pytest.approx(TRUTH["mu_pusher"], rel=1e-6)
+
+
+def test_assessments_side_by_side_are_those_alone():
+    numbers = [2, 0, 40]
+    targets = [target_of(_experiment(number)) for number in numbers]
+    unknowns = [u for u in _space().unknowns if u.name in ("mu_pusher", "mu_fixel")]
+    comparer = Comparer(targets, ParameterSpace(unknowns=unknowns), motion=QuasiStatic())
+    alone = [assess(comparer, [m], comparer.space.nominal, noise=CAMERA) for m in range(3)]
+
+    def steps(m):
+        return assessment_steps(comparer, [m], comparer.space.nominal, noise=CAMERA)
+
+    def refused():
+        yield AssessmentRequest("frames", comparer.space.nominal[None])
+        raise InvalidInput("of one of them", found="nothing", expected="an answer")
+
+    running = [steps(0), steps(1), refused(), steps(2)]
+    *found, reason, last = run_assessments(comparer, [[0], [1], [1], [2]], running)
+
+    assert isinstance(reason, InvalidInput)
+    for one, own in zip([*found, last], alone, strict=True):
+        assert one.estimates == own.estimates
+        assert one.noise == own.noise
+        assert one.profiles.evaluations == own.profiles.evaluations
+        for a, b in zip(one.profiles.profiles, own.profiles.profiles, strict=True):
+            assert (a.deviances == b.deviances).all()
+            assert (a.points == b.points).all()
 
 
 def test_nor_is_the_mass():

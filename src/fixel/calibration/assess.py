@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
@@ -25,6 +27,7 @@ from fixel.calibration.profile import ProfileLikelihood, Profiles
 from fixel.calibration.study import box_of, run_study
 from fixel.calibration.target import repetitions
 from fixel.calibration.verdict import judge
+from fixel.errors import InvalidInput
 from fixel.model import Fixel, Parameters, Pusher
 from fixel.model.parameters import info_of
 from fixel.model.records import Estimate
@@ -94,6 +97,52 @@ def run_assessment(comparer: Comparer, members: Sequence[int], running: Assessme
     """Answer all questions of a running assessment in this process; its result."""
     own = np.asarray(members, np.int64)
     return run_study(running, lambda ask: answer(comparer, own, ask.kind, ask.points))
+
+
+def run_assessments(
+    comparer: Comparer, members: Sequence[Sequence[int]], running: Sequence[AssessmentSteps[T]]
+) -> list[T | InvalidInput]:
+    """Run independent assessments side by side in this process, so that batches are large.
+
+    Parameters
+    ----------
+    comparer : Comparer
+    members : sequence of sequences of int
+        Numbers of the experiments of each.
+    running : sequence of AssessmentSteps
+
+    Returns
+    -------
+    list
+        Result of each, the same as alone, or the reason why it has none.
+    """
+    asks: dict[int, AssessmentRequest] = {}
+    found: dict[int, T | InvalidInput] = {}
+    together: dict[int, FloatArray] = {}  # answers from one batch
+
+    def advance(k: int, tell: Callable[[], FloatArray] | None) -> None:
+        try:
+            asks[k] = running[k].send(tell()) if tell else next(running[k])
+        except (StopIteration, InvalidInput) as end:
+            found[k] = end.value if isinstance(end, StopIteration) else end
+            asks.pop(k, None)
+
+    def told(k: int) -> FloatArray:
+        own = np.asarray(members[k], np.int64)
+        return together[k] if k in together else answer(comparer, own, asks[k].kind, asks[k].points)
+
+    for k in range(len(running)):
+        advance(k, None)
+    while asks:
+        which = [k for k, ask in asks.items() if ask.kind == "frames"]
+        frames = [Frames(comparer, distinct(comparer, members[k])) for k in which]
+        together = {}
+        with suppress(InvalidInput):  # of one of them, which `told` finds
+            tables = frames_together(frames, [asks[k].points for k in which])
+            together = dict(zip(which, tables, strict=True))
+        for k in list(asks):
+            advance(k, partial(told, k))
+    return [found[k] for k in range(len(running))]
 
 
 def assessment_steps(
@@ -352,7 +401,7 @@ class Frames:
     """
 
     def __init__(self, comparer: Comparer, members: IntArray) -> None:
-        self._comparer = comparer
+        self.comparer = comparer
         self._members = members
         length = comparer.length(members)
         frames = np.arange(comparer.ensemble.n_sample)
@@ -375,7 +424,7 @@ class Frames:
     @property
     def space(self) -> ParameterSpace:
         """Space of the parameters that are fitted."""
-        return self._comparer.space
+        return self.comparer.space
 
     def misfit(self, at_best: FloatArray, noise: Noise, scatter: Noise | None) -> Misfit | None:
         """Compare residuals (m,) at the best with the measurements' scatter; None without either.
@@ -392,7 +441,7 @@ class Frames:
             return None
         table = at_best.reshape(-1, 3) * noise.standard_deviations
         parts = np.split(table, np.cumsum(self._seen.sum(axis=1))[:-1])
-        keys = [self._comparer.targets[m].key for m in self._members.tolist()]
+        keys = [self.comparer.targets[m].key for m in self._members.tolist()]
         return misfit_of(parts, keys, scatter)
 
     @property
@@ -421,12 +470,32 @@ class Frames:
     def differences(self, points: FloatArray) -> FloatArray:
         """Points (k, n) -> (k, m) differences of poses, frame by frame [m, m, rad]; a failed row is
         inf."""
-        k, n = len(points), len(self._members)
-        which = np.tile(self._members, k)
-        difference, good, _ = self._comparer.differences(which, np.repeat(points, n, axis=0))
+        return frames_together([self], [points])[0]
+
+    def rollouts(self, points: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return experiments (r,) and points (r, n) of the simulations at points (k, n)."""
+        n = len(self._members)
+        return np.tile(self._members, len(points)), np.repeat(points, n, axis=0)
+
+    def table(self, difference: FloatArray, good: BoolArray) -> FloatArray:
+        """Return the rows (k, m) of `differences` from those of its rollouts (r, n_sample, 3)."""
+        n = len(self._members)
+        k = len(good) // n
         table = difference.reshape(k, n, -1, 3)[:, self._seen].reshape(k, -1)
         table[~good.reshape(k, n).all(axis=1)] = math.inf
         return table
+
+
+def frames_together(frames: Sequence[Frames], points: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return the differences of several sets of frames of one comparer, each at its own points."""
+    if not frames:
+        return []
+    asked = [one.rollouts(own) for one, own in zip(frames, points, strict=True)]
+    which, at = map(np.concatenate, zip(*asked, strict=True))
+    difference, good, _ = frames[0].comparer.differences(which, at)
+    ends = np.cumsum([len(own) for own, _ in asked])[:-1]
+    parts = zip(frames, np.split(difference, ends), np.split(good, ends), strict=True)
+    return [one.table(own, fine) for one, own, fine in parts]
 
 
 def noise_from_repeated(comparer: Comparer, members: IntArray) -> Noise | None:

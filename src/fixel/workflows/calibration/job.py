@@ -23,7 +23,7 @@ from fixel.calibration.assess import (
     Frames,
     answer,
     assessment_steps,
-    run_assessment,
+    run_assessments,
 )
 from fixel.calibration.cost import NormalPrior
 from fixel.calibration.noise import Noise
@@ -71,8 +71,11 @@ T = TypeVar("T")
 
 REQUEST: Final = "request.json"
 
-# Experiments calibrated alone in one chunk, in step: enough for full batches, and seconds of work.
+# Experiments calibrated alone in one chunk, in step: seconds of work. Of many experiments more, for
+# larger batches, as long as there are chunks for many workers.
 MEMBERS_A_CHUNK: Final = 4
+MAX_MEMBERS_A_CHUNK: Final = 16
+CHUNKS_FOR_WORKERS: Final = 32
 TIME: Final = "cpu_s"  # name of the computing time among the arrays of an answer [s]
 # Share of a budget that the search may take where verdicts are wanted.
 SEARCH_SHARE: Final = 0.5
@@ -279,9 +282,10 @@ def evaluate(request: CalibrationRequest, comparer: Comparer, payload: bytes) ->
 
 
 def _alone(request: CalibrationRequest, comparer: Comparer, n: int) -> Rounds[list[ParameterSet]]:
+    size = max(MEMBERS_A_CHUNK, min(MAX_MEMBERS_A_CHUNK, n // CHUNKS_FOR_WORKERS))
     chunks = [
-        Chunk(f"alone/{at}", bytes_of(members=np.arange(at, min(n, at + MEMBERS_A_CHUNK))))
-        for at in range(0, n, MEMBERS_A_CHUNK)
+        Chunk(f"alone/{at}", bytes_of(members=np.arange(at, min(n, at + size))))
+        for at in range(0, n, size)
     ]
     left = 0 if request.mode == "each" else None
     answers = yield Round("calibration:calibrate_alone", chunks, note="each experiment", left=left)
@@ -308,7 +312,7 @@ def _nothing(comparer: Comparer, member: int, reason: str) -> ParameterSet:
 
 @_chunk
 def calibrate_alone(request: CalibrationRequest, comparer: Comparer, payload: bytes) -> bytes:
-    """Chunk: the calibration of a few experiments, each by itself."""
+    """Chunk: the calibration of some experiments, each by itself; all advance together."""
     members = arrays_of(payload)["members"].tolist()
     begun = time.perf_counter()
     traces = run_study(
@@ -322,11 +326,8 @@ def calibrate_alone(request: CalibrationRequest, comparer: Comparer, payload: by
         ),
         evaluate_here(comparer),
     )
-    shared = (time.perf_counter() - begun) / len(members)
-    found = []
-    for member, trace in zip(members, traces, strict=True):
-        begun = time.perf_counter()
-        one = ParameterSet(
+    found = [
+        ParameterSet(
             solutions=_distinct_solutions(comparer, trace),
             how=FitKind.ALONE,
             members=(member,),
@@ -337,11 +338,12 @@ def calibrate_alone(request: CalibrationRequest, comparer: Comparer, payload: by
             if math.isinf(trace.error)
             else "",
         )
-        if request.verdicts:
-            one = _with_estimates(request, comparer, one)
-        seconds = shared + time.perf_counter() - begun
-        found.append(dataclasses.replace(one, seconds=seconds))
-    return bytes_of(**found_arrays(found))
+        for member, trace in zip(members, traces, strict=True)
+    ]
+    if request.verdicts:
+        found = _with_estimates(request, comparer, found)
+    seconds = (time.perf_counter() - begun) / len(members)
+    return bytes_of(**found_arrays([dataclasses.replace(one, seconds=seconds) for one in found]))
 
 
 # Errors up to so much larger than the least are nearly as good: noise in the measurements moves the
@@ -621,16 +623,19 @@ def _assessing(
 
 
 def _with_estimates(
-    request: CalibrationRequest, comparer: Comparer, one: ParameterSet
-) -> ParameterSet:
-    """The same within one chunk, for an experiment by itself."""
-    if not np.isfinite(one.errors).all():
-        return one
-    try:
-        found = run_assessment(comparer, one.members, _assessing(request, comparer, one))
-    except InvalidInput as problem:
-        return dataclasses.replace(one, note=f"no verdicts: {problem}")
-    return _with_assessment(comparer, one, found)
+    request: CalibrationRequest, comparer: Comparer, alone: Sequence[ParameterSet]
+) -> list[ParameterSet]:
+    """The same within one chunk, for experiments by themselves, side by side."""
+    wanted = [one for one in alone if np.isfinite(one.errors).all()]
+    running = [_assessing(request, comparer, one) for one in wanted]
+    assessed = iter(run_assessments(comparer, [one.members for one in wanted], running))
+    found = []
+    for one in alone:
+        own = next(assessed) if np.isfinite(one.errors).all() else None
+        if isinstance(own, InvalidInput):
+            one = dataclasses.replace(one, note=f"no verdicts: {own}")
+        found.append(_with_assessment(comparer, one, own) if isinstance(own, Assessment) else one)
+    return found
 
 
 def _with_assessment(comparer: Comparer, one: ParameterSet, found: Assessment) -> ParameterSet:
