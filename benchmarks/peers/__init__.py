@@ -16,7 +16,13 @@ from fixel.model import Scene
 from fixel.simulation import Adaptive, Simulation, simulate
 from fixel.simulation.stepper import AbstractStepper
 
-PEERS = {"pymunk": "chipmunk", "Box2D": "box2d", "MuJoCo": "mujoco"}
+PEERS = {
+    "pymunk": "chipmunk",
+    "Box2D": "box2d",
+    "MuJoCo": "mujoco",
+    "Drake": "drake",
+    "Drake TAMSI": "drake_tamsi",
+}
 LADDER = (2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4)  # [s]
 AHEAD = 5.0  # what the ratio to every peer must reach
 

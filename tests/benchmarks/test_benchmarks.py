@@ -16,7 +16,13 @@ from benchmarks.peers.task import Peer, slip_grasp
 
 from fixel import simulate
 
-PACKAGE_OF = {"chipmunk": "pymunk", "box2d": "Box2D", "mujoco": "mujoco"}
+PACKAGE_OF = {
+    "chipmunk": "pymunk",
+    "box2d": "Box2D",
+    "mujoco": "mujoco",
+    "drake": "pydrake",
+    "drake_tamsi": "pydrake",
+}
 # Each is run by hand for its figures; here they would take the longest of all tests.
 SECONDS_LONG = ("compile", "coverage", "sbc", "camera", "web", "planning")
 
