@@ -114,8 +114,12 @@ class Workspace(NamedTuple):
     profile: IntArray  # (n_dof + 2,) one past the last column a row may couple with, border apart
     active: IntArray  # (n_dof + 2,) the same for the constraints that hold in this iteration
     right: FloatArray  # (n_dof + 2,)
-    contact_change: FloatArray  # (n_contact, 5) of impulse (2), slope, state; given friction limit
-    element_change: FloatArray  # (n_element, 11) of impulse and how it depends (8); saved impulse
+    contact_change: (
+        FloatArray  # (n_contact, 24) of impulse (2), slope, state; given friction limit; sweeps
+    )
+    element_change: (
+        FloatArray  # (n_element, 18) of impulse and how it depends (8); saved impulse; sweeps
+    )
     world: FloatArray  # (n_vertex, 2) vertices in the world
     old_key: IntArray  # (n_contact,)
     old_impulse: FloatArray  # (n_contact, 2) of the step before; in a solver, saved impulses
@@ -127,7 +131,7 @@ class Workspace(NamedTuple):
     inverse: FloatArray  # (n_dof + 2, 3) rows of the inverse inertia of each block
     pull: FloatArray  # (n_dof + 2,) proximal mass
     centre: FloatArray  # (n_dof + 2,) proximal centre
-    search: FloatArray  # (n_dof + 2, 3) line search: base, direction; saved velocity
+    search: FloatArray  # (n_dof + 2, 5) line search: base, direction; saved velocity; sweeps
     tableau: FloatArray  # (n_row, 2 n_row + 2) of the contacts and drives, in pivoting
     basis: FloatArray  # (n_row,) column that each of its rows represents
     island_floats: FloatArray  # buffers of islands.py, see there; empty for few unknowns

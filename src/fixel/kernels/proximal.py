@@ -15,14 +15,15 @@ Alart & Curnier (1991) for the springs.
 
 import math
 
-from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
+from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, Problem, Workspace
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import EPSILON, FLOOR, linearise, solve_linear, step_all
+from fixel.kernels.residual import residual
 
-INNER = 20  # Newton steps in search of a balance
-SEARCH = 24  # evaluations of one line search
-SLACK = 0.2  # part of the first slope at which a line search ends
+INNER = 12  # Newton steps in search of a balance
+SEARCH = 10  # evaluations of one line search
+SLACK = 0.5  # part of the first slope at which a line search ends
 STIFFEST = 1e9  # of the springs, relative to their blocks
 PATIENCE = 3  # rounds with given friction limits before Coulomb's own are tried again
 
@@ -69,6 +70,7 @@ def proximal_newton(
     tolerance: float,
     patience: int,
     share: float,
+    close: float,
 ) -> float:
     """Iterate velocity and impulses.
 
@@ -84,9 +86,10 @@ def proximal_newton(
         Largest change of an impulse in the last round, with stiff enough springs.
     patience : int
         Rounds with given friction limits before Coulomb's own are tried; negative for at once.
-
     share : float
         Share of the change to Coulomb's friction limits in a round; with 1 they may cycle.
+    close : float
+        Natural-map residual after which no further round is needed.
 
     Returns
     -------
@@ -125,10 +128,11 @@ def proximal_newton(
             continue
         _take_answers(problem, work)
         _follow(problem, work, share if tresca else 1.0)
+        arrived = close > 0.0 and residual(problem, work.right) <= close
         for i in range(problem.size[N_DOF]):
             drift = abs(problem.velocity[i] - work.centre[i])
             change = max(change, problem.stiffness[i] * drift / sigma)
-        if sigma >= cap and change <= tolerance:
+        if arrived or (sigma >= cap and change <= tolerance):
             break
         if sigma < cap or change > 0.5 * before:
             sigma = min(STIFFEST, 10.0 * sigma)
@@ -144,45 +148,17 @@ def _balance(problem: Problem, work: Workspace, sigma: float, tresca: bool) -> t
     whether the balance was found.
     """
     n_dof = problem.size[N_DOF]
-    v = problem.velocity
-    searching = False
-    low = 0.0
-    high = 1.0
-    alpha = 1.0
-    slope = 0.0
-    tries = 0
-    steps = 0
-    while True:
-        change = linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca)
-        if searching:
-            along = 0.0
-            for i in range(n_dof):
-                along -= work.right[i] * work.search[i, 1]
-            tries += 1
-            if abs(along) > SLACK * abs(slope) and tries < SEARCH and (along > 0.0 or alpha < 1.0):
-                # The balance is nearly piecewise linear: Newton's root, unless it leaves the
-                # bracket.
-                bend = _curvature(problem, work)
-                if along > 0.0:
-                    high = alpha
-                else:
-                    low = alpha
-                alpha -= along / bend
-                if not low < alpha < high:
-                    alpha = 0.5 * (low + high)
-                for i in range(n_dof):
-                    v[i] = work.search[i, 0] + alpha * work.search[i, 1]
-                continue
+    change = linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca)
+    for step in range(INNER + 1):
         left = 0.0
         for i in range(n_dof):
             left = max(left, abs(work.right[i]))
         if left <= 1e-3 * change or left < 1e-12 or not math.isfinite(left):
             return change, True
-        if steps == INNER:
-            return change, False
-        steps += 1
+        if step == INNER:
+            break
         for i in range(n_dof):
-            work.search[i, 0] = v[i]
+            work.search[i, 0] = problem.velocity[i]
             work.search[i, 1] = work.right[i]
         if not solve_any(problem, work):
             return math.inf, False
@@ -190,29 +166,50 @@ def _balance(problem: Problem, work: Workspace, sigma: float, tresca: bool) -> t
         for i in range(n_dof):
             slope -= work.search[i, 1] * work.right[i]
             work.search[i, 1] = work.right[i]
-            v[i] = work.search[i, 0] + work.search[i, 1]
-        searching = True
-        alpha = 1.0
-        low = 0.0
-        high = 1.0
-        tries = 0
+        change = _search_line(problem, work, sigma, tresca, slope)
+    return change, False
 
 
 @kernel
-def _curvature(problem: Problem, work: Workspace) -> float:
-    """Compute ``d^T J d`` of the search direction d and the matrix that `linearise` wrote."""
-    n_dof = problem.size[N_DOF]
-    n_free = problem.size[N_FREE_DOF]
-    dense = n_dof <= DENSE_LIMIT
-    search = work.search
-    total = 0.0
-    for i in range(n_dof):
-        row = 0.0
-        for j in range(n_dof):
-            if dense or i >= n_free or j >= n_free or (j < work.profile[i] and i < work.profile[j]):
-                row += work.matrix[i, j] * search[j, 1]
-        total += search[i, 1] * row
-    return total
+def _search_line(
+    problem: Problem, work: Workspace, sigma: float, tresca: bool, slope: float
+) -> float:
+    """Move along the search direction until the residual along it, `slope` at first, has fallen.
+
+    The residual is piecewise linear: secants in the bracket of its change of sign, with half the
+    weight for an end that stays (Illinois). Returns the change of impulse of the last
+    linearisation.
+    """
+    low = 0.0
+    high = 1.0
+    at_low = slope
+    at_high = 0.0
+    alpha = 1.0
+    side = 0
+    change = math.inf
+    for _ in range(SEARCH):
+        for i in range(problem.size[N_DOF]):
+            problem.velocity[i] = work.search[i, 0] + alpha * work.search[i, 1]
+        change = linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca)
+        along = 0.0
+        for i in range(problem.size[N_DOF]):
+            along -= work.right[i] * work.search[i, 1]
+        if abs(along) <= SLACK * abs(slope) or (along < 0.0 and alpha == 1.0):
+            break
+        if along > 0.0:
+            at_low *= 0.5 if side > 0 else 1.0
+            high = alpha
+            at_high = along
+            side = 1
+        else:
+            at_high *= 0.5 if side < 0 else 1.0
+            low = alpha
+            at_low = along
+            side = -1
+        alpha = low + (high - low) * at_low / (at_low - at_high)
+        if not low < alpha < high:
+            alpha = 0.5 * (low + high)
+    return change
 
 
 @kernel

@@ -19,7 +19,7 @@ from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
 from fixel.kernels.josephy import is_small, josephy
 from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import newton
-from fixel.kernels.proximal import newton_any, proximal_newton
+from fixel.kernels.proximal import STIFFEST, newton_any, proximal_newton
 from fixel.kernels.residual import residual
 from fixel.typing import FloatArray
 
@@ -31,7 +31,11 @@ NEWTON_TOLERANCE = (
 )
 STILL_VELOCITY = 1e-9  # velocity below which the answer of the step before is tried as it is
 QUICK_ITERATIONS = 10  # Newton from the step before: 2 or 3 are the rule
+QUICK_ITERATIONS_LARGE = 5  # the same for many contacts, where more rarely help
 ITERATIONS = 12  # Newton from where the recovery got to
+NEAR = 1e-4  # residual from which Newton usually arrives, in a problem that is not small
+NEAR_ITERATIONS = 4  # after sweeps
+ARRIVALS = 8  # times that Newton starts from the iterates of one proximal iteration
 # Trials of the recovery: each starts where the last one got to, every eighth from no impulses.
 MAX_ATTEMPTS = 98
 MAX_ATTEMPTS_EARLY = 8
@@ -127,16 +131,18 @@ def recover(
     `fresh`: quick Newton first. Otherwise that has failed, and `work` holds what it began with.
     Profiles must be set where there are more than DENSE_LIMIT unknowns.
     """
+    small = is_small(problem)
     if fresh:
-        worst = polish(problem, work, QUICK_ITERATIONS, 1.0)
+        worst = polish(problem, work, QUICK_ITERATIONS if small else QUICK_ITERATIONS_LARGE, 1.0)
         if worst <= TOLERANCE:
             return worst, 0
     else:
         restore(problem, work)
-    small = is_small(problem)
+    if not small:
+        return recover_large(problem, work, guess, max_attempts), 1
     # Asked first where contacts are few, at less than the cost of a trial: a step that can be
     # shortened is given up where friction may jam, another only where a jam is proven.
-    if small and is_squeezed(problem, work, max_attempts <= MAX_ATTEMPTS_EARLY):
+    if is_squeezed(problem, work, max_attempts <= MAX_ATTEMPTS_EARLY):
         return residual(problem, work.right), 1
     stiffness = 100.0
     worst = math.inf
@@ -149,17 +155,16 @@ def recover(
             if trial > 1:
                 sweep(problem, work, SWEEPS * min(trial // 8, 3))
         n_pivoting = 1
-        if small and trial == 0:
+        if trial == 0:
             n_pivoting = PIVOTING_ITERATIONS
-        elif small and trial % 8 == 1:
+        elif trial % 8 == 1:
             n_pivoting = 5 * PIVOTING_ITERATIONS
         else:
-            age = trial - (2 if small else 1)  # since the last start from nothing
-            # Impulses travel through a heap from body to body.
-            rounds = (3 if small else 10) + trial // 2
-            wait = -1 if trial == 0 or age % 2 == 0 else 100
-            share = 1.0 / (1 + age % 8)
-            stiffness = proximal_newton(problem, work, stiffness, 1e4, rounds, 1e-6, wait, share)
+            age = trial - 2  # since the last start from nothing
+            wait = -1 if age % 2 == 0 else 100
+            stiffness = proximal_newton(
+                problem, work, stiffness, 1e4, 3 + trial // 2, 1e-6, wait, 1.0 / (1 + age % 8), 0.0
+            )
         for k in range(n_pivoting):
             more = n_pivoting > 1 and josephy(problem, work, k, trial + k)
             worst = polish(problem, work, ITERATIONS, 10.0 * stiffness)
@@ -171,6 +176,54 @@ def recover(
             break
         stiffness = min(stiffness, 1e4)
     return worst, 1
+
+
+@large_kernel
+def recover_large(problem: Problem, work: Workspace, guess: FloatArray, max_attempts: int) -> float:
+    """Solve a problem that is not small; returns the residual.
+
+    Sweeps settle most contacts and support points, Newton the rest. Where it fails, the proximal
+    method decides which contacts press and slide, and Newton starts from what it finds.
+    """
+    worst = math.inf
+    for trial in range(max_attempts):
+        stiffness = 100.0
+        if trial % 4 == 1:
+            # Sweeps may end near a point that is almost a solution: start again without them.
+            reset_to_guess(problem, guess)
+            if trial > 4:
+                perturb(problem, trial // 4)
+            stiffness = 10.0
+        for _ in range(0 if trial % 4 == 1 else 3):
+            sweep(problem, work, SWEEPS // 3)
+            worst = arrive(problem, work, NEAR_ITERATIONS, 1.0)
+            if worst <= TOLERANCE:
+                return worst
+        wait = -1 if trial % 2 == 0 else 100
+        for _ in range(ARRIVALS):
+            # Impulses travel through a heap from body to body.
+            stiffness = proximal_newton(
+                problem, work, stiffness, 1e5, 10 + trial // 2, 1e-6, wait, 1.0 / (1 + trial % 8),
+                NEAR,
+            )  # fmt: skip
+            worst = arrive(problem, work, ITERATIONS, 10.0 * stiffness)
+            if worst <= TOLERANCE:
+                return worst
+            if not worst <= NEAR:
+                break
+            stiffness = min(STIFFEST, 10.0 * stiffness)
+        if trial == GIVE_UP and is_squeezed(problem, work, True):
+            break
+    return worst
+
+
+@large_kernel
+def arrive(problem: Problem, work: Workspace, iterations: int, stiffness: float) -> float:
+    """Try Newton where the residual is small enough for it to succeed; returns the residual."""
+    worst = residual(problem, work.right)
+    if worst <= NEAR:
+        worst = min(worst, polish(problem, work, iterations, stiffness))
+    return worst
 
 
 @large_kernel
