@@ -19,7 +19,9 @@ WALLS = ((FLOOR, 0.0, 0.3), (0.0, 0.1, 0.5))
 
 swept = njit(lambda problem, work, sweeps: gauss_seidel(problem, work, 1e-14, sweeps))
 proximal = njit(
-    lambda problem, work, rounds: proximal_newton(problem, work, 10.0, 1e6, rounds, 1e-12, -1, 1.0, 0.0)
+    lambda problem, work, rounds: proximal_newton(
+        problem, work, 10.0, 1e6, rounds, 1e-12, -1, 1.0, 0.0
+    )
 )
 polygon = njit(lambda x, y, limit, sides: nearest_in_polygon(x, y, limit, sides))
 
