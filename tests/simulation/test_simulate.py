@@ -225,6 +225,21 @@ def test_a_simulator_changes_start_and_path_for_one_run():
     assert _timeless(simulator.run()) == _timeless(before)
 
 
+@pytest.mark.parametrize(
+    ("scene", "shift", "parameters"),
+    [
+        (grasp("slip"), (0.01, 0.005, 0.1), {"mu_fixel": 0.2, "start_theta": 0.02}),
+        (micro_push(3), (1e-5, 1e-5, 0.0), {"outline_x": 1e-6}),
+        (heap(4, duration=0.2), (1e-4, 0.0, 0.0), {}),
+    ],
+)
+def test_another_start_gives_the_bits_of_another_scene(scene, shift, parameters):
+    start = [body.pose + shift for body in scene.bodies]
+    bodies = [replace(b, pose=pose) for b, pose in zip(scene.bodies, start, strict=True)]
+    run = Simulator(scene).run(parameters, start=start)
+    assert _timeless(run) == _timeless(simulate(replace(scene, bodies=bodies), parameters))
+
+
 def test_a_simulator_of_a_template_takes_its_path_from_the_run():
     whole = pushed_square()
     pusher = whole.pushers[0]

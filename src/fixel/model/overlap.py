@@ -75,8 +75,7 @@ def _deepest(found: list[Overlap]) -> Overlap:
 
 def _disk(radius: float, centre: FloatArray, piece: FloatArray) -> Overlap:
     """Return the overlap of disks with centres (n, 2) and one convex polygon (k, 2)."""
-    edge = np.roll(piece, -1, axis=0) - piece
-    normal = _normals(piece)
+    edge, normal = _edges(piece), _normals(piece)
     from_corner = centre[:, None] - piece
     outside = np.einsum("nki,ki->nk", from_corner, normal)
     nearest_edge = outside.argmax(axis=1)
@@ -108,9 +107,14 @@ def _polygons(mine: FloatArray, other: FloatArray) -> Overlap:
 
 def _normals(piece: FloatArray) -> FloatArray:
     """Return the outward normals of the edges of counter-clockwise polygons (..., k, 2)."""
-    edge = np.roll(piece, -1, axis=-2) - piece
+    edge = _edges(piece)
     right = np.stack((edge[..., 1], -edge[..., 0]), axis=-1)
     return np.asarray(right / np.linalg.norm(edge, axis=-1, keepdims=True))
+
+
+def _edges(piece: FloatArray) -> FloatArray:
+    """Return the edges of polygons (..., k, 2), from each corner to the next."""
+    return np.concatenate((piece[..., 1:, :], piece[..., :1, :]), axis=-2) - piece
 
 
 def turned(vector: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:

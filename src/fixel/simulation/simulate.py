@@ -244,7 +244,10 @@ class Simulator:
         interval = self._interval if output_interval is None else output_interval
         parameters = None if parameters is None else Parameters(parameters)
         variation = one_variation(parameters)
-        packed = pack(scene, self.motion, self.stepper, variation, 1, duration)
+        if start is not None:  # no other array depends on it
+            variation = variation._replace(start=np.array([[body.pose for body in scene.bodies]]))
+        known = self.scene if waypoints is None else scene
+        packed = pack(known, self.motion, self.stepper, variation, 1, duration)
         times = None if interval is None else sample_times(duration, interval)
         seconds = clock.perf_counter()
         record = self._record(packed, duration, times)
