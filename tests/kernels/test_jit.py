@@ -1,9 +1,12 @@
 """Helpers are linked into entries and have no machine code of their own."""
 
+import gc
+
 import numba
 import pytest
+from numba.core.compiler import Flags
 
-from fixel.kernels.jit import KNOWN_NUMBA, entry, kernel
+from fixel.kernels.jit import KNOWN_NUMBA, EntryCompiler, _Flags, entry, kernel
 
 compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 
@@ -16,6 +19,11 @@ def twice(x: float) -> float:
 @entry
 def four_times(x: float) -> float:
     return twice(twice(x))
+
+
+@numba.njit(pipeline_class=EntryCompiler)
+def kernel_sum(x: float, y: float) -> float:
+    return x + y
 
 
 def test_the_pinned_numba_is_known():
@@ -33,3 +41,31 @@ def test_a_helper_has_no_machine_code():
         assert overload.library.get_pointer_to_function(overload.fndesc.mangled_name) == 0
     for overload in four_times.overloads.values():
         assert overload.library.get_pointer_to_function(overload.fndesc.mangled_name) != 0
+
+
+@compiled
+def test_a_compilation_collects_garbage_rarely_and_restores_the_thresholds(monkeypatch):
+    during = []
+    core = EntryCompiler._compile_core
+
+    def observed(self):
+        during.append(gc.get_threshold())
+        return core(self)
+
+    monkeypatch.setattr(EntryCompiler, "_compile_core", observed)
+    before = gc.get_threshold()
+    assert kernel_sum(1.0, 2.0) == 3.0
+    assert during
+    assert all(threshold != before for threshold in during)
+    assert gc.get_threshold() == before
+
+
+def test_flags_are_compared_as_numba_compares_them():
+    plain, changed, same = Flags(), Flags(), Flags()
+    changed.nrt = True
+    same.nrt = False  # the default, set
+    for flags in (plain, changed, same):
+        assert hash(_Flags(flags)) == hash(flags)
+        for other in (plain, changed, same):
+            assert (_Flags(flags) == _Flags(other)) == (flags == other)
+            assert (_Flags(flags) == other) == (flags == other)

@@ -18,6 +18,7 @@ Environment: ``FIXEL_CACHE_DIR`` moves the cache; ``NUMBA_DISABLE_JIT=1`` runs e
 plain Python.
 """
 
+import gc
 import hashlib
 import math
 import os
@@ -89,7 +90,50 @@ class _TakeIntermediate(_machinery.FunctionPass):  # type: ignore[misc]
         return True
 
 
-class HelperCompiler(_compiler.CompilerBase):  # type: ignore[misc]
+# Numba creates millions of objects that remain until the entry is compiled. Python's collector
+# would visit them repeatedly, in a tenth of the time.
+_RARELY = (100_000, 50, 1000)  # thresholds of the collector during a compilation
+
+
+class _Flags(_compiler.Flags):  # type: ignore[misc]
+    """Flags of Numba that compare the options that are set, not all forty of them.
+
+    Numba compares flags whenever it types a call of its own library: a tenth of the time.
+    """
+
+    __slots__ = ()
+
+    def __eq__(self, other: object) -> bool:
+        return self._values == getattr(other, "_values", None) or bool(super().__eq__(other))
+
+    def __hash__(self) -> int:
+        return _FLAGS_HASH
+
+
+# Numba's own hash is that of the names of the options, thus the same for all flags.
+_FLAGS_HASH = hash(_compiler.Flags())
+
+
+class EntryCompiler(_compiler.CompilerBase):  # type: ignore[misc]
+    """Compiler pipeline of Numba for functions that Python calls, with fast bookkeeping."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.state.flags = _Flags(self.state.flags)
+
+    def compile_extra(self, function: Any) -> Any:
+        thresholds = gc.get_threshold()
+        gc.set_threshold(*_RARELY)
+        try:
+            return super().compile_extra(function)
+        finally:
+            gc.set_threshold(*thresholds)
+
+    def define_pipelines(self) -> list[Any]:
+        return [_compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)]
+
+
+class HelperCompiler(EntryCompiler):
     """Compiler pipeline of Numba for functions that only compiled code calls."""
 
     def define_pipelines(self) -> list[Any]:
@@ -106,9 +150,11 @@ _FLAGS: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 # The code that unpacks NamedTuples for calls from Python is longer than most helpers: without it
 # the first simulation after installation takes 46 s instead of 64 s.
 _INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, **_FLAGS}
-# With other versions of Numba than `HelperCompiler` was written for, helpers are compiled as usual.
+_ENTRY = dict(_FLAGS)
+# With other versions of Numba than these compilers were written for, it compiles as usual.
 if numba.version_info.short in KNOWN_NUMBA:
     _INNER["pipeline_class"] = HelperCompiler
+    _ENTRY["pipeline_class"] = EntryCompiler
 
 
 def source_digest() -> str:
@@ -183,7 +229,7 @@ def _cached(function: Function, **flags: Any) -> Function:
     before = _config.CACHE_DIR
     _config.CACHE_DIR = _CACHE_FOLDER
     try:
-        return cast(Function, _njit(cache=True, **_FLAGS, **flags)(function))
+        return cast(Function, _njit(cache=True, **_ENTRY, **flags)(function))
     finally:
         _config.CACHE_DIR = before
 
