@@ -1,5 +1,6 @@
 """Public results name parts, surfaces, laboratories, sides and speeds without experiments."""
 
+import functools
 import json
 from dataclasses import replace
 
@@ -19,6 +20,7 @@ QUIET = {"progress": False}
 CALIBRATION = "1"
 
 
+@functools.cache
 def pushes(n=12):
     """Pushes of two shapes on two surfaces in two laboratories, of one outline and one side."""
     found = []
@@ -39,6 +41,10 @@ def driven(push, speed, seconds):
     return replace(push.scene, pushers=(pusher,), duration=seconds)
 
 
+WHAT_IS_NEW = ("shape", "surface", "dataset", "outline", "side", "speed", "travel")
+
+
+@functools.cache
 def new_pushes():
     """Push by what no experiment has, with the word that has to name it."""
     push = replace(pushes()[5], name="new")
@@ -60,9 +66,6 @@ def new_pushes():
             "travel never pushed",
         ),
     }
-
-
-NEW = new_pushes()
 
 
 @pytest.fixture(scope="module")
@@ -98,9 +101,9 @@ def texts_of(answer):
     return answer.unseen
 
 
-@pytest.mark.parametrize("what", NEW)
+@pytest.mark.parametrize("what", WHAT_IS_NEW)
 def test_what_is_new_is_named_first_by_every_entry_point(what, answers, fit):
-    push, word = NEW[what]
+    push, word = new_pushes()[what]
     assert word in fit.unseen(push)[0]
     for name, ask in answers.items():
         answer = ask(push)
@@ -168,7 +171,7 @@ def test_repeated_pushes_count_once():
 @pytest.mark.parametrize("left", ["shape", "surface", "dataset"])
 def test_left_out_groups_give_two_bounds_and_what_they_prove(left):
     bound = fixel.error_bound(pushes(), SPACE, leave_out=left, folds=2, **QUIET)
-    answer = bound.at(NEW[left][0])
+    answer = bound.at(new_pushes()[left][0])
     assert answer.verdict == "unseen"
     assert answer.proved == pytest.approx(2 / 3)
     assert "prove at most 66.7 %; a guarantee of 90 % needs 9" in answer.reason
@@ -177,11 +180,11 @@ def test_left_out_groups_give_two_bounds_and_what_they_prove(left):
     assert 0.0 < answer.position <= answer.cautious_position < np.inf
     assert 0.0 < answer.angle <= answer.cautious_angle < np.inf
     other = next(name for name in ("shape", "surface") if name != left)
-    assert bound.at(NEW[other][0]).verdict == "no data"
+    assert bound.at(new_pushes()[other][0]).verdict == "no data"
 
 
 def test_commands_and_pages_name_it_first(tmp_path, fit, capsys):
-    new = {what: NEW[what] for what in ("shape", "side", "dataset")}
+    new = {what: new_pushes()[what] for what in ("shape", "side", "dataset")}
     folder = tmp_path / "lab"
     own = [replace(push, name=f"new-{what}") for what, (push, _) in new.items()]
     project = project_of(folder, [*pushes(), *own])
