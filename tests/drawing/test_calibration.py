@@ -1,10 +1,14 @@
 """Drawings of calibrations: any number of anything, and data that say what the pictures show."""
 
+import re
+import zlib
 from dataclasses import replace
+from io import BytesIO
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+from fontTools.ttLib import TTFont
 
 from fixel.drawing import palette
 from fixel.drawing.calibration import (
@@ -178,6 +182,19 @@ def test_the_same_numbers_give_the_same_file(ending, tmp_path, monkeypatch):
 
     assert ending == "svg" or one.read_bytes() == two.read_bytes()
     assert b"1970-01" not in one.read_bytes()
+
+
+def test_fonts_in_pdf_files_have_outlines_and_nothing_for_the_layout_of_text(tmp_path):
+    draw_chart(profile(), tmp_path / "one.pdf")
+    parts = re.findall(
+        rb"stream\r?\n(.*?)endstream", (tmp_path / "one.pdf").read_bytes(), re.DOTALL
+    )
+    streams = [zlib.decompress(part) for part in parts if part.startswith(b"\x78")]
+    fonts = [TTFont(BytesIO(own)) for own in streams if own.startswith(b"\x00\x01\x00\x00")]
+    assert fonts
+    for font in fonts:
+        assert len(font["glyf"].glyphs) > 1
+        assert not {"GDEF", "GPOS", "GSUB", "kern"} & set(font.keys())
 
 
 def test_other_endings_are_refused(tmp_path):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -79,7 +80,25 @@ def save_figure(make: Callable[[], Figure], *paths: str | Path) -> None:
     with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
         figure = _laid_out(make)
         for path in paths:
-            figure.savefig(path, metadata=known.get(Path(path).suffix.lower()))
+            ending = Path(path).suffix.lower()
+            with _fonts_without_layout() if ending == ".pdf" else nullcontext():
+                figure.savefig(path, metadata=known.get(ending))
+
+
+@contextmanager
+def _fonts_without_layout() -> Iterator[None]:
+    """Embed fonts without their tables for the layout of text, which PDF files do not use.
+
+    To reduce these tables to the glyphs of a figure takes two thirds of the time of a PDF file.
+    """
+    from fontTools.subset import Options
+
+    before = Options._drop_tables_default
+    Options._drop_tables_default = [*before, "GDEF", "GPOS", "GSUB", "kern"]
+    try:
+        yield
+    finally:
+        Options._drop_tables_default = before
 
 
 def _laid_out(make: Callable[[], Figure]) -> Figure:
