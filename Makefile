@@ -11,6 +11,8 @@ PACKAGES  := $(VENV)/.packages
 READY     := $(VENV)/.ready
 PEERS     := $(VENV)/.peers
 DOCS      := $(VENV)/.docs
+# Without stored bytecode each of some hundred processes of the tests compiles the package again.
+unexport PYTHONDONTWRITEBYTECODE
 # Any of these will do, the first that is new enough and has venv. `make test PYTHON=/path/to/python` picks one.
 PYTHON    ?=
 PYTHONS   := $(PYTHON) python3 python3.13 python3.12 python3.11
