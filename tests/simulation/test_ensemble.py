@@ -251,6 +251,17 @@ def test_poses_passed_on_are_those_of_simulations(monkeypatch, threads):
     assert np.isnan(found[-1]).all()  # infeasible
 
 
+def test_poses_may_be_used_by_another_ensemble():
+    ensemble, other = Ensemble(_cases(), threads=2), Ensemble(_cases()[:1], threads=2)
+    ends = []
+
+    def use(rollouts, pose):
+        ends.append(other.simulate(np.zeros(4, int), _values(4)).pose)
+
+    assert ensemble.simulate_into(use, np.arange(4).repeat(3), _values(12))[0].all()
+    assert (np.array(ends) == ends[0]).all()
+
+
 def test_an_error_in_the_use_of_poses_is_raised():
     def use(rollouts, pose):
         raise ValueError("no use")

@@ -125,8 +125,12 @@ def test_other_signals_reach_whoever_waited_for_them() -> None:
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of forking beside another thread
 def test_a_forked_process_watches_for_itself() -> None:
     simulate(pushed_square())
+    friction = {"mu_pusher": np.linspace(0.1, 0.4, 8)}
+    runs = simulate_batch(pushed_square(), friction, threads=2)
     child = os.fork()
     if child == 0:
-        os._exit(0 if simulate(pushed_square()).converged else 1)
+        own = simulate_batch(pushed_square(), friction, threads=2)
+        same = np.array_equal(own.final, runs.final)
+        os._exit(0 if same and simulate(pushed_square()).converged else 1)
 
     assert os.waitpid(child, 0)[1] == 0

@@ -469,10 +469,11 @@ def shape_poses(packed: PackedBatch, pose: FloatArray) -> FloatArray:
     length = packed.units.length
     out = pose * np.array([length, length, 1.0])
     free = out[..., : len(packed.com), :]
-    c, s = np.cos(free[..., 2]), np.sin(free[..., 2])
-    x, y = packed.com[:, 0], packed.com[:, 1]
-    free[..., 0] -= c * x - s * y
-    free[..., 1] -= s * x + c * y
+    if packed.com.any():
+        c, s = np.cos(free[..., 2]), np.sin(free[..., 2])
+        x, y = packed.com[:, 0], packed.com[:, 1]
+        free[..., 0] -= c * x - s * y
+        free[..., 1] -= s * x + c * y
     if packed.outline is not None:
         frame = inverted(packed.outline)[:, None, None]
         free[:] = composed(free, frame if out.ndim == 4 else frame[0, 0])

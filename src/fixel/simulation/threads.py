@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import threading
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
@@ -18,6 +19,7 @@ from fixel.kernels import codes
 from fixel.kernels.arrays import SAMPLES, STOP, Batch, BatchRecord, StepMethod
 
 MAX_RANGE: Final = 64  # rollouts of one call
+POOL_NAME: Final = "fixel-rollouts"  # beginning of the names of its threads
 WAIT_S: Final = 0.1  # between two looks for Ctrl-C, which interrupts no wait on Windows
 
 
@@ -54,7 +56,8 @@ def rollout_in_threads(
     roll = partial(kernel.rollout_batch, batch, method, record, every_step)
     size = max(1, min(MAX_RANGE, n // (4 * n_threads)))
     try:
-        if n_threads == 1 or n < 2:
+        nested = threading.current_thread().name.startswith(POOL_NAME)  # must not wait for itself
+        if n_threads == 1 or n < 2 or nested:
             _run(partial(roll, 0, n), record)
             for k in range(0, n if then else 0, MAX_RANGE):
                 then(k, min(n, k + MAX_RANGE))  # type: ignore[misc]
@@ -79,25 +82,47 @@ def _share(
     size: int,
     n_threads: int,
 ) -> None:
-    def range_from(first: int) -> None:
-        last = min(len(record.status), first + size)
-        roll(first, last)
-        if then and not record.total[first, STOP]:
-            then(first, last)
+    n = len(record.status)
+    left = deque(range(0, n, size))
 
-    with ThreadPoolExecutor(n_threads) as pool:
-        futures = {pool.submit(range_from, k) for k in range(0, len(record.status), size)}
-        try:
-            while futures:
-                done, futures = wait(futures, WAIT_S)
-                for future in done:
-                    future.result()
-        except BaseException:
-            record.total[:, STOP] = 1.0
-            pool.shutdown(cancel_futures=True)
-            raise
+    def work() -> None:
+        while left:
+            try:
+                first = left.popleft()
+            except IndexError:  # another thread was faster
+                return
+            last = min(n, first + size)
+            roll(first, last)
+            if then and not record.total[first, STOP]:
+                then(first, last)
+
+    pool = _threads(n_threads)
+    working = futures = {pool.submit(work) for _ in range(min(n_threads, len(left)))}
+    try:
+        while working:
+            done, working = wait(working, WAIT_S)
+            for future in done:
+                future.result()
+    except BaseException:
+        left.clear()
+        record.total[:, STOP] = 1.0
+        wait(futures)
+        raise
 
 
+def _threads(n: int) -> ThreadPoolExecutor:
+    """Return a pool of at least `n` threads; started threads wait for the next call."""
+    global _pool, _pool_size
+    with _starting:
+        if _pool is None or _pool_size < n:
+            _pool, _pool_size = ThreadPoolExecutor(n, POOL_NAME), n
+        return _pool
+
+
+# Threads stay for later calls, since starting them takes as long as a few rollouts.
+_pool: ThreadPoolExecutor | None = None
+_pool_size = 0
+_starting = threading.Lock()
 _sender: socket.socket | None = None  # of the numbers of signals, to the thread that watches
 _rolling: BatchRecord | None = None  # what the main thread computes, for that thread to stop
 _next_fd = -1  # where signals went before
@@ -152,10 +177,12 @@ def _watch(receiver: socket.socket) -> None:
                 os.write(following, number)
 
 
-def _forget_watch() -> None:
-    global _sender
-    _sender = None
+def _forget_threads() -> None:
+    """Start again in a forked process, which has no thread but its own."""
+    global _sender, _pool, _starting
+    _sender = _pool = None
+    _starting = threading.Lock()
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
-    os.register_at_fork(after_in_child=_forget_watch)
+    os.register_at_fork(after_in_child=_forget_threads)
