@@ -135,12 +135,14 @@ def _cells(row: Row, models: Sequence[str]) -> list[str]:
 
 def _timed(answer: Row) -> list[str]:
     found = ", ".join(f"{name} {value:.4g}" for name, value in answer["best"].items())
+    verdicts = ", ".join(f"{name} {verdict}" for name, verdict in answer["verdicts"].items())
     return [
         f"{answer['evaluations']} evaluations of {answer['pushes']} pushes under"
         f" {answer['parameters']} parameters in {answer['seconds']:.1f} s"
         f" ({answer['pushes_per_second']} pushes per second).",
         f"Robust error {answer['error_at_start']:.3f} -> {answer['error_at_best']:.3f}"
         f" {answer['error_unit']} at {found}.",
+        f"With verdicts {answer['seconds_with_verdicts']:.1f} s: {verdicts}.",
     ]
 
 
