@@ -5,10 +5,13 @@ Tolerances: coordinates of order one, so 1e-12 is a thousand roundings.
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numba import njit
 from tests.kernels.entries import measure_contacts
 
 from fixel.errors import InvalidInput
-from fixel.kernels.gap import COINCIDENT, FIRST_VERTEX, VERTEX_VERTEX
+from fixel.kernels.gap import COINCIDENT, FIRST_VERTEX, VERTEX_VERTEX, separating_edge
 from fixel.model.shape import Disk, Polygon
 from fixel.simulation.geometry import contact_pieces, gap
 
@@ -166,6 +169,55 @@ def test_sliver_beside_a_square():
     sliver = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 1e-9]])
     found = contacts(shifted(sliver, 0.2, 1.5), SQUARE)
     assert min(f[0] for f in found) == pytest.approx(0.5, abs=EXACT)
+
+
+# Python cannot call a kernel, only what is compiled around it.
+separating_edge_ = njit(
+    lambda world, m, n, start, floor, margin: separating_edge(
+        world, 0, m, m, n, start, floor, margin
+    )
+)
+
+
+def regular(n, radius):
+    angle = np.arange(n) * 2.0 * np.pi / n
+    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def ellipse(n, width):
+    return regular(n, 1.0) * (1.0, width)
+
+
+outlines = st.one_of(
+    st.builds(regular, st.integers(3, 70), st.sampled_from([1.0, 0.5, 0.05])),
+    st.builds(ellipse, st.integers(3, 40), st.floats(0.01, 1.0)),
+)
+places = st.one_of(st.sampled_from([-2.0, -1.0, 0.0, 0.5, 1.0]), st.floats(-2.5, 2.5))
+angles = st.one_of(
+    st.integers(-8, 8).map(lambda k: k * np.pi / 8.0), st.floats(-3.0, 3.0)
+)  # parallel edges in the first case
+
+
+@given(outlines, outlines, places, places, angles, st.integers(0, 99))
+def test_farthest_edge_is_that_of_a_search_over_all_corners(one, other, x, y, angle, start):
+    first, second = one, shifted(turned(other, angle), x, y)
+    world = np.concatenate([first, second])
+    along = np.roll(first, -1, axis=0) - first
+    normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.hypot(*along.T)[:, None]
+    distance = np.einsum("ijk,ik->ij", second[None] - first[:, None], normal)
+    separation = distance.min(axis=1)
+    m = len(first)
+    begin = m + start % len(second)
+    best, edge, nearest = separating_edge_(world, m, len(world), begin, -np.inf, np.inf)
+    assert best == pytest.approx(separation.max(), abs=EXACT)
+    assert separation[edge] == pytest.approx(best, abs=EXACT)
+    assert distance[edge, nearest - m] == pytest.approx(best, abs=EXACT)
+    # From another start, above a floor, and up to a margin.
+    assert separating_edge_(world, m, len(world), m, best, np.inf) == (best, edge, nearest)
+    assert separating_edge_(world, m, len(world), m, best + 1e-9, np.inf)[1] == -1
+    found, reached, _ = separating_edge_(world, m, len(world), m, -np.inf, best - 0.1)
+    assert found >= best - 0.1
+    assert separation[reached] == pytest.approx(found, abs=EXACT)
 
 
 # --- seams ---------------------------------------------------------------------------------------

@@ -31,6 +31,9 @@ FEATURES = 1 << 20
 # Length below which two corners are one point: their difference has no reliable direction, and the
 # edge gives the normal. World coordinates are of order one, so this is some thousand roundings.
 COINCIDENT = 1e-12
+# Polygons with more edges than MANY are searched at every edge of COARSE first.
+MANY = 16
+COARSE = 8
 # Share of the reference edge below which the two ends of an overlap are one contact.
 NARROW = 1e-9
 
@@ -127,13 +130,18 @@ def _point_to_polygon(
     edge = start
     inside = -math.inf  # over those on the outline: a point inside leaves through one of them
     way_out = -1
+    bound = -math.inf
     before = end - 1
     for i in range(start, end):
         # The edge from `before` to i.
         ex = world[i, 0] - world[before, 0]
         ey = world[i, 1] - world[before, 1]
-        length = math.sqrt(ex * ex + ey * ey)
-        s = ((px - world[before, 0]) * ey - (py - world[before, 1]) * ex) / length
+        square = ex * ex + ey * ey
+        s = (px - world[before, 0]) * ey - (py - world[before, 1]) * ex
+        if s * abs(s) < bound * square:
+            before = i
+            continue
+        s /= math.sqrt(square)
         if s >= most:
             return most, 0.0, 0.0
         if s > best:
@@ -141,6 +149,7 @@ def _point_to_polygon(
             edge = before
         if s > inside and real[before] == 1:
             inside = s
+            bound = _signed_square(s)
             way_out = before
         before = i
     if best <= 0.0:
@@ -190,38 +199,75 @@ def _beyond_seam(
 
 @kernel
 def separating_edge(
-    world: FloatArray, s1: int, e1: int, s2: int, e2: int, margin: float
+    world: FloatArray, s1: int, e1: int, s2: int, e2: int, start: int, floor: float, margin: float
 ) -> tuple[float, int, int]:
     """Find the edge of polygon 1 farthest from polygon 2: separation, edge, nearest vertex.
 
-    Returns the first edge whose separation reaches `margin`.
+    Returns the first edge found whose separation reaches `margin`, and edge -1 where all are below
+    `floor`. No edge is farther than any vertex of polygon 2 is from it. So one vertex, `start` and
+    then the nearest to the best edge so far, rules out most edges.
     """
-    best = -math.inf
-    edge = s1
-    support = s2
-    before = e1 - 1
-    for i in range(s1, e1):
-        # The edge from `before` to i.
-        x = world[before, 0]
-        y = world[before, 1]
-        ex = world[i, 0] - x
-        ey = world[i, 1] - y
-        least = math.inf
-        nearest = s2
-        for k in range(s2, e2):
-            s = (world[k, 0] - x) * ey - (world[k, 1] - y) * ex
-            if s < least:
-                least = s
+    best = floor
+    bound = _signed_square(best)
+    edge = -1
+    nearest = start
+    coarse = e1 - s1 > MANY
+    # Few edges, spread over the outline, find a good one first.
+    for stride in range(COARSE if coarse else 1, 0, 1 - COARSE):
+        for i in range(s1, e1, stride):
+            after = i + 1 if i + 1 < e1 else s1
+            x = world[i, 0]
+            y = world[i, 1]
+            ex = world[after, 0] - x
+            ey = world[after, 1] - y
+            square = ex * ex + ey * ey
+            s = (world[nearest, 0] - x) * ey - (world[nearest, 1] - y) * ex
+            if s * abs(s) < bound * square:
+                continue
+            k, s = _nearest_vertex(world, s2, e2, nearest, x, y, ex, ey)
+            s /= math.sqrt(square)
+            if s > best or (s == best and (edge < 0 or i < edge)):
+                best = s
+                bound = _signed_square(best)
+                edge = i
                 nearest = k
-        least /= math.sqrt(ex * ex + ey * ey)
-        if least > best:
-            best = least
-            edge = before
-            support = nearest
-            if least >= margin:
+                if s >= margin:
+                    return best, edge, nearest
+    return best, edge, nearest
+
+
+@kernel
+def _signed_square(distance: float) -> float:
+    """Square of a distance with its sign, lowered by more than rounding can change."""
+    lowered = distance - 1e-12 * abs(distance)
+    return lowered * abs(lowered)
+
+
+@kernel
+def _nearest_vertex(
+    world: FloatArray, start: int, end: int, k: int, x: float, y: float, ex: float, ey: float
+) -> tuple[int, float]:
+    """Find the vertex with the least distance from a line, downhill from vertex k.
+
+    On a convex polygon the distance has one valley. Returns the vertex, the first of two equally
+    near ones, and its distance times the length of (ex, ey).
+    """
+    least = (world[k, 0] - x) * ey - (world[k, 1] - y) * ex
+    for direction in range(2):
+        origin = k
+        while True:
+            if direction == 0:
+                other = k + 1 if k + 1 < end else start
+            else:
+                other = k - 1 if k > start else end - 1
+            s = (world[other, 0] - x) * ey - (world[other, 1] - y) * ex
+            if not (s < least or (s == least and other < k)):
                 break
-        before = i
-    return best, edge, support
+            k = other
+            least = s
+        if k != origin:
+            break
+    return k, least
 
 
 @kernel
@@ -238,15 +284,15 @@ def _contact_polygons(
     at: int,
 ) -> int:
     """Write contacts of two polygons: of the best separating edge and the edge that faces it."""
-    sep1, edge1, support1 = separating_edge(world, s1, e1, s2, e2, margin)
+    sep1, edge1, support1 = separating_edge(world, s1, e1, s2, e2, s2, -math.inf, margin)
     if sep1 >= margin:
         return 0
-    sep2, edge2, support2 = separating_edge(world, s2, e2, s1, e1, margin)
+    sep2, edge2, support2 = separating_edge(world, s2, e2, s1, e1, edge1, sep1, margin)
     if sep2 >= margin:
         return 0
     # The reference edge is the one of larger separation; ties go to the second polygon, unless its
     # edge is a seam.
-    on_first = sep1 > sep2 or (sep1 == sep2 and real[edge2] == 0)
+    on_first = edge2 < 0 or (sep1 == sep2 and real[edge2] == 0)
     if on_first:
         sep, rs, re, fs, fe, edge, support = sep1, s1, e1, s2, e2, edge1, support1
     else:
