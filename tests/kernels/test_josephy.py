@@ -34,7 +34,7 @@ def body(momentum, contacts, inertia=1.0):
     """One free body; contacts are (direction of the normal, arm, bias, friction)."""
     n = len(contacts)
     problem, work = entries.empty(3, n, 0, 0, 0, 0, 0)
-    problem.size[:] = 3, n, 0, 3
+    problem.size[:4] = 3, n, 0, 3
     problem.inertia[:3] = inertia * np.eye(3)
     problem.momentum[:3] = momentum
     for i, (angle, arm, bias, friction) in enumerate(contacts):
@@ -55,7 +55,7 @@ def seating(limit=STIFF_DRIVE):
     drive gives way.
     """
     problem, work = entries.empty(4, 3, 4, 0, 0, 0, 0)
-    problem.size[:] = 4, 3, 4, 3
+    problem.size[:4] = 4, 3, 4, 3
     problem.inertia[:3] = 0.17 * np.eye(3)
     problem.momentum[:3] = 0.1639, 0.0136, -0.0098
     rows = [

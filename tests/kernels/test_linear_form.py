@@ -32,7 +32,7 @@ def empty(n_free: int, n_drive: int, n_contact: int, n_element: int) -> tuple[Pr
     """Problem and workspace without rows yet."""
     n_dof = 3 * n_free + n_drive
     problem, work = entries.empty(n_dof, n_contact, n_element, 0, 0, 0, 0)
-    problem.size[:] = n_dof, n_contact, n_element, 3 * n_free
+    problem.size[:4] = n_dof, n_contact, n_element, 3 * n_free
     return problem, work
 
 

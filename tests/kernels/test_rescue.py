@@ -87,7 +87,7 @@ def many_bodies(n: int, coupled: bool):
     """A row of bodies that fall on a floor; neighbours push each other sideways where coupled."""
     n_contact = n + (n - 1 if coupled else 0)
     problem, work = entries.empty(3 * n, n_contact, 0, 0, 0, 0, 0)
-    problem.size[:] = 3 * n, n_contact, 0, 3 * n
+    problem.size[:4] = 3 * n, n_contact, 0, 3 * n
     for b in range(n):
         problem.inertia[3 * b : 3 * b + 3] = np.eye(3)
         problem.momentum[3 * b : 3 * b + 3] = 1.0 - 0.3 * b, -1.0, 0.1 * b

@@ -3,7 +3,7 @@ step."""
 
 import numpy as np
 
-from fixel.kernels.arrays import N_PLACE, Model, Problem, Workspace
+from fixel.kernels.arrays import LANE_FIELDS, N_PLACE, N_SIZE, Model, Problem, Workspace
 from fixel.kernels.islands import island_room
 from fixel.kernels.jit import allocating_kernel
 from fixel.kernels.josephy import MAX_CONTACTS, MAX_DRIVES
@@ -18,7 +18,7 @@ def empty_problem(n_dof: int, n_contact: int, n_element: int) -> Problem:
     elements, none of them in use."""
     wide = n_dof + SPARE
     return Problem(
-        size=np.zeros(4, np.int64),
+        size=np.zeros(N_SIZE, np.int64),
         inertia=np.zeros((wide, 3)),
         momentum=np.zeros(wide),
         velocity=np.zeros(wide),
@@ -66,6 +66,7 @@ def empty_workspace(
         right=np.zeros(wide),
         contact_change=np.zeros((n_contact, 24)),
         element_change=np.zeros((n_element, 18)),
+        lanes=np.zeros(LANE_FIELDS * n_element),
         world=np.zeros((n_vertex, 2)),
         old_key=np.zeros(n_contact, np.int64),
         old_impulse=np.zeros((n_contact, 2)),

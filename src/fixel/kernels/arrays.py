@@ -63,6 +63,9 @@ N_DOF = 0
 N_CONTACT = 1
 N_ELEMENT = 2
 N_FREE_DOF = 3  # degrees of freedom of the free bodies
+N_POINT = 4  # first elements that are points on an even plane; zero for no matter which
+N_SIZE = 5
+LANE_FIELDS = 17  # numbers of a point in `Workspace.lanes`
 # Columns of `Problem.contact_place`.
 GAP = 0
 NORMAL_X = 1  # into the first body
@@ -83,7 +86,7 @@ class Problem(NamedTuple):
     _|_ normal v + normal_bias >= 0, Coulomb on the tangents, maximum dissipation on the elements.
     """
 
-    size: IntArray  # (4,) see N_DOF
+    size: IntArray  # (N_SIZE,) see N_DOF
     inertia: FloatArray  # (n_dof + 2, 3) row of each degree of freedom within its own block
     momentum: FloatArray  # (n_dof + 2,)
     velocity: FloatArray  # (n_dof + 2,) unknown; in: the guess, out: the solution
@@ -120,6 +123,7 @@ class Workspace(NamedTuple):
     element_change: (
         FloatArray  # (n_element, 18) of impulse and how it depends (8); saved impulse; sweeps
     )
+    lanes: FloatArray  # (LANE_FIELDS n_element,) see points.py
     world: FloatArray  # (n_vertex, 2) vertices in the world
     old_key: IntArray  # (n_contact,)
     old_impulse: FloatArray  # (n_contact, 2) of the step before; in a solver, saved impulses

@@ -11,7 +11,15 @@ Source: George & Liu (1981), section 4.3, for the numbering.
 
 from typing import NamedTuple
 
-from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
+from fixel.kernels.arrays import (
+    N_CONTACT,
+    N_DOF,
+    N_ELEMENT,
+    N_FREE_DOF,
+    N_SIZE,
+    Problem,
+    Workspace,
+)
 from fixel.kernels.jit import kernel, view
 from fixel.typing import FloatArray, IntArray
 
@@ -36,7 +44,10 @@ class Islands(NamedTuple):
 @kernel
 def island_room(wide: int, n_contact: int, n_element: int) -> tuple[int, int]:
     """Sizes of the two buffers that `islands_of` needs, for ``wide = n_dof + 2``."""
-    return 7 * wide + 17 * n_contact + 16 * n_element, 4 + 5 * wide + 5 * n_contact + 2 * n_element
+    return (
+        7 * wide + 17 * n_contact + 16 * n_element,
+        N_SIZE + 5 * wide + 5 * n_contact + 2 * n_element,
+    )
 
 
 @kernel
@@ -49,10 +60,10 @@ def islands_of(problem: Problem, work: Workspace) -> Islands:
     e = problem.element_limit.size
     y = 7 * wide
     z = y + 17 * c
-    j = 4 + 5 * wide
+    j = N_SIZE + 5 * wide
     k = j + 5 * c
     part = Problem(
-        size=view(i, 0, (4,)),
+        size=view(i, 0, (N_SIZE,)),
         inertia=view(x, 0, (wide, 3)),
         momentum=view(x, 3 * wide, (wide,)),
         velocity=view(x, 4 * wide, (wide,)),
@@ -77,12 +88,12 @@ def islands_of(problem: Problem, work: Workspace) -> Islands:
         part=part,
         guess=view(x, 6 * wide, (wide,)),
         contact_in=view(i, j + 2 * c, (c,)),
-        island=view(i, 4, (wide,)),
-        place=view(i, 4 + wide, (wide,)),
-        degree=view(i, 4 + 2 * wide, (wide,)),
-        first=view(i, 4 + 3 * wide, (wide,)),
+        island=view(i, N_SIZE, (wide,)),
+        place=view(i, N_SIZE + wide, (wide,)),
+        degree=view(i, N_SIZE + 2 * wide, (wide,)),
+        first=view(i, N_SIZE + 3 * wide, (wide,)),
         neighbour=view(i, j + 3 * c, (2 * c,)),
-        sequence=view(i, 4 + 4 * wide, (wide,)),
+        sequence=view(i, N_SIZE + 4 * wide, (wide,)),
     )
 
 

@@ -13,9 +13,18 @@ Source: Alart & Curnier (1991) for the map; the compliance is a proximal step as
 
 import math
 
-from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
+from fixel.kernels.arrays import (
+    N_CONTACT,
+    N_DOF,
+    N_ELEMENT,
+    N_FREE_DOF,
+    N_POINT,
+    Problem,
+    Workspace,
+)
 from fixel.kernels.jit import kernel
 from fixel.kernels.linear import solve_dense, solve_envelope
+from fixel.kernels.points import LANES, add_points, is_group, step_points
 
 EPSILON = (
     1e-7  # compliance of a held constraint, relative to its block's; larger needs more iterations
@@ -156,7 +165,11 @@ def _add_elements(problem: Problem, work: Workspace, epsilon: float, proximal: b
     right = work.right
     matrix = work.matrix
     worst = 0.0
+    if not proximal and problem.size[N_POINT] > 0:
+        worst = add_points(problem, work, epsilon)
     for e in range(problem.size[N_ELEMENT]):
+        if not proximal and is_group(problem, e - e % LANES):
+            continue
         o = problem.element_dof[e]
         rho = problem.stiffness[o]
         limit = problem.element_limit[e]
@@ -404,7 +417,11 @@ def step_all(problem: Problem, work: Workspace, epsilon: float) -> None:
             p[i, 1] -= work.contact_change[i, 2] * stiff * dn
     change = work.element_change
     row = problem.element_row
+    if problem.size[N_POINT] > 0:
+        step_points(problem, work)
     for e in range(problem.size[N_ELEMENT]):
+        if is_group(problem, e - e % LANES):
+            continue
         o = problem.element_dof[e]
         ux = 0.0
         uy = 0.0

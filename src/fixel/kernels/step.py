@@ -13,6 +13,7 @@ from fixel.kernels.arrays import (
     N_DOF,
     N_ELEMENT,
     N_FREE_DOF,
+    N_POINT,
     NORMAL_X,
     NORMAL_Y,
     OVERLAP,
@@ -32,6 +33,7 @@ from fixel.kernels.assembly import (
 from fixel.kernels.contacts import find_contacts, find_near_pairs, moved, place_bodies, warm_start
 from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
 from fixel.kernels.path import path_direction, path_pose
+from fixel.kernels.points import count_points
 from fixel.typing import FloatArray
 
 LIST_REACH = 0.2  # of the characteristic length: how far ahead near pairs are listed
@@ -169,6 +171,7 @@ def prepare_rows(
             problem.element_impulse[e, k] = (
                 ratio * problem.element_impulse[e, k] if ratio > 0.0 else 0.0
             )
+    problem.size[N_POINT] = count_points(problem, n_support)
     set_stiffness(problem, n_support)
     for i in range(dof):
         problem.velocity[i] = guess[i]

@@ -57,7 +57,7 @@ def step_problem(
     """
     n, n_element = len(contacts), 0 if limit is None else 1
     problem, work = entries.empty(3, n, n_element, 1, 1, 1, 1)
-    problem.size[:] = (3, n, n_element, 3)
+    problem.size[:4] = (3, n, n_element, 3)
     problem.inertia[:3, :3] = np.eye(3)
     problem.momentum[:3] = momentum
     for i, (angle, bias, friction) in enumerate(contacts):

@@ -1,0 +1,197 @@
+"""Newton's linearisation of many pressure points at once.
+
+Points on an even plane are taken in groups of LANES that belong to one body. The same field of all
+points of a group is contiguous, so that the compiler computes a group by vector instructions, with
+the bits of one point at a time. `newton.py` linearises all other friction elements; the equations
+are the same.
+"""
+
+import math
+
+from fixel.kernels.arrays import LANE_FIELDS, N_POINT, Problem, Workspace
+from fixel.kernels.jit import kernel, large_kernel, view
+
+LANES = 8
+# Fields of a point in `work.lanes`: its arm, how its impulse changes as in `newton.py`, and what it
+# adds to the linear system.
+_X = 0  # third column of the first row: -y of the arm
+_Y = 1  # third column of the second row
+_IMPULSE_X = 2  # before; then with the constant part of its change
+_IMPULSE_Y = 3
+_LIMIT = 4  # then the largest entry of the natural map
+_CHANGE_X = 5
+_CHANGE_Y = 6
+_KAPPA = 7
+_DX = 8
+_DY = 9
+_TURN = 10  # of the impulse
+_XX = 11  # of the stiffness
+_XY = 12
+_YY = 13
+_XT = 14
+_YT = 15
+_TT = 16
+
+
+@kernel
+def count_points(problem: Problem, n_element: int) -> int:
+    """Count the first elements that are points on an even plane; zero where they fill no group."""
+    if n_element < LANES:
+        return 0
+    for e in range(n_element):
+        row = problem.element_row[e]
+        bias = problem.element_bias[e]
+        if not (
+            problem.element_sides[e] == 0
+            and row[0, 0] == 1.0
+            and row[0, 1] == 0.0
+            and row[1, 0] == 0.0
+            and row[1, 1] == 1.0
+            and row[2, 0] == row[2, 1] == row[2, 2] == 0.0
+            and bias[0] == bias[1] == bias[2] == 0.0
+        ):
+            return e
+    return n_element
+
+
+@kernel
+def is_group(problem: Problem, first: int) -> bool:
+    """Whether element `first` and those after it are a group."""
+    return (
+        first + LANES <= problem.size[N_POINT]
+        and problem.element_dof[first] == problem.element_dof[first + LANES - 1]
+    )
+
+
+@large_kernel
+def add_points(problem: Problem, work: Workspace, epsilon: float) -> float:
+    """Add the groups of points to the linear system; returns the largest entry of their natural
+    map.
+
+    In three passes over the groups, so that no vector is loaded right after its entries were
+    stored.
+    """
+    n_point = problem.size[N_POINT]
+    row = problem.element_row
+    p = problem.element_impulse
+    for e in range(0, n_point, LANES):
+        if is_group(problem, e):
+            f = view(work.lanes, LANE_FIELDS * e, (LANE_FIELDS, LANES))
+            for j in range(LANES):
+                f[_X, j] = row[e + j, 0, 2]
+                f[_Y, j] = row[e + j, 1, 2]
+                f[_IMPULSE_X, j] = p[e + j, 0]
+                f[_IMPULSE_Y, j] = p[e + j, 1]
+                f[_LIMIT, j] = problem.element_limit[e + j]
+    for e in range(0, n_point, LANES):
+        if is_group(problem, e):
+            _linearise_group(problem, work, e, epsilon)
+    worst = 0.0
+    right = work.right
+    matrix = work.matrix
+    for e in range(0, n_point, LANES):
+        if not is_group(problem, e):
+            continue
+        o = problem.element_dof[e]
+        f = view(work.lanes, LANE_FIELDS * e, (LANE_FIELDS, LANES))
+        xx = 0.0
+        xy = 0.0
+        yy = 0.0
+        xt = 0.0
+        yt = 0.0
+        tt = 0.0
+        for j in range(LANES):
+            worst = max(worst, f[_LIMIT, j])
+            right[o] += f[_IMPULSE_X, j]
+            right[o + 1] += f[_IMPULSE_Y, j]
+            right[o + 2] += f[_TURN, j]
+            xx += f[_XX, j]
+            xy += f[_XY, j]
+            yy += f[_YY, j]
+            xt += f[_XT, j]
+            yt += f[_YT, j]
+            tt += f[_TT, j]
+        matrix[o, o] += xx
+        matrix[o, o + 1] += xy
+        matrix[o, o + 2] += xt
+        matrix[o + 1, o] += xy
+        matrix[o + 1, o + 1] += yy
+        matrix[o + 1, o + 2] += yt
+        matrix[o + 2, o] += xt
+        matrix[o + 2, o + 1] += yt
+        matrix[o + 2, o + 2] += tt
+    return worst
+
+
+@kernel
+def _linearise_group(problem: Problem, work: Workspace, e: int, epsilon: float) -> None:
+    """Compute the fields of a group at the present velocity and impulses."""
+    f = view(work.lanes, LANE_FIELDS * e, (LANE_FIELDS, LANES))
+    o = problem.element_dof[e]
+    vx = problem.velocity[o]
+    vy = problem.velocity[o + 1]
+    spin = problem.velocity[o + 2]
+    rho = problem.stiffness[o]
+    per_rho = 1.0 / rho
+    stiff = rho / epsilon
+    for j in range(LANES):
+        x = f[_X, j]
+        y = f[_Y, j]
+        px = f[_IMPULSE_X, j]
+        py = f[_IMPULSE_Y, j]
+        limit = f[_LIMIT, j]
+        ux = vx + x * spin
+        uy = vy + y * spin
+        zx = px - rho * ux
+        zy = py - rho * uy
+        length = math.sqrt(zx * zx + zy * zy)
+        slides = length > limit
+        # No branches: what the other state needs may be infinite, and is not selected.
+        inverse = 1.0 / length if slides else 0.0
+        dx = zx * inverse
+        dy = zy * inverse
+        fx = px - limit * dx if slides else rho * ux
+        fy = py - limit * dy if slides else rho * uy
+        kappa = min(rho * limit / (length - limit), stiff) if slides else stiff
+        across = per_rho * kappa * (fy * dx - fx * dy)
+        cx = across * dy - fx if slides else -stiff * ux
+        cy = -across * dx - fy if slides else -stiff * uy
+        cross = dx * x + dy * y
+        f[_LIMIT, j] = max(abs(fx), abs(fy))
+        f[_CHANGE_X, j] = cx
+        f[_CHANGE_Y, j] = cy
+        f[_KAPPA, j] = kappa
+        f[_DX, j] = dx
+        f[_DY, j] = dy
+        f[_IMPULSE_X, j] = px + cx
+        f[_IMPULSE_Y, j] = py + cy
+        f[_TURN, j] = x * (px + cx) + y * (py + cy)
+        f[_XX, j] = kappa * (1.0 - dx * dx)
+        f[_XY, j] = -kappa * dx * dy
+        f[_YY, j] = kappa * (1.0 - dy * dy)
+        f[_XT, j] = kappa * (x - dx * cross)
+        f[_YT, j] = kappa * (y - dy * cross)
+        f[_TT, j] = kappa * (x * x + y * y - cross * cross)
+
+
+@large_kernel
+def step_points(problem: Problem, work: Workspace) -> None:
+    """Change the impulses of the groups by the solution in `work.right`."""
+    p = problem.element_impulse
+    for e in range(0, problem.size[N_POINT], LANES):
+        if not is_group(problem, e):
+            continue
+        f = view(work.lanes, LANE_FIELDS * e, (LANE_FIELDS, LANES))
+        o = problem.element_dof[e]
+        vx = work.right[o]
+        vy = work.right[o + 1]
+        spin = work.right[o + 2]
+        for j in range(LANES):
+            ux = vx + f[_X, j] * spin
+            uy = vy + f[_Y, j] * spin
+            along = ux * f[_DX, j] + uy * f[_DY, j]
+            f[_CHANGE_X, j] -= f[_KAPPA, j] * (ux - along * f[_DX, j])
+            f[_CHANGE_Y, j] -= f[_KAPPA, j] * (uy - along * f[_DY, j])
+        for j in range(LANES):
+            p[e + j, 0] += f[_CHANGE_X, j]
+            p[e + j, 1] += f[_CHANGE_Y, j]
