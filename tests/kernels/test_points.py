@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from numba import njit
 
 from fixel.kernels import codes, entries
-from fixel.kernels.arrays import N_ELEMENT, N_POINT, Problem
-from fixel.kernels.points import LANES, count_points
+from fixel.kernels.arrays import N_POINT
+from fixel.kernels.points import LANES
 from fixel.kernels.solve import MAX_ATTEMPTS
 
 TOLERANCE = 1e-9  # the judge's
@@ -15,11 +14,6 @@ TOLERANCE = 1e-9  # the judge's
 def solve(problem, work):
     guess = np.zeros_like(problem.velocity)
     return entries.solve_problem(problem, work, guess, codes.NEWTON, 0, MAX_ATTEMPTS)
-
-
-@njit
-def count(problem: Problem) -> int:
-    return count_points(problem, problem.size[N_ELEMENT])
 
 
 def pushed_bodies(seed, n_points, inertia=1.0):
@@ -58,8 +52,7 @@ def test_groups_have_the_solution_of_single_points(n_points, inertia, seed):
     single, work = pushed_bodies(seed, n_points, inertia)
     assert solve(single, work)[0] <= TOLERANCE
     grouped, work = pushed_bodies(seed, n_points, inertia)
-    grouped.size[N_POINT] = count(grouped)
-    assert grouped.size[N_POINT] == sum(n_points)
+    grouped.size[N_POINT] = sum(n_points)
     assert solve(grouped, work)[0] <= TOLERANCE
     assert grouped.velocity == pytest.approx(single.velocity, abs=1e-7)
     assert grouped.impulse == pytest.approx(single.impulse, abs=1e-7)
@@ -69,20 +62,8 @@ def test_a_body_at_rest_sticks_on_all_its_points():
     problem, work = pushed_bodies(0, (64,))
     problem.momentum[:3] = 0.1, -0.1, 0.05
     problem.bias[0, 0] = 1.0
-    problem.size[N_POINT] = count(problem)
+    problem.size[N_POINT] = 64
     residual, fell_back = solve(problem, work)
     assert residual <= TOLERANCE
     assert not fell_back
     assert abs(problem.velocity[:3]).max() < 1e-9
-
-
-@pytest.mark.parametrize("field", ["element_sides", "element_row", "element_bias"])
-def test_points_end_where_an_element_is_no_plain_point(field):
-    problem, _ = pushed_bodies(0, (24,))
-    getattr(problem, field)[10] = 3
-    assert count(problem) == 10
-
-
-def test_few_points_form_no_group():
-    problem, _ = pushed_bodies(0, (LANES - 1,))
-    assert count(problem) == 0

@@ -21,6 +21,7 @@ from fixel.kernels import codes
 from fixel.kernels.arrays import (
     N_DOF,
     N_FREE_DOF,
+    N_POINT,
     NORMAL_X,
     NORMAL_Y,
     POINT_X,
@@ -30,6 +31,7 @@ from fixel.kernels.arrays import (
     State,
 )
 from fixel.kernels.jit import kernel
+from fixel.kernels.points import LANES
 from fixel.typing import FloatArray
 
 
@@ -125,10 +127,12 @@ def assemble_elements(
     Anisotropic friction is an ellipse of impulses; rows scaled by its half-axes turn it into a
     disc.
     """
+    problem.size[N_POINT] = 0
     if motion == codes.FIRST_ORDER:
         return 0
     row = problem.element_row
     even = model.plane[0] == 1.0 and model.plane[1] == 1.0
+    n_point = model.element_body.size if even and model.sides == 0 else 0
     last = -1
     c = 1.0
     s = 0.0
@@ -166,6 +170,8 @@ def assemble_elements(
             row[e, 1, 2] = f2 * (ca * rx + sa * ry)
         if model.element_kind[e] == codes.ELLIPSOID:
             row[e, 2, 2] = model.element_ratio[e]
+            n_point = min(n_point, e)
+    problem.size[N_POINT] = n_point if n_point >= LANES else 0
     return int(model.element_body.size)
 
 
@@ -178,8 +184,7 @@ def set_stiffness(problem: Problem, n_element: int) -> None:
     largest = 0.0
     for o in range(0, n_free_dof, 3):
         problem.stiffness[o] = problem.inertia[o, 0]
-    for e in range(n_element):
-        problem.stiffness[problem.element_dof[e]] += problem.element_limit[e]
+    add_limits(problem, n_element, problem.stiffness, 0)
     for o in range(0, n_free_dof, 3):
         k = problem.stiffness[o]
         problem.stiffness[o + 1] = k
@@ -187,6 +192,25 @@ def set_stiffness(problem: Problem, n_element: int) -> None:
         largest = max(largest, k)
     for o in range(n_free_dof, n_dof):
         problem.stiffness[o] = largest
+
+
+@kernel
+def add_limits(problem: Problem, n_element: int, target: FloatArray, offset: int) -> None:
+    """Add the friction limits of the first elements to ``target[o + offset]``, where o is the first
+    degree of freedom of their free bodies."""
+    n_free_dof = problem.size[N_FREE_DOF]
+    o = 0
+    total = 0.0
+    for e in range(n_element):
+        # Written once per body: an array would pass each sum through memory.
+        if problem.element_dof[e] != o:
+            target[o + offset] += total
+            total = 0.0
+            o = problem.element_dof[e]
+            if o >= n_free_dof:
+                return
+        total += problem.element_limit[e]
+    target[o + offset] += total
 
 
 @kernel

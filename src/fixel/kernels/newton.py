@@ -25,6 +25,7 @@ from fixel.kernels.arrays import (
 from fixel.kernels.jit import kernel
 from fixel.kernels.linear import solve_dense, solve_envelope
 from fixel.kernels.points import LANES, add_points, is_group, step_points
+from fixel.kernels.residual import residual
 
 EPSILON = (
     1e-7  # compliance of a held constraint, relative to its block's; larger needs more iterations
@@ -42,14 +43,19 @@ _HELD = 2  # the tangential velocity
 def newton(problem: Problem, work: Workspace, tolerance: float, max_iterations: int) -> float:
     """Iterate the problem's velocity and impulses until the natural map is below `tolerance`.
 
-    Returns the largest entry of the natural map at the last linearisation (impulse units of this
-    module's own scaling); above `tolerance` it has failed. For at most DENSE_LIMIT unknowns.
+    Returns the residual (`residual.py`); infinite where a linear system has no solution. From the
+    second step on the residual is computed first, since it costs no more than a linearisation, and
+    most steps end there. For at most DENSE_LIMIT unknowns.
     """
     worst = math.inf
     for iteration in range(max_iterations + 1):
-        worst = linearise(problem, work, EPSILON, FLOOR, True, False, False)
-        # One full step solves the linear momentum rows, which the guess need not.
-        if iteration == max_iterations or (iteration > 0 and worst <= tolerance):
+        if iteration > 1:
+            worst = residual(problem, work.right)
+            if worst <= tolerance or iteration == max_iterations:
+                break
+        # Redundant constraints may leave a residual of rounding errors.
+        off = linearise(problem, work, EPSILON, FLOOR, True, False, False)
+        if iteration > 1 and off <= tolerance:
             break
         if not solve_linear(problem, work, True):
             return math.inf

@@ -34,27 +34,6 @@ _TT = 16
 
 
 @kernel
-def count_points(problem: Problem, n_element: int) -> int:
-    """Count the first elements that are points on an even plane; zero where they fill no group."""
-    if n_element < LANES:
-        return 0
-    for e in range(n_element):
-        row = problem.element_row[e]
-        bias = problem.element_bias[e]
-        if not (
-            problem.element_sides[e] == 0
-            and row[0, 0] == 1.0
-            and row[0, 1] == 0.0
-            and row[1, 0] == 0.0
-            and row[1, 1] == 1.0
-            and row[2, 0] == row[2, 1] == row[2, 2] == 0.0
-            and bias[0] == bias[1] == bias[2] == 0.0
-        ):
-            return e
-    return n_element
-
-
-@kernel
 def is_group(problem: Problem, first: int) -> bool:
     """Whether element `first` and those after it are a group."""
     return (
@@ -94,6 +73,9 @@ def add_points(problem: Problem, work: Workspace, epsilon: float) -> float:
             continue
         o = problem.element_dof[e]
         f = view(work.lanes, LANE_FIELDS * e, (LANE_FIELDS, LANES))
+        px = 0.0
+        py = 0.0
+        turn = 0.0
         xx = 0.0
         xy = 0.0
         yy = 0.0
@@ -102,15 +84,18 @@ def add_points(problem: Problem, work: Workspace, epsilon: float) -> float:
         tt = 0.0
         for j in range(LANES):
             worst = max(worst, f[_LIMIT, j])
-            right[o] += f[_IMPULSE_X, j]
-            right[o + 1] += f[_IMPULSE_Y, j]
-            right[o + 2] += f[_TURN, j]
+            px += f[_IMPULSE_X, j]
+            py += f[_IMPULSE_Y, j]
+            turn += f[_TURN, j]
             xx += f[_XX, j]
             xy += f[_XY, j]
             yy += f[_YY, j]
             xt += f[_XT, j]
             yt += f[_YT, j]
             tt += f[_TT, j]
+        right[o] += px
+        right[o + 1] += py
+        right[o + 2] += turn
         matrix[o, o] += xx
         matrix[o, o + 1] += xy
         matrix[o, o + 2] += xt

@@ -68,8 +68,7 @@ def solve(
             if worst <= NEWTON_TOLERANCE:
                 return worst, 0  # the answer of the step before holds on
         save(problem, work)
-        newton(problem, work, NEWTON_TOLERANCE, QUICK_ITERATIONS)
-        worst = residual(problem, work.right)
+        worst = newton(problem, work, NEWTON_TOLERANCE, QUICK_ITERATIONS)
         if worst <= TOLERANCE:
             return worst, 0
     return solve_fallback(problem, work, guess, first_sweeps, max_attempts)

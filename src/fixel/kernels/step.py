@@ -13,7 +13,6 @@ from fixel.kernels.arrays import (
     N_DOF,
     N_ELEMENT,
     N_FREE_DOF,
-    N_POINT,
     NORMAL_X,
     NORMAL_Y,
     OVERLAP,
@@ -25,6 +24,7 @@ from fixel.kernels.arrays import (
     Workspace,
 )
 from fixel.kernels.assembly import (
+    add_limits,
     assemble_bodies,
     assemble_contact,
     assemble_elements,
@@ -33,7 +33,6 @@ from fixel.kernels.assembly import (
 from fixel.kernels.contacts import find_contacts, find_near_pairs, moved, place_bodies, warm_start
 from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
 from fixel.kernels.path import path_direction, path_pose
-from fixel.kernels.points import count_points
 from fixel.typing import FloatArray
 
 LIST_REACH = 0.2  # of the characteristic length: how far ahead near pairs are listed
@@ -165,13 +164,13 @@ def prepare_rows(
             dof += 1
     problem.size[N_DOF] = dof
     problem.size[N_ELEMENT] = n_element
-    for e in range(n_element):
-        for k in range(3):
-            # After a failed solve there may be no number to multiply.
-            problem.element_impulse[e, k] = (
-                ratio * problem.element_impulse[e, k] if ratio > 0.0 else 0.0
-            )
-    problem.size[N_POINT] = count_points(problem, n_support)
+    if ratio != 1.0:
+        for e in range(n_element):
+            for k in range(3):
+                # After a failed solve there may be no number to multiply.
+                problem.element_impulse[e, k] = (
+                    ratio * problem.element_impulse[e, k] if ratio > 0.0 else 0.0
+                )
     set_stiffness(problem, n_support)
     for i in range(dof):
         problem.velocity[i] = guess[i]
@@ -424,9 +423,9 @@ def _extrapolate(state: State, problem: Problem, smooth: bool) -> None:
                 problem.momentum[k] - problem.inertia[k, k - o] * state.velocity[k]
             )
         scratch[o + 2] = 0.0
+    add_limits(problem, problem.size[N_ELEMENT], scratch, 1)
     for e in range(problem.size[N_ELEMENT]):
         if problem.element_dof[e] < n_dof:
-            scratch[problem.element_dof[e] + 1] += problem.element_limit[e]
             scratch[problem.element_dof[e] + 2] = RUBBED
     if not smooth:
         for o in range(0, n_dof, 3):

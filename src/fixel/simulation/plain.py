@@ -13,6 +13,7 @@ from fixel.kernels import codes, entries
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
     N_DOF,
+    N_POINT,
     SAMPLES,
     BatchRecord,
     Model,
@@ -83,6 +84,8 @@ class _Loop:
             return StepTrial(codes.CONTACT_OVERFLOW, math.inf)
         span = float(control[at.SPAN])
         n_support = self.motion.assemble(model, state, span, self.pose, problem)
+        if self.motion.kind == codes.EXTERNAL:
+            problem.size[N_POINT] = 0  # it may have changed the rows of built-in models
         entries.rows(model, state, control, guess, self.pose, problem, n_support)
         if min_gap < math.inf:
             closing = float(entries.closing_time(problem, guess, step, lead, min_gap))
