@@ -8,6 +8,7 @@ import pytest
 from fixel.calibration import FixedStepSearch, PatternSearch, SearchBox
 from fixel.calibration.objective import Evaluation
 from fixel.calibration.study import (
+    RolloutRequest,
     best_subset,
     calibrate_each,
     calibrate_joint,
@@ -48,6 +49,36 @@ def test_company_changes_nothing():
     alone = run_study(calibrate_each([3], BOX, PatternSearch()), bowls)
     assert (alone[0].points == many[3].points).all()
     assert (alone[0].errors == many[3].errors).all()
+
+
+def test_points_of_recent_requests_are_simulated_once_unless_they_failed():
+    seen, failed = [], []
+
+    def partly(ask):
+        answer = bowls(ask)
+        bad = ask.points[:, 0] > 0.35
+        seen.extend(map(bytes, ask.points[~bad]))
+        failed.extend(map(bytes, ask.points[bad]))
+        answer.error[bad] = math.inf
+        return answer._replace(reasons=["jammed" if own else "" for own in bad])
+
+    (trace,) = run_study(calibrate_each([2], BOX, PatternSearch()), partly)
+
+    search = PatternSearch().start(BOX)  # the same without a memory
+    errors, reasons = [], []
+    while not search.done:
+        points = search.ask()
+        answer = partly(RolloutRequest(np.full(len(points), 2), points))
+        search.tell(answer.error)
+        errors += answer.error.tolist()
+        reasons += answer.reasons
+    assert trace.errors.tolist() == errors
+    assert trace.reasons == reasons
+    points = [bytes(point) for point in trace.points]
+    of_memory = seen[: len(seen) - len([r for r in reasons if not r])]
+    assert len(of_memory) < len([r for r in reasons if not r])
+    assert set(of_memory) | set(failed) == set(points)
+    assert 2 * sum(bool(r) for r in reasons) == len(failed)
 
 
 def test_together_minimises_what_is_combined():

@@ -11,6 +11,7 @@ Source: RPI thesis, sections 5.1.1, 5.2.1 and 5.2.2; mechanics of Dakota's searc
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Final, NamedTuple, TypeVar
 
@@ -35,6 +36,10 @@ class RolloutRequest(NamedTuple):
 
 
 Study = Generator[RolloutRequest, Evaluation, T]
+
+# Number of requests of a search whose points are not simulated again; most returns are to the last
+# two.
+RECENT: Final = 4
 
 OUT_OF_BUDGET: Final = "the budget is used up"
 MADE: Final = "evaluations were made"
@@ -102,7 +107,8 @@ def calibrate_each(
     """Calibrate every member alone; all searches advance together, so that batches are large.
 
     The result of a member does not depend on the others. A search ends with the batch in which it
-    reaches `max_evaluations`.
+    reaches `max_evaluations`. Pattern searches return to points of their last polls: such points
+    count as evaluations, but are not simulated again.
     """
     logs = [_Log(optimiser.start(box, seed, feasible)) for _ in members]
     while True:
@@ -113,13 +119,15 @@ def calibrate_each(
         ]
         if not running:
             return [log.trace(made(log.search.evaluations)) for log in logs]
-        asked = [log.search.ask() for _, log in running]
-        which = np.repeat([m for m, _ in running], [len(points) for points in asked])
-        answer = yield RolloutRequest(which, np.concatenate(asked))
+        new = [log.ask_new() for _, log in running]
+        which = np.repeat([m for m, _ in running], [len(points) for points in new])
+        answer = Evaluation(np.zeros(0), [])
+        if len(which):
+            answer = yield RolloutRequest(which, np.concatenate(new))
         at = 0
-        for (_, log), points in zip(running, asked, strict=True):
+        for (_, log), points in zip(running, new, strict=True):
             end = at + len(points)
-            log.tell(points, answer.error[at:end], answer.reasons[at:end])
+            log.tell_new(answer.error[at:end], answer.reasons[at:end])
             at = end
 
 
@@ -173,6 +181,24 @@ class _Log:
         self._errors: list[FloatArray] = []
         self._reasons: list[str] = []
         self._owners: list[IntArray] = []
+        # Errors of the points of the last requests, without those that failed.
+        self._recent: deque[dict[bytes, float]] = deque(maxlen=RECENT)
+        self._known: list[float | None] = []  # of each point of the present request
+
+    def ask_new(self) -> FloatArray:
+        """Return the requested points that were not in recent requests."""
+        points = self.search.ask()
+        keys = map(bytes, points)
+        self._known = [next((r[key] for r in self._recent if key in r), None) for key in keys]
+        return points[[error is None for error in self._known]]
+
+    def tell_new(self, errors: FloatArray, reasons: list[str]) -> None:
+        """Take the errors and reasons of the points of `ask_new`."""
+        points, new = self.search.ask(), zip(errors.tolist(), reasons, strict=True)
+        every = [next(new) if error is None else (error, "") for error in self._known]
+        told = zip(map(bytes, points), every, strict=True)
+        self._recent.append({key: error for key, (error, why) in told if not why})
+        self.tell(points, np.array([error for error, _ in every]), [why for _, why in every])
 
     def tell(self, points: FloatArray, errors: FloatArray, reasons: list[str]) -> None:
         if self.search.has_iterations:
