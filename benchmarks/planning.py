@@ -58,7 +58,7 @@ class Task(NamedTuple):
     world: SimulatedTestbed
 
 
-class Compared(NamedTuple):
+class PlanComparison(NamedTuple):
     """Pushes of two plans, and the success that the planner states for them."""
 
     robust: Sequence[Scene]
@@ -82,7 +82,7 @@ class Row(NamedTuple):
     seconds: float
 
 
-Planner = Callable[[Task, Belief, int], Compared]
+Planner = Callable[[Task, Belief, int], PlanComparison]
 
 
 def run(size: Size) -> list[Figure]:
@@ -134,7 +134,7 @@ def compared(task: Task, runs: int, rollouts: int, planner: Planner | None = Non
     )  # fmt: skip
 
 
-def planned(task: Task, belief: Belief, rollouts: int) -> Compared:
+def planned(task: Task, belief: Belief, rollouts: int) -> PlanComparison:
     """Plan with `fixel.plan`."""
     plan = fixel.plan(
         task.scene, task.goal, task.choose, belief, rollouts=rollouts, threads=1, progress=False,
@@ -143,7 +143,7 @@ def planned(task: Task, belief: Belief, rollouts: int) -> Compared:
     simulator = simulator_of(plan.scene, task.goal, task.choose, belief, None, None, 1)
     search = PlanSearch(simulator=simulator, belief=belief, rollouts=rollouts)
     other = simulator.planned(search.candidates()[0][None])
-    return Compared(
+    return PlanComparison(
         plan.scenes,
         pushes_of(plan.scene, other.start[0], other.path[0]),
         plan.success.mean, plan.success.stated, plan.nominal_success.mean,

@@ -27,8 +27,8 @@ def test_an_unknown_that_decides_everything_is_worth_the_whole_regret(limit):
 
 
 def test_an_unknown_without_influence_is_worth_nothing():
-    # 32 plans whose success is chance alone: whoever chooses the best of each interval by the
-    # scenarios that it is judged by would gain 0.1 and more.
+    # 32 plans whose success is chance alone. Choosing the best of each interval by the scenarios
+    # that also judge it would gain 0.1 and more.
     worth, share = [], []
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -42,8 +42,8 @@ def test_an_unknown_without_influence_is_worth_nothing():
 
 
 def test_draws_with_several_scenarios_are_not_divided():
-    # 64 draws of five parameters with 16 runs each: one more, without influence, tells the draws
-    # apart, and would seem to explain failures that the other five cause.
+    # 64 draws of five parameters with 16 runs each: one more, without influence, identifies
+    # each draw, and would seem to explain failures that the other five cause.
     rng = np.random.default_rng(5)
     world = np.arange(N) % 64
     parameters = rng.normal(size=(64, 5))
@@ -70,7 +70,7 @@ def test_unknowns_of_each_run_are_found_despite_different_draws():
 
 def test_value_of_a_noisy_influence():
     # Plan 0 succeeds with 0.85 + 0.1 on one side and 0.85 - 0.1 on the other, plan 1 reversed:
-    # whoever knows the side gains 0.1.
+    # knowing the side gains 0.1.
     rng = np.random.default_rng(2)
     side = rng.normal(size=4096)
     chance = 0.85 + 0.1 * np.sign(side) * np.array([[1.0], [-1.0]])

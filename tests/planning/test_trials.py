@@ -17,7 +17,7 @@ NOW = "2026-11-22T21:00:00+00:00"
 
 
 def refuted_within(stated: float, truth: float, n_trials: int) -> float:
-    """Probability that the e-value reaches 20 within so many trials, by dynamic programming.
+    """Probability that the e-value reaches 20 within `n_trials` trials, by dynamic programming.
 
     Up to a number of trials the e-value depends on the number of failures alone; after them also
     on whether the critical number was reached, which refutes by itself.
@@ -83,7 +83,7 @@ def test_e_values_of_all_courses_have_mean_one():
 
 
 def test_three_failures_in_the_first_ten():
-    # Such a course has a probability of 0.0115, but whoever looks after every trial needs more.
+    # Such a course has a probability of 0.0115, but a test after every trial needs more evidence.
     assert binom.sf(2, 10, 0.05) == pytest.approx(0.0115, abs=5e-5)
     met = [True, True, False, True, True, False, True, True, True, False]
     assert 5.0 < evidence_against(0.95, met)[-1] < 20.0

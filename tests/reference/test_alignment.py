@@ -1,6 +1,6 @@
 # Known answers K5-K8: M. A. Peshkin, A. C. Sanderson (1988), The motion of a pushed, sliding
 # workpiece; S. Goyal, A. Ruina, J. Papadopoulos (1991) for the ellipsoid.
-"""How far a fence must push until a part is flush, and how fast point pushes lose an angle."""
+"""Distances after which a fence is flush with a part, and rates at which point pushes turn one."""
 
 from math import cos, pi, radians, sin, tau
 

@@ -16,7 +16,7 @@ from fixel.planning.geometric import fence_pushes, geometric_pushes
 from fixel.planning.goal_places import goal_poses, needs_fixtures, surroundings
 from fixel.planning.pushes import FreePushes, PushChoice
 from fixel.planning.rollout import CARRIED_OUT, PlanSimulator, part_overlap
-from fixel.simulation.vary import composed
+from fixel.simulation.vary import composed, inverted
 from fixel.typing import FloatArray
 from fixel.uncertainty.starts import even_points
 
@@ -59,7 +59,7 @@ def plans_of_mechanics(simulator: PlanSimulator) -> Numbers:
         with suppress(InvalidInput):
             if isinstance(tool.shape, Disk):
                 pushes = geometric_pushes(
-                    body, composed(_inverse(start), pose)[0], friction=tool.friction,
+                    body, composed(inverted(start), pose)[0], friction=tool.friction,
                     tool_radius=tool.shape.radius, angle=choice.angle, length=length,
                 )  # fmt: skip
                 found += list(pushes[:, None])
@@ -148,7 +148,7 @@ def last_pushes(simulator: PlanSimulator, table: PushTable, seed: int) -> LastPu
     before, numbers = [], []
     scene, goal = simulator.scene, simulator.goal
     for pose in goal_poses(scene, goal):
-        before.append(composed(pose[None], _inverse(table.moved)))
+        before.append(composed(pose[None], inverted(table.moved)))
         numbers.append(table.numbers)
     if needs_fixtures(goal):
         low, high = surroundings(scene, goal)
@@ -181,9 +181,3 @@ def _embedded(pose: FloatArray, arm: float) -> FloatArray:
     """Return points (n, 4) whose distances are those of poses, rotations counted at `arm`."""
     turn = arm * np.column_stack((np.cos(pose[:, 2]), np.sin(pose[:, 2])))
     return np.column_stack((pose[:, :2], turn))
-
-
-def _inverse(pose: FloatArray) -> FloatArray:
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    x, y = pose[:, 0], pose[:, 1]
-    return np.column_stack((-c * x - s * y, s * x - c * y, -pose[:, 2]))

@@ -8,7 +8,6 @@ that they depend on no recorded end.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -24,7 +23,7 @@ from fixel.model.fields import positive
 from fixel.planning.belief import Belief
 from fixel.progress import ProgressOption, show_progress
 from fixel.results import Result, Summary
-from fixel.simulation.vary import composed
+from fixel.simulation.vary import composed, inverted
 from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray
 from fixel.uncertainty.run_to_run import learn_run_to_run, rest_at
@@ -244,9 +243,7 @@ def _nominal(fit: Calibration, target: Target, threads: int | None) -> FloatArra
 
 def _motion(target: Target, ends: FloatArray) -> FloatArray:
     """Return ends (n, 3) in the frame of the part at its start."""
-    x, y, angle = target.case.scene.bodies[0].pose
-    c, s = math.cos(angle), math.sin(angle)
-    return composed(np.array([[-c * x - s * y, s * x - c * y, -angle]]), ends)
+    return composed(inverted(np.array([target.case.scene.bodies[0].pose])), ends)
 
 
 def _within(motions: FloatArray, goal: FloatArray, tolerance: tuple[float, float]) -> BoolArray:
