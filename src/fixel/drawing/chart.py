@@ -83,6 +83,7 @@ def save_figure(make: Callable[[], Figure], *paths: str | Path) -> None:
             ending = Path(path).suffix.lower()
             with _fonts_without_layout() if ending == ".pdf" else nullcontext():
                 figure.savefig(path, metadata=known.get(ending))
+            figure.set_layout_engine("none")  # all files have the layout of the first
 
 
 @contextmanager
