@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+import shutil
 import sqlite3
 import stat
 import zipfile
@@ -121,13 +122,21 @@ def fill(store):
     )  # fmt: skip
 
 
-@pytest.fixture
-def bundle(tmp_path):
-    """A small bundle, and an empty store of its own."""
-    with Store(f"sqlite:///{tmp_path}/one.db", tmp_path / "one") as one:
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """A small bundle, made once; not to be changed."""
+    folder = tmp_path_factory.mktemp("exported")
+    with Store(f"sqlite:///{folder}/one.db", folder / "one") as one:
         one.upgrade()
         one.add_experiment(experiment())
-        export_bundle(one, tmp_path / "one.zip")
+        export_bundle(one, folder / "one.zip")
+    return folder / "one.zip"
+
+
+@pytest.fixture
+def bundle(exported, tmp_path):
+    """A copy of the small bundle, and an empty store of its own."""
+    shutil.copy(exported, tmp_path / "one.zip")
     with Store(f"sqlite:///{tmp_path}/two.db", tmp_path / "two") as two:
         two.upgrade()
         yield tmp_path / "one.zip", two

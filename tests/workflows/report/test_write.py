@@ -61,6 +61,12 @@ def report(project, tmp_path_factory):
     return project.report(tmp_path_factory.mktemp("out") / "r", command="fixel report")
 
 
+@pytest.fixture
+def without_charts(monkeypatch):
+    """Reports of this test have no charts of the calibration, which take seconds each time."""
+    monkeypatch.setattr("fixel.workflows.report.calibration.pictures_of", lambda data: [])
+
+
 def _kept(project, **changes):
     with project.store() as store:
         number = load_values(store).id
@@ -110,7 +116,7 @@ def test_the_page_needs_nothing_but_itself(report):
     assert {link[1:] for link in page.links if link.startswith("#")} <= anchors
 
 
-def test_names_of_experiments_are_text_and_no_markup(project, report):
+def test_names_of_experiments_are_text_and_no_markup(project, report, without_charts):
     assert EVIL not in report.page.read_text(encoding="utf-8")
     _kept(project)
     again = project.report(report.page.parent.parent / "evil")
@@ -127,7 +133,7 @@ def test_warnings_stand_first_and_name_the_next_command(report):
     assert "SIMULATED" in report.content.banner
 
 
-def test_an_analysis_takes_its_place_and_its_warnings(project, tmp_path):
+def test_an_analysis_takes_its_place_and_its_warnings(project, tmp_path, without_charts):
     _kept(project)
     done = project.report(tmp_path / "r")
     words = " ".join(done.content.warnings)
@@ -139,7 +145,7 @@ def test_an_analysis_takes_its_place_and_its_warnings(project, tmp_path):
     assert "Cells were judged by cross-validation." in done.page.read_text(encoding="utf-8")
 
 
-def test_an_analysis_of_another_calibration_has_no_place(project, tmp_path):
+def test_an_analysis_of_another_calibration_has_no_place(project, tmp_path, without_charts):
     _kept(project, question={"of": "another"}, calibrations=(999,), experiments=(998,), title="No")
     titles = [s.title for s in project.report(tmp_path / "r").content.sections]
     assert titles.count("Domain of applicability") <= 1
