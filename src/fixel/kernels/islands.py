@@ -39,6 +39,10 @@ class Islands(NamedTuple):
     first: IntArray  # (n_dof + 2,) first neighbour of each body; later, 1 for islands to solve
     neighbour: IntArray  # (2 n_contact,)
     sequence: IntArray  # (n_dof + 2,) bodies in the order in which islands number them
+    head: IntArray  # (n_dof + 2, 3) first body, contact and element of each island; -1 for none
+    next_body: IntArray  # (n_dof + 2,) that of the same island after each; -1 for none
+    next_contact: IntArray  # (n_contact,)
+    next_element: IntArray  # (n_element,)
 
 
 @kernel
@@ -46,7 +50,7 @@ def island_room(wide: int, n_contact: int, n_element: int) -> tuple[int, int]:
     """Sizes of the two buffers that `islands_of` needs, for ``wide = n_dof + 2``."""
     return (
         7 * wide + 17 * n_contact + 16 * n_element,
-        N_SIZE + 5 * wide + 5 * n_contact + 2 * n_element,
+        N_SIZE + 9 * wide + 6 * n_contact + 3 * n_element,
     )
 
 
@@ -60,8 +64,8 @@ def islands_of(problem: Problem, work: Workspace) -> Islands:
     e = problem.element_limit.size
     y = 7 * wide
     z = y + 17 * c
-    j = N_SIZE + 5 * wide
-    k = j + 5 * c
+    j = N_SIZE + 9 * wide
+    k = j + 6 * c
     part = Problem(
         size=view(i, 0, (N_SIZE,)),
         inertia=view(x, 0, (wide, 3)),
@@ -94,6 +98,10 @@ def islands_of(problem: Problem, work: Workspace) -> Islands:
         first=view(i, N_SIZE + 3 * wide, (wide,)),
         neighbour=view(i, j + 3 * c, (2 * c,)),
         sequence=view(i, N_SIZE + 4 * wide, (wide,)),
+        head=view(i, N_SIZE + 5 * wide, (wide, 3)),
+        next_body=view(i, N_SIZE + 8 * wide, (wide,)),
+        next_contact=view(i, j + 5 * c, (c,)),
+        next_element=view(i, k + 2 * e, (e,)),
     )
 
 
@@ -166,7 +174,33 @@ def find_islands(problem: Problem, islands: Islands) -> int:
         island[b] = _root(island, b)
     _list_neighbours(problem, islands, n_body)
     _number(islands, n_body)
+    _list_members(problem, islands, n_block)
     return n_block
+
+
+@kernel
+def _list_members(problem: Problem, islands: Islands, n_block: int) -> None:
+    """Chain the bodies, contacts and elements of each island, so that it is gathered in a time that
+    does not depend on the others."""
+    head = islands.head
+    n_free = problem.size[N_FREE_DOF]
+    for b in range(n_block):
+        for k in range(3):
+            head[b, k] = -1
+    for k in range(n_free // 3 - 1, -1, -1):
+        b = islands.sequence[k]
+        root = islands.island[b]
+        islands.next_body[b] = head[root, 0]
+        head[root, 0] = b
+    for i in range(problem.size[N_CONTACT] - 1, -1, -1):
+        if islands.contact_in[i] > 0:
+            root = islands.island[block_of(n_free, problem.contact_dof[i, 0])]
+            islands.next_contact[i] = head[root, 1]
+            head[root, 1] = i
+    for e in range(problem.size[N_ELEMENT] - 1, -1, -1):
+        root = islands.island[block_of(n_free, problem.element_dof[e])]
+        islands.next_element[e] = head[root, 2]
+        head[root, 2] = e
 
 
 @kernel
@@ -250,13 +284,13 @@ def gather(
     part = islands.part
     n_body = problem.size[N_FREE_DOF] // 3
     n_dof = 0
-    for k in range(n_body):
-        b = islands.sequence[k]
-        if islands.island[b] == island:
-            islands.place[b] = n_dof
-            for j in range(3):
-                _copy_dof(problem, islands, guess, 3 * b + j, n_dof + j)
-            n_dof += 3
+    b = islands.head[island, 0]
+    while b >= 0:
+        islands.place[b] = n_dof
+        for j in range(3):
+            _copy_dof(problem, islands, guess, 3 * b + j, n_dof + j)
+        n_dof += 3
+        b = islands.next_body[b]
     part.size[N_FREE_DOF] = n_dof
     for d in range(problem.size[N_DOF] - problem.size[N_FREE_DOF]):
         if islands.island[n_body + d] == island:
@@ -287,13 +321,9 @@ def _gather_contacts(problem: Problem, profile: IntArray, islands: Islands, isla
     for k in range(part.size[N_DOF]):
         profile[k] = k - k % 3 + 3
     n = 0
-    for i in range(problem.size[N_CONTACT]):
+    i = islands.head[island, 1]
+    while i >= 0:
         a = problem.contact_dof[i, 0]
-        if (
-            islands.contact_in[i] == 0
-            or islands.island[block_of(problem.size[N_FREE_DOF], a)] != island
-        ):
-            continue
         part.contact_dof[n, 0] = islands.place[block_of(problem.size[N_FREE_DOF], a)]
         b = problem.contact_dof[i, 1]
         part.contact_dof[n, 1] = -1
@@ -311,6 +341,7 @@ def _gather_contacts(problem: Problem, profile: IntArray, islands: Islands, isla
             high = max(part.contact_dof[n, 0], part.contact_dof[n, 1])
             profile[low] = max(profile[low], high + 3)
         n += 1
+        i = islands.next_contact[i]
     part.size[N_CONTACT] = n
     reach = 0
     for k in range(part.size[N_FREE_DOF]):
@@ -322,10 +353,9 @@ def _gather_contacts(problem: Problem, profile: IntArray, islands: Islands, isla
 def _gather_elements(problem: Problem, islands: Islands, island: int) -> None:
     part = islands.part
     n = 0
-    for e in range(problem.size[N_ELEMENT]):
+    e = islands.head[island, 2]
+    while e >= 0:
         block = block_of(problem.size[N_FREE_DOF], problem.element_dof[e])
-        if islands.island[block] != island:
-            continue
         part.element_dof[n] = islands.place[block]
         part.element_sides[n] = problem.element_sides[e]
         part.element_limit[n] = problem.element_limit[e]
@@ -335,6 +365,7 @@ def _gather_elements(problem: Problem, islands: Islands, island: int) -> None:
             for k in range(3):
                 part.element_row[n, j, k] = problem.element_row[e, j, k]
         n += 1
+        e = islands.next_element[e]
     part.size[N_ELEMENT] = n
 
 
@@ -343,25 +374,27 @@ def scatter(problem: Problem, islands: Islands, island: int) -> None:
     """Copy the solution of one island back into the problem."""
     part = islands.part
     n_body = problem.size[N_FREE_DOF] // 3
-    for b in range(n_body):
-        if islands.island[b] == island:
-            for k in range(3):
-                problem.velocity[3 * b + k] = part.velocity[islands.place[b] + k]
+    b = islands.head[island, 0]
+    while b >= 0:
+        for k in range(3):
+            problem.velocity[3 * b + k] = part.velocity[islands.place[b] + k]
+        b = islands.next_body[b]
     for d in range(problem.size[N_DOF] - problem.size[N_FREE_DOF]):
         if islands.island[n_body + d] == island:
             problem.velocity[problem.size[N_FREE_DOF] + d] = part.velocity[
                 islands.place[n_body + d]
             ]
     n = 0
-    for i in range(problem.size[N_CONTACT]):
-        block = block_of(problem.size[N_FREE_DOF], problem.contact_dof[i, 0])
-        if islands.contact_in[i] > 0 and islands.island[block] == island:
-            for k in range(2):
-                problem.impulse[i, k] = part.impulse[n, k]
-            n += 1
+    i = islands.head[island, 1]
+    while i >= 0:
+        for k in range(2):
+            problem.impulse[i, k] = part.impulse[n, k]
+        n += 1
+        i = islands.next_contact[i]
     n = 0
-    for e in range(problem.size[N_ELEMENT]):
-        if islands.island[block_of(problem.size[N_FREE_DOF], problem.element_dof[e])] == island:
-            for k in range(3):
-                problem.element_impulse[e, k] = part.element_impulse[n, k]
-            n += 1
+    e = islands.head[island, 2]
+    while e >= 0:
+        for k in range(3):
+            problem.element_impulse[e, k] = part.element_impulse[n, k]
+        n += 1
+        e = islands.next_element[e]

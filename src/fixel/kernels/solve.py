@@ -33,8 +33,10 @@ STILL_VELOCITY = 1e-9  # velocity below which the answer of the step before is t
 QUICK_ITERATIONS = 10  # Newton from the step before: 2 or 3 are the rule
 QUICK_ITERATIONS_LARGE = 5  # the same for many contacts, where more rarely help
 ITERATIONS = 12  # Newton from where the recovery got to
+ITERATIONS_LARGE = 6  # the same for many contacts
 NEAR = 1e-4  # residual from which Newton usually arrives, in a problem that is not small
-NEAR_ITERATIONS = 4  # after sweeps
+NEAR_ITERATIONS = 3  # after sweeps
+STIFF_NEAR = 1e4  # constraints with which proximal steps begin there
 ARRIVALS = 8  # times that Newton starts from the iterates of one proximal iteration
 # Trials of the recovery: each starts where the last one got to, every eighth from no impulses.
 MAX_ATTEMPTS = 98
@@ -193,11 +195,14 @@ def recover_large(problem: Problem, work: Workspace, guess: FloatArray, max_atte
             if trial > 4:
                 perturb(problem, trial // 4)
             stiffness = 10.0
-        for _ in range(0 if trial % 4 == 1 else 3):
+        for _ in range(0 if trial % 4 == 1 else 2):
             sweep(problem, work, SWEEPS // 3)
             worst = arrive(problem, work, NEAR_ITERATIONS, 1.0)
             if worst <= TOLERANCE:
                 return worst
+            if worst <= NEAR:
+                stiffness = STIFF_NEAR
+                break
         wait = -1 if trial % 2 == 0 else 100
         for _ in range(ARRIVALS):
             # Impulses travel through a heap from body to body.
@@ -205,7 +210,7 @@ def recover_large(problem: Problem, work: Workspace, guess: FloatArray, max_atte
                 problem, work, stiffness, 1e5, 10 + trial // 2, 1e-6, wait, 1.0 / (1 + trial % 8),
                 NEAR,
             )  # fmt: skip
-            worst = arrive(problem, work, ITERATIONS, 10.0 * stiffness)
+            worst = arrive(problem, work, ITERATIONS_LARGE, 10.0 * stiffness)
             if worst <= TOLERANCE:
                 return worst
             if not worst <= NEAR:
