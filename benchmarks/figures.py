@@ -69,7 +69,7 @@ class Size:
     subset: int  # of them checked against a second stepper
     repeats: int  # of a batch or of a process
     calls: int  # of something that takes milliseconds
-    bodies: int  # along a side of the heap
+    heaps: tuple[int, ...]  # bodies of each heap
     heap_seconds: float
     finest_peer_step: float  # [s]
 
@@ -79,7 +79,7 @@ FULL = Size(
     subset=200,
     repeats=5,
     calls=51,
-    bodies=10,
+    heaps=(30, 100, 300),
     heap_seconds=10.0,
     finest_peer_step=1e-4,
 )
@@ -88,7 +88,7 @@ SMALL = Size(
     subset=2,
     repeats=1,
     calls=3,
-    bodies=2,
+    heaps=(2, 4, 6),
     heap_seconds=0.5,
     finest_peer_step=5e-3,
 )

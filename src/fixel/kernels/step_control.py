@@ -445,6 +445,11 @@ def untouched_change(problem: Problem, guess: FloatArray) -> float:
     largest = 0.0
     v = problem.velocity
     for o in range(0, problem.size[N_FREE_DOF], 3):
+        dx = v[o] - guess[o]
+        dy = v[o + 1] - guess[o + 1]
+        change = math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2])
+        if change <= largest:
+            continue
         touched = False
         for i in range(problem.size[N_CONTACT]):
             if problem.impulse[i, 0] > 0.0 and (
@@ -452,9 +457,7 @@ def untouched_change(problem: Problem, guess: FloatArray) -> float:
             ):
                 touched = True
         if not touched:
-            dx = v[o] - guess[o]
-            dy = v[o + 1] - guess[o + 1]
-            largest = max(largest, math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2]))
+            largest = change
     return largest
 
 
