@@ -51,6 +51,9 @@ MIN_SCALE, MAX_SCALE = 1e-100, 1e100
 # Of position in one adaptive step, in characteristic lengths: 95 % of random grasps then end
 # within 0.1 mm and 0.1 degree of the converged result (docs/theory/stepping.md).
 DEFAULT_TOLERANCE = 1e-5
+# With n free bodies at least n^2 times this, up to a bound: a heap amplifies a micrometre in the
+# start pose more than that.
+HEAP_TOLERANCE, MAX_HEAP_TOLERANCE = 1e-7, 1e-3
 SMALLEST_STEP = 1e-7  # of an adaptive stepper, scaled
 
 Rows = TypeVar("Rows", bound=NDArray[Any])
@@ -485,7 +488,7 @@ class Template:
         self.motion_kind = motion.kind
         self._arrays = _scene_arrays(_Same(scene), motion.kind, speed)
         self.units = self._arrays.units
-        self._settings = _settings(stepper, self.units)
+        self._settings = _settings(stepper, self.units, len(scene.bodies))
 
     def packed(self, variation: Variation, n: int, duration: ArrayLike) -> PackedBatch:
         """Pack the arrays of `n` rollouts, with one duration [s] each or one for all.
@@ -667,14 +670,15 @@ class _FamilyRows:
             self.begin[:, family] = rows * np.arange(self.n)
 
 
-def _settings(stepper: AbstractStepper, units: Units) -> FloatArray:
+def _settings(stepper: AbstractStepper, units: Units, n_free: int) -> FloatArray:
     """Return the row of `Batch.settings` of a stepper, for no duration yet."""
     step, tolerance, largest = stepper.first_step, None, math.inf
     if isinstance(stepper, Adaptive):
         tolerance, largest = stepper.tolerance, stepper.largest_step
     settings = np.zeros(at.N_SETTING)
     settings[at.STEP] = TYPICAL_STEP if step is None else step / units.time
-    settings[at.TOLERANCE] = DEFAULT_TOLERANCE if tolerance is None else tolerance / units.length
+    usual = max(DEFAULT_TOLERANCE, min(MAX_HEAP_TOLERANCE, HEAP_TOLERANCE * n_free**2))
+    settings[at.TOLERANCE] = usual if tolerance is None else tolerance / units.length
     settings[at.SMALLEST] = SMALLEST_STEP
     settings[at.LARGEST] = largest
     return settings

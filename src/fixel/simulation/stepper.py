@@ -210,7 +210,7 @@ class Adaptive(_BuiltInStepper):
     ----------
     tolerance : float
         Position error allowed per step [m]; angles count by the characteristic length. None: 1e-5
-        of the scene's characteristic length.
+        of the scene's characteristic length; with n > 10 free bodies, 1e-7 n^2 but at most 1e-3.
     largest_step : float
         Length of the longest step, as a share of the time in which the fastest body moves by one
         characteristic length.
