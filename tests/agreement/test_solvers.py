@@ -1,8 +1,11 @@
 """Three solvers that share no algorithm find one motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from fixel.model import PairFriction
 from fixel.simulation import (
     Dynamic,
     FirstOrder,
@@ -49,3 +52,26 @@ def test_one_motion_of_a_micro_push(test):
 
 def test_one_motion_of_five_bodies():
     assert _apart(heap(5), GaussSeidel(), stepper=StewartTrinkle(step=0.01), duration=1.0) < 1e-6
+
+
+def test_heaps_far_apart_move_as_if_alone():
+    near = heap(12, duration=0.6)
+    away = np.array([0.0, 5.0, 0.0])
+    bodies = tuple(
+        replace(b, name=f"other-{b.name}", pose=np.asarray(b.pose) + away) for b in near.bodies
+    )
+    plate = near.pushers[0]
+    other = replace(plate, name="other", pose=np.asarray(plate.pose) + away)
+    both = replace(
+        near,
+        bodies=(*near.bodies, *bodies),
+        pushers=(plate, other),
+        contact_friction=(PairFriction(pair=("*body-*", "*body-*"), friction=0.3),),
+    )
+    alone = simulate(near, stepper=StewartTrinkle(step=0.02))
+    together = simulate(both, stepper=StewartTrinkle(step=0.02))
+    for body in near.bodies:
+        expected = alone.pose[body.name][-1]
+        assert np.abs(together.pose[body.name][-1] - expected).max() < 1e-6
+        moved = together.pose[f"other-{body.name}"][-1] - away
+        assert np.abs(moved - expected).max() < 1e-6

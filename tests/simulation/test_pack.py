@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
+from fixel.kernels import arrays as at
 from fixel.kernels import batch as families
 from fixel.model import (
     Body,
@@ -26,7 +27,7 @@ from fixel.simulation import (
     StewartTrinkle,
     simulate,
 )
-from fixel.simulation.pack import characteristic_units, pack, pusher_path, stack
+from fixel.simulation.pack import DEFAULT_TOLERANCE, characteristic_units, pack, pusher_path, stack
 from fixel.simulation.vary import Variation
 from fixel.testing.scenes import box, grasp, heap, micro_push, sliding_block
 
@@ -280,3 +281,11 @@ def test_a_plug_in_cannot_change_later_simulations():
     scene = sliding_block(0.5, 0.25, duration=0.05)
     runs = [simulate(scene, motion=Heavier(), stepper=StewartTrinkle(step=0.01)) for _ in range(2)]
     assert runs[0].final == runs[1].final
+
+
+@pytest.mark.parametrize(("n", "tolerance"), [(1, DEFAULT_TOLERANCE), (40, 1.6e-4), (200, 1e-3)])
+def test_the_default_tolerance_depends_on_the_number_of_bodies(n, tolerance):
+    packed = pack(heap(n), DYNAMIC, Adaptive(), Variation({}), 1, 1.0)
+    assert packed.batch.settings[0, at.TOLERANCE] == pytest.approx(tolerance)
+    fine = pack(heap(n), DYNAMIC, Adaptive(tolerance=1e-9), Variation({}), 1, 1.0)
+    assert fine.batch.settings[0, at.TOLERANCE] == pytest.approx(1e-9 / fine.units.length)
