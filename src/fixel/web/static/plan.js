@@ -1,16 +1,15 @@
 // @ts-check
 // Plan: the goal is dragged on a stage; starts a search and shows its progress until it is stored.
 
-import { complain, copy, get, send } from "./api.js";
+import { complain, get, send } from "./api.js";
 import { ROOT, at, input, settled, svg } from "./dom.js";
+import { listenToButtons, search } from "./search.js";
 
-/** @typedef {{name: string, state: string, ended: boolean, reason: string, stage: string}} Job */
 /** @typedef {{name: string, outline: number[][]}} Fixel */
 /** @typedef {{outline: number[][], start: number[], fixels: Fixel[], round: boolean}} PlanScene */
 
 const EVERY = 500; // [ms]
 const RAD = Math.PI / 180;
-let running = "";
 /** @type {PlanScene | null} */
 let scene = null;
 /** @type {Set<string>} */
@@ -155,55 +154,18 @@ function listen() {
   });
 }
 
-/** @param {boolean} busy */
-function show(busy) {
-  /** @type {HTMLButtonElement} */ (at("start")).disabled = busy;
-  at("stop").hidden = !busy;
-}
-
-/** @param {Job} job */
-async function follow(job) {
-  running = job.name;
-  show(true);
-  let now = job;
-  while (!now.ended) {
-    at("making").textContent = now.stage || "Starting ...";
-    await new Promise((done) => setTimeout(done, EVERY));
-    now = await get(`/plan/jobs/${encodeURIComponent(job.name)}`);
-  }
-  show(false);
-  running = "";
-  if (now.state === "done") {
-    location.assign(`${ROOT}/plan?experiment=${encodeURIComponent(input("experiment").value)}`);
-    return;
-  }
-  at("making").textContent = now.reason || `The search ended: ${now.state}.`;
-}
-
 document.getElementById("goal-form")?.addEventListener("submit", async (event) => {
   event.preventDefault();
-  try {
-    show(true);
-    await follow(await send("/plan", {
-      experiment: input("experiment").value,
-      x_mm: number("x_mm"), y_mm: number("y_mm"), angle_deg: number("angle_deg"),
-      position_mm: number("position_mm"), tolerance_deg: number("tolerance_deg"), symmetry: number("symmetry"),
-      fixels: [...wanted], pushes: number("pushes"), rig: input("kind").value === "rig",
-      start_mm: number("start_mm"), start_deg: number("start_deg"), rollouts: number("rollouts"),
-      untrusted: input("untrusted").checked,
-    }));
-  } catch (problem) {
-    show(false);
-    complain(problem);
-  }
-});
-
-document.getElementById("stop")?.addEventListener("click", async () => {
-  try {
-    await send(`/plan/jobs/${encodeURIComponent(running)}/stop`);
-  } catch (problem) {
-    complain(problem);
-  }
+  await search("/plan", {
+    experiment: input("experiment").value,
+    x_mm: number("x_mm"), y_mm: number("y_mm"), angle_deg: number("angle_deg"),
+    position_mm: number("position_mm"), tolerance_deg: number("tolerance_deg"), symmetry: number("symmetry"),
+    fixels: [...wanted], pushes: number("pushes"), rig: input("kind").value === "rig",
+    start_mm: number("start_mm"), start_deg: number("start_deg"), rollouts: number("rollouts"),
+    untrusted: input("untrusted").checked,
+  }, {
+    what: "search", every: EVERY, result: () => `${ROOT}/plan?experiment=${encodeURIComponent(input("experiment").value)}`,
+  });
 });
 
 document.getElementById("try")?.addEventListener("click", async (event) => {
@@ -224,9 +186,7 @@ document.getElementById("which")?.addEventListener("change", () => {
   location.assign(`${ROOT}/plan?plan=${encodeURIComponent(chosen)}`);
 });
 
-for (const button of document.querySelectorAll("button.copy")) {
-  button.addEventListener("click", () => copy(button.getAttribute("data-text") ?? "", "the command"));
-}
+listenToButtons("/plan");
 
 if (document.getElementById("goal-form")) {
   listen();
