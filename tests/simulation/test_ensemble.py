@@ -236,6 +236,7 @@ def test_poses_passed_on_are_those_of_simulations(monkeypatch, threads):
     ensemble = Ensemble(cases, threads=threads)
     whole = ensemble.simulate(which, values)
     monkeypatch.setattr("fixel.simulation.ensemble.MAX_BARE_POSES", 200)
+    monkeypatch.setattr("fixel.simulation.threads.MAX_RANGE", 4)
     found = np.full(whole.pose.shape, np.nan)
 
     def use(rollouts, pose):
@@ -251,7 +252,8 @@ def test_poses_passed_on_are_those_of_simulations(monkeypatch, threads):
     assert np.isnan(found[-1]).all()  # infeasible
 
 
-def test_poses_may_be_used_by_another_ensemble():
+def test_poses_may_be_used_by_another_ensemble(monkeypatch):
+    monkeypatch.setattr("fixel.simulation.threads.MAX_RANGE", 2)
     ensemble, other = Ensemble(_cases(), threads=2), Ensemble(_cases()[:1], threads=2)
     ends = []
 
@@ -262,7 +264,9 @@ def test_poses_may_be_used_by_another_ensemble():
     assert (np.array(ends) == ends[0]).all()
 
 
-def test_an_error_in_the_use_of_poses_is_raised():
+def test_an_error_in_the_use_of_poses_is_raised(monkeypatch):
+    monkeypatch.setattr("fixel.simulation.threads.MAX_RANGE", 2)
+
     def use(rollouts, pose):
         raise ValueError("no use")
 

@@ -157,6 +157,8 @@ def turned(start: float, end: float, frames: int) -> float:
 def wrapped(angle: ArrayLike) -> FloatArray:
     """Wrap angles into [-pi, pi) [rad]; those already there do not change by a bit."""
     given = np.asarray(angle, dtype=np.float64)
-    turned = np.mod(given + pi, 2.0 * pi) - pi
     inside = (given >= -pi) & (given < pi)
+    if inside.all():
+        return given.copy()
+    turned = np.mod(given + pi, 2.0 * pi) - pi
     return np.where(inside, given, np.where(turned >= pi, -pi, turned))

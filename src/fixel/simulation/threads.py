@@ -57,12 +57,15 @@ def rollout_in_threads(
     size = max(1, min(MAX_RANGE, n // (4 * n_threads)))
     try:
         nested = threading.current_thread().name.startswith(POOL_NAME)  # must not wait for itself
-        if n_threads == 1 or n < 2 or nested:
+        alone = n_threads == 1 or n < 2 or nested
+        shared = None if alone or n <= MAX_RANGE else then  # of few, it takes longer to share
+        if alone:
             _run(partial(roll, 0, n), record)
-            for k in range(0, n if then else 0, MAX_RANGE):
-                then(k, min(n, k + MAX_RANGE))  # type: ignore[misc]
         else:
-            _share(roll, then, record, size, n_threads)
+            _share(roll, shared, record, size, n_threads)
+        if then and not shared:
+            for k in range(0, n, MAX_RANGE):
+                then(k, min(n, k + MAX_RANGE))
     except KeyboardInterrupt:
         record.status[(record.status == codes.CONVERGED) & (record.count[:, SAMPLES] == 0)] = (
             codes.INTERRUPTED
