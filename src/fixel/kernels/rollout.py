@@ -141,7 +141,7 @@ def _run(
         status = codes.RETRY
         residual = 0.0
         while status == codes.RETRY:
-            predict_velocity(control, state.middle, before.middle, guess)
+            predict_velocity(control, state.middle, before.middle, older.middle, guess)
             solved, residual = _solve_trial(
                 model, state, control, guess, rows, problem, work, method, record
             )

@@ -27,11 +27,12 @@ from fixel.kernels.path import path_direction, path_pose, straight_time
 from fixel.kernels.step import RECOVERY
 from fixel.typing import FloatArray
 
-GROWTH_LIMIT = 3.0  # the step grows at most so much from one step to the next
+GROWTH_LIMIT = 10.0  # the step grows at most so much from one step to the next
 SHRINK = 0.3  # and shrinks at most so much after a rejection
-CAUTION = 0.9  # aim at this part of the tolerance
+CAUTION = 0.8  # aim at this part of the tolerance
 EVENT = 10.0  # tolerances: where something happens, inside a step, need not be known better
 JUMP = 0.1  # of the velocity: a change from step to step that is no smooth motion's
+ON_LINE = 0.5  # of a change: one that a line through the velocities before misses by less is smooth
 # Of the change from a velocity expected on a line, times half the step: what a second-order step is
 # wrong by. A twelfth for equal steps; twice that to be safe.
 SECOND_ORDER = 1.0 / 6.0
@@ -40,7 +41,9 @@ PREDICTED = 0  # the steps before
 CUT = 1  # the same, for a step that ends where a gap closes
 RENEWED = 2  # the solution of the same trial, which begins with a jump
 INSIST = 3  # every third unsolved trial of a step is not given up early; jams are not counted
-EXPONENT = 0.4  # of the change of step with the error's: between second and third order
+EXPONENT = 0.35  # of the change of step with the error's: nearly third order
+# Of the time in which forces move a body by the tolerance: the first step with a closed gap.
+CLOSED = 0.7
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
 MAX_MOTION = (
     1.0  # characteristic length, or radian: a step that moves a body further is out of its depth
@@ -118,12 +121,17 @@ def start_trial(control: FloatArray, step: float, lead: float) -> None:
 
 @kernel
 def predict_velocity(
-    control: FloatArray, velocity: FloatArray, before: FloatArray, guess: FloatArray
+    control: FloatArray,
+    velocity: FloatArray,
+    before: FloatArray,
+    older: FloatArray,
+    guess: FloatArray,
 ) -> None:
     """Write the velocity expected over the trial, unless the guess is to stay.
 
     On the line through the velocities of the last two steps; where they differ by a jump, or there
-    are no two, that of the last.
+    are no two, that of the last. A large change is no jump if the line through the two velocities
+    before led to it, as it does when a drive stalls.
     """
     if control[at.PREDICTING] == 0.0:
         return
@@ -131,13 +139,19 @@ def predict_velocity(
     n_dof = guess.size - 2
     last = control[at.LAST]
     earlier = control[at.EARLIER]
+    earliest = control[at.EARLIEST]
+    ahead = (last + earlier) / (earlier + earliest) if earliest > 0.0 else 0.0
     change = 0.0
     size = 0.0
+    bend = 0.0
     for i in range(n_dof):
-        change = max(change, abs(velocity[i] - before[i]))
+        step = velocity[i] - before[i]
+        change = max(change, abs(step))
+        bend = max(bend, abs(step - ahead * (before[i] - older[i])))
         size = max(size, abs(velocity[i]), abs(before[i]))
     rate = 0.0
-    if control[at.ADAPTIVE] == 1.0 and earlier > 0.0 and change < JUMP * size:
+    smooth = change < JUMP * size or (earliest > 0.0 and bend < ON_LINE * change)
+    if control[at.ADAPTIVE] == 1.0 and earlier > 0.0 and smooth:
         rate = (control[at.TRIAL] + last) / (last + earlier)
     for i in range(n_dof):
         guess[i] = velocity[i] + rate * (velocity[i] - before[i])
@@ -209,15 +223,18 @@ def judge_step(
         # Over the whole step velocities change twice as much as up to its middle.
         error = max(error, trial * untouched_change(problem, velocity))
         if jumped or renewed:
-            forced = trial * forced_change(problem, velocity)
+            forced, most = forced_change(problem, velocity)
+            forced *= trial
             if forced > tolerance and trial > smallest:
-                control[at.GROWTH] = 1.0
-                shrink = CAUTION * tolerance / forced
+                # What forces can do falls with the step too.
+                shrink = max(
+                    CAUTION * tolerance / forced, math.sqrt(CAUTION * tolerance / (trial * most))
+                )
                 return _try_next(control, max(smallest, trial * shrink), PREDICTED, True)
             error = max(error, forced)
     if error <= tolerance or trial <= smallest:
         control[at.SMOOTH] = 1.0 if smooth else 0.0
-        propose_step(control, error)
+        propose_step(control, problem, velocity, error)
         return codes.CONVERGED
     if jumped:
         control[at.RATE] = 0.0
@@ -243,7 +260,9 @@ def missed_event(control: FloatArray, change: float) -> bool:
 
 
 @kernel
-def propose_step(control: FloatArray, error: float) -> None:
+def propose_step(
+    control: FloatArray, problem: Problem, velocity: FloatArray, error: float
+) -> None:
     """Propose the length of the step after one that is taken with this error."""
     trial = control[at.TRIAL]
     was_cut = control[at.GUESSED] == CUT
@@ -254,6 +273,10 @@ def propose_step(control: FloatArray, error: float) -> None:
         following = max(following, control[at.STEP])
     if control[at.RESUMED] > 0.0 and (trial <= control[at.SMALLEST] or was_cut):
         following = control[at.RESUMED]
+    if was_cut and control[at.STAGGERED] == 1.0:
+        # The contact acts at once, then forces do: as in `judge_step`, but before anything is tried.
+        _, most = forced_change(problem, velocity)
+        following = min(following, CLOSED * math.sqrt(control[at.TOLERANCE] * trial / most))
     control[at.STEP] = min(following, control[at.LARGEST])
     control[at.EVENTFUL] = 1.0 if was_cut or cut_short else 0.0
 
@@ -462,26 +485,27 @@ def untouched_change(problem: Problem, guess: FloatArray) -> float:
 
 
 @large_kernel
-def forced_change(problem: Problem, before: FloatArray) -> float:
-    """Largest change of velocity over the step that forces can explain.
+def forced_change(problem: Problem, before: FloatArray) -> tuple[float, float]:
+    """Largest change of velocity over the step that forces can explain, and that they can cause.
 
     A jump is over at once, and no reason for short steps. What the wrenches and the friction of
     supports may have done took time, and a step that begins with a jump has nothing to be compared
     with that would show how much.
     """
     largest = 0.0
+    most = 1e-30
     v = problem.velocity
     for o in range(0, problem.size[N_FREE_DOF], 3):
         dx = v[o] - before[o]
         dy = v[o + 1] - before[o + 1]
         change = math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - before[o + 2])
-        if change <= largest:
-            continue
         impulse = 0.0
         for k in range(o, o + 3):
             impulse += abs(problem.momentum[k] - problem.inertia[k, k - o] * before[k])
         for e in range(problem.size[N_ELEMENT]):
             if problem.element_dof[e] == o:
                 impulse += problem.element_limit[e]
-        largest = max(largest, min(change, 2.0 * impulse / problem.inertia[o, 0]))
-    return largest
+        caused = 2.0 * impulse / problem.inertia[o, 0]
+        most = max(most, caused)
+        largest = max(largest, min(change, caused))
+    return largest, most

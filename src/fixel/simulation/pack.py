@@ -50,7 +50,7 @@ MIN_SCALE, MAX_SCALE = 1e-100, 1e100
 
 # Of position in one adaptive step, in characteristic lengths: 95 % of random grasps then end
 # within 0.1 mm and 0.1 degree of the converged result (docs/theory/stepping.md).
-DEFAULT_TOLERANCE = 1e-5
+DEFAULT_TOLERANCE = 3e-5
 # With n free bodies at least n^2 times this, up to a bound: a heap amplifies a micrometre in the
 # start pose more than that.
 HEAP_TOLERANCE, MAX_HEAP_TOLERANCE = 1e-7, 1e-3

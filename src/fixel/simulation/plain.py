@@ -108,8 +108,8 @@ class _Loop:
         bounces = entries.bounces(model, state, control, problem)
         return StepTrial(codes.CONVERGED, residual, bounces)
 
-    def past(self, before: State) -> StepHistory:
-        """Return the last two steps."""
+    def past(self, before: State, older: State) -> StepHistory:
+        """Return the last three steps."""
         state, control = self.state, self.control
         return StepHistory(
             state.middle.copy(),
@@ -117,6 +117,8 @@ class _Loop:
             float(control[at.LAST]),
             float(control[at.EARLIER]),
             state.velocity.copy(),
+            older.middle,
+            float(control[at.EARLIEST]),
         )
 
     def limits(self) -> StepLimits:
@@ -152,7 +154,7 @@ def rollout_in_python(
         if control[at.STEPS] + control[at.UNDONE] >= method.max_steps:
             status = codes.MAX_STEPS
             break
-        limits, past = loop.limits(), loop.past(before)
+        limits, past = loop.limits(), loop.past(before, older)
         step = float(control[at.STEP])
         advance = stepper.advance(loop.attempt, loop.problem, past, step, limits)
         status = advance.status

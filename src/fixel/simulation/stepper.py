@@ -37,13 +37,15 @@ class StepResult(NamedTuple):
 
 
 class StepHistory(NamedTuple):
-    """Velocities and lengths of the last two steps, scaled."""
+    """Velocities and lengths of the last three steps, scaled."""
 
     velocity: FloatArray  # (n_dof + 2,) of the last step, at its middle where that differs
     before: FloatArray  # (n_dof + 2,) of the step before
     last: float  # length of the last step, zero for none
     earlier: float  # of the one before it
     reached: FloatArray  # (n_dof + 2,) at the end of the last step
+    older: FloatArray  # (n_dof + 2,) of the step before `before`
+    earliest: float  # length of that step, zero for none
 
 
 class TryStep(Protocol):
@@ -115,12 +117,13 @@ class _BuiltInStepper(AbstractStepper):
         control[at.TOLERANCE] = limits.tolerance
         control[at.SMALLEST], control[at.LARGEST] = limits.smallest, limits.largest
         control[at.LAST], control[at.EARLIER] = past.last, past.earlier
+        control[at.EARLIEST] = past.earliest
         control[at.EVENTFUL] = limits.eventful
         guess = past.velocity.copy()
         entries.choose_trial(control)
         decision, residual = codes.RETRY, math.inf
         while decision == codes.RETRY:
-            entries.predict_velocity(control, past.velocity, past.before, guess)
+            entries.predict_velocity(control, past.velocity, past.before, past.older, guess)
             trial, min_gap = float(control[at.TRIAL]), float(control[at.MIN_GAP])
             give_up_early = control[at.GIVE_UP_EARLY] == 1.0
             status, residual, bounces, closing = attempt(
@@ -209,8 +212,8 @@ class Adaptive(_BuiltInStepper):
     Parameters
     ----------
     tolerance : float
-        Position error allowed per step [m]; angles count by the characteristic length. None: 1e-5
-        of the scene's characteristic length; with n > 10 free bodies, 1e-7 n^2 but at most 1e-3.
+        Position error allowed per step [m]; angles count by the characteristic length. None: 3e-5
+        of the scene's characteristic length; with n > 17 free bodies, 1e-7 n^2 but at most 1e-3.
     largest_step : float
         Length of the longest step, as a share of the time in which the fastest body moves by one
         characteristic length.

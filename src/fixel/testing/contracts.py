@@ -239,7 +239,7 @@ class StepperContract:
             assert len(tries) < 1000, "a stepper must stop"
             return StepTrial(status, math.inf)
 
-        past = StepHistory(np.zeros(5), np.zeros(5), 0.0, 0.0, np.zeros(5))
+        past = StepHistory(*np.zeros((2, 5)), 0.0, 0.0, *np.zeros((2, 5)), 0.0)
         limits = StepLimits(1.0, 1e-3, 1e-7, 0.2, True)
         advance = stepper.advance(attempt, problem, past, 0.1, limits)
         assert advance.status == status
@@ -251,7 +251,7 @@ class StepperContract:
             assert step <= 0.05 * (1 + 1e-12)
             return StepTrial(codes.CONVERGED, 0.0)
 
-        past = StepHistory(np.zeros(5), np.zeros(5), 0.0, 0.0, np.zeros(5))
+        past = StepHistory(*np.zeros((2, 5)), 0.0, 0.0, *np.zeros((2, 5)), 0.0)
         limits = StepLimits(0.05, 1e-3, 1e-7, 0.2, True)
         advance = stepper.advance(attempt, problem, past, 0.1, limits)
         assert advance.status == codes.CONVERGED
