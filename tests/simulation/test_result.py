@@ -37,8 +37,8 @@ def test_summary_of_a_run_that_converged():
     assert set(trace) == {"travel", "force", "stalled"}
     assert trace["stalled"] is True
     assert trace["force"] == pytest.approx(STALL_FORCE)
-    # Where it stalls it may go on by the tolerance of a step, 0.4 um, and give way again.
-    assert trace["travel"] == pytest.approx(answer["final"]["actuator"][0], abs=1e-6)
+    # Where it stalls it may go on by the tolerance of a step, 1.3 um, and give way again.
+    assert trace["travel"] == pytest.approx(answer["final"]["actuator"][0], abs=3e-6)
     assert ["object", "actuator"] in answer["touching"]
     assert answer["wall_time_s"] > 0.0
 

@@ -239,7 +239,7 @@ class StepperContract:
             assert len(tries) < 1000, "a stepper must stop"
             return StepTrial(status, math.inf)
 
-        past = StepHistory(*np.zeros((2, 5)), 0.0, 0.0, *np.zeros((2, 5)), 0.0)
+        past = _no_history()
         limits = StepLimits(1.0, 1e-3, 1e-7, 0.2, True)
         advance = stepper.advance(attempt, problem, past, 0.1, limits)
         assert advance.status == status
@@ -251,12 +251,18 @@ class StepperContract:
             assert step <= 0.05 * (1 + 1e-12)
             return StepTrial(codes.CONVERGED, 0.0)
 
-        past = StepHistory(*np.zeros((2, 5)), 0.0, 0.0, *np.zeros((2, 5)), 0.0)
+        past = _no_history()
         limits = StepLimits(0.05, 1e-3, 1e-7, 0.2, True)
         advance = stepper.advance(attempt, problem, past, 0.1, limits)
         assert advance.status == codes.CONVERGED
         assert 0.0 < advance.step <= 0.05 * (1 + 1e-12)
         assert advance.next_step > 0.0
+
+
+def _no_history() -> StepHistory:
+    """Return the history of a scene at rest, before its first step."""
+    rest = np.zeros(5)
+    return StepHistory(rest, rest, 0.0, 0.0, rest, rest, 0.0)
 
 
 class MotionModelContract:
