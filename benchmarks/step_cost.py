@@ -1,13 +1,19 @@
-"""Where the time of a grasp goes: per step in each phase, for rescues, and around the steps."""
+"""Where the time of a grasp goes: per step in each phase, for rescues, and around the steps; and
+what corners of outlines and points of supports add to a step."""
 
 from __future__ import annotations
+
+import time
+from dataclasses import replace
 
 import numpy as np
 
 from benchmarks.accuracy import random_sets
-from benchmarks.figures import Figure, Size, seconds
+from benchmarks.figures import Figure, Size, at_most, seconds
+from fixel.model import Body, Polygon, Scene, UniformPressure
 from fixel.simulation import StewartTrinkle, simulate, simulate_batch
-from fixel.testing.scenes import grasp
+from fixel.simulation.stepper import AbstractStepper
+from fixel.testing.scenes import grasp, pushed_square
 
 STEP = 0.01  # [s]
 # When the phases of the seated grasp with nominal parameters end [s].
@@ -64,3 +70,63 @@ def _rescues(size: Size) -> list[Figure]:
         Figure("steps of a seated grasp", "-", (float(np.mean(result.steps)),)),
         Figure("of which need a fallback", "-", (float(np.mean(result.fallbacks)),)),
     ]
+
+
+def run_corners(size: Size) -> list[Figure]:
+    """Time per step of a disc of 64 corners over that of a square, default stepper."""
+    return [
+        _over("step of 64 corners over 4, grasp", size, 3.0, [_grasped(n) for n in (4, 64)]),
+        _over("step of 64 corners over 4, finger alike", size, 3.0, [_pushed(n) for n in (4, 64)]),
+    ]
+
+
+def run_points(size: Size) -> list[Figure]:
+    """Time of a grasp on 64 points of even pressure over that on a tripod."""
+    square = grasp("seated")
+    even = _with_part(square, support=UniformPressure(friction=0.25, n_points=64))
+    fixed = StewartTrinkle(step=STEP)
+    return [
+        _over("grasp on 64 points over 3", size, 1.7, [square, even], per_step=False),
+        _over("fixed step on 64 points over 3", size, 1.7, [square, even], fixed),
+    ]
+
+
+def _grasped(corners: int) -> Scene:
+    return _with_part(grasp("seated"), shape=Polygon.regular(corners, 0.0607))
+
+
+def _pushed(corners: int) -> Scene:
+    scene = pushed_square()
+    finger = replace(scene.pushers[0], shape=Polygon.regular(corners, 0.005))
+    away = scene.bodies[0].pose + np.array([0.012, 0.0, 0.0])
+    part = _with_part(scene, shape=Polygon.regular(corners, 0.0607), pose=away)
+    return replace(part, pushers=(finger,))
+
+
+def _with_part(scene: Scene, **changes: object) -> Scene:
+    part: Body = replace(scene.bodies[0], **changes)  # type: ignore[arg-type]
+    return replace(scene, bodies=(part,))
+
+
+def _over(
+    name: str,
+    size: Size,
+    bar: float,
+    scenes: list[Scene],
+    stepper: AbstractStepper | None = None,
+    per_step: bool = True,
+) -> Figure:
+    """Processor time of the second scene, in all or per step, over that of the first, called in
+    turn."""
+    ratios = []
+    for _ in range(size.calls + 1):
+        cost = []
+        for scene in scenes:
+            values = random_sets(8)
+            own = {"mu_pusher": values["mu_pusher"]}
+            before = time.process_time()
+            result = simulate_batch(scene, own, stepper=stepper, threads=1)
+            taken = time.process_time() - before
+            cost.append(taken / float(np.sum(result.steps)) if per_step else taken)
+        ratios.append(cost[1] / cost[0])
+    return Figure(name, "x", tuple(ratios[1:]), at_most(bar))

@@ -112,3 +112,25 @@ def test_scratch_holds_what_is_left_over():
     problem.momentum[:3] += [0.1, -0.2, 0.3]
     judged(problem, work)
     assert np.abs(work.right[:3]) == pytest.approx([0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize("value", [0.0, OFF, math.nan, math.inf, 1e200])
+@pytest.mark.parametrize("field", ["element_impulse", "element_bias", "element_row"])
+@pytest.mark.parametrize("n", [8, 16, 41])
+def test_many_elements_together_and_one_by_one(n, field, value):
+    rng = np.random.default_rng(n)
+    problem, work = entries.empty(3, 0, n, 0, 0, 0, 0)
+    problem.size[:4] = 3, 0, n, 3
+    problem.velocity[:3] = rng.normal(size=3)
+    problem.element_row[:] = rng.normal(size=(n, 3, 3))
+    problem.element_bias[:] = rng.normal(size=(n, 3))
+    problem.element_impulse[:] = 0.1 * rng.normal(size=(n, 3))
+    problem.element_limit[:] = rng.uniform(0.1, 1.0, n)
+    getattr(problem, field)[n // 2, 1] += value
+    one_by_one = np.zeros(problem.momentum.size)
+    expected = entries.judge(problem, one_by_one)
+    assert judged(problem, work) == pytest.approx(expected, rel=1e-12)
+    if math.isfinite(expected):
+        assert work.right[:3] == pytest.approx(one_by_one[:3], rel=1e-12)
+    else:
+        assert expected == math.inf

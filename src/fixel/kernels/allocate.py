@@ -8,6 +8,7 @@ from fixel.kernels.islands import island_room
 from fixel.kernels.jit import allocating_kernel
 from fixel.kernels.josephy import MAX_CONTACTS, MAX_DRIVES
 from fixel.kernels.linear import DENSE_LIMIT
+from fixel.kernels.residual import SCRATCH
 
 SPARE = 2  # entries behind the last degree of freedom, so that every block may be read three wide
 
@@ -63,7 +64,7 @@ def empty_workspace(
         matrix=np.zeros((wide, wide)),
         profile=np.zeros(wide, np.int64),
         active=np.zeros(wide, np.int64),
-        right=np.zeros(wide),
+        right=np.zeros(wide + SCRATCH),
         contact_change=np.zeros((n_contact, 24)),
         element_change=np.zeros((n_element, 18)),
         lanes=np.zeros(LANE_FIELDS * n_element),

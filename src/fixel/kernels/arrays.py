@@ -116,7 +116,7 @@ class Workspace(NamedTuple):
     matrix: FloatArray  # (n_dof + 2, n_dof + 2)
     profile: IntArray  # (n_dof + 2,) one past the last column a row may couple with, border apart
     active: IntArray  # (n_dof + 2,) the same for the constraints that hold in this iteration
-    right: FloatArray  # (n_dof + 2,)
+    right: FloatArray  # (n_dof + 2 + residual.SCRATCH,)
     contact_change: (
         FloatArray  # (n_contact, 24) of impulse (2), slope, state; given friction limit; sweeps
     )

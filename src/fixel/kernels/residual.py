@@ -3,8 +3,12 @@
 import math
 
 from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem
-from fixel.kernels.jit import kernel
+from fixel.kernels.jit import kernel, large_kernel, view
 from fixel.typing import FloatArray
+
+MANY = 8  # elements of a body that are taken together
+CHUNK = 16
+SCRATCH = 7 * CHUNK
 
 
 @kernel
@@ -20,8 +24,9 @@ def residual(problem: Problem, left_over: FloatArray) -> float:
     Parameters
     ----------
     problem : Problem
-    left_over : (n_dof + 2,) float64
-        Scratch; on return the momentum residual of each degree of freedom.
+    left_over : (n_dof + 2 + SCRATCH,) float64
+        Scratch; on return the momentum residual of each degree of freedom. With n_dof + 2 entries
+        the elements are taken one by one.
     """
     n_dof = problem.size[N_DOF]
     v = problem.velocity
@@ -49,7 +54,16 @@ def residual(problem: Problem, left_over: FloatArray) -> float:
         worst = max(worst, abs(min(p_n, u_n)), abs(p_t - min(reach, max(-reach, p_t - u_t))))
         if not (math.isfinite(u_n) and math.isfinite(u_t) and math.isfinite(p_n + p_t)):
             return math.inf
-    for i in range(problem.size[N_ELEMENT]):
+    i = 0
+    while i < problem.size[N_ELEMENT]:
+        stop = _end_of_balls(problem, i)
+        if stop - i >= MANY and left_over.size >= problem.momentum.size + SCRATCH:
+            off = _off_balls(problem, left_over, i, stop)
+            worst = max(worst, off)
+            if not math.isfinite(off):
+                return math.inf
+            i = stop
+            continue
         dof = problem.element_dof[i]
         row = problem.element_row
         p_x, p_y, p_z = problem.element_impulse[i]
@@ -69,11 +83,84 @@ def residual(problem: Problem, left_over: FloatArray) -> float:
         worst = max(worst, off)
         if not math.isfinite(off):
             return math.inf
+        i += 1
     for i in range(n_dof):
         worst = max(worst, abs(left_over[i]))
         if not math.isfinite(left_over[i]):
             return math.inf
     return worst
+
+
+@kernel
+def _end_of_balls(problem: Problem, first: int) -> int:
+    """Find the end of the elements from `first` on that are balls of one body."""
+    end = first
+    while (
+        end < problem.size[N_ELEMENT]
+        and problem.element_dof[end] == problem.element_dof[first]
+        and problem.element_sides[end] == 0
+    ):
+        end += 1
+    return end
+
+
+@large_kernel
+def _off_balls(problem: Problem, left_over: FloatArray, first: int, stop: int) -> float:
+    """Compute the largest of `_off_ball` of many elements of one body, and add their impulses to
+    the momentum residual. Not finite where a number of theirs is not.
+
+    In chunks, so that the compiler uses vector instructions for the roots and quotients.
+    """
+    row = problem.element_row
+    dof = problem.element_dof[first]
+    v_0 = problem.velocity[dof]
+    v_1 = problem.velocity[dof + 1]
+    v_2 = problem.velocity[dof + 2]
+    chunk = view(left_over, problem.momentum.size, (7, CHUNK))
+    wrench_x = 0.0
+    wrench_y = 0.0
+    wrench_t = 0.0
+    worst = 0.0
+    total = 0.0
+    for begin in range(first, stop, CHUNK):
+        n = min(CHUNK, stop - begin)
+        for j in range(n):
+            i = begin + j
+            p_x = problem.element_impulse[i, 0]
+            p_y = problem.element_impulse[i, 1]
+            p_z = problem.element_impulse[i, 2]
+            u_x = row[i, 0, 0] * v_0 + row[i, 0, 1] * v_1 + row[i, 0, 2] * v_2
+            u_y = row[i, 1, 0] * v_0 + row[i, 1, 1] * v_1 + row[i, 1, 2] * v_2
+            u_z = row[i, 2, 0] * v_0 + row[i, 2, 1] * v_1 + row[i, 2, 2] * v_2
+            wrench_x += row[i, 0, 0] * p_x + row[i, 1, 0] * p_y + row[i, 2, 0] * p_z
+            wrench_y += row[i, 0, 1] * p_x + row[i, 1, 1] * p_y + row[i, 2, 1] * p_z
+            wrench_t += row[i, 0, 2] * p_x + row[i, 1, 2] * p_y + row[i, 2, 2] * p_z
+            chunk[0, j] = p_x
+            chunk[1, j] = p_y
+            chunk[2, j] = p_z
+            chunk[3, j] = p_x - (problem.element_bias[i, 0] + u_x)
+            chunk[4, j] = p_y - (problem.element_bias[i, 1] + u_y)
+            chunk[5, j] = p_z - (problem.element_bias[i, 2] + u_z)
+            chunk[6, j] = problem.element_limit[i]
+        for j in range(n):
+            x = chunk[3, j]
+            y = chunk[4, j]
+            z = chunk[5, j]
+            limit = chunk[6, j]
+            square = x * x + y * y + z * z
+            shrink = limit / math.sqrt(square) if square > limit * limit else 1.0
+            off_x = abs(chunk[0, j] - shrink * x)
+            off_y = abs(chunk[1, j] - shrink * y)
+            off_z = abs(chunk[2, j] - shrink * z)
+            # Without a branch: where a square is not finite, neither is this.
+            chunk[0, j] = max(max(off_x, off_y), off_z) + 0.0 * square
+        for j in range(n):
+            worst = max(worst, chunk[0, j])
+            total += chunk[0, j]
+    left_over[dof] -= wrench_x
+    left_over[dof + 1] -= wrench_y
+    left_over[dof + 2] -= wrench_t
+    return worst + 0.0 * total
 
 
 @kernel
