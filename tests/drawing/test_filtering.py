@@ -14,7 +14,6 @@ from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.recorded import run_filter
 from fixel.model import Scene
 
-RECORDED = push(duration=3.0)
 FEW = ParticleFilter(n_particles=40)
 
 
@@ -26,10 +25,11 @@ def without_fixels(experiment):
 
 @pytest.fixture(scope="module")
 def runs():
-    bare = without_fixels(RECORDED)
+    recorded = push(duration=3.0)
+    bare = without_fixels(recorded)
     return {
-        "hidden": (RECORDED, run_filter(RECORDED, FEW, occlusion=(1.0, 2.0))),
-        "seen": (replace(RECORDED, real=True, simulated_by=""), run_filter(RECORDED, FEW)),
+        "hidden": (recorded, run_filter(recorded, FEW, occlusion=(1.0, 2.0))),
+        "seen": (replace(recorded, real=True, simulated_by=""), run_filter(recorded, FEW)),
         "bare": (bare, run_filter(bare, replace(FEW, priors={"mu_pusher": None}))),
     }
 
