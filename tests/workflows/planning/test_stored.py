@@ -1,5 +1,6 @@
 """Plan files and trials: what is damaged, foreign or of another version is rejected by name."""
 
+import functools
 import json
 import zipfile
 from pathlib import Path
@@ -23,7 +24,10 @@ from fixel.workflows.planning.stored import (
 
 from .plans import rig_plan, square_plan
 
-FOUND = FoundPlan(plan=square_plan(), request=PlanRequest(goal={"fixel": 1}), calibration=7)
+
+@functools.cache
+def found_plan() -> FoundPlan:
+    return FoundPlan(plan=square_plan(), request=PlanRequest(goal={"fixel": 1}), calibration=7)
 
 
 def trial(k: int, met: bool = True) -> PlanTrial:
@@ -46,9 +50,9 @@ def outcome(path: Path):
 
 
 def test_a_plan_file_has_the_plan_and_its_request(tmp_path: Path):
-    written = save_plan(FOUND, tmp_path / "a.plan")
+    written = save_plan(found_plan(), tmp_path / "a.plan")
     again = load_plan(tmp_path / "a.plan")
-    assert again.found.plan == FOUND.plan
+    assert again.found.plan == found_plan().plan
     assert again.found.calibration == 7
     assert again.found.request.goal == {"fixel": 1}
     assert (again.id, again.version, again.created) == (
@@ -60,13 +64,13 @@ def test_a_plan_file_has_the_plan_and_its_request(tmp_path: Path):
 
 
 def test_a_plan_that_python_saved_is_a_plan_file(tmp_path: Path):
-    FOUND.plan.save(tmp_path / "a.plan")
-    assert load_plan(tmp_path / "a.plan").found.plan == FOUND.plan
+    found_plan().plan.save(tmp_path / "a.plan")
+    assert load_plan(tmp_path / "a.plan").found.plan == found_plan().plan
 
 
 def test_damaged_foreign_and_newer_files_are_refused_by_name(tmp_path: Path):
     path = tmp_path / "a.plan"
-    save_plan(FOUND, path)
+    save_plan(found_plan(), path)
     whole = path.read_bytes()
     rng = np.random.default_rng(0)
     bad = tmp_path / "bad.plan"
@@ -78,7 +82,7 @@ def test_damaged_foreign_and_newer_files_are_refused_by_name(tmp_path: Path):
         else:
             del content[int(rng.integers(len(whole))) :]
         bad.write_bytes(bytes(content))
-        assert outcome(bad) in (FOUND.plan, str(bad))  # some bytes have no meaning
+        assert outcome(bad) in (found_plan().plan, str(bad))  # some bytes have no meaning
     save(fixel.Disk(0.005), bad)
     with pytest.raises(InvalidInput, match="a saved Disk, expected a plan file"):
         load_plan(bad)
@@ -95,20 +99,20 @@ def test_damaged_foreign_and_newer_files_are_refused_by_name(tmp_path: Path):
 
 def test_trials_are_added_next_to_the_plan(tmp_path: Path):
     path = tmp_path / "a.plan"
-    file = save_plan(FOUND, path)
+    file = save_plan(found_plan(), path)
     assert load_trials(path, file).n == 0
     for k in range(3):
         add_trials(path, file, trial(k, met=k != 1))
     again = load_trials(path, file)
     assert again.trials == (trial(0), trial(1, met=False), trial(2))
-    assert again.stated == pytest.approx(FOUND.plan.success.stated)
+    assert again.stated == pytest.approx(found_plan().plan.success.stated)
     assert not again.refuted
     assert add_trials(path, file, *(trial(k, met=False) for k in range(10, 30))).refuted
 
 
 def test_damaged_trials_are_refused(tmp_path: Path):
     path = tmp_path / "a.plan"
-    file = save_plan(FOUND, path)
+    file = save_plan(found_plan(), path)
     add_trials(path, file, trial(0))
     where = trials_path(path)
     where.write_text(where.read_text().replace("21:00:00", "21:99:00"))
@@ -118,7 +122,7 @@ def test_damaged_trials_are_refused(tmp_path: Path):
 
 def test_trials_of_another_plan_are_refused(tmp_path: Path):
     path = tmp_path / "a.plan"
-    add_trials(path, save_plan(FOUND, path), trial(0))
+    add_trials(path, save_plan(found_plan(), path), trial(0))
     other = save_plan(FoundPlan(plan=rig_plan(), request=PlanRequest(goal={})), path)
     with pytest.raises(InvalidInput, match=f"expected trials of the plan {other.id}"):
         load_trials(path, other)
