@@ -1,5 +1,4 @@
-"""Where the time of a grasp goes: per step in each phase, for rescues, and around the steps; and
-what corners of outlines and points of supports add to a step."""
+"""Cost of the steps of a grasp, by phase, and what corners and support points add to it."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ def run_assessments(
             found[k] = end.value if isinstance(end, StopIteration) else end
             asks.pop(k, None)
 
-    def told(k: int) -> FloatArray:
+    def own_answer(k: int) -> FloatArray:
         own = np.asarray(members[k], np.int64)
         return together[k] if k in together else answer(comparer, own, asks[k].kind, asks[k].points)
 
@@ -137,11 +137,11 @@ def run_assessments(
         which = [k for k, ask in asks.items() if ask.kind == "frames"]
         frames = [Frames(comparer, distinct(comparer, members[k])) for k in which]
         together = {}
-        with suppress(InvalidInput):  # of one of them, which `told` finds
+        with suppress(InvalidInput):  # of one assessment: then each asks alone
             tables = frames_together(frames, [asks[k].points for k in which])
             together = dict(zip(which, tables, strict=True))
         for k in list(asks):
-            advance(k, partial(told, k))
+            advance(k, partial(own_answer, k))
     return [found[k] for k in range(len(running))]
 
 

@@ -196,8 +196,8 @@ class _Log:
         """Take the errors and reasons of the points of `ask_new`."""
         points, new = self.search.ask(), zip(errors.tolist(), reasons, strict=True)
         every = [next(new) if error is None else (error, "") for error in self._known]
-        told = zip(map(bytes, points), every, strict=True)
-        self._recent.append({key: error for key, (error, why) in told if not why})
+        pairs = zip(map(bytes, points), every, strict=True)
+        self._recent.append({key: error for key, (error, why) in pairs if not why})
         self.tell(points, np.array([error for error, _ in every]), [why for _, why in every])
 
     def tell(self, points: FloatArray, errors: FloatArray, reasons: list[str]) -> None:
