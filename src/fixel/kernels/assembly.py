@@ -31,7 +31,6 @@ from fixel.kernels.arrays import (
     State,
 )
 from fixel.kernels.jit import kernel
-from fixel.kernels.points import LANES
 from fixel.typing import FloatArray
 
 
@@ -171,7 +170,7 @@ def assemble_elements(
         if model.element_kind[e] == codes.ELLIPSOID:
             row[e, 2, 2] = model.element_ratio[e]
             n_point = min(n_point, e)
-    problem.size[N_POINT] = n_point if n_point >= LANES else 0
+    problem.size[N_POINT] = n_point
     return int(model.element_body.size)
 
 

@@ -24,6 +24,7 @@ from fixel.kernels.arrays import (
 )
 from fixel.kernels.jit import kernel
 from fixel.kernels.linear import solve_dense, solve_envelope
+from fixel.kernels.one_body import is_one_body, newton_one_body
 from fixel.kernels.points import LANES, add_points, is_group, step_points
 from fixel.kernels.residual import residual
 
@@ -47,6 +48,8 @@ def newton(problem: Problem, work: Workspace, tolerance: float, max_iterations: 
     second step on the residual is computed first, since it costs no more than a linearisation, and
     most steps end there. For at most DENSE_LIMIT unknowns.
     """
+    if is_one_body(problem):
+        return newton_one_body(problem, work, tolerance, max_iterations, EPSILON, FLOOR)
     worst = math.inf
     for iteration in range(max_iterations + 1):
         if iteration > 1:
@@ -171,7 +174,7 @@ def _add_elements(problem: Problem, work: Workspace, epsilon: float, proximal: b
     right = work.right
     matrix = work.matrix
     worst = 0.0
-    if not proximal and problem.size[N_POINT] > 0:
+    if not proximal and problem.size[N_POINT] >= LANES:
         worst = add_points(problem, work, epsilon)
     for e in range(problem.size[N_ELEMENT]):
         if not proximal and is_group(problem, e - e % LANES):
@@ -423,7 +426,7 @@ def step_all(problem: Problem, work: Workspace, epsilon: float) -> None:
             p[i, 1] -= work.contact_change[i, 2] * stiff * dn
     change = work.element_change
     row = problem.element_row
-    if problem.size[N_POINT] > 0:
+    if problem.size[N_POINT] >= LANES:
         step_points(problem, work)
     for e in range(problem.size[N_ELEMENT]):
         if is_group(problem, e - e % LANES):

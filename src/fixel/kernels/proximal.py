@@ -19,6 +19,7 @@ from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, Problem, Workspace
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import EPSILON, FLOOR, linearise, solve_linear, step_all
+from fixel.kernels.one_body import is_one_body, newton_one_body
 from fixel.kernels.residual import residual
 
 INNER = 12  # Newton steps in search of a balance
@@ -49,6 +50,8 @@ def newton_any(
 ) -> float:
     """Iterate as `newton` for any size and constraints at least as stiff as `stiffness`."""
     epsilon = min(EPSILON, 1.0 / stiffness)
+    if is_one_body(problem):
+        return newton_one_body(problem, work, tolerance, max_iterations, epsilon, FLOOR)
     worst = math.inf
     for iteration in range(max_iterations + 1):
         worst = linearise_any(problem, work, epsilon, FLOOR, False, False)

@@ -41,6 +41,7 @@ ALONG = 0.2  # of a body's change of velocity, or velocity: more of it along a n
 RUBBED = 1.0  # marks of a body: friction may stop it
 BLOCKED = 2.0  # and: it jumped
 SWEEPS = 20  # at most, when overlaps are taken back
+WEIGHT = HALVINGS  # column of `contact_place` in which `_separate` stores how a contact yields
 GENTLY = 0.01  # of the characteristic time: an overlap with a pusher is taken back no faster
 RECOVERY = 1.0  # of the characteristic speed: how fast an overlap is taken back, at most
 
@@ -174,8 +175,14 @@ def prepare_rows(
     set_stiffness(problem, n_support)
     for i in range(dof):
         problem.velocity[i] = guess[i]
+    last = -1
+    motion = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for i in range(problem.size[N_CONTACT]):
-        _prepare_contact(model, state, control, guess, pose, problem, i)
+        d = problem.contact_body[i, 1] - model.mass.size
+        if d != last and 0 <= d < model.force_limit.size:
+            motion = _pusher_motion(model, state, control, d)
+            last = d
+        _prepare_contact(model, state, control, guess, pose, problem, i, motion)
 
 
 @spliced_kernel
@@ -212,6 +219,21 @@ def _margin(model: Model, state: State, time: float, step: float, guess: FloatAr
 
 
 @kernel
+def _pusher_motion(
+    model: Model, state: State, control: FloatArray, d: int
+) -> tuple[float, float, float, float, float, float]:
+    """Return the direction of a force-limited pusher, or the motion of a rigid one over the step;
+    and the pose of a rigid one at its start."""
+    step = control[at.TRIAL]
+    if model.drive_dof[d] >= 0:
+        x, y, a, _ = path_direction(model.path_start, model.path, d, state.path_time[d], step)
+        return x, y, a, 0.0, 0.0, 0.0
+    x0, y0, a0 = path_pose(model.path_start, model.path, d, control[at.TIME])
+    x1, y1, a1 = path_pose(model.path_start, model.path, d, control[at.TIME] + step)
+    return x1 - x0, y1 - y0, a1 - a0, x0, y0, a0
+
+
+@kernel
 def _prepare_contact(
     model: Model,
     state: State,
@@ -220,9 +242,10 @@ def _prepare_contact(
     pose: FloatArray,
     problem: Problem,
     i: int,
+    motion: tuple[float, float, float, float, float, float],
 ) -> None:
+    """Write the rows of contact i. `motion` is that of its pusher, if it has one."""
     n_free = model.mass.size
-    time = control[at.TIME]
     step = control[at.TRIAL]
     inertial = control[at.INERTIAL] == 1.0
     a = problem.contact_body[i, 0]
@@ -230,13 +253,8 @@ def _prepare_contact(
     problem.friction[i] = model.friction[a, b]
     d = b - n_free
     driven = 0 <= d < model.force_limit.size
-    dof = -1
-    dx = 0.0
-    dy = 0.0
-    da = 0.0
-    if driven and model.drive_dof[d] >= 0:
-        dof = model.drive_dof[d]
-        dx, dy, da, _ = path_direction(model.path_start, model.path, d, state.path_time[d], step)
+    dof = model.drive_dof[d] if driven else -1
+    dx, dy, da, x0, y0, a0 = motion
     assemble_contact(problem, i, pose, n_free, dof, dx, dy, da)
     nx = problem.contact_place[i, NORMAL_X]
     ny = problem.contact_place[i, NORMAL_Y]
@@ -256,10 +274,8 @@ def _prepare_contact(
     if driven and dof < 0:
         rx = problem.contact_place[i, POINT_X] - pose[b, 0]
         ry = problem.contact_place[i, POINT_Y] - pose[b, 1]
-        x0, y0, a0 = path_pose(model.path_start, model.path, d, time)
-        x1, y1, a1 = path_pose(model.path_start, model.path, d, time + step)
-        mx = x1 - x0 - ry * (a1 - a0)
-        my = y1 - y0 + rx * (a1 - a0)
+        mx = dx - ry * da
+        my = dy + rx * da
         driven_n = nx * mx + ny * my
         driven_t = nx * my - ny * mx
         mx = pose[b, 0] - x0 - ry * (pose[b, 2] - a0)
@@ -364,36 +380,49 @@ def _separate(model: Model, state: State, step: float, problem: Problem) -> None
         return
     n_dof = problem.size[N_FREE_DOF]
     shift = problem.momentum  # of this step; no longer needed
-    for o in range(n_dof):
-        shift[o] = 0.0
+    mobility = problem.stiffness  # likewise
+    place = problem.contact_place
+    normal = problem.normal
+    for o in range(0, n_dof, 3):
+        for k in range(3):
+            shift[o + k] = 0.0
+            mobility[o + k] = 1.0 / (model.inertia[o // 3] if k == 2 else model.mass[o // 3])
+    for i in range(problem.size[N_CONTACT]):
+        weight = 0.0
+        missing = place[i, OVERLAP] - step * problem.bias[i, 0]
+        for side in range(2):
+            dof = problem.contact_dof[i, side]
+            if dof >= 0:
+                for k in range(3):
+                    n = normal[i, 3 * side + k]
+                    missing -= step * n * problem.velocity[dof + k]
+                    if dof < n_dof:
+                        weight += n * n * mobility[dof + k]
+        place[i, OVERLAP] = missing
+        place[i, WEIGHT] = weight
     for _ in range(SWEEPS):
         largest = 0.0
         for i in range(problem.size[N_CONTACT]):
-            weight = 0.0
-            wanted = problem.contact_place[i, OVERLAP] - step * problem.bias[i, 0]
-            for side in range(2):
-                dof = problem.contact_dof[i, side]
-                if dof >= 0:
-                    for k in range(3):
-                        n = problem.normal[i, 3 * side + k]
-                        wanted -= step * n * problem.velocity[dof + k]
-                        if dof < n_dof:
-                            b = dof // 3
-                            weight += n * n / (model.inertia[b] if k == 2 else model.mass[b])
-                            wanted -= n * shift[dof + k]
+            weight = place[i, WEIGHT]
             if weight == 0.0:
                 continue
-            push = max(0.0, problem.contact_place[i, GIVEN_BACK] + wanted / weight)
-            more = push - problem.contact_place[i, GIVEN_BACK]
-            problem.contact_place[i, GIVEN_BACK] = push
+            missing = place[i, OVERLAP]
+            for side in range(2):
+                dof = problem.contact_dof[i, side]
+                if 0 <= dof < n_dof:
+                    for k in range(3):
+                        missing -= normal[i, 3 * side + k] * shift[dof + k]
+            push = max(0.0, place[i, GIVEN_BACK] + missing / weight)
+            more = push - place[i, GIVEN_BACK]
+            if more == 0.0:
+                continue
+            place[i, GIVEN_BACK] = push
             largest = max(largest, abs(more) * weight)
             for side in range(2):
                 dof = problem.contact_dof[i, side]
                 if 0 <= dof < n_dof:
-                    b = dof // 3
                     for k in range(3):
-                        inertia = model.inertia[b] if k == 2 else model.mass[b]
-                        shift[dof + k] += more * problem.normal[i, 3 * side + k] / inertia
+                        shift[dof + k] += more * normal[i, 3 * side + k] * mobility[dof + k]
         if largest <= 0.1 * NO_OVERLAP:
             break
     for o in range(n_dof):

@@ -340,29 +340,33 @@ def closing_time(
     that is not inside the step, or is next to one of its ends."""
     earliest = math.inf
     for i in range(problem.size[N_CONTACT]):
-        motion = 0.0
-        slide = 0.0
         a = problem.contact_dof[i, 0]
         b = problem.contact_dof[i, 1]
-        spin = abs(guess[a + 2])
-        arm = math.hypot(problem.normal[i, 2], problem.tangent[i, 2])
+        motion = 0.0
         for k in range(3):
             motion += problem.normal[i, k] * guess[a + k]
-            slide += problem.tangent[i, k] * guess[a + k]
             if b >= 0:
                 motion += problem.normal[i, 3 + k] * guess[b + k]
-                slide += problem.tangent[i, 3 + k] * guess[b + k]
-        if 0 <= b < problem.size[N_FREE_DOF]:
-            spin += abs(guess[b + 2])
-            arm += math.hypot(problem.normal[i, 5], problem.tangent[i, 5])
         # bias is the gap at the step's end, over the step, were the bodies to stand still.
         end = step * (motion + problem.bias[i, 0])
         gap = problem.contact_place[i, GAP]
+        if end > 0.0 or gap <= end:
+            continue
+        slide = 0.0
+        spin = abs(guess[a + 2])
+        arm = math.sqrt(problem.normal[i, 2] ** 2 + problem.tangent[i, 2] ** 2)
+        for k in range(3):
+            slide += problem.tangent[i, k] * guess[a + k]
+            if b >= 0:
+                slide += problem.tangent[i, 3 + k] * guess[b + k]
+        if 0 <= b < problem.size[N_FREE_DOF]:
+            spin += abs(guess[b + 2])
+            arm += math.sqrt(problem.normal[i, 5] ** 2 + problem.tangent[i, 5] ** 2)
         rate = (gap - end) / ((1.0 - lead) * step)
         start = gap + lead * step * rate
         # Of the way from the start to the rows, what bends away from a line.
         bent = 0.5 * (lead * step) ** 2 * spin * (spin * arm + 2.0 * abs(slide))
-        if rate > 0.0 and start > min_gap + bent:
+        if start > min_gap + bent:
             earliest = min(earliest, start / rate)
     return earliest if 0.02 * step < earliest < 0.98 * step else math.inf
 
