@@ -1,8 +1,8 @@
 """Newton's method for one free body on few plain points, with at most one drive.
 
 Most scenes are of this kind. The system has three or four unknowns, which fit into registers:
-without loops over blocks an iteration takes a third of the time of `newton.py`, whose equations are
-the same.
+without loops over blocks and sides an iteration takes a third of the time it takes in `newton.py`,
+whose equations are the same.
 """
 
 import math
@@ -43,7 +43,11 @@ def newton_one_body(
     epsilon: float,
     floor: float,
 ) -> float:
-    """Iterate as `newton.newton`, for a problem that `is_one_body`."""
+    """Iterate as `newton.newton`, for a problem that `is_one_body`.
+
+    Twice at least: `max_iterations` is 2 or more. In the names of scalars, x, y, t and d are the
+    rows and columns of the body's motion and the drive's.
+    """
     v = problem.velocity
     p = problem.impulse
     q = problem.element_impulse
@@ -56,10 +60,9 @@ def newton_one_body(
     n_contact = problem.size[N_CONTACT]
     n_point = problem.size[N_POINT]
     driven = problem.size[N_DOF] == 4
-    rho = problem.stiffness[0]
+    rho = problem.stiffness[0]  # that of a drive, too
     per_rho = 1.0 / rho
     stiff = rho / epsilon
-    # A drive's stiffness is that of the only body.
     worst = math.inf
     vx = v[0]
     vy = v[1]

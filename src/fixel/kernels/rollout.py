@@ -148,16 +148,16 @@ def _run(
             status = judge_step(control, problem, guess, state.velocity, solved, residual)
         if status == codes.UNDO:
             take_back(control)
-            _copy_state(before, state)
-            _copy_state(older, before)
+            _copy_state(before, state, model.mass.size)
+            _copy_state(older, before, model.mass.size)
             record.count[SAMPLES] = samples
             record.count[CONTACT_ROWS] = contact_rows
             continue
         if status != codes.CONVERGED:
             break
         record.total[WORST_RESIDUAL] = max(record.total[WORST_RESIDUAL], residual)
-        _copy_state(before, older)
-        _copy_state(state, before)
+        _copy_state(before, older, model.mass.size)
+        _copy_state(state, before, model.mass.size)
         samples = record.count[SAMPLES]
         contact_rows = record.count[CONTACT_ROWS]
         move(model, state, control[at.TRIAL], problem, extrapolation(control))
@@ -258,8 +258,9 @@ def _sample_stop(
 
 
 @kernel
-def _copy_state(source: State, target: State) -> None:
-    for i in range(source.pose.shape[0]):
+def _copy_state(source: State, target: State, n_free: int) -> None:
+    """Copy what steps change: all but the poses of driven and fixed bodies."""
+    for i in range(n_free):
         for k in range(3):
             target.pose[i, k] = source.pose[i, k]
     for i in range(source.velocity.size):

@@ -41,7 +41,10 @@ ALONG = 0.2  # of a body's change of velocity, or velocity: more of it along a n
 RUBBED = 1.0  # marks of a body: friction may stop it
 BLOCKED = 2.0  # and: it jumped
 SWEEPS = 20  # at most, when overlaps are taken back
-WEIGHT = HALVINGS  # column of `contact_place` in which `_separate` stores how a contact yields
+# Columns of `contact_place` in which `_separate` stores how far a contact yields to an impulse, and
+# its inverse.
+WEIGHT = HALVINGS
+STIFFNESS = DRIVEN_NORMAL
 GENTLY = 0.01  # of the characteristic time: an overlap with a pusher is taken back no faster
 RECOVERY = 1.0  # of the characteristic speed: how fast an overlap is taken back, at most
 
@@ -400,6 +403,7 @@ def _separate(model: Model, state: State, step: float, problem: Problem) -> None
                         weight += n * n * mobility[dof + k]
         place[i, OVERLAP] = missing
         place[i, WEIGHT] = weight
+        place[i, STIFFNESS] = 1.0 / weight if weight > 0.0 else 0.0
     for _ in range(SWEEPS):
         largest = 0.0
         for i in range(problem.size[N_CONTACT]):
@@ -412,7 +416,7 @@ def _separate(model: Model, state: State, step: float, problem: Problem) -> None
                 if 0 <= dof < n_dof:
                     for k in range(3):
                         missing -= normal[i, 3 * side + k] * shift[dof + k]
-            push = max(0.0, place[i, GIVEN_BACK] + missing / weight)
+            push = max(0.0, place[i, GIVEN_BACK] + missing * place[i, STIFFNESS])
             more = push - place[i, GIVEN_BACK]
             if more == 0.0:
                 continue
