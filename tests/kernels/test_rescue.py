@@ -63,14 +63,14 @@ def test_nearest_point_of_a_polygon(sides):
 
 def test_no_certificate_where_there_is_a_way_out():
     problem, work = step_problem((0.0, 0.0, 0.0), ((0.0, -1.0, 0.2), (2.0, -1.0, 0.2)))
-    assert not entries.may_jam(problem, work)
+    assert not entries.may_jam(problem, work, False)
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_a_certificate_where_there_is_none(friction):
     jaws = ((0.0, -1.0, friction), (math.pi, -1.0, friction))
     problem, work = step_problem((0.0, 0.0, 0.0), jaws)
-    assert entries.may_jam(problem, work)
+    assert entries.may_jam(problem, work, False)
 
 
 def test_friction_holds_a_wedge_that_would_slip_out_without():
@@ -80,7 +80,7 @@ def test_friction_holds_a_wedge_that_would_slip_out_without():
     for friction, held in ((0.1, False), (0.25, True)):
         jaws = ((half, -1.0, friction), (math.pi - half, -1.0, friction))
         problem, work = step_problem((0.0, 0.0, 0.0), jaws)
-        assert entries.may_jam(problem, work) is held
+        assert entries.may_jam(problem, work, False) is held
 
 
 def many_bodies(n: int, coupled: bool):
@@ -155,7 +155,7 @@ def test_certificates_against_linear_programming():
     for _ in range(400):
         problem, work = _random_squeeze(rng)
         proof = entries.is_proven_unsolvable(problem, work)
-        may_jam = entries.may_jam(problem, work)
+        may_jam = entries.may_jam(problem, work, False)
         assert proof != _has_motion(problem, 0.0 * problem.friction)
         assert may_jam != _has_motion(problem, problem.friction)
         off, _ = entries.solve_problem(problem, work, np.zeros(5), codes.NEWTON, 0, MAX_ATTEMPTS)

@@ -26,6 +26,7 @@ _ALONG = 22  # direction of acceleration
 _STIFFNESS = 11
 _OLD_ELEMENT = 12
 _ALONG_ELEMENT = 15
+TURN = 1.05  # times the squared change of the last sweep: a larger one begins a new direction
 SOFT = 0.1  # part of a contact's normal compliance that sliding leaves, at least
 
 
@@ -68,8 +69,9 @@ def _store(problem: Problem, work: Workspace) -> None:
 def _accelerate(problem: Problem, work: Workspace, before: float) -> float:
     """Move the iterate along the accumulated direction; returns the squared change of the sweep.
 
-    `before` is that of the last sweep. A sweep that changes more than the last one begins a new
-    direction.
+    `before` is that of the last sweep. A sweep that changes clearly more than the last one begins a
+    new direction; one that changes the same impulses again and again, hardly any velocity, does
+    not.
     """
     p = problem.impulse
     q = problem.element_impulse
@@ -83,7 +85,7 @@ def _accelerate(problem: Problem, work: Workspace, before: float) -> float:
     for e in range(problem.size[N_ELEMENT]):
         for k in range(3):
             size += (q[e, k] - element[e, _OLD_ELEMENT + k]) ** 2
-    share = size / before if size < before else 0.0
+    share = min(1.0, size / before) if size < TURN * before else 0.0
     for i in range(problem.size[N_CONTACT]):
         for k in range(2):
             more = share * contact[i, _ALONG + k]

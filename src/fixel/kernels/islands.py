@@ -23,6 +23,7 @@ from fixel.kernels.arrays import (
 from fixel.kernels.jit import kernel, view
 from fixel.typing import FloatArray, IntArray
 
+NEARLY = 0.1  # of the fastest motion: contacts that open more slowly are not left out
 ROUNDS = 12  # of adding contacts, before all are added
 
 
@@ -113,6 +114,9 @@ def choose_contacts(problem: Problem, islands: Islands, everything: bool) -> int
     """
     added = 0
     v = problem.velocity
+    fastest = 0.0
+    for o in range(problem.size[N_DOF]):
+        fastest = max(fastest, abs(v[o]))
     for i in range(problem.size[N_CONTACT]):
         if islands.contact_in[i] > 0:
             islands.contact_in[i] = 1
@@ -123,7 +127,7 @@ def choose_contacts(problem: Problem, islands: Islands, everything: bool) -> int
             if o >= 0:
                 for k in range(3):
                     opening += problem.normal[i, 3 * side + k] * v[o + k]
-        if everything or opening < 0.0 or problem.impulse[i, 0] > 0.0:
+        if everything or opening < NEARLY * fastest or problem.impulse[i, 0] > 0.0:
             islands.contact_in[i] = 2
             added += 1
         else:

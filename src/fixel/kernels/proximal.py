@@ -15,7 +15,8 @@ Alart & Curnier (1991) for the springs.
 
 import math
 
-from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, Problem, Workspace
+from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
+from fixel.kernels.gauss_seidel import nearest_in_polygon
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import EPSILON, FLOOR, linearise, solve_linear, step_all
@@ -26,6 +27,11 @@ INNER = 12  # Newton steps in search of a balance
 SEARCH = 10  # evaluations of one line search
 SLACK = 0.5  # part of the first slope at which a line search ends
 STIFFEST = 1e9  # of the springs, relative to their blocks
+# Columns of `work.contact_change` and `work.element_change`, free between sweeps.
+_SLIP = 5
+_GROWTH = 7
+_ELEMENT_SLIP = 11
+_ELEMENT_GROWTH = 14
 PATIENCE = 3  # rounds with given friction limits before Coulomb's own are tried again
 
 
@@ -179,8 +185,8 @@ def _search_line(
 ) -> float:
     """Move along the search direction until the residual along it, `slope` at first, has fallen.
 
-    The residual is piecewise linear: secants in the bracket of its change of sign, with half the
-    weight for an end that stays (Illinois). Returns the change of impulse of the last
+    The residual is piecewise smooth and never falls: secants in the bracket of its change of sign,
+    with half the weight for an end that stays (Illinois). Returns the change of impulse of the last
     linearisation.
     """
     low = 0.0
@@ -189,14 +195,9 @@ def _search_line(
     at_high = 0.0
     alpha = 1.0
     side = 0
-    change = math.inf
+    start, growth = _begin_line(problem, work, sigma)
     for _ in range(SEARCH):
-        for i in range(problem.size[N_DOF]):
-            problem.velocity[i] = work.search[i, 0] + alpha * work.search[i, 1]
-        change = linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca)
-        along = 0.0
-        for i in range(problem.size[N_DOF]):
-            along -= work.right[i] * work.search[i, 1]
+        along = start + growth * alpha - _spring_force(problem, work, sigma, tresca, alpha)
         if abs(along) <= SLACK * abs(slope) or (along < 0.0 and alpha == 1.0):
             break
         if along > 0.0:
@@ -212,7 +213,103 @@ def _search_line(
         alpha = low + (high - low) * at_low / (at_low - at_high)
         if not low < alpha < high:
             alpha = 0.5 * (low + high)
-    return change
+    for i in range(problem.size[N_DOF]):
+        problem.velocity[i] = work.search[i, 0] + alpha * work.search[i, 1]
+    return linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca)
+
+
+@kernel
+def _begin_line(problem: Problem, work: Workspace, sigma: float) -> tuple[float, float]:
+    """Write the slips at the start of the line and their growth along it.
+
+    Returns what the residual along the line is there without springs, and how it grows.
+    """
+    n_free = problem.size[N_FREE_DOF]
+    v = work.search
+    start = 0.0
+    growth = 0.0
+    for i in range(problem.size[N_DOF]):
+        pull = problem.stiffness[i] / sigma
+        force = pull * (v[i, 0] - work.centre[i]) - problem.momentum[i]
+        more = pull * v[i, 1]
+        block = i - i % 3 if i < n_free else i
+        for k in range(3 if i < n_free else 1):
+            force += problem.inertia[i, k] * v[block + k, 0]
+            more += problem.inertia[i, k] * v[block + k, 1]
+        start += force * v[i, 1]
+        growth += more * v[i, 1]
+    for i in range(problem.size[N_CONTACT]):
+        change = work.contact_change[i]
+        for k in range(2):
+            change[_SLIP + k] = problem.bias[i, k]
+            change[_GROWTH + k] = 0.0
+        for side in range(2):
+            o = problem.contact_dof[i, side]
+            if o >= 0:
+                for k in range(3):
+                    normal = problem.normal[i, 3 * side + k]
+                    tangent = problem.tangent[i, 3 * side + k]
+                    change[_SLIP] += normal * v[o + k, 0]
+                    change[_SLIP + 1] += tangent * v[o + k, 0]
+                    change[_GROWTH] += normal * v[o + k, 1]
+                    change[_GROWTH + 1] += tangent * v[o + k, 1]
+    for e in range(problem.size[N_ELEMENT]):
+        o = problem.element_dof[e]
+        for j in range(3):
+            slip = problem.element_bias[e, j]
+            more = 0.0
+            for k in range(3):
+                slip += problem.element_row[e, j, k] * v[o + k, 0]
+                more += problem.element_row[e, j, k] * v[o + k, 1]
+            work.element_change[e, _ELEMENT_SLIP + j] = slip
+            work.element_change[e, _ELEMENT_GROWTH + j] = more
+    return start, growth
+
+
+@kernel
+def _spring_force(
+    problem: Problem, work: Workspace, sigma: float, tresca: bool, alpha: float
+) -> float:
+    """Force of all springs along the line, at a place `alpha` of it."""
+    total = 0.0
+    for i in range(problem.size[N_CONTACT]):
+        change = work.contact_change[i]
+        rho = problem.stiffness[problem.contact_dof[i, 0]]
+        if problem.contact_dof[i, 1] >= 0:
+            rho = min(rho, problem.stiffness[problem.contact_dof[i, 1]])
+        stiff = sigma * rho
+        p_n = problem.impulse[i, 0] - stiff * (change[_SLIP] + alpha * change[_GROWTH])
+        p_t = problem.impulse[i, 1] - stiff * (change[_SLIP + 1] + alpha * change[_GROWTH + 1])
+        p_n = max(0.0, p_n)
+        reach = change[4] if tresca else problem.friction[i] * p_n
+        p_t = min(reach, max(-reach, p_t))
+        total += p_n * change[_GROWTH] + p_t * change[_GROWTH + 1]
+    for e in range(problem.size[N_ELEMENT]):
+        change = work.element_change[e]
+        stiff = sigma * problem.stiffness[problem.element_dof[e]]
+        x = problem.element_impulse[e, 0] - stiff * (
+            change[_ELEMENT_SLIP] + alpha * change[_ELEMENT_GROWTH]
+        )
+        y = problem.element_impulse[e, 1] - stiff * (
+            change[_ELEMENT_SLIP + 1] + alpha * change[_ELEMENT_GROWTH + 1]
+        )
+        z = problem.element_impulse[e, 2] - stiff * (
+            change[_ELEMENT_SLIP + 2] + alpha * change[_ELEMENT_GROWTH + 2]
+        )
+        limit = problem.element_limit[e]
+        share = 1.0
+        if problem.element_sides[e] > 0:
+            x, y = nearest_in_polygon(x, y, limit, problem.element_sides[e])
+        else:
+            square = x * x + y * y + z * z
+            if square > limit * limit:
+                share = limit / math.sqrt(square)
+        total += share * (
+            x * change[_ELEMENT_GROWTH]
+            + y * change[_ELEMENT_GROWTH + 1]
+            + z * change[_ELEMENT_GROWTH + 2]
+        )
+    return total
 
 
 @kernel

@@ -207,7 +207,8 @@ def _solve_trial(
         control[at.CLOSING] = closing_time(problem, guess, trial, method.lead, control[at.MIN_GAP])
         if control[at.CLOSING] < math.inf:
             return codes.CONVERGED, math.inf
-    max_attempts = MAX_ATTEMPTS_EARLY if control[at.GIVE_UP_EARLY] == 1.0 else MAX_ATTEMPTS
+    early = control[at.GIVE_UP_EARLY] == 1.0
+    max_attempts = MAX_ATTEMPTS_EARLY if early else MAX_ATTEMPTS
     while True:
         residual, fell_back = solve(
             problem, work, guess, method.solver, method.effort, max_attempts
@@ -217,7 +218,7 @@ def _solve_trial(
             break
     if not residual <= TOLERANCE:
         control[at.LAST_SPAN] = 0.0
-        if may_jam(problem, work):
+        if may_jam(problem, work, early):
             return codes.JAMMED, residual
         return codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS, residual
     control[at.LAST_SPAN] = control[at.SPAN]

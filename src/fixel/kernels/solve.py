@@ -45,6 +45,7 @@ PIVOTING_ITERATIONS = 6  # of `josephy`; one to three are the rule
 GIVE_UP = 5  # after this trial ask whether friction may jam: nothing was ever found later then
 CLOSE_RESIDUAL = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
 STIFF = 1e10  # a light body between a heavy one and a wall bears forces 1e8 times its own
+MANY = 90  # unknowns beyond which a step is shortened before anybody asks whether friction may jam
 SWEEPS = 300  # of Gauss-Seidel before the second start, twice and three times as many later
 
 
@@ -216,7 +217,7 @@ def recover_large(problem: Problem, work: Workspace, guess: FloatArray, max_atte
             if not worst <= NEAR:
                 break
             stiffness = min(STIFFEST, 10.0 * stiffness)
-        if trial == GIVE_UP and is_squeezed(problem, work, True):
+        if trial == GIVE_UP and may_jam(problem, work, max_attempts <= MAX_ATTEMPTS_EARLY):
             break
     return worst
 
@@ -309,7 +310,11 @@ def perturb(problem: Problem, variant: int) -> None:
 
 
 @large_kernel
-def may_jam(problem: Problem, work: Workspace) -> bool:
+def may_jam(problem: Problem, work: Workspace, give_up_early: bool) -> bool:
     """Return whether prescribed motions and friction may squeeze the bodies, so that a solution
-    need not exist."""
-    return is_squeezed(problem, work, True)
+    need not exist.
+
+    Not asked where bodies are many and a shorter step can be tried instead: the answer takes far
+    longer than that step.
+    """
+    return not (give_up_early and problem.size[N_DOF] > MANY) and is_squeezed(problem, work, True)

@@ -99,7 +99,7 @@ class _Loop:
                 break
         control[at.LAST_SPAN] = span if solved else 0.0
         if not solved:
-            if entries.may_jam(problem, work):
+            if entries.may_jam(problem, work, give_up_early):
                 return StepTrial(codes.JAMMED, residual)
             failed = codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS
             return StepTrial(failed, residual)
