@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 from fixel.kernels import codes, entries
 from fixel.kernels.gauss_seidel import gauss_seidel, nearest_in_polygon
-from fixel.kernels.proximal import proximal_newton
+from fixel.kernels.proximal import begin_line, linearise_any, proximal_newton, spring_force
 from fixel.kernels.solve import MAX_ATTEMPTS, TOLERANCE
 from fixel.testing.contracts import step_problem
 
@@ -23,6 +23,23 @@ proximal = njit(
         problem, work, 10.0, 1e6, rounds, 1e-12, -1, 1.0, 0.0
     )
 )
+
+
+@njit
+def residual_along(problem, work, sigma, tresca, place):
+    """That of the balance along the search direction, by the springs' slips and by linearising."""
+    start, growth = begin_line(problem, work, sigma)
+    quick = start + growth * place - spring_force(problem, work, sigma, tresca, place)
+    n = problem.size[0]
+    for i in range(n):
+        problem.velocity[i] = work.search[i, 0] + place * work.search[i, 1]
+    linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca)
+    total = 0.0
+    for i in range(n):
+        total -= work.right[i] * work.search[i, 1]
+    return quick, total
+
+
 polygon = njit(lambda x, y, limit, sides: nearest_in_polygon(x, y, limit, sides))
 
 
@@ -44,6 +61,22 @@ def test_proximal_steps_arrive_as_well():
     problem, work = step_problem((-1.0, -2.0, 0.5), WALLS, limit=0.25)
     proximal(problem, work, 30)
     assert entries.judge(problem, work.right) <= 1e-6
+
+
+@pytest.mark.parametrize("tresca", [False, True])
+@pytest.mark.parametrize("sides", [0, 6])
+def test_line_searches_see_the_balance(sides, tresca):
+    problem, work = step_problem((-1.0, -2.0, 0.5), WALLS, limit=0.25)
+    problem.element_sides[0] = sides
+    rng = np.random.default_rng(sides)
+    for _ in range(20):
+        work.search[:3, :2] = rng.normal(size=(3, 2))
+        work.centre[:3] = rng.normal(size=3)
+        problem.impulse[:] = rng.normal(size=problem.impulse.shape)
+        problem.element_impulse[:] = rng.normal(size=problem.element_impulse.shape)
+        work.contact_change[:, 4] = rng.random(len(work.contact_change))
+        quick, whole = residual_along(problem, work, 30.0, tresca, rng.random())
+        assert quick == pytest.approx(whole, rel=1e-10, abs=1e-10)
 
 
 @pytest.mark.parametrize("sides", [4, 7, 16])

@@ -195,9 +195,9 @@ def _search_line(
     at_high = 0.0
     alpha = 1.0
     side = 0
-    start, growth = _begin_line(problem, work, sigma)
+    start, growth = begin_line(problem, work, sigma)
     for _ in range(SEARCH):
-        along = start + growth * alpha - _spring_force(problem, work, sigma, tresca, alpha)
+        along = start + growth * alpha - spring_force(problem, work, sigma, tresca, alpha)
         if abs(along) <= SLACK * abs(slope) or (along < 0.0 and alpha == 1.0):
             break
         if along > 0.0:
@@ -219,7 +219,7 @@ def _search_line(
 
 
 @kernel
-def _begin_line(problem: Problem, work: Workspace, sigma: float) -> tuple[float, float]:
+def begin_line(problem: Problem, work: Workspace, sigma: float) -> tuple[float, float]:
     """Write the slips at the start of the line and their growth along it.
 
     Returns what the residual along the line is there without springs, and how it grows.
@@ -267,7 +267,7 @@ def _begin_line(problem: Problem, work: Workspace, sigma: float) -> tuple[float,
 
 
 @kernel
-def _spring_force(
+def spring_force(
     problem: Problem, work: Workspace, sigma: float, tresca: bool, alpha: float
 ) -> float:
     """Force of all springs along the line, at a place `alpha` of it."""
