@@ -120,6 +120,25 @@ def test_decrease_has_to_be_sufficient(error, moves):
     assert search.best.error == error  # what it will not follow it still remembers
 
 
+@pytest.mark.parametrize(("resolution", "moves"), [(1e-6, False), (1e-9, True), (0.0, True)])
+def test_decrease_below_the_resolution_is_not_followed(resolution, moves):
+    # 1e-8 is more than 0.01 x 1e-4^2, but within the accuracy of a simulation.
+    search = PatternSearch(initial_delta=1e-4, resolution=resolution).start(box())
+    tell(search, 1.0)
+    first = search.ask()[0].copy()
+    tell(search, 1.0 - 1e-8, 1.0, 1.0, 1.0)
+    assert search.ask().mean(axis=0) == pytest.approx(first if moves else [0.5, 0.5], abs=1e-9)
+    assert search.best.error < 1.0
+
+
+@pytest.mark.parametrize(("resolution", "limit"), [(3e-7, 501), (0.0, 20_001)])
+def test_a_flat_direction_is_not_followed_for_ever(resolution, limit):
+    # From a step of 1e-4 on, each step along the second unknown gains up to 1e-10.
+    search = PatternSearch(resolution=resolution).start(box())
+    run(search, lambda point: 1.0 + abs(point[0] - 0.5) - 1e-5 * point[1], limit)
+    assert search.evaluations == limit
+
+
 def test_trials_out_of_bounds_are_left_out_not_moved():
     search = PatternSearch().start(box(2, start=0.98))
     tell(search, 1.0)
@@ -186,6 +205,7 @@ def test_failed_start_is_left_for_any_trial_that_works():
         {"contraction_factor": 1.0},
         {"expand_after": 0},
         {"sufficient_decrease": -0.1},
+        {"resolution": -1e-6},
         {"solution_accuracy": math.nan},
         {"max_iterations": 1.5},
         {"max_function_evaluations": True},

@@ -56,9 +56,9 @@ responses,
 """
 
 
-def test_the_thesis_file_is_our_default_search():
+def test_the_thesis_file_is_our_default_search_but_follows_every_decrease():
     optimiser, space, _ = dakota_from_text(THESIS)
-    assert optimiser == PatternSearch()
+    assert optimiser == PatternSearch(resolution=0.0)
     assert space.labels == ("mu_fixel", "mu_pusher", "tripod_radius", "mu_support")
     assert space.nominal == pytest.approx([0.2, 0.2, 0.025, 0.25])
     assert space.low == pytest.approx([0.0] * 4)
@@ -97,7 +97,7 @@ def test_our_own_names_are_in_our_units():
 
 def test_no_expansion():
     text = THESIS.replace("initial_delta", "no_expansion\n    initial_delta")
-    assert dakota_from_text(text).optimiser == PatternSearch(expand_after=None)
+    assert dakota_from_text(text).optimiser == PatternSearch(expand_after=None, resolution=0.0)
 
 
 def test_what_is_left_out_is_as_dakota_has_it():
@@ -107,6 +107,7 @@ def test_what_is_left_out_is_as_dakota_has_it():
         initial_delta=1.0,
         threshold_delta=1e-5,
         contraction_factor=0.5,
+        resolution=0.0,
         solution_accuracy=None,
         max_iterations=100,
         max_function_evaluations=1000,

@@ -328,6 +328,7 @@ def _optimiser(block: _Block, notes: list[str]) -> PatternSearch:
             threshold_delta=values["variable_tolerance"],
             contraction_factor=values["contraction_factor"],
             expand_after=None if "no_expansion" in given else values["expand_after_success"],
+            resolution=0.0,
             solution_accuracy=given.get("solution_target"),
             max_iterations=values["max_iterations"],
             max_function_evaluations=values["max_function_evaluations"],
