@@ -35,9 +35,10 @@ from reproductions.result import Benchmark, HeldOutScores
 # Joint calibration: number of pushes, and of evaluations of the objective.
 PUSHES: Final = 1000
 EVALUATIONS: Final = 2000
-# [m] Tolerance of a step: ends are then nearer to the limit of small steps than with fixed steps of
-# `STEP`, in a fifth of their number.
-TOLERANCE: Final = 3e-5
+# [m] Tolerance of a step: half of the ends are within 0.03 mm of the limit of small steps, 95 %
+# within 0.19 mm, where fixed steps of `STEP` have 0.08 and 0.22 mm and are five times as many.
+# With a third of the tolerance the errors on other pushes are the same within 0.2 %.
+TOLERANCE: Final = 1e-4
 
 SPACE: Final = ParameterSpace(
     unknowns=(
