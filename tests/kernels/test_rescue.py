@@ -10,7 +10,13 @@ from scipy.optimize import linprog
 
 from fixel.kernels import codes, entries
 from fixel.kernels.gauss_seidel import gauss_seidel, nearest_in_polygon
-from fixel.kernels.proximal import begin_line, linearise_any, proximal_newton, spring_force
+from fixel.kernels.proximal import (
+    begin_line,
+    linearise_any,
+    proximal_newton,
+    spring_force,
+    stiffening_newton,
+)
 from fixel.kernels.solve import MAX_ATTEMPTS, TOLERANCE
 from fixel.testing.contracts import step_problem
 
@@ -24,6 +30,8 @@ proximal = njit(
     )
 )
 
+stiffened = njit(lambda problem, work: stiffening_newton(problem, work, 1e-12, 60))
+
 
 @njit
 def residual_along(problem, work, sigma, tresca, place):
@@ -33,7 +41,7 @@ def residual_along(problem, work, sigma, tresca, place):
     n = problem.size[0]
     for i in range(n):
         problem.velocity[i] = work.search[i, 0] + place * work.search[i, 1]
-    linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca)
+    linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca, False)
     total = 0.0
     for i in range(n):
         total -= work.right[i] * work.search[i, 1]
@@ -61,6 +69,25 @@ def test_proximal_steps_arrive_as_well():
     problem, work = step_problem((-1.0, -2.0, 0.5), WALLS, limit=0.25)
     proximal(problem, work, 30)
     assert entries.judge(problem, work.right) <= 1e-6
+
+
+@pytest.mark.parametrize("height", [1e-7, 1e-5, 1e-3])
+def test_contacts_that_only_one_of_can_hold(height):
+    """Two floors at nearly the same height share the weight at first; the higher one bears it."""
+    floors = ((FLOOR, 0.0, 0.3), (FLOOR, -height, 0.3))
+    problem, work = step_problem((-0.1, -2.0, 0.5), floors)
+    problem.impulse[:2, 0] = 1.0
+    assert stiffened(problem, work) <= 1e-12
+    assert problem.impulse[:, 0] == pytest.approx([0.0, 2.0 + height], abs=1e-12)
+    assert problem.velocity[:3] == pytest.approx([0.0, height, 0.5], abs=1e-12)
+
+
+def test_line_of_bodies_by_stiffening_and_by_sweeps():
+    softly, work = many_bodies(4, coupled=True)
+    assert stiffened(softly, work) <= 1e-12
+    plainly, work = many_bodies(4, coupled=True)
+    swept(plainly, work, 10_000)
+    assert softly.velocity == pytest.approx(plainly.velocity, abs=1e-9)
 
 
 @pytest.mark.parametrize("tresca", [False, True])

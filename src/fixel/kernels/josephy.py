@@ -55,7 +55,7 @@ def josephy(problem: Problem, work: Workspace, iteration: int, covering: int) ->
     # Without contacts and drives: every body separately on its supports.
     problem.size[N_CONTACT] = 0
     problem.size[N_ELEMENT] = n_support
-    linearise_any(problem, work, COMPLIANCE, pull, False, False)
+    linearise_any(problem, work, COMPLIANCE, pull, False, False, False)
     problem.size[N_CONTACT] = n_contact
     problem.size[N_ELEMENT] = n_element
     m = work.matrix
@@ -363,7 +363,7 @@ def _take_answer(problem: Problem, work: Workspace, n_support: int, share: float
     # Update the elements' impulses from their velocities; those of contacts are already set.
     problem.size[N_CONTACT] = 0
     problem.size[N_ELEMENT] = n_support
-    step_all(problem, work, COMPLIANCE)
+    step_all(problem, work)
     problem.size[N_CONTACT] = n_contact
     problem.size[N_ELEMENT] = n_element
     # Linearised where it sticks, an element gets an impulse far above its limit; linearised there

@@ -57,12 +57,12 @@ def newton(problem: Problem, work: Workspace, tolerance: float, max_iterations: 
             if worst <= tolerance or iteration == max_iterations:
                 break
         # Redundant constraints may leave a residual of rounding errors.
-        off = linearise(problem, work, EPSILON, FLOOR, True, False, False)
+        off = linearise(problem, work, EPSILON, FLOOR, True, False, False, False)
         if iteration > 1 and off <= tolerance:
             break
         if not solve_linear(problem, work, True):
             return math.inf
-        step_all(problem, work, EPSILON)
+        step_all(problem, work)
     return worst
 
 
@@ -89,6 +89,7 @@ def linearise(
     dense: bool,
     proximal: bool,
     tresca: bool,
+    gentle: bool,
 ) -> float:
     """Write the linear system of the present iterate.
 
@@ -106,6 +107,9 @@ def linearise(
         its own stiffness (augmented Lagrangian) and each block is pulled towards `work.centre`.
     tresca : bool
         Whether friction limits are those in `work.contact_change` instead of Coulomb's.
+    gentle : bool
+        Whether the compliance of a loaded contact is large enough for its impulse to change by no
+        more than what it takes to open or to slide, were the velocities to stay.
 
     Returns
     -------
@@ -143,7 +147,7 @@ def linearise(
             right[i] -= pull * problem.stiffness[i] * (v[i] - work.centre[i])
     return max(
         _add_elements(problem, work, epsilon, proximal),
-        _add_contacts(problem, work, epsilon, dense, proximal, tresca),
+        _add_contacts(problem, work, epsilon, dense, proximal, tresca, gentle),
     )
 
 
@@ -294,7 +298,13 @@ def _add_elements(problem: Problem, work: Workspace, epsilon: float, proximal: b
 
 @kernel
 def _add_contacts(
-    problem: Problem, work: Workspace, epsilon: float, dense: bool, proximal: bool, tresca: bool
+    problem: Problem,
+    work: Workspace,
+    epsilon: float,
+    dense: bool,
+    proximal: bool,
+    tresca: bool,
+    gentle: bool,
 ) -> float:
     v = problem.velocity
     p = problem.impulse
@@ -327,6 +337,12 @@ def _add_contacts(
         zn = pn - sharp * un
         zt = pt - sharp * ut
         reach = change[i, 4] if tresca else mu * zn
+        hold = stiff
+        if gentle:
+            if un > 0.0 and pn > 0.0:
+                stiff = max(rho, min(stiff, pn / un))
+            if ut != 0.0:
+                hold = max(rho, min(hold, (mu * pn + (pt if ut > 0.0 else -pt)) / abs(ut)))
         state = _APART
         cn = -pn
         ct = -pt
@@ -340,7 +356,7 @@ def _add_contacts(
         if zn > 0.0 or tresca:
             if abs(zt) <= reach:
                 state += _HELD
-                ct = -stiff * ut
+                ct = -hold * ut
                 worst = max(worst, abs(rho * ut))
             else:
                 slope = mu if zt > 0.0 else -mu
@@ -356,6 +372,8 @@ def _add_contacts(
         change[i, 1] = ct
         change[i, 2] = slope
         change[i, 3] = float(state)
+        change[i, 5] = stiff
+        change[i, 6] = hold
         if proximal:
             largest = max(largest, abs(cn), abs(ct))
         fn = pn + cn
@@ -373,7 +391,7 @@ def _add_contacts(
                 if state == _APART:
                     continue
                 push = stiff * (wn + slope * wt) if state & _SLIDING else 0.0
-                drag = stiff * wt if state & _HELD else 0.0
+                drag = hold * wt if state & _HELD else 0.0
                 for other in range(2):
                     q = a if other == 0 else b
                     if q < 0:
@@ -395,7 +413,7 @@ def _widen(problem: Problem, work: Workspace, a: int, b: int) -> None:
 
 
 @kernel
-def step_all(problem: Problem, work: Workspace, epsilon: float) -> None:
+def step_all(problem: Problem, work: Workspace) -> None:
     """Change the velocities by the solution in `work.right`, and the impulses accordingly."""
     dv = work.right
     p = problem.impulse
@@ -407,21 +425,19 @@ def step_all(problem: Problem, work: Workspace, epsilon: float) -> None:
             continue
         a = problem.contact_dof[i, 0]
         b = problem.contact_dof[i, 1]
-        rho = problem.stiffness[a]
         dn = 0.0
         dt = 0.0
         for k in range(3):
             dn += problem.normal[i, k] * dv[a + k]
             dt += problem.tangent[i, k] * dv[a + k]
         if b >= 0:
-            rho = min(rho, problem.stiffness[b])
             for k in range(3):
                 dn += problem.normal[i, 3 + k] * dv[b + k]
                 dt += problem.tangent[i, 3 + k] * dv[b + k]
-        stiff = rho / epsilon
+        stiff = work.contact_change[i, 5]
         p[i, 0] -= stiff * dn
         if state & _HELD:
-            p[i, 1] -= stiff * dt
+            p[i, 1] -= work.contact_change[i, 6] * dt
         else:
             p[i, 1] -= work.contact_change[i, 2] * stiff * dn
     change = work.element_change

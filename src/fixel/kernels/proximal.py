@@ -16,13 +16,19 @@ Alart & Curnier (1991) for the springs.
 import math
 
 from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
-from fixel.kernels.gauss_seidel import nearest_in_polygon
+from fixel.kernels.gauss_seidel import friction_answer, nearest_in_polygon
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import EPSILON, FLOOR, linearise, solve_linear, step_all
 from fixel.kernels.one_body import is_one_body, newton_one_body
 from fixel.kernels.residual import residual
 
+# Compliance of all constraints at the start of `stiffening_newton`, and how it falls.
+SOFTEST = 0.1
+SOFT = 1e-4
+STIFFEN = 0.4
+ROUND = 25  # iterations, after which it starts again
+STICKS = 0.999  # of the friction limit
 INNER = 12  # Newton steps in search of a balance
 SEARCH = 10  # evaluations of one line search
 SLACK = 0.5  # part of the first slope at which a line search ends
@@ -37,11 +43,17 @@ PATIENCE = 3  # rounds with given friction limits before Coulomb's own are tried
 
 @large_kernel
 def linearise_any(
-    problem: Problem, work: Workspace, epsilon: float, pull: float, proximal: bool, tresca: bool
+    problem: Problem,
+    work: Workspace,
+    epsilon: float,
+    pull: float,
+    proximal: bool,
+    tresca: bool,
+    gentle: bool,
 ) -> float:
     """Call `linearise` for a problem of any size, not inlined."""
     dense = problem.size[N_DOF] <= DENSE_LIMIT
-    return linearise(problem, work, epsilon, pull, dense, proximal, tresca)
+    return linearise(problem, work, epsilon, pull, dense, proximal, tresca, gentle)
 
 
 @large_kernel
@@ -60,13 +72,70 @@ def newton_any(
         return newton_one_body(problem, work, tolerance, max_iterations, epsilon, FLOOR)
     worst = math.inf
     for iteration in range(max_iterations + 1):
-        worst = linearise_any(problem, work, epsilon, FLOOR, False, False)
+        worst = linearise_any(problem, work, epsilon, FLOOR, False, False, False)
         if iteration == max_iterations or (iteration > 0 and worst <= tolerance):
             break
         if not solve_any(problem, work):
             return math.inf
-        step_all(problem, work, epsilon)
+        step_all(problem, work)
     return worst
+
+
+@large_kernel
+def stiffening_newton(
+    problem: Problem, work: Workspace, tolerance: float, max_iterations: int
+) -> float:
+    """Iterate as `newton` with soft constraints that stiffen; returns the residual.
+
+    Stiff constraints make Newton overshoot where many contacts open, close or slide at once. Soft
+    ones let a few change in each iteration. Where several contacts hold a body and only one can,
+    impulses go round in a circle until one contact opens: each contact is made so soft that it
+    just opens. Impulses beyond their laws are taken back after each iteration, and a contact that
+    would slide the other way sticks first.
+    """
+    worst = residual(problem, work.right)
+    epsilon = min(SOFTEST, max(SOFT, worst))
+    for iteration in range(max_iterations):
+        if worst <= tolerance or not math.isfinite(worst):
+            break
+        linearise_any(problem, work, epsilon, FLOOR, False, False, True)
+        if not solve_any(problem, work):
+            return math.inf
+        step_all(problem, work)
+        _obey_laws(problem, work)
+        worst = residual(problem, work.right)
+        epsilon = SOFTEST if iteration % ROUND == ROUND - 1 else max(EPSILON, STIFFEN * epsilon)
+    return worst
+
+
+@kernel
+def _obey_laws(problem: Problem, work: Workspace) -> None:
+    """Move every impulse back into its friction law; contacts that would turn round stick."""
+    p = problem.element_impulse
+    for e in range(problem.size[N_ELEMENT]):
+        rho = problem.stiffness[problem.element_dof[e]]
+        p[e, 0], p[e, 1], p[e, 2] = friction_answer(problem, e, rho)
+    v = problem.velocity
+    for i in range(problem.size[N_CONTACT]):
+        rho = math.inf
+        slip = problem.bias[i, 1]
+        closing = -problem.bias[i, 0]
+        for side in range(2):
+            o = problem.contact_dof[i, side]
+            if o >= 0:
+                rho = min(rho, problem.stiffness[o])
+                for k in range(3):
+                    slip += problem.tangent[i, 3 * side + k] * v[o + k]
+                    closing -= problem.normal[i, 3 * side + k] * v[o + k]
+        p_n = max(0.0, problem.impulse[i, 0])
+        reach = problem.friction[i] * p_n
+        p_t = min(reach, max(-reach, problem.impulse[i, 1]))
+        z = p_t - rho * slip
+        reach = problem.friction[i] * max(0.0, p_n + rho * closing)
+        if z * work.contact_change[i, 2] < 0.0 and abs(z) > reach:
+            p_t = rho * slip + (STICKS * reach if z > 0.0 else -STICKS * reach)
+        problem.impulse[i, 0] = p_n
+        problem.impulse[i, 1] = p_t
 
 
 @kernel
@@ -157,7 +226,7 @@ def _balance(problem: Problem, work: Workspace, sigma: float, tresca: bool) -> t
     whether the balance was found.
     """
     n_dof = problem.size[N_DOF]
-    change = linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca)
+    change = linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca, False)
     for step in range(INNER + 1):
         left = 0.0
         for i in range(n_dof):
@@ -215,7 +284,7 @@ def _search_line(
             alpha = 0.5 * (low + high)
     for i in range(problem.size[N_DOF]):
         problem.velocity[i] = work.search[i, 0] + alpha * work.search[i, 1]
-    return linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca)
+    return linearise_any(problem, work, 1.0 / sigma, 1.0 / sigma, True, tresca, False)
 
 
 @kernel

@@ -19,7 +19,12 @@ from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
 from fixel.kernels.josephy import is_small, josephy
 from fixel.kernels.linear import DENSE_LIMIT
 from fixel.kernels.newton import newton
-from fixel.kernels.proximal import STIFFEST, newton_any, proximal_newton
+from fixel.kernels.proximal import (
+    STIFFEST,
+    newton_any,
+    proximal_newton,
+    stiffening_newton,
+)
 from fixel.kernels.residual import residual
 from fixel.typing import FloatArray
 
@@ -42,6 +47,7 @@ ARRIVALS = 8  # times that Newton starts from the iterates of one proximal itera
 MAX_ATTEMPTS = 98
 MAX_ATTEMPTS_EARLY = 8
 PIVOTING_ITERATIONS = 6  # of `josephy`; one to three are the rule
+STIFFENING = 75  # iterations of `stiffening_newton`; ten to thirty are the rule
 GIVE_UP = 5  # after this trial ask whether friction may jam: nothing was ever found later then
 CLOSE_RESIDUAL = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
 STIFF = 1e10  # a light body between a heavy one and a wall bears forces 1e8 times its own
@@ -184,10 +190,16 @@ def recover(
 def recover_large(problem: Problem, work: Workspace, guess: FloatArray, max_attempts: int) -> float:
     """Solve a problem that is not small; returns the residual.
 
-    Sweeps settle most contacts and support points, Newton the rest. Where it fails, the proximal
-    method decides which contacts press and slide, and Newton starts from what it finds.
+    Newton with constraints that stiffen solves most, at once or after sweeps. Where it fails, the
+    proximal method decides which contacts press and slide, and Newton starts from what it finds.
     """
-    worst = math.inf
+    for _ in range(2):
+        worst = stiffening_newton(problem, work, TOLERANCE, STIFFENING)
+        if worst <= TOLERANCE:
+            return worst
+        restore(problem, work)
+        sweep(problem, work, SWEEPS // 3)
+        save(problem, work)
     for trial in range(max_attempts):
         stiffness = 100.0
         if trial % 4 == 1:
