@@ -76,7 +76,7 @@ class RunCoverage(NamedTuple):
 def run(size: Size) -> list[Figure]:
     """Measure how even ranks are and how often 90 % intervals and ellipsoids hold the truth."""
     full = size.rollouts >= 500
-    return figures_of(_rows(TRUTHS if full else 4, ROWS if full else None, RIGHT, full))
+    return figures_of(_rows(TRUTHS if full else 2, ROWS if full else None, RIGHT, full))
 
 
 def run_wrong(size: Size) -> list[Figure]:
@@ -84,7 +84,7 @@ def run_wrong(size: Size) -> list[Figure]:
     full, figures = size.rollouts >= 500, []
     for label, bench in BENCHES.items():
         path = RESULTS / ROWS_WRONG.format(label.replace(" ", "-"))
-        rows = _rows(WRONG if full else 2, path if full else None, bench, full)
+        rows = _rows(WRONG if full else 1, path if full else None, bench, full)
         figures += figures_of(rows, label, (None,))
     return figures
 

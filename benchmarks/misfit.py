@@ -142,7 +142,7 @@ def run(size: Size) -> list[Figure]:
         for k in range(count if full else 1)
     }
     wanted = sorted(share, key=lambda one: share[one])
-    return figures_of(_rows(wanted, path, LAYOUTS if full else 3))
+    return figures_of(_rows(wanted, path, LAYOUTS if full else 2))
 
 
 def _rows(

@@ -79,7 +79,7 @@ def run(size: Size) -> list[Figure]:
     cv2.setNumThreads(1)
     full = size.rollouts >= 500
     wanted = [(print_, seed) for seed in (SEEDS if full else SEEDS[:1]) for print_ in prints()]
-    return figures_of(_rows(wanted, ROWS if full else None, PICTURES if full else 8))
+    return figures_of(_rows(wanted, ROWS if full else None, PICTURES if full else 6))
 
 
 def figures_of(rows: Sequence[dict[str, str]]) -> list[Figure]:

@@ -1,7 +1,6 @@
 """Every test of a store runs on both engines, PostgreSQL on a real server."""
 
 import importlib.util
-import uuid
 from pathlib import Path
 
 import pytest
@@ -19,6 +18,9 @@ def _server_module():
 
 
 server = _server_module()
+# A test that failed may have left a connection that holds a lock.
+OTHERS = """SELECT pg_terminate_backend(pid) FROM pg_stat_activity
+WHERE datname = current_database() AND pid <> pg_backend_pid()"""
 
 
 @pytest.fixture(scope="session")
@@ -29,21 +31,26 @@ def postgres():
         yield running
 
 
+@pytest.fixture(scope="session")
+def database(postgres):
+    """An engine of a database on the server, which the next test finds empty again."""
+    engine = sa.create_engine(postgres.url, isolation_level="AUTOCOMMIT")
+    yield engine
+    engine.dispose()
+
+
 @pytest.fixture(params=["sqlite", "postgresql"])
 def url(request, tmp_path):
     if request.param == "sqlite":
         yield f"sqlite:///{tmp_path}/experiments.db"
         return
-    running = request.getfixturevalue("postgres")
-    name = "t" + uuid.uuid4().hex[:12]
-    admin = sa.create_engine(running.url, isolation_level="AUTOCOMMIT")
-    with admin.connect() as connection:
-        connection.execute(sa.text(f"CREATE DATABASE {name}"))
-    whole = sa.make_url(running.url).set(database=name)
-    yield whole.render_as_string(hide_password=False)
-    with admin.connect() as connection:
-        connection.execute(sa.text(f"DROP DATABASE {name} WITH (FORCE)"))
-    admin.dispose()
+    emptied = request.getfixturevalue("database")
+    yield emptied.url.render_as_string(hide_password=False)
+    # The server needs half the time for this that it needs for another database.
+    with emptied.connect() as connection:
+        connection.execute(sa.text(OTHERS))
+        connection.execute(sa.text("DROP SCHEMA public CASCADE"))
+        connection.execute(sa.text("CREATE SCHEMA public"))
 
 
 @pytest.fixture

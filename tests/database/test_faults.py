@@ -94,8 +94,8 @@ def killed_often(store, url, media, n, seed=1):
 
 
 def test_kills(store, url, tmp_path):
-    killed_often(store, url, tmp_path / "media", 6)
-    assert store.experiments(ALL_EXPERIMENTS).total == 6 * importing.N
+    killed_often(store, url, tmp_path / "media", 3)
+    assert store.experiments(ALL_EXPERIMENTS).total == 3 * importing.N
 
 
 @pytest.mark.slow

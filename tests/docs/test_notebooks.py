@@ -9,12 +9,20 @@ from tools.notebooks import FOLDER, NAMES, PAGES, is_output, shown_outputs, text
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_notebook_is_that_of_its_page_and_runs(name: str, tmp_path: Path) -> None:
+def test_notebook_is_that_of_its_page(name: str) -> None:
     source = (FOLDER / f"{name}.ipynb").read_text(encoding="utf-8")
     page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
     assert source == text(page), "run: python -m tools.notebooks"
-    notebook = nbformat.reads(source, as_version=4)
-    nbformat.validate(notebook)
+    nbformat.validate(nbformat.reads(source, as_version=4))
+
+
+# The cells of the others run without Jupyter, in `test_pages.py`.
+@pytest.mark.parametrize(
+    "name", [NAMES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1:])]
+)
+def test_notebook_runs(name: str, tmp_path: Path) -> None:
+    page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
+    notebook = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
     for folder in ("data", "scenes"):
         (tmp_path / folder).symlink_to(FOLDER.parent / folder)
     place = tmp_path / "notebooks"  # what a notebook writes is not left among the examples

@@ -109,14 +109,12 @@ def violations(page, axe):
     return [one for one in found if one["impact"] in BAD], found
 
 
-def judged(chromium, link, addresses, axe, looks, tmp_path):
+def judged(chromium, link, addresses, axe, looks):
     bad = []
     for look, size in looks:
         context, page = opened(chromium, link, look, size)
         for address in addresses:
             settled(page, address)
-            name = address.partition("//")[2].partition("/")[2].replace("/", "-") or "home"
-            page.screenshot(path=tmp_path / f"{name}-{look}-{size['width']}.png")
             wide = page.evaluate("document.documentElement.scrollWidth > innerWidth + 1")
             serious, every = violations(page, axe)
             for one in every:
@@ -129,16 +127,16 @@ def judged(chromium, link, addresses, axe, looks, tmp_path):
     return bad
 
 
-def test_no_violation(chromium, server, places, axe, tmp_path):
+def test_no_violation(chromium, server, places, axe):
     bad = []
     for look, some in zip(LOOKS, (places[::2], places[1::2]), strict=True):
-        bad += judged(chromium, server.link, some, axe, [look], tmp_path)
+        bad += judged(chromium, server.link, some, axe, [look])
     assert bad == []
 
 
 @pytest.mark.slow
-def test_no_violation_in_any_look(chromium, server, places, axe, tmp_path):
-    assert judged(chromium, server.link, places, axe, LOOKS + OTHER_LOOKS, tmp_path) == []
+def test_no_violation_in_any_look(chromium, server, places, axe):
+    assert judged(chromium, server.link, places, axe, LOOKS + OTHER_LOOKS) == []
 
 
 def test_nor_on_live_pages(chromium, axe):
