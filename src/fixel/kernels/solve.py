@@ -5,6 +5,7 @@ import math
 from fixel.kernels import codes
 from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, Problem, Workspace
 from fixel.kernels.feasible import is_squeezed
+from fixel.kernels.fresh_start import start_afresh
 from fixel.kernels.gauss_seidel import gauss_seidel
 from fixel.kernels.islands import (
     ROUNDS,
@@ -76,6 +77,7 @@ def solve(
             worst = residual(problem, work.right)
             if worst <= NEWTON_TOLERANCE:
                 return worst, 0  # the answer of the step before holds on
+            start_afresh(problem)
         save(problem, work)
         worst = newton(problem, work, NEWTON_TOLERANCE, QUICK_ITERATIONS)
         if worst <= TOLERANCE:
@@ -146,6 +148,10 @@ def recover(
             return worst, 0
     else:
         restore(problem, work)
+        if start_afresh(problem):
+            worst = polish(problem, work, QUICK_ITERATIONS, 1.0)
+            if worst <= TOLERANCE:
+                return worst, 1
     if not small:
         return recover_large(problem, work, guess, max_attempts), 1
     # Asked first where contacts are few, at less than the cost of a trial: a step that can be
