@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
@@ -44,22 +45,27 @@ class Module:
         """Name of the entry at the top of the package that holds the file."""
         return self.path.parts[1]
 
+    @cached_property
+    def nodes(self) -> list[ast.AST]:
+        """All nodes of the tree, which every figure reads."""
+        return list(ast.walk(self.tree))
+
     @property
     def classes(self) -> Iterator[ast.ClassDef]:
         """Class definitions of the file, nested ones included."""
-        return (node for node in ast.walk(self.tree) if isinstance(node, ast.ClassDef))
+        return (node for node in self.nodes if isinstance(node, ast.ClassDef))
 
     @property
     def functions(self) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
         """Function definitions of the file, methods and nested ones included."""
-        for node in ast.walk(self.tree):
+        for node in self.nodes:
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 yield node
 
     @property
     def docstrings(self) -> Iterator[tuple[int, Definition | ast.Module, str]]:
         """Line, documented node and text of each docstring of the file."""
-        for node in ast.walk(self.tree):
+        for node in self.nodes:
             if isinstance(node, ast.Module | Definition) and (text := ast.get_docstring(node)):
                 yield (1 if isinstance(node, ast.Module) else node.lineno, node, text)
 
@@ -101,7 +107,7 @@ def imports(modules: Mapping[str, Module]) -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     for name, module in modules.items():
         targets: set[str] = set()
-        for node in ast.walk(module.tree):
+        for node in module.nodes:
             if isinstance(node, ast.Import):
                 targets.update(alias.name for alias in node.names)
             elif isinstance(node, ast.ImportFrom):

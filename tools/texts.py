@@ -147,7 +147,7 @@ def _markdown(source: str) -> Iterator[tuple[int, str]]:
 
 def _literals(module: Module) -> Iterator[Text]:
     """Literals of a source file that are sentences or phrases."""
-    nodes = list(ast.walk(module.tree))
+    nodes = module.nodes
     skipped: set[int] = set()
     alone: set[int] = set()
     for node in nodes:

@@ -68,7 +68,7 @@ def test_experiments_without_evidence_say_nothing():
 def test_a_cell_nobody_tried_is_judged_by_cells_and_not_by_repetitions(repetitions):
     """Each cell has an error of its own, which repetitions meet again and neighbours do not."""
     held = []
-    for seed in range(30):
+    for seed in range(15):
         random = np.random.default_rng(seed)
         places = np.arange(41)
         own = np.exp(0.5 * random.normal(size=41))
