@@ -16,7 +16,7 @@ from fixel.testing.scenes import box, free_push, touching_pose
 SPEED = 0.01  # [m/s]
 STEP = 1e-2  # [s]; rows are taken at the start, so the first velocity is that of any step
 LENGTH = 0.05  # [m] by which angular velocities are made comparable
-PUSHES = 40
+PUSHES = (10, pytest.param(40, marks=pytest.mark.slow))
 
 
 def least_power_twist(points, loads, contact, normal, normal_speed):
@@ -71,14 +71,15 @@ def _supports(rng):
         points = rng.uniform(-0.048, 0.048, (3, 2))
 
 
+@pytest.mark.parametrize("n", PUSHES)
 @pytest.mark.parametrize("seed", range(10))
-def test_A11_a_pushed_part_loses_the_least_power(seed):
+def test_A11_a_pushed_part_loses_the_least_power(seed, n):
     rng = np.random.default_rng(seed)
     points, loads, given = _supports(rng)
     support = SupportPoints(points=points, friction=0.3, loads=loads if given else None)
-    along = rng.uniform(-0.049, 0.049, PUSHES)
-    towards = rng.uniform(-1.2, 1.2, PUSHES)
-    contact = np.column_stack((along, np.full(PUSHES, -0.05)))
+    along = rng.uniform(-0.049, 0.049, n)
+    towards = rng.uniform(-1.2, 1.2, n)
+    contact = np.column_stack((along, np.full(n, -0.05)))
     start = touching_pose(contact, -pi / 2, towards)
     run = simulate_batch(
         free_push(support, shape=box(0.1, 0.1), speed=SPEED, step=STEP),
@@ -88,7 +89,7 @@ def test_A11_a_pushed_part_loses_the_least_power(seed):
     )
     assert run.converged.all()
     found = (run.final[:, 0] - start) / STEP / SPEED
-    for k in range(PUSHES):
+    for k in range(n):
         c, s = np.cos(start[k, 2]), np.sin(start[k, 2])
         in_body = [c * found[k, 0] + s * found[k, 1], -s * found[k, 0] + c * found[k, 1]]
         twist = np.append(in_body, LENGTH * found[k, 2])

@@ -38,7 +38,7 @@ def answered(folder, tmp_path_factory):
     pictures = tmp_path_factory.mktemp("pictures")
     words = ["uncertainty", "push-1", "--held-out", "push-2", "--project", str(folder)]
     words += ["--noise-mm", "0.05", "--noise-mrad", "2", "--motion", "quasistatic"]
-    words += ["--samples", "100", "--plot", str(pictures)]
+    words += ["--samples", "60", "--plot", str(pictures)]
     for text in FIT:
         words += ["--fit", text]
     result = CliRunner().invoke(app, words)
