@@ -27,6 +27,7 @@ from fixel.kernels.residual import residual
 SOFTEST = 0.1
 SOFT = 1e-4
 STIFFEN = 0.4
+STIFF = 1e-8
 ROUND = 25  # iterations, after which it starts again
 STICKS = 0.999  # of the friction limit
 INNER = 12  # Newton steps in search of a balance
@@ -104,7 +105,7 @@ def stiffening_newton(
         step_all(problem, work)
         _obey_laws(problem, work)
         worst = residual(problem, work.right)
-        epsilon = SOFTEST if iteration % ROUND == ROUND - 1 else max(EPSILON, STIFFEN * epsilon)
+        epsilon = SOFTEST if iteration % ROUND == ROUND - 1 else max(STIFF, STIFFEN * epsilon)
     return worst
 
 

@@ -48,7 +48,8 @@ ARRIVALS = 8  # times that Newton starts from the iterates of one proximal itera
 MAX_ATTEMPTS = 98
 MAX_ATTEMPTS_EARLY = 8
 PIVOTING_ITERATIONS = 6  # of `josephy`; one to three are the rule
-STIFFENING = 75  # iterations of `stiffening_newton`; ten to thirty are the rule
+STIFFENING = 50  # iterations of `stiffening_newton`; ten to thirty are the rule
+STARTS = 4  # of it, with a few sweeps between them
 GIVE_UP = 5  # after this trial ask whether friction may jam: nothing was ever found later then
 CLOSE_RESIDUAL = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
 STIFF = 1e10  # a light body between a heavy one and a wall bears forces 1e8 times its own
@@ -199,13 +200,12 @@ def recover_large(problem: Problem, work: Workspace, guess: FloatArray, max_atte
     Newton with constraints that stiffen solves most, at once or after sweeps. Where it fails, the
     proximal method decides which contacts press and slide, and Newton starts from what it finds.
     """
-    for _ in range(2):
+    for _ in range(STARTS):
         worst = stiffening_newton(problem, work, TOLERANCE, STIFFENING)
         if worst <= TOLERANCE:
             return worst
-        restore(problem, work)
-        sweep(problem, work, SWEEPS // 3)
-        save(problem, work)
+        sweep(problem, work, SWEEPS // 10)
+    restore(problem, work)
     for trial in range(max_attempts):
         stiffness = 100.0
         if trial % 4 == 1:

@@ -45,6 +45,9 @@ EXPONENT = 0.35  # of the change of step with the error's: nearly third order
 # Of the time in which forces move a body by the tolerance: the first step with a closed gap.
 CLOSED = 0.7
 FEW = 12  # unknowns up to which that is done: in heaps gaps close all the time, mostly unfelt
+# Bodies up to which the largest error counts. Of more, the root mean square counts, four times: in a
+# crowd some body always jumps, and its neighbours hardly notice.
+CROWD = 16
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
 MAX_MOTION = (
     1.0  # characteristic length, or radian: a step that moves a body further is out of its depth
@@ -440,16 +443,28 @@ def fastest_in_sight(
 
 @kernel
 def largest_change(problem: Problem, guess: FloatArray) -> float:
-    """Largest difference between solved and guessed velocity, over bodies and drives."""
+    """Largest difference between solved and guessed velocity, over bodies and drives; of many
+    bodies at most what `CROWD` of them would have if the others had none."""
     largest = 0.0
+    squares = 0.0
     v = problem.velocity
     for o in range(0, problem.size[N_FREE_DOF], 3):
         dx = v[o] - guess[o]
         dy = v[o + 1] - guess[o + 1]
-        largest = max(largest, math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2]))
+        change = math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2])
+        largest = max(largest, change)
+        squares += change * change
+    largest = _of_crowd(problem, largest, squares)
     for o in range(problem.size[N_FREE_DOF], problem.size[N_DOF]):
         largest = max(largest, abs(v[o] - guess[o]))
     return largest
+
+
+@kernel
+def _of_crowd(problem: Problem, largest: float, squares: float) -> float:
+    """Limit a largest change to that of a crowd with this sum of squares."""
+    n = problem.size[N_FREE_DOF] // 3
+    return min(largest, math.sqrt(CROWD * squares / n)) if n > CROWD else largest
 
 
 @kernel
@@ -469,12 +484,14 @@ def largest_speed(problem: Problem) -> float:
 def untouched_change(problem: Problem, guess: FloatArray) -> float:
     """Largest difference as in `largest_change`, over bodies without loaded contacts only."""
     largest = 0.0
+    squares = 0.0
+    crowded = problem.size[N_FREE_DOF] > 3 * CROWD
     v = problem.velocity
     for o in range(0, problem.size[N_FREE_DOF], 3):
         dx = v[o] - guess[o]
         dy = v[o + 1] - guess[o + 1]
         change = math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - guess[o + 2])
-        if change <= largest:
+        if change <= largest and not crowded:
             continue
         touched = False
         for i in range(problem.size[N_CONTACT]):
@@ -483,8 +500,9 @@ def untouched_change(problem: Problem, guess: FloatArray) -> float:
             ):
                 touched = True
         if not touched:
-            largest = change
-    return largest
+            largest = max(largest, change)
+            squares += change * change
+    return _of_crowd(problem, largest, squares)
 
 
 @large_kernel
