@@ -30,7 +30,7 @@ proximal = njit(
     )
 )
 
-stiffened = njit(lambda problem, work: stiffening_newton(problem, work, 1e-12, 60))
+stiffened = njit(lambda problem, work: stiffening_newton(problem, work, 1e-12, 60, math.inf))
 
 
 @njit

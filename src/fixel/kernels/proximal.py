@@ -84,9 +84,11 @@ def newton_any(
 
 @large_kernel
 def stiffening_newton(
-    problem: Problem, work: Workspace, tolerance: float, max_iterations: int
+    problem: Problem, work: Workspace, tolerance: float, max_iterations: int, ahead: float
 ) -> float:
     """Iterate as `newton` with soft constraints that stiffen; returns the residual.
+
+    They do not stiffen while the residual exceeds `ahead` times the compliance.
 
     Stiff constraints make Newton overshoot where many contacts open, close or slide at once. Soft
     ones let a few change in each iteration. Where several contacts hold a body and only one can,
@@ -105,7 +107,10 @@ def stiffening_newton(
         step_all(problem, work)
         _obey_laws(problem, work)
         worst = residual(problem, work.right)
-        epsilon = SOFTEST if iteration % ROUND == ROUND - 1 else max(STIFF, STIFFEN * epsilon)
+        if iteration % ROUND == ROUND - 1:
+            epsilon = SOFTEST
+        elif worst <= ahead * epsilon:
+            epsilon = max(STIFF, STIFFEN * epsilon)
     return worst
 
 

@@ -48,8 +48,9 @@ ARRIVALS = 8  # times that Newton starts from the iterates of one proximal itera
 MAX_ATTEMPTS = 98
 MAX_ATTEMPTS_EARLY = 8
 PIVOTING_ITERATIONS = 6  # of `josephy`; one to three are the rule
-STIFFENING = 50  # iterations of `stiffening_newton`; ten to thirty are the rule
-STARTS = 4  # of it, with a few sweeps between them
+STIFFENING = 25  # iterations of `stiffening_newton`; ten to twenty are the rule
+AHEAD = 10.0  # its residual, in compliances, above which constraints do not stiffen, if that failed
+STARTS = 5  # of those iterations, each after a few sweeps
 GIVE_UP = 5  # after this trial ask whether friction may jam: nothing was ever found later then
 CLOSE_RESIDUAL = 1e-5  # residual of an answer that may want nothing but stiffer constraints:
 STIFF = 1e10  # a light body between a heavy one and a wall bears forces 1e8 times its own
@@ -200,11 +201,14 @@ def recover_large(problem: Problem, work: Workspace, guess: FloatArray, max_atte
     Newton with constraints that stiffen solves most, at once or after sweeps. Where it fails, the
     proximal method decides which contacts press and slide, and Newton starts from what it finds.
     """
+    worst = stiffening_newton(problem, work, TOLERANCE, STIFFENING, math.inf)
     for _ in range(STARTS):
-        worst = stiffening_newton(problem, work, TOLERANCE, STIFFENING)
         if worst <= TOLERANCE:
             return worst
-        sweep(problem, work, SWEEPS // 10)
+        sweep(problem, work, SWEEPS // 30)
+        worst = stiffening_newton(problem, work, TOLERANCE, 2 * STIFFENING, AHEAD)
+    if worst <= TOLERANCE:
+        return worst
     restore(problem, work)
     for trial in range(max_attempts):
         stiffness = 100.0

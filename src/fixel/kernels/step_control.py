@@ -45,8 +45,8 @@ EXPONENT = 0.35  # of the change of step with the error's: nearly third order
 # Of the time in which forces move a body by the tolerance: the first step with a closed gap.
 CLOSED = 0.7
 FEW = 12  # unknowns up to which that is done: in heaps gaps close all the time, mostly unfelt
-# Bodies up to which the largest error counts. Of more, the root mean square counts, four times: in a
-# crowd some body always jumps, and its neighbours hardly notice.
+# Bodies up to which the largest error counts; of more, four times the root mean square: in a crowd
+# some body always jumps, and most others hardly notice.
 CROWD = 16
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
 MAX_MOTION = (
