@@ -43,7 +43,7 @@ demo-camera: $(READY)  ## the whole way: film, record, track, calibrate, compare
 
 test: $(READY)  ## the tests, and the check that each floor imports only from those below
 	@$(BIN)/lint-imports --no-logo
-	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(HANGS) $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder $(HANGS) $(PYTEST_ARGS)
 
 test-slow: $(READY)  ## the tests marked slow, which `make test` leaves out
 	@$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)

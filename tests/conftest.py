@@ -34,6 +34,15 @@ settings.load_profile(
 )
 
 
+# Files that wait for browsers and processes, and take longest.
+_FIRST = ("_browser", "benchmarks", "database", "docs", "jobs", "workflows", "cli")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put long files first: one that starts last leaves all other processes idle."""
+    items.sort(key=lambda item: not any(word in item.nodeid.split("::")[0] for word in _FIRST))
+
+
 @pytest.fixture(scope="session")
 def data_root() -> Path:
     """Folder of the real push data: `FIXEL_DATA`, else `shared/data` beside the repository."""

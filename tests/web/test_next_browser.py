@@ -17,6 +17,7 @@ def test_pushes_are_proposed_and_shown_with_what_is_unseen_first(browser_page, s
     page = browser_page
     page.click("nav >> text=Next pushes")
     assert "no proposal yet" in page.inner_text("#content")
+    page.wait_for_load_state()  # before its scripts have run, the button does nothing
     page.select_option("#part", "part-2")
     page.fill("#number", "4")
     page.click("#start")
