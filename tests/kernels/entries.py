@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from fixel.kernels.arrays import Problem, Workspace
+from fixel.kernels.arrays import N_PLACE, Problem, Workspace
 from fixel.kernels.gap import contact_pair
 from fixel.kernels.jit import entry
 from fixel.kernels.lemke import allocate_tableau, lemke
@@ -41,14 +41,14 @@ def measure_contacts(
     """
     n = start.shape[0]
     count = np.empty(n, np.int64)
-    place = np.full((n, 2, 5), math.nan)
+    place = np.full((n, 2, N_PLACE), math.nan)
     key = np.full((n, 2), -1)
     for i in range(n):
         s, m, e = start[i]
         count[i] = contact_pair(
             world, real, s, m, radius[i, 0], m, e, radius[i, 1], margin, place[i], key[i], 0
         )
-    return count, place, key
+    return count, place[:, :, :5], key
 
 
 @entry

@@ -76,6 +76,9 @@ OVERLAP = 5  # to take back apart from the velocities
 GIVEN_BACK = 6  # part of the bias that is restitution
 DRIVEN_NORMAL = 7  # part of the bias that is prescribed motion
 HALVINGS = 8  # how often less was given back
+# Until the rows are written: radius of either outline, zero for a corner, infinite for an edge.
+ROUND_A = 5
+ROUND_B = 6
 N_PLACE = 9
 
 

@@ -2,11 +2,11 @@
 
 The rows are taken at a configuration reached `lead` after the step's start by the predicted
 velocities (lead 0: at the start, Stewart & Trinkle 1996; half a step: the midpoint, Moreau 1988),
-and the gaps are carried to the step's end by their linear part, so both are one formula:
+and the gaps are carried to the step's start by a parabola and to its end by the rows, so both are
+one formula:
 
     u_n = n . (relative velocity over the step) + bias >= 0,
-    bias = (gap_at_rows - n . (relative motion still to come from there at the predicted velocity)
-            + ...) / step.
+    bias = (gap at the step's start) / step - (prescribed normal velocity).
 
 See docs/theory/contact.md. The three models differ in `inertia` and `momentum` only:
 

@@ -57,8 +57,9 @@ def contact_pair(
 
     Piece 1 owns ``world[s1:e1]`` and has radius `r1`, which only disks may have. Row ``at`` onward
     of `place` gets gap, normal x, y (from the second piece into the first) and the contact point
-    x, y (half way between the outlines); `key` gets the feature code. In overlap the first contact
-    written has the gap of the pair, else the smaller of both.
+    x, y (half way between the outlines), and how round either outline is there: zero for a corner,
+    the radius of a disk, infinite for an edge. `key` gets the feature code. In overlap the first
+    contact written has the gap of the pair, else the smaller of both.
     """
     if e1 - s1 > 1 and e2 - s2 > 1:
         return _contact_polygons(world, real, s1, e1, s2, e2, margin, place, key, at)
@@ -66,12 +67,16 @@ def contact_pair(
     most = margin + r1 + r2
     px = world[s2, 0]
     py = world[s2, 1]
+    round_1 = r1
+    round_2 = r2
     if e1 - s1 == 1 and e2 - s2 == 1:
         d, nx, ny = _point_to_point(world[s1, 0] - px, world[s1, 1] - py)
     elif e1 - s1 == 1:
-        d, nx, ny = _point_to_polygon(world, real, s2, e2, world[s1, 0], world[s1, 1], most)
+        d, nx, ny, round_2 = _point_to_polygon(
+            world, real, s2, e2, world[s1, 0], world[s1, 1], most
+        )
     else:
-        d, nx, ny = _point_to_polygon(world, real, s1, e1, px, py, most)
+        d, nx, ny, round_1 = _point_to_polygon(world, real, s1, e1, px, py, most)
         nx = -nx
         ny = -ny
     if d >= most:
@@ -84,7 +89,7 @@ def contact_pair(
     else:
         px += nx * r2
         py += ny * r2
-    _write(place, key, at, gap, nx, ny, px, py, 0)
+    _write(place, key, at, gap, nx, ny, px, py, 0, round_1, round_2)
     return 1
 
 
@@ -99,6 +104,8 @@ def _write(
     px: float,
     py: float,
     code: int,
+    round_1: float,
+    round_2: float,
 ) -> None:
     """Write one contact, from the witness point (px, py) on the second outline."""
     place[at, 0] = gap
@@ -106,6 +113,8 @@ def _write(
     place[at, 2] = ny
     place[at, 3] = px + nx * 0.5 * gap
     place[at, 4] = py + ny * 0.5 * gap
+    place[at, 5] = round_1
+    place[at, 6] = round_2
     key[at] = code
 
 
@@ -121,10 +130,11 @@ def _point_to_point(dx: float, dy: float) -> tuple[float, float, float]:
 @kernel
 def _point_to_polygon(
     world: FloatArray, real: IntArray, start: int, end: int, px: float, py: float, most: float
-) -> tuple[float, float, float]:
-    """Signed distance and outward normal from a convex polygon to a point.
+) -> tuple[float, float, float, float]:
+    """Signed distance and outward normal from a convex polygon to a point, and the radius of its
+    outline there: zero for a corner, infinite for an edge.
 
-    Returns (most, 0, 0) where the distance is at least `most`, or the shortest way crosses a seam.
+    Returns (most, 0, 0, 0) where the distance is at least `most`, or the shortest way crosses a seam.
     """
     best = -math.inf  # over all edges
     edge = start
@@ -143,7 +153,7 @@ def _point_to_polygon(
             continue
         s /= math.sqrt(square)
         if s >= most:
-            return most, 0.0, 0.0
+            return most, 0.0, 0.0, 0.0
         if s > best:
             best = s
             edge = before
@@ -156,7 +166,7 @@ def _point_to_polygon(
         best = inside
         edge = way_out
     if edge < 0 or real[edge] == 0:
-        return most, 0.0, 0.0
+        return most, 0.0, 0.0, 0.0
     after = edge + 1 if edge + 1 < end else start
     ex = world[after, 0] - world[edge, 0]
     ey = world[after, 1] - world[edge, 1]
@@ -170,10 +180,10 @@ def _point_to_polygon(
             dy = py - world[corner, 1]
             distance = math.sqrt(dx * dx + dy * dy)
             if distance >= most or _beyond_seam(world, real, start, end, corner, px, py):
-                return most, 0.0, 0.0
+                return most, 0.0, 0.0, 0.0
             if distance > COINCIDENT:
-                return distance, dx / distance, dy / distance
-    return best, ey / length, -ex / length
+                return distance, dx / distance, dy / distance, 0.0
+    return best, ey / length, -ex / length, math.inf
 
 
 @kernel
@@ -356,13 +366,18 @@ def _contact_polygons(
             vertex = other if on_first else vertex
             code = VERTEX_VERTEX + vertex - s2
             back = 0.0
+            round_1 = round_2 = 0.0
         elif on_facing == on_first:
             code = vertex - s2
             back = 0.0
+            round_1 = math.inf
+            round_2 = 0.0
         else:
             # The first piece's vertex: its foot is the witness on the second outline.
             code = FIRST_VERTEX + vertex - s1
             back = gap
+            round_1 = 0.0
+            round_2 = math.inf
         _write(
             place,
             key,
@@ -373,6 +388,8 @@ def _contact_polygons(
             world[vertex, 0] - ox * back,
             world[vertex, 1] - oy * back,
             code,
+            round_1,
+            round_2,
         )
         n += 1
     return n

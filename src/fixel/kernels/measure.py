@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from fixel.kernels.arrays import N_PLACE
 from fixel.kernels.gap import COINCIDENT, contact_pair
 from fixel.kernels.jit import entry, kernel
 from fixel.typing import FloatArray, IntArray
@@ -54,7 +55,7 @@ def measure_gaps(
     half = vertex.shape[0]
     real = np.concatenate((edge_real, edge_real))
     whole = np.ones_like(real)
-    place = np.empty((2, 5))
+    place = np.empty((2, N_PLACE))
     key = np.empty(2, np.int64)
     for i in range(n):
         a = first[i]

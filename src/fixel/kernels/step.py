@@ -18,6 +18,8 @@ from fixel.kernels.arrays import (
     OVERLAP,
     POINT_X,
     POINT_Y,
+    ROUND_A,
+    ROUND_B,
     Model,
     Problem,
     State,
@@ -39,7 +41,8 @@ LIST_REACH = 0.2  # of the characteristic length: how far ahead near pairs are l
 NO_OVERLAP = 1e-9  # of the characteristic length: an overlap that is none
 ALONG = 0.2  # of a body's change of velocity, or velocity: more of it along a normal is an impact
 RUBBED = 1.0  # marks of a body: friction may stop it
-BLOCKED = 2.0  # and: it jumped
+PRESSED = 2.0  # and: by that of a contact
+BLOCKED = 3.0  # and: it jumped
 SWEEPS = 20  # at most, when overlaps are taken back
 # Columns of `contact_place` in which `_separate` stores how far a contact yields to an impulse, and
 # its inverse.
@@ -237,6 +240,37 @@ def _pusher_motion(
 
 
 @kernel
+def _bend(
+    problem: Problem, i: int, lead: float, spin_a: float, spin_b: float, lever: float, slip: float
+) -> float:
+    """Return how far the gap of contact i bends away from a line between a step's start and where
+    its rows are taken, `lead` later, for bodies that move uniformly.
+
+    `lever` is the normal coordinate of the contact point from the second body's centre, `slip` the
+    relative tangential velocity there.
+    """
+    gap = problem.contact_place[i, GAP]
+    round_a = problem.contact_place[i, ROUND_A]
+    round_b = problem.contact_place[i, ROUND_B]
+    # Centripetal acceleration of both points; below, that of their centres of curvature.
+    bend = spin_b * spin_b * lever - spin_a * spin_a * problem.tangent[i, 2]
+    turning = spin_a - spin_b
+    if math.isinf(round_a):
+        bend += 2.0 * spin_a * slip - (round_b + 0.5 * gap) * turning * turning
+    elif math.isinf(round_b):
+        bend += 2.0 * spin_b * slip - (round_a + 0.5 * gap) * turning * turning
+    else:
+        round_a += 0.5 * gap
+        round_b += 0.5 * gap
+        distance = round_a + round_b
+        slip += spin_a * round_a + spin_b * round_b
+        if not abs(slip * lead) < 0.5 * distance:
+            return 0.0  # two corners pass each other
+        bend += slip * slip / distance - spin_a * spin_a * round_a - spin_b * spin_b * round_b
+    return 0.5 * lead * lead * bend
+
+
+@kernel
 def _prepare_contact(
     model: Model,
     state: State,
@@ -274,6 +308,13 @@ def _prepare_contact(
     gap = problem.contact_place[i, GAP] - control[at.LEAD] * ahead  # at the step's start
     driven_n = 0.0  # normal and tangential motion of a rigid pusher over the step
     driven_t = 0.0
+    spin = 0.0  # of the second body, and its lever of the normal
+    lever = 0.0
+    slip = 0.0  # relative tangential velocity expected
+    for k in range(3):
+        slip += problem.tangent[i, k] * guess[first + k]
+        if second >= 0:
+            slip += problem.tangent[i, 3 + k] * guess[second + k]
     if driven and dof < 0:
         rx = problem.contact_place[i, POINT_X] - pose[b, 0]
         ry = problem.contact_place[i, POINT_Y] - pose[b, 1]
@@ -284,7 +325,19 @@ def _prepare_contact(
         mx = pose[b, 0] - x0 - ry * (pose[b, 2] - a0)
         my = pose[b, 1] - y0 + rx * (pose[b, 2] - a0)
         gap += nx * mx + ny * my
+        spin = da / step
+        lever = nx * rx + ny * ry
+    elif driven:
+        spin = da * guess[dof]
+        lever = nx * (problem.contact_place[i, POINT_X] - pose[b, 0]) + ny * (
+            problem.contact_place[i, POINT_Y] - pose[b, 1]
+        )
+    elif second >= 0:
+        spin = guess[second + 2]
+        lever = -problem.tangent[i, 5]
     driven_n /= step
+    driven_t /= step
+    gap += _bend(problem, i, control[at.LEAD], guess[first + 2], spin, lever, slip - driven_t)
     overlap = 0.0
     room = step  # time in which the gap is to be closed, or an overlap taken back
     if inertial and driven and gap < 0.0:
@@ -310,7 +363,7 @@ def _prepare_contact(
     problem.contact_place[i, DRIVEN_NORMAL] = -driven_n
     problem.contact_place[i, HALVINGS] = 0.0
     problem.bias[i, 0] = bias_n
-    problem.bias[i, 1] = -driven_t / step
+    problem.bias[i, 1] = -driven_t
 
 
 @large_kernel
@@ -441,7 +494,8 @@ def _extrapolate(state: State, problem: Problem, smooth: bool) -> None:
     The implicit midpoint rule: second order, and never more kinetic energy. Not for a body that
     jumped or came to rest: it goes on with what it had in the middle. A body jumped that changed
     its velocity along the normal of a contact, by a large part of the change or, if `smooth`, of
-    the velocity; or by more than forces explain, unless `smooth`.
+    the velocity; or by more than forces explain, unless `smooth`. Nor for a body on a contact that
+    changed its velocity back: the error of one extrapolation would change its sign with each step.
     """
     n_dof = problem.size[N_FREE_DOF]
     v = problem.velocity
@@ -481,12 +535,15 @@ def _extrapolate(state: State, problem: Problem, smooth: bool) -> None:
                     size = max(size, math.sqrt(v[o] * v[o] + v[o + 1] * v[o + 1]) + abs(v[o + 2]))
                 if along > ALONG * size:
                     scratch[o + 2] = BLOCKED
-                scratch[o + 2] = max(scratch[o + 2], RUBBED)
+                scratch[o + 2] = max(scratch[o + 2], PRESSED)
     for o in range(0, n_dof, 3):
         forward = 0.0
+        swing = 0.0
         for k in range(o, o + 3):
             forward += v[k] * (2.0 * v[k] - state.velocity[k])
-        if forward <= 0.0 and scratch[o + 2] == RUBBED:
+            swing += (v[k] - state.velocity[k]) * (state.velocity[k] - state.middle[k])
+        mark = scratch[o + 2]
+        if (forward <= 0.0 and mark >= RUBBED) or (swing < 0.0 and mark == PRESSED):
             scratch[o + 2] = BLOCKED
     spreading = True
     while spreading:  # from body to body: only together do they keep from gaining energy

@@ -9,7 +9,9 @@ import math
 from fixel.kernels import arrays as at
 from fixel.kernels import codes
 from fixel.kernels.arrays import (
+    DRIVEN_NORMAL,
     GAP,
+    GIVEN_BACK,
     N_CONTACT,
     N_DOF,
     N_ELEMENT,
@@ -48,6 +50,7 @@ FEW = 12  # unknowns up to which that is done: in heaps gaps close all the time,
 # Bodies up to which the largest error counts; of more, four times the root mean square: in a crowd
 # some body always jumps, and most others hardly notice.
 CROWD = 16
+AIM = 0.1  # of the tolerance: the gap that is left where a step of bodies with inertia ends for it
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
 MAX_MOTION = (
     1.0  # characteristic length, or radian: a step that moves a body further is out of its depth
@@ -350,8 +353,11 @@ def closing_time(
             motion += problem.normal[i, k] * guess[a + k]
             if b >= 0:
                 motion += problem.normal[i, 3 + k] * guess[b + k]
-        # bias is the gap at the step's end, over the step, were the bodies to stand still.
-        end = step * (motion + problem.bias[i, 0])
+        given_back = problem.contact_place[i, GIVEN_BACK]
+        normal_bias = problem.bias[i, 0] - given_back
+        # The gap at both ends of the step and where the rows are taken give a parabola.
+        start = step * (normal_bias - problem.contact_place[i, DRIVEN_NORMAL])
+        end = step * (motion + normal_bias)
         gap = problem.contact_place[i, GAP]
         if end > 0.0 or gap <= end:
             continue
@@ -365,12 +371,18 @@ def closing_time(
         if 0 <= b < problem.size[N_FREE_DOF]:
             spin += abs(guess[b + 2])
             arm += math.sqrt(problem.normal[i, 5] ** 2 + problem.tangent[i, 5] ** 2)
-        rate = (gap - end) / ((1.0 - lead) * step)
-        start = gap + lead * step * rate
-        # Of the way from the start to the rows, what bends away from a line.
-        bent = 0.5 * (lead * step) ** 2 * spin * (spin * arm + 2.0 * abs(slide))
+        ahead = lead * step
+        # Of the third order, what bends away from the parabola.
+        bent = 0.5 * ahead**3 * spin * spin * (spin * arm + 2.0 * abs(slide))
         if start > min_gap + bent:
-            earliest = min(earliest, start / rate)
+            curve = 0.0
+            if lead > 0.0:
+                curve = (start + lead * (end - start) - gap) / (ahead * (step - ahead))
+            slope = (end - start) / step - curve * step
+            if problem.inertia[a, 0] > 0.0:
+                start -= AIM * min_gap
+            root = math.sqrt(slope * slope - 4.0 * curve * start)
+            earliest = min(earliest, 2.0 * start / (root - slope))
     return earliest if 0.02 * step < earliest < 0.98 * step else math.inf
 
 
