@@ -134,7 +134,8 @@ def _point_to_polygon(
     """Signed distance and outward normal from a convex polygon to a point, and the radius of its
     outline there: zero for a corner, infinite for an edge.
 
-    Returns (most, 0, 0, 0) where the distance is at least `most`, or the shortest way crosses a seam.
+    Returns (most, 0, 0, 0) where the distance is at least `most`, or the shortest way crosses a
+    seam.
     """
     best = -math.inf  # over all edges
     edge = start
