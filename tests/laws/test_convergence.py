@@ -94,4 +94,4 @@ def _gaps(finger, motion, n_steps):
 def test_a_contact_of_turning_bodies_stays_closed_to_third_order(finger, motion):
     coarse, fine = (np.abs(_gaps(finger, motion, n)[-n // 4 :]).max() for n in (40, 80))
     assert coarse < 1.5e-6
-    assert fine < 0.16 * coarse
+    assert fine < 0.2 * coarse  # an eighth; of the second order, a quarter
