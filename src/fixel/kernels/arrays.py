@@ -65,7 +65,7 @@ N_ELEMENT = 2
 N_FREE_DOF = 3  # degrees of freedom of the free bodies
 N_POINT = 4  # of the first elements: points on an even plane; zero for unknown
 N_SIZE = 5
-LANE_FIELDS = 17  # numbers of a point in `Workspace.lanes`
+LANE_FIELDS = 18  # numbers of a point in `Workspace.lanes`
 # Columns of `Problem.contact_place`.
 GAP = 0
 NORMAL_X = 1  # into the first body
@@ -176,7 +176,7 @@ GUESSED = 22  # where the expected velocity comes from
 PREDICTING = 23  # whether it has to be computed
 RATE = 24  # how far along the line of the last two velocities it lies; zero for not at all
 MIN_GAP = 25  # the step ends where a wider gap closes; infinite for no matter where
-GIVE_UP_EARLY = 26  # whether to give up early, since a shorter step can be tried
+GIVE_UP_EARLY = 26  # 1 to give up early, since a shorter step can be tried; 2 to do so at once
 UNSOLVED = 27  # trials that no solver could solve, though there was no jam
 GROWTH = 28  # most from this step to the next
 RESUMED = 29  # the step to go on with after a bounce or a closing gap

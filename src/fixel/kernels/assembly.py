@@ -179,37 +179,26 @@ def set_stiffness(problem: Problem, n_element: int) -> None:
     """Write the typical impulse per unit velocity of each block: its inertia plus its friction
     limits."""
     n_free_dof = problem.size[N_FREE_DOF]
-    n_dof = problem.size[N_DOF]
     largest = 0.0
     for o in range(0, n_free_dof, 3):
         problem.stiffness[o] = problem.inertia[o, 0]
-    add_limits(problem, n_element, problem.stiffness, 0)
-    for o in range(0, n_free_dof, 3):
-        k = problem.stiffness[o]
-        problem.stiffness[o + 1] = k
-        problem.stiffness[o + 2] = k
-        largest = max(largest, k)
-    for o in range(n_free_dof, n_dof):
-        problem.stiffness[o] = largest
-
-
-@kernel
-def add_limits(problem: Problem, n_element: int, target: FloatArray, offset: int) -> None:
-    """Add the friction limits of the first elements to ``target[o + offset]``, where o is the first
-    degree of freedom of their free bodies."""
-    n_free_dof = problem.size[N_FREE_DOF]
     o = 0
     total = 0.0
     for e in range(n_element):
         # Written once per body: an array would pass each sum through memory.
         if problem.element_dof[e] != o:
-            target[o + offset] += total
+            problem.stiffness[o] += total
             total = 0.0
             o = problem.element_dof[e]
-            if o >= n_free_dof:
-                return
         total += problem.element_limit[e]
-    target[o + offset] += total
+    problem.stiffness[o] += total
+    for o in range(0, n_free_dof, 3):
+        k = problem.stiffness[o]
+        problem.stiffness[o + 1] = k
+        problem.stiffness[o + 2] = k
+        largest = max(largest, k)
+    for o in range(n_free_dof, problem.size[N_DOF]):
+        problem.stiffness[o] = largest
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Newton's method for one free body on few plain points, with at most one drive.
+"""Newton's method for one free body on plain points, with at most one drive.
 
 Most scenes are of this kind. The system has three or four unknowns, which fit into registers:
 without loops over blocks and sides an iteration takes a third of the time it takes in `newton.py`,
@@ -17,19 +17,18 @@ from fixel.kernels.arrays import (
     Workspace,
 )
 from fixel.kernels.jit import kernel
-from fixel.kernels.points import LANES
+from fixel.kernels.points import LANES, change_points, gather_points, linearise_points
 from fixel.kernels.residual import residual
 
 
 @kernel
 def is_one_body(problem: Problem) -> bool:
-    """Whether a problem has one free body on few plain points, and at most one drive."""
+    """Whether a problem has one free body on plain points, and at most one drive."""
     n_point = problem.size[N_POINT]
     drives = problem.size[N_DOF] - 3
     return (
         problem.size[N_FREE_DOF] == 3
         and drives <= 1
-        and n_point < LANES
         and problem.size[N_ELEMENT] == n_point + drives
     )
 
@@ -59,7 +58,10 @@ def newton_one_body(
     inertia = problem.inertia
     n_contact = problem.size[N_CONTACT]
     n_point = problem.size[N_POINT]
+    n_group = n_point - n_point % LANES  # points that are taken in groups
     driven = problem.size[N_DOF] == 4
+    if n_group > 0:
+        gather_points(problem, work, 0, n_group)
     rho = problem.stiffness[0]  # that of a drive, too
     per_rho = 1.0 / rho
     stiff = rho / epsilon
@@ -98,7 +100,23 @@ def newton_one_body(
         dt = 0.0
         dd = 1.0
         rd = 0.0
-        for e in range(n_point):
+        if n_group > 0:
+            off, px, py, zx, kxx, kxy, kyy, kxt, kyt, zy = linearise_points(
+                problem, work, 0, n_group, epsilon
+            )
+            rx += px
+            ry += py
+            rt += zx
+            xx += kxx
+            xy += kxy
+            yx += kxy
+            yy += kyy
+            xt += kxt
+            tx += kxt
+            yt += kyt
+            ty += kyt
+            tt += zy
+        for e in range(n_group, n_point):
             ax = row[e, 0, 2]
             ay = row[e, 1, 2]
             limit = problem.element_limit[e]
@@ -318,7 +336,9 @@ def newton_one_body(
         v[0] = vx
         v[1] = vy
         v[2] = vt
-        for e in range(n_point):
+        if n_group > 0:
+            change_points(problem, work, 0, n_group, dx, dy, dt)
+        for e in range(n_group, n_point):
             ux = dx + row[e, 0, 2] * dt
             uy = dy + row[e, 1, 2] * dt
             gx = element_change[e, 4]

@@ -31,6 +31,7 @@ from fixel.kernels.samples import is_due, write_samples
 from fixel.kernels.solve import MAX_ATTEMPTS, MAX_ATTEMPTS_EARLY, TOLERANCE, may_jam, solve
 from fixel.kernels.step import creates_energy, move, prepare_step
 from fixel.kernels.step_control import (
+    AT_ONCE,
     begin_control,
     bounces,
     choose_trial,
@@ -207,8 +208,11 @@ def _solve_trial(
         control[at.CLOSING] = closing_time(problem, guess, trial, method.lead, control[at.MIN_GAP])
         if control[at.CLOSING] < math.inf:
             return codes.CONVERGED, math.inf
-    early = control[at.GIVE_UP_EARLY] == 1.0
+    early = control[at.GIVE_UP_EARLY] > 0.0
+    at_once = control[at.GIVE_UP_EARLY] == AT_ONCE
     max_attempts = MAX_ATTEMPTS_EARLY if early else MAX_ATTEMPTS
+    if at_once:
+        max_attempts = 0
     while True:
         residual, fell_back = solve(
             problem, work, guess, method.solver, method.effort, max_attempts
@@ -218,7 +222,7 @@ def _solve_trial(
             break
     if not residual <= TOLERANCE:
         control[at.LAST_SPAN] = 0.0
-        if may_jam(problem, work, early):
+        if not at_once and may_jam(problem, work, early):
             return codes.JAMMED, residual
         return codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS, residual
     control[at.LAST_SPAN] = control[at.SPAN]

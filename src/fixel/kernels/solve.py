@@ -71,7 +71,7 @@ def solve(
 
     Few unknowns: a few steps of Newton from the impulses of the step before, or what
     `solve_fallback` can do in `max_attempts`: MAX_ATTEMPTS_EARLY where a shorter step may be tried
-    instead, else MAX_ATTEMPTS.
+    instead, else MAX_ATTEMPTS. With `max_attempts` of zero it is not tried.
     """
     first_sweeps = sweeps if solver == codes.GAUSS_SEIDEL else 0
     if first_sweeps == 0 and problem.size[N_DOF] <= DENSE_LIMIT:
@@ -82,9 +82,9 @@ def solve(
             start_afresh(problem)
         save(problem, work)
         worst = newton(problem, work, NEWTON_TOLERANCE, QUICK_ITERATIONS)
-        if worst <= TOLERANCE:
+        if worst <= TOLERANCE or max_attempts == 0:
             return worst, 0
-    return solve_fallback(problem, work, guess, first_sweeps, max_attempts)
+    return solve_fallback(problem, work, guess, first_sweeps, max(max_attempts, MAX_ATTEMPTS_EARLY))
 
 
 @spliced_kernel

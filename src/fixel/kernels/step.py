@@ -26,7 +26,6 @@ from fixel.kernels.arrays import (
     Workspace,
 )
 from fixel.kernels.assembly import (
-    add_limits,
     assemble_bodies,
     assemble_contact,
     assemble_elements,
@@ -503,17 +502,14 @@ def _extrapolate(state: State, problem: Problem, smooth: bool) -> None:
     for o in range(0, n_dof, 3):
         dx = v[o] - state.velocity[o]
         dy = v[o + 1] - state.velocity[o + 1]
+        limits = problem.stiffness[o] - problem.inertia[o, 0]  # of the supports
         scratch[o] = math.sqrt(dx * dx + dy * dy) + abs(v[o + 2] - state.velocity[o + 2])
-        scratch[o + 1] = 0.0
+        scratch[o + 1] = limits
         for k in range(o, o + 3):
             scratch[o + 1] += abs(
                 problem.momentum[k] - problem.inertia[k, k - o] * state.velocity[k]
             )
-        scratch[o + 2] = 0.0
-    add_limits(problem, problem.size[N_ELEMENT], scratch, 1)
-    for e in range(problem.size[N_ELEMENT]):
-        if problem.element_dof[e] < n_dof:
-            scratch[problem.element_dof[e] + 2] = RUBBED
+        scratch[o + 2] = RUBBED if limits > 0.0 else 0.0
     if not smooth:
         for o in range(0, n_dof, 3):
             if scratch[o] > 2.0 * scratch[o + 1] / problem.inertia[o, 0]:

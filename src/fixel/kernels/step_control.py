@@ -43,6 +43,8 @@ PREDICTED = 0  # the steps before
 CUT = 1  # the same, for a step that ends where a gap closes
 RENEWED = 2  # the solution of the same trial, which begins with a jump
 INSIST = 3  # every third unsolved trial of a step is not given up early; jams are not counted
+AT_ONCE = 2.0  # of GIVE_UP_EARLY: where Newton does not converge from the step before
+HASTY = 5e-3  # of the longest step: shorter trials are not given up at once
 EXPONENT = 0.35  # of the change of step with the error's: nearly third order
 # Of the time in which forces move a body by the tolerance: the first step with a closed gap.
 CLOSED = 0.7
@@ -141,10 +143,22 @@ def predict_velocity(
     are no two, that of the last. A large change is no jump if the line through the two velocities
     before led to it, as it does when a drive stalls.
     """
+    n_dof = guess.size - 2
+    if (
+        control[at.STAGGERED] == 1.0
+        and control[at.GIVE_UP_EARLY] > 0.0
+        and control[at.UNSOLVED] == 0.0
+        and control[at.EVENTFUL] == 0.0
+        and control[at.GUESSED] != RENEWED
+        and control[at.TRIAL] > HASTY * control[at.LARGEST]
+        and n_dof <= FEW
+    ):
+        # Nothing is known to happen. If Newton fails, something does inside the step, and most
+        # solutions would be rejected.
+        control[at.GIVE_UP_EARLY] = AT_ONCE
     if control[at.PREDICTING] == 0.0:
         return
     control[at.PREDICTING] = 0.0
-    n_dof = guess.size - 2
     last = control[at.LAST]
     earlier = control[at.EARLIER]
     earliest = control[at.EARLIEST]
@@ -209,7 +223,7 @@ def judge_step(
         if not (adaptive and trial > smallest):
             return codes.NON_FINITE if math.isinf(residual) and status == codes.JAMMED else status
         if status != codes.JAMMED and status != codes.THROWN:
-            control[at.UNSOLVED] += 1.0
+            control[at.UNSOLVED] += INSIST if control[at.GIVE_UP_EARLY] == AT_ONCE else 1.0
         return _try_next(control, 0.25 * trial, PREDICTED, True)
     if not adaptive:
         return codes.CONVERGED

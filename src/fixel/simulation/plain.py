@@ -24,6 +24,7 @@ from fixel.kernels.arrays import (
     Workspace,
 )
 from fixel.kernels.solve import TOLERANCE
+from fixel.kernels.step_control import AT_ONCE
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.pack import PackedBatch
 from fixel.simulation.solver import AbstractSolver
@@ -74,7 +75,7 @@ class _Loop:
         lead: float,
         guess: FloatArray,
         min_gap: float = math.inf,
-        give_up_early: bool = False,
+        give_up_early: int = 0,
     ) -> StepTrial:
         """Try one step: contacts, the model's rows, the shared rows, the solver."""
         model, state, problem, work = self.model, self.state, self.problem, self.work
@@ -99,7 +100,7 @@ class _Loop:
                 break
         control[at.LAST_SPAN] = span if solved else 0.0
         if not solved:
-            if entries.may_jam(problem, work, give_up_early):
+            if give_up_early != AT_ONCE and entries.may_jam(problem, work, give_up_early > 0):
                 return StepTrial(codes.JAMMED, residual)
             failed = codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS
             return StepTrial(failed, residual)

@@ -10,6 +10,7 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Problem, Workspace
 from fixel.kernels.solve import MAX_ATTEMPTS, MAX_ATTEMPTS_EARLY, TOLERANCE
+from fixel.kernels.step_control import AT_ONCE
 from fixel.typing import FloatArray
 
 
@@ -21,7 +22,7 @@ class AbstractSolver(abc.ABC):
 
     @abc.abstractmethod
     def solve(
-        self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: bool = False
+        self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: int = 0
     ) -> tuple[float, int]:
         """Solve for `problem.velocity`, `problem.impulse` and `problem.element_impulse`.
 
@@ -33,8 +34,9 @@ class AbstractSolver(abc.ABC):
             Scratch.
         guess : (n_dof + 2,) float64
             Expected velocities, from which to restart.
-        give_up_early : bool
-            Whether to give up early, since a shorter step can be tried instead.
+        give_up_early : int
+            1 to give up early, since a shorter step can be tried instead; 2 to do so where the
+            first method fails; 0 to try everything.
 
         Returns
         -------
@@ -65,7 +67,7 @@ class Newton(AbstractSolver):
     kind: ClassVar[int] = codes.NEWTON
 
     def solve(
-        self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: bool = False
+        self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: int = 0
     ) -> tuple[float, int]:
         return _solved(problem, work, guess, self.kind, 0, give_up_early)
 
@@ -100,7 +102,7 @@ class GaussSeidel(AbstractSolver):
             )
 
     def solve(
-        self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: bool = False
+        self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: int = 0
     ) -> tuple[float, int]:
         return _solved(problem, work, guess, self.kind, self.max_sweeps, give_up_early)
 
@@ -139,7 +141,7 @@ class Lemke(AbstractSolver):
             raise InvalidInput("Lemke.max_pivots", found=self.max_pivots, expected="at least 1")
 
     def solve(
-        self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: bool = False
+        self, problem: Problem, work: Workspace, guess: FloatArray, give_up_early: int = 0
     ) -> tuple[float, int]:
         residual = float(entries.solve_by_pivoting(problem, work, self.max_pivots))
         if residual <= TOLERANCE:
@@ -153,9 +155,11 @@ def _solved(
     guess: FloatArray,
     kind: int,
     sweeps: int,
-    give_up_early: bool,
+    give_up_early: int,
 ) -> tuple[float, int]:
     max_attempts = MAX_ATTEMPTS_EARLY if give_up_early else MAX_ATTEMPTS
+    if give_up_early == AT_ONCE:
+        max_attempts = 0
     residual, fell_back = entries.solve_problem(problem, work, guess, kind, sweeps, max_attempts)
     return float(residual), int(fell_back)
 

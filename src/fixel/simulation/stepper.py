@@ -57,14 +57,13 @@ class TryStep(Protocol):
         lead: float,
         guess: FloatArray,
         min_gap: float = math.inf,
-        give_up_early: bool = False,
+        give_up_early: int = 0,
         /,
     ) -> StepTrial:
         """Try a step with rows taken `lead` of it after its start, at the guessed velocity.
 
         Where a gap wider than `min_gap` closes inside the step at that velocity, nothing is solved,
-        and `StepTrial.closing` is the time when it closes. `give_up_early`: a shorter step can be
-        tried instead.
+        and `StepTrial.closing` is the time when it closes. `give_up_early` is that of a solver.
         """
 
 
@@ -125,7 +124,7 @@ class _BuiltInStepper(AbstractStepper):
         while decision == codes.RETRY:
             entries.predict_velocity(control, past.velocity, past.before, past.older, guess)
             trial, min_gap = float(control[at.TRIAL]), float(control[at.MIN_GAP])
-            give_up_early = control[at.GIVE_UP_EARLY] == 1.0
+            give_up_early = int(control[at.GIVE_UP_EARLY])
             status, residual, bounces, closing = attempt(
                 trial, self.lead, guess, min_gap, give_up_early
             )
