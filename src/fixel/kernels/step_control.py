@@ -234,9 +234,11 @@ def judge_step(
     change = largest_change(problem, guess)
     jumped = change > JUMP * largest_speed(problem)
     if not renewed and missed_event(control, change):
-        if trial <= control[at.LAST]:
+        # In a trial half as long the change is less if the motion only bends, not after an event.
+        half = max(smallest, 0.5 * control[at.LAST])
+        if trial <= half:
             return codes.UNDO
-        return _try_next(control, control[at.LAST], PREDICTED, True)
+        return _try_next(control, half, PREDICTED, True)
     error = 0.5 * trial * change
     smooth = control[at.RATE] > 0.0 and not jumped
     if smooth:
