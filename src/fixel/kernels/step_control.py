@@ -52,7 +52,6 @@ FEW = 12  # unknowns up to which that is done: in heaps gaps close all the time,
 # Bodies up to which the largest error counts; of more, four times the root mean square: in a crowd
 # some body always jumps, and most others hardly notice.
 CROWD = 16
-AIM = 0.1  # of the tolerance: the gap that is left where a step of bodies with inertia ends for it
 AIM = 0.1  # of the tolerance: gap left where a step of bodies with inertia ends at its closing
 BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need no step of their own
 MAX_MOTION = (
