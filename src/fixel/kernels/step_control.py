@@ -397,7 +397,7 @@ def closing_time(
             slope = (end - start) / step - curve * step
             if problem.inertia[a, 0] > 0.0:
                 start -= AIM * min_gap
-            root = math.sqrt(slope * slope - 4.0 * curve * start)
+            root = math.sqrt(max(0.0, slope * slope - 4.0 * curve * start))
             earliest = min(earliest, 2.0 * start / (root - slope))
     return earliest if 0.02 * step < earliest < 0.98 * step else math.inf
 
