@@ -23,12 +23,13 @@ from fixel.kernels.newton import EPSILON, FLOOR, linearise, solve_linear, step_a
 from fixel.kernels.one_body import is_one_body, newton_one_body
 from fixel.kernels.residual import residual
 
-# Compliance of all constraints at the start of `stiffening_newton`, and how it falls.
+# Compliance of all constraints in `stiffening_newton`: the residual at first, but between SOFT and
+# SOFTEST; then it falls to STIFF.
 SOFTEST = 0.1
 SOFT = 1e-4
 STIFFEN = 0.4
 STIFF = 1e-8
-ROUND = 25  # iterations, after which it starts again
+ROUND = 25  # iterations after which it is SOFTEST again
 STICKS = 0.999  # of the friction limit
 INNER = 12  # Newton steps in search of a balance
 SEARCH = 10  # evaluations of one line search
