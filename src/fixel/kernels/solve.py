@@ -79,7 +79,8 @@ def solve(
             worst = residual(problem, work.right)
             if worst <= NEWTON_TOLERANCE:
                 return worst, 0  # the answer of the step before holds on
-            start_afresh(problem)
+            if problem.size[N_DOF] == 3:
+                start_afresh(problem)  # not called for others: a call with all arrays takes time
         save(problem, work)
         worst = newton(problem, work, NEWTON_TOLERANCE, QUICK_ITERATIONS)
         if worst <= TOLERANCE or max_attempts == 0:
