@@ -41,7 +41,7 @@ def _grasps(layout: Layout, size: Size) -> list[Figure]:
     reference = converged_batch(scene, sets)
     name = f"{layout} grasps"
     return [
-        *_throughput(name, scene, sets, None, size, at_least(3000.0)),
+        *_throughput(name, scene, sets, None, size, at_least(12000.0)),
         _share(name, scene, sets, None, reference),
         *_check(name, scene, sets, reference, size),
     ]

@@ -52,7 +52,7 @@ def run(size: Size) -> list[Figure]:
         Figure("calibration, one experiment", "s", tuple(t for t, _ in one), at_most(1.0)),
         Figure("calibration, evaluations", "-", (float(one[0][1]),), at_least(LEAST)),
         Figure(
-            f"calibration, {len(targets)} experiments alone", "s", (everyone[0][0],), at_most(240.0)
+            f"calibration, {len(targets)} experiments alone", "s", (everyone[0][0],), at_most(80.0)
         ),
         # Trials out of bounds are left out, as Dakota does: some searches need fewer than LEAST.
         Figure("calibration, fewest evaluations", "-", (float(everyone[0][1]),)),

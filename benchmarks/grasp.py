@@ -17,7 +17,7 @@ def run(size: Size) -> list[Figure]:
     scene = grasp("seated")
     return [
         Figure("grasp, 1100 fixed steps", "ms", _milliseconds(scene, FIXED, size), at_most(1.3)),
-        Figure("grasp, default stepper", "ms", _milliseconds(scene, None, size), at_most(0.8)),
+        Figure("grasp, default stepper", "ms", _milliseconds(scene, None, size), at_most(0.35)),
         *_errors(scene),
     ]
 
