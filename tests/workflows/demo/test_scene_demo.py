@@ -41,7 +41,8 @@ def test_the_first_touch_is_where_geometry_says(demo):
     """0.7768071 s, by bisection of the distance between head and square."""
     touch = next(event for event in demo.events if "touches" in event.text)
 
-    assert touch.time == pytest.approx(0.7768071, abs=1e-5)
+    # At 13.5 mm/s the step before ends a tenth of its tolerance of 1.3 um early.
+    assert touch.time == pytest.approx(0.7768071, abs=2e-5)
 
 
 def test_the_grasp_turns_both_ways_and_holds_still(demo):
