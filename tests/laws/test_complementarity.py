@@ -17,3 +17,11 @@ def test_ten_thousand_random_steps_are_solved() -> None:
     assert n_failed == 0, f"not solved: {failed[failed >= 0]} (2 seed + warm)"
     assert tally[0] == 10_000
     assert 0.0 < tally[2] <= TOLERANCE
+
+
+def test_a_body_that_turns_almost_freely_is_solved() -> None:
+    """Three supports at corners of their friction polygons, which one of them has to leave.
+
+    The impulses are right within 1e-8 long before the body turns to where that one may."""
+    failed = np.full(1, -1, np.int64)
+    assert solve_many(688_846, 1, codes.NEWTON, 0, failed, np.zeros(4)) == 0

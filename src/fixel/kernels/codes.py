@@ -12,6 +12,7 @@ STEP_TOO_SMALL: Final = 5
 MAX_STEPS: Final = 6
 THROWN: Final = 7
 INTERRUPTED: Final = 8
+ENGINE_FAILED: Final = 9
 
 # What a stepper decides besides: to take its last step back, or to try another length.
 UNDO: Final = -2
@@ -27,6 +28,7 @@ STATUS_NAMES: Final = (
     "max_steps",
     "thrown",
     "interrupted",
+    "engine_failed",
 )
 
 STATUS_ADVICE: Final = (
@@ -42,6 +44,7 @@ STATUS_ADVICE: Final = (
     "A body was pushed out of an overlap and moved further in one step than the step resolves. "
     "Check for a deep overlap at the start, or use a smaller step.",
     "The run was interrupted. Run it again to complete it.",
+    "Another engine gave no usable answer. Check its choices, or use fixel's own engine.",
 )
 
 # A motion model or solver of a plug-in, which only the plain Python loop can run.

@@ -179,9 +179,12 @@ def recover(
         else:
             age = trial - 2  # since the last start from nothing
             wait = -1 if age % 2 == 0 else 100
+            # Where a body turns almost freely, impulses settle long before its velocity.
+            tolerance = 1e-6 if trial < MAX_ATTEMPTS_EARLY else TOLERANCE
             stiffness = proximal_newton(
-                problem, work, stiffness, 1e4, 3 + trial // 2, 1e-6, wait, 1.0 / (1 + age % 8), 0.0
-            )
+                problem, work, stiffness, 1e4, 3 + trial // 2, tolerance, wait, 1.0 / (1 + age % 8),
+                0.0,
+            )  # fmt: skip
         for k in range(n_pivoting):
             more = n_pivoting > 1 and josephy(problem, work, k, trial + k)
             worst = polish(problem, work, ITERATIONS, 10.0 * stiffness)
