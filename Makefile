@@ -17,8 +17,9 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON    ?=
 PYTHONS   := $(PYTHON) python3 python3.13 python3.12 python3.11
 UV_VENV   := build/uv
-# Test processes at a time; PYTEST_ARGS="-n 0" runs all tests in one, as a debugger wants it.
-JOBS      ?= 2
+# Test processes at a time: one more than two cores, since some tests wait for browsers and jobs. A debugger
+# wants PYTEST_ARGS="-n 0", which runs all tests in one process.
+JOBS      ?= 3
 # A test that hangs says where, and fails: the longest takes half a minute, a cold engine two more.
 HANGS     := --max-worker-restart=0 -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
 SCRIPTS   := build/scripts/.packages

@@ -35,7 +35,7 @@ stiffened = njit(lambda problem, work: stiffening_newton(problem, work, 1e-12, 6
 
 @njit
 def residual_along(problem, work, sigma, tresca, place):
-    """That of the balance along the search direction, by the springs' slips and by linearising."""
+    """Return the residual along the search direction, by the springs' slips and by linearising."""
     start, growth = begin_line(problem, work, sigma)
     quick = start + growth * place - spring_force(problem, work, sigma, tresca, place)
     n = problem.size[0]

@@ -1,4 +1,4 @@
-"""How long a step may be: the error of few bodies, and of a crowd."""
+"""Tests of the error of a step, for few bodies and for many."""
 
 import math
 

@@ -22,7 +22,7 @@ LOOKS = [("light", WIDE), ("dark", NARROW)]
 OTHER_LOOKS = [("dark", WIDE), ("light", NARROW)]
 BAD = ("moderate", "serious", "critical")
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
-PATIENCE = 15_000  # [ms]
+PATIENCE = 30_000  # [ms]
 
 # What can be reached; of a group of radio buttons or tabs, one.
 REACHABLE = """() => {
