@@ -28,6 +28,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "points": ("step_cost", "run_points", "a grasp on 64 pressure points over a tripod's"),
     "batch": ("batch", "run_grasps", "grasps with random parameters on two cores"),
     "push": ("batch", "run_pushes", "free pushes with random parameters on two cores"),
+    "contract": ("batch", "run_contract", "grasps through the contract of other engines"),
     "varied": ("varied", "run", "accuracy over grasps of varied layouts, shapes and poses"),
     "filter": ("filter", "run", "a particle filter frame by frame on one core"),
     "filter-coverage": ("filter_coverage", "run", "intervals of 200 filter runs with known truth"),
@@ -60,12 +61,14 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "record": ("recording", "run", "frames written and read, by codec"),
     "heap": ("heap", "run", "many bodies swept by a bar"),
     "web": ("web_load", "run", "twenty clients that browse, ten thousand experiments"),
+    "push-t": ("push_t", "run", "steps of 64 Push-T environments, compared with gym-pusht"),
+    "push-t-planner": ("push_t", "run_planner", "success of a scripted policy, 500 episodes"),
     "peers": ("peers", "run", "the same grasp by other engines"),
 }
 ONLY_WHEN_ASKED = {
     *("peers", "varied", "tracking", "arrival", "coverage", "misfit", "domain", "sbc"),
     *("new-parts", "camera", "other-camera", "web", "filter-coverage", "filter-wrong"),
-    *("planning", "planning-statistics"),
+    *("planning", "planning-statistics", "push-t", "push-t-planner"),
 }
 
 
@@ -75,6 +78,8 @@ def main(arguments: list[str] | None = None) -> int:
     names = chosen.names or [name for name in SCENARIOS if name not in ONLY_WHEN_ASKED]
     if chosen.peers and "peers" not in names:
         names.append("peers")
+    if chosen.peer_python:
+        os.environ["FIXEL_PEER_PYTHON"] = chosen.peer_python
     console = report.console()
     figures: list[Figure] = []
     broken = 0
@@ -108,6 +113,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("names", nargs="*", metavar="NAME", choices=[*SCENARIOS, []])
     parser.add_argument("--peers", action="store_true", help="also run other engines side by side")
+    parser.add_argument(
+        "--peer-python", metavar="PATH", help="interpreter that has gym-pusht, for push-t"
+    )
     parser.add_argument("--small", action="store_true", help="tiny sizes: does it run at all?")
     parser.add_argument(
         "--output", type=Path, default=report.RESULTS, metavar="FOLDER", help="of the CSV file"

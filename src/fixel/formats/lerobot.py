@@ -12,11 +12,12 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fixel.errors import InvalidInput
 from fixel.formats.frames_file import pusher_at
 from fixel.model import Experiment
 
@@ -39,7 +40,23 @@ FEATURES: Final[Mapping[str, tuple[str, tuple[str, ...] | None]]] = {
     "index": ("int64", None),
     "task_index": ("int64", None),
 }
+Features = Mapping[str, tuple[str, tuple[str, ...] | None]]
 Columns = dict[str, NDArray[Any]]
+
+# Those of the widely used dataset of the Push-T task, with the state of the T instead of pictures.
+PUSH_T_FEATURES: Final[Features] = {
+    "observation.state": ("float32", ("x", "y")),
+    "observation.environment_state": ("float32", tuple(f"{x}{k}" for k in range(8) for x in "xy")),
+    "action": ("float32", ("x", "y")),
+    "next.reward": ("float32", None),
+    "next.done": ("bool", None),
+    "next.success": ("bool", None),
+    "is_real": ("bool", None),
+    **{key: FEATURES[key] for key in ("timestamp", "frame_index", "episode_index", "index")},
+    "task_index": FEATURES["task_index"],
+}
+PUSH_T_FPS: Final = 10
+PUSH_T_TASK: Final = "Push the T-shaped block onto the T-shaped target."
 
 
 @final
@@ -48,6 +65,7 @@ class _Dataset:
     """Counts and metadata of the episodes written so far."""
 
     fps: int
+    features: Features = field(default_factory=lambda: FEATURES)
     tasks: dict[str, int] = field(default_factory=dict)
     episodes: list[dict[str, Any]] = field(default_factory=list)
     frames: int = 0
@@ -77,27 +95,82 @@ def write_lerobot(
     rights : mapping of str to (licence, citation)
         Licence and citation of each source dataset, by its name.
     """
+    found = _Dataset(fps)
+    _write(found, (_of_experiment(own, fps) for own in experiments), folder)
+    (folder / "README.md").write_text(_card(found, name, rights), encoding="utf-8")
+    return found.frames
+
+
+def write_push_t(episodes: Iterable[Columns], folder: Path) -> int:
+    """Write episodes of the Push-T task as a LeRobot dataset; return the number of frames.
+
+    Parameters
+    ----------
+    episodes : iterable of mapping
+        Arrays of the frames of one episode: ``observation.state`` (n, 2) and
+        ``observation.environment_state`` (n, 16) before each step, ``action`` (n, 2) [px],
+        ``next.reward``, ``next.done`` and ``next.success`` (n,) after it.
+    folder : Path
+        Empty folder.
+    """
+    found = _Dataset(PUSH_T_FPS, PUSH_T_FEATURES)
+    _write(found, (_of_push_t(own) for own in episodes), folder)
+    return found.frames
+
+
+class _Episode(NamedTuple):
+    """Frames of one episode, its task, and further columns of its row in `meta/episodes`."""
+
+    columns: Columns
+    task: str
+    about: dict[str, Any]
+
+
+def _write(found: _Dataset, episodes: Iterable[_Episode], folder: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    found = _Dataset(fps)
     writer, number = None, 0
     try:
-        for experiment in experiments:
+        for episode in episodes:
             if writer is None or found.frames >= FILE_FRAMES * (number + 1):
                 if writer is not None:
                     writer.close()
                     number += 1
                 path = folder / DATA.format(**_file(number))
                 path.parent.mkdir(parents=True, exist_ok=True)
-                writer = pq.ParquetWriter(path, _schema(pa))
-            writer.write_table(_table(pa, _add(found, experiment, number)))
+                writer = pq.ParquetWriter(path, _schema(pa, found.features))
+            writer.write_table(_table(pa, _add(found, episode, number), found.features))
     finally:
         if writer is not None:
             writer.close()
     _write_meta(pa, found, folder)
-    (folder / "README.md").write_text(_card(found, name, rights), encoding="utf-8")
-    return found.frames
+
+
+def _of_experiment(experiment: Experiment, fps: int) -> _Episode:
+    about = {
+        "is_real": experiment.real,
+        "simulated_by": experiment.simulated_by,
+        "source_dataset": experiment.dataset,
+        "source_name": experiment.name,
+        "flags": [flag.name for flag in experiment.flags],
+    }
+    return _Episode(frames_of(experiment, fps), f"push {experiment.object_name}", about)
+
+
+def _of_push_t(episode: Columns) -> _Episode:
+    steps = np.arange(len(episode["action"]), dtype=np.int64)
+    found = {key: np.asarray(episode[key]) for key in PUSH_T_FEATURES if key in episode}
+    missing = [key for key in list(PUSH_T_FEATURES)[:6] if key not in found]
+    if missing or any(len(values) != len(steps) for values in found.values()):
+        raise InvalidInput(
+            "episode",
+            found=f"no {', '.join(missing)}" if missing else "arrays of different lengths",
+            expected="an array for each feature, with a row for each step",
+        )
+    added = {"is_real": np.zeros(len(steps), bool), "timestamp": steps / PUSH_T_FPS}
+    about = {"is_real": False, "simulated_by": "fixel", "source_dataset": "fixel/PushT-v0"}
+    return _Episode({**found, **added, "frame_index": steps}, PUSH_T_TASK, about)
 
 
 def frames_of(experiment: Experiment, fps: int) -> Columns:
@@ -117,16 +190,14 @@ def frames_of(experiment: Experiment, fps: int) -> Columns:
     }
 
 
-def _add(found: _Dataset, experiment: Experiment, file: int) -> Columns:
+def _add(found: _Dataset, given: _Episode, file: int) -> Columns:
     """Add an episode to the metadata; return the columns of its frames."""
-    episode = len(found.episodes)
-    task = f"push {experiment.object_name}"
-    columns = frames_of(experiment, found.fps)
+    episode, columns, task = len(found.episodes), dict(given.columns), given.task
     n, start = len(columns["timestamp"]), found.frames
     columns["episode_index"] = np.full(n, episode, dtype=np.int64)
     columns["index"] = np.arange(start, start + n, dtype=np.int64)
     columns["task_index"] = np.full(n, found.tasks.setdefault(task, len(found.tasks)))
-    columns = {key: columns[key].astype(FEATURES[key][0]) for key in FEATURES}
+    columns = {key: columns[key].astype(kind) for key, (kind, _) in found.features.items()}
     where = {f"data/{key}": value for key, value in _file(file).items()}
     found.episodes.append(
         {
@@ -138,11 +209,7 @@ def _add(found: _Dataset, experiment: Experiment, file: int) -> Columns:
             "dataset_to_index": start + n,
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
-            "is_real": experiment.real,
-            "simulated_by": experiment.simulated_by,
-            "source_dataset": experiment.dataset,
-            "source_name": experiment.name,
-            "flags": [flag.name for flag in experiment.flags],
+            **given.about,
             **{
                 f"stats/{key}/{what}": value
                 for key, statistics in statistics_of(columns).items()
@@ -150,9 +217,10 @@ def _add(found: _Dataset, experiment: Experiment, file: int) -> Columns:
             },
         }
     )
+    source = given.about["source_dataset"]
     found.frames += n
-    found.real += experiment.real
-    found.sources[experiment.dataset] = found.sources.get(experiment.dataset, 0) + 1
+    found.real += given.about["is_real"]
+    found.sources[source] = found.sources.get(source, 0) + 1
     found.total.append(columns)
     return columns
 
@@ -183,24 +251,24 @@ def _file(number: int) -> dict[str, int]:
     return {"chunk_index": number // CHUNK_FILES, "file_index": number % CHUNK_FILES}
 
 
-def _schema(pa: Any) -> Any:
+def _schema(pa: Any, features: Features) -> Any:
     kinds = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
     return pa.schema(
         [
             (key, kinds[kind] if names is None else pa.list_(kinds[kind], len(names)))
-            for key, (kind, names) in FEATURES.items()
+            for key, (kind, names) in features.items()
         ]
     )
 
 
-def _table(pa: Any, columns: Columns) -> Any:
+def _table(pa: Any, columns: Columns, features: Features) -> Any:
     arrays = [
         pa.array(values)
         if values.ndim == 1
         else pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
         for values in columns.values()
     ]
-    return pa.table(arrays, schema=_schema(pa))
+    return pa.table(arrays, schema=_schema(pa, features))
 
 
 def _write_meta(pa: Any, found: _Dataset, folder: Path) -> None:
@@ -210,7 +278,7 @@ def _write_meta(pa: Any, found: _Dataset, folder: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(pa.Table.from_pylist(found.episodes), path)
     pq.write_table(_tasks(pa, found), folder / "meta" / "tasks.parquet")
-    whole = {key: np.concatenate([c[key] for c in found.total]) for key in FEATURES}
+    whole = {key: np.concatenate([c[key] for c in found.total]) for key in found.features}
     _dump(statistics_of(whole), folder / "meta" / "stats.json")
     _dump(_info(found), folder / "meta" / "info.json")
 
@@ -247,7 +315,7 @@ def _info(found: _Dataset) -> dict[str, Any]:
                 "shape": [1 if names is None else len(names)],
                 "names": None if names is None else list(names),
             }
-            for key, (kind, names) in FEATURES.items()
+            for key, (kind, names) in found.features.items()
         },
         "total_simulated_episodes": n - found.real,
         "total_real_episodes": found.real,

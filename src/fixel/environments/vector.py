@@ -1,0 +1,287 @@
+"""Base of the environments: n copies in one, with Gymnasium's autoreset modes, and one of them."""
+
+from __future__ import annotations
+
+import os
+from abc import abstractmethod
+from collections.abc import Collection, Mapping
+from typing import Any, Final
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from fixel.errors import InvalidInput, unknown_name
+from fixel.typing import BoolArray, FloatArray, IntArray
+
+Info = dict[str, Any]
+METADATA: Final[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+
+class BatchEnv(VectorEnv[Any, Any, Any]):
+    """Base class of n environments that one compiled call moves.
+
+    Environment k has a random generator of its own, seeded by ``seed + k``: its episodes depend bit
+    for bit on its seed and actions, not on `num_envs` or its neighbours.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of environments.
+    max_episode_steps : int or None
+        Number of steps after which an episode is truncated; None for never.
+    autoreset_mode : AutoresetMode or str
+        When an episode that ended is followed by the next one, as in Gymnasium.
+    render_mode : str or None
+        ``"rgb_array"``, or None.
+    threads : int, optional
+        Number of threads that share the environments, at most one for each 16; by default that of
+        the cores.
+    observation_space, action_space : gymnasium.Space
+        Spaces of one environment.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        max_episode_steps: int | None,
+        autoreset_mode: AutoresetMode | str,
+        render_mode: str | None,
+        threads: int | None,
+        observation_space: gym.Space[Any],
+        action_space: gym.Space[Any],
+    ) -> None:
+        if num_envs < 1:
+            raise InvalidInput("num_envs", found=num_envs, expected="at least 1")
+        if render_mode not in (None, *METADATA["render_modes"]):
+            raise InvalidInput("render_mode", found=render_mode, expected="'rgb_array' or None")
+        self.num_envs = num_envs
+        self.max_episode_steps = max_episode_steps
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**METADATA, "autoreset_mode": self.autoreset_mode}
+        self.render_mode = render_mode
+        self.threads = threads or os.cpu_count() or 1
+        self.single_observation_space = observation_space
+        self.single_action_space = action_space
+        self.observation_space = batch_space(observation_space, num_envs)
+        self.action_space = batch_space(action_space, num_envs)
+        self.rngs = [np.random.default_rng() for _ in range(num_envs)]
+        # Worlds have a stream of their own: start states are those of environments without worlds.
+        self.world_rngs = [np.random.default_rng() for _ in range(num_envs)]
+        self.seeds: list[int | None] = [None] * num_envs  # of the episodes that begin
+        self._elapsed = np.zeros(num_envs, np.int64)
+        self._ended = np.ones(num_envs, bool)
+        self._begun = False
+
+    @abstractmethod
+    def _begin(self, which: IntArray, options: Info) -> None:
+        """Begin episodes of environments `which` (k,)."""
+
+    @abstractmethod
+    def _advance(self, actions: FloatArray) -> None:
+        """Move all environments by one step."""
+
+    @abstractmethod
+    def _rewards(self) -> tuple[FloatArray, BoolArray]:
+        """Return rewards (n,) of the last step, and whether the episodes are over (n,)."""
+
+    @abstractmethod
+    def _observations(self) -> Any:
+        """Return new arrays with the observations of all environments."""
+
+    @abstractmethod
+    def _info(self) -> Info:
+        """Return new arrays (n, ...) by name, or mappings of such arrays."""
+
+    @abstractmethod
+    def picture(self, k: int) -> Any:
+        """Return a picture (height, width, 3) uint8 of environment k."""
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: Info | None = None
+    ) -> tuple[Any, Info]:
+        """Begin new episodes.
+
+        Parameters
+        ----------
+        seed : int or list of int, optional
+            Seed of the first environment, from which the others count up; or one for each.
+        options : dict, optional
+            ``"reset_mask"``: (n,) bool array of the environments to reset; all by default. Other
+            options are those of the task.
+
+        Raises
+        ------
+        InvalidInput
+            A mask or a list of seeds has the wrong length.
+        """
+        options = dict(options or {})
+        mask = self._mask(options.pop("reset_mask", None))
+        self.seeds = self._seeds(seed)
+        for k, own in enumerate(self.seeds):
+            if own is not None and mask[k]:
+                self.rngs[k] = seeding.np_random(own)[0]
+                self.world_rngs[k] = np.random.default_rng([own, 1])
+        self._restart(np.flatnonzero(mask), options)
+        self.seeds = [None] * self.num_envs
+        return self._observations(), _masked(self._info(), mask)
+
+    def step(self, actions: Any) -> tuple[Any, FloatArray, BoolArray, BoolArray, Info]:
+        """Move all environments by one step.
+
+        Parameters
+        ----------
+        actions : (n, ...) array_like
+            Actions of all environments.
+
+        Raises
+        ------
+        InvalidInput
+            An action is not finite or has the wrong shape, or an episode needs a reset.
+        """
+        again = np.flatnonzero(self._ended)
+        if len(again) and (self.autoreset_mode == AutoresetMode.DISABLED or not self._begun):
+            found = f"{len(again)} environments without a running episode"
+            raise InvalidInput("step", found=found, expected="none", hint="call reset")
+        self._advance(self._checked(actions))
+        self._elapsed += 1
+        rewards, terminated = self._rewards()
+        truncated = np.zeros(self.num_envs, bool)
+        if self.max_episode_steps is not None:
+            truncated = self._elapsed >= self.max_episode_steps
+        if len(again):
+            self._restart(again, {})
+            rewards[again], terminated[again], truncated[again] = 0.0, False, False
+        self._ended = terminated | truncated
+        final: Info = {}
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and self._ended.any():
+            final = self._final(self._ended.copy())
+            self._restart(np.flatnonzero(self._ended), {})
+        info = _masked(self._info(), np.ones(self.num_envs, bool)) | final
+        return self._observations(), rewards, terminated, truncated, info
+
+    def render(self) -> tuple[Any, ...]:
+        """Return a picture (height, width, 3) uint8 of each environment."""
+        return tuple(self.picture(k) for k in range(self.num_envs))
+
+    def _restart(self, which: IntArray, options: Info) -> None:
+        self._begin(which, options)
+        self._elapsed[which], self._ended[which] = 0, False
+        self._begun = self._begun or len(which) == self.num_envs
+
+    def _final(self, ended: BoolArray) -> Info:
+        """Return the last observations and info of episodes that are over."""
+        observations = np.full(self.num_envs, None, dtype=object)
+        now = self._observations()
+        for k in np.flatnonzero(ended).tolist():
+            observations[k] = row(now, k)
+        return {
+            **{"final_obs": observations, "_final_obs": ended},
+            **{"final_info": _masked(self._info(), ended), "_final_info": ended.copy()},
+        }
+
+    def _mask(self, given: Any) -> BoolArray:
+        if given is None:
+            return np.ones(self.num_envs, bool)
+        mask = np.asarray(given)
+        if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
+            found = f"{mask.dtype} of shape {mask.shape}, {np.count_nonzero(mask)} not zero"
+            expected = f"bool of shape ({self.num_envs},), one of them true at least"
+            raise InvalidInput("options['reset_mask']", found=found, expected=expected)
+        return mask
+
+    def _seeds(self, seed: int | list[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, int | np.integer):
+            return [int(seed) + k for k in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise InvalidInput("seed", found=len(seed), expected=f"{self.num_envs} seeds")
+        return list(seed)
+
+    def _checked(self, actions: Any) -> FloatArray:
+        found = np.asarray(actions, np.float64)
+        shape = self.action_space.shape
+        if found.shape != shape or not np.isfinite(found).all():
+            what = f"shape {found.shape}" if found.shape != shape else "numbers that are not finite"
+            raise InvalidInput("actions", found=what, expected=f"finite numbers of shape {shape}")
+        return np.ascontiguousarray(found)
+
+
+class SingleEnv(gym.Env[Any, Any]):
+    """Base class of one environment, a `BatchEnv` of one.
+
+    Parameters
+    ----------
+    batch : BatchEnv
+        Environment with ``num_envs=1``, without autoreset.
+    """
+
+    metadata = METADATA
+
+    def __init__(self, batch: BatchEnv) -> None:
+        self.batch = batch
+        self.render_mode = batch.render_mode
+        self.observation_space = batch.single_observation_space
+        self.action_space = batch.single_action_space
+        self.np_random = batch.rngs[0]
+
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Any, Info]:
+        """Begin a new episode."""
+        self.batch.rngs[0] = self.np_random
+        observations, info = self.batch.reset(seed=[seed], options=options)
+        if seed is not None:
+            self._np_random, self._np_random_seed = self.batch.rngs[0], seed
+        return row(observations, 0), _one(info)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, Info]:
+        """Move by one step."""
+        # Gymnasium lets steps follow the end of an episode, for its wrappers to complain.
+        self.batch._ended[:] = not self.batch._begun
+        observations, reward, terminated, _, info = self.batch.step(np.asarray(action)[None])
+        return row(observations, 0), float(reward[0]), bool(terminated[0]), False, _one(info)
+
+    def render(self) -> Any:
+        """Return a picture (height, width, 3) uint8; None without a render mode."""
+        return None if self.render_mode is None else self.batch.picture(0)
+
+
+def row(values: Any, k: int) -> Any:
+    """Return row k of arrays, or of mappings of arrays."""
+    if isinstance(values, dict):
+        return {name: row(own, k) for name, own in values.items()}
+    return values[k].copy()
+
+
+def copied(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return copies of arrays by name."""
+    return {name: x.copy() for name, x in values.items()}
+
+
+def check_name(where: str, value: object, names: Collection[str]) -> None:
+    """Raise `InvalidInput` for a value that is not one of some names."""
+    if value not in names:
+        raise unknown_name(where, value, names)
+
+
+def _masked(info: Info, mask: BoolArray) -> Info:
+    """Add a mask `_name` (n,) to every name, as Gymnasium's vector environments do."""
+    found: Info = {}
+    for name, values in info.items():
+        found[name] = _masked(values, mask) if isinstance(values, dict) else values
+        found[f"_{name}"] = mask
+    return found
+
+
+def _one(info: Info) -> Info:
+    """Return the info of a single environment."""
+    own = {name: values for name, values in info.items() if not name.startswith("_")}
+    return {
+        name: _one(values)
+        if isinstance(values, dict)
+        else (values[0].item() if values.ndim == 1 else values[0].copy())
+        for name, values in own.items()
+    }

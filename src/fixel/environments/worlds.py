@@ -1,0 +1,115 @@
+"""Friction and support of the worlds that episodes take place in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.model import Body, Ellipsoid, Scene, Support, SupportPoints, Tripod, UniformPressure
+from fixel.model.footprint import cells
+from fixel.planning.belief import Belief
+from fixel.simulation.vary import infeasible
+from fixel.typing import IntArray
+
+DRAWS: Final = 1024  # of the parameters, from which episodes choose
+FORCE: Final = 1.0  # [N] of an ellipsoid; quasi-static motion does not depend on it
+FRICTION: Final = 0.25  # against the plane, which quasi-static motion does not depend on either
+# Errors of the experiments of a calibration, which are no properties of the world.
+_OF_EXPERIMENTS: Final = ("registration_", "outline_", "start_")
+
+
+@final
+class WorldDraws:
+    """Parameters of a scene in n environments, drawn again for each episode.
+
+    Parameters
+    ----------
+    scene : Scene
+    parameters : Belief, or what `Belief` takes as its parameters
+        Distribution of the parameters.
+    n : int
+        Number of environments.
+
+    Attributes
+    ----------
+    scene : Scene
+        The scene, with a support that the parameters can describe.
+    values : mapping of str to (n,) float64
+        Parameters of the episodes [SI].
+
+    Raises
+    ------
+    InvalidInput
+        No draw can be simulated with the scene, or a name does not suit it.
+    """
+
+    def __init__(self, scene: Scene, parameters: Any, n: int) -> None:
+        belief = parameters if isinstance(parameters, Belief) else Belief(parameters=parameters)
+        found = belief.scenarios(scene, worlds=DRAWS, runs=1).values
+        draws = {
+            name: np.asarray(x, np.float64)
+            for name, x in found.items()
+            if not name.startswith(_OF_EXPERIMENTS)
+        }
+        self.scene = _with_support(scene, draws)
+        reasons = infeasible(self.scene, draws) if draws else []
+        ready = np.flatnonzero([not reason for reason in reasons])
+        if not len(ready):
+            raise InvalidInput(
+                "parameters",
+                found=f"no draw that can be simulated: {reasons[0]}" if reasons else "none",
+                expected="parameters that suit the scene",
+            )
+        self._draws = {name: x[ready] for name, x in draws.items()}
+        self._count = len(ready)
+        self.values = {name: np.full(n, x[0]) for name, x in self._draws.items()}
+
+    def redraw(self, which: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+        """Draw the parameters of the episodes that begin in environments `which` (k,)."""
+        for k in which.tolist():
+            row = int(rngs[k].integers(self._count))
+            for name, x in self._draws.items():
+                self.values[name][k] = x[row]
+
+
+def world_draws(
+    world: str, scene: Scene, parameters: Any, usual: Mapping[str, Any], n: int
+) -> WorldDraws | None:
+    """Return the draws of the world "posterior", by default from `usual`; None for other worlds."""
+    if world == "posterior":
+        return WorldDraws(scene, usual if parameters is None else parameters, n)
+    if parameters is not None:
+        found = f"parameters for the world {world!r}"
+        raise InvalidInput("parameters", found=found, expected="world='posterior'")
+    return None
+
+
+def _with_support(scene: Scene, names: Iterable[str]) -> Scene:
+    """Return the scene with the support that parameters of these names describe."""
+    body, arm = scene.bodies[0], pressure_arm(scene.bodies[0])
+    support: Support | None = None
+    for name in names:
+        if name == "tripod_radius":
+            support = Tripod(radius=arm, friction=FRICTION)
+        elif name.startswith("support_"):
+            turns = 2.0 * np.pi * np.arange(3) / 3.0
+            points = body.com + arm * np.column_stack((np.cos(turns), np.sin(turns)))
+            support = SupportPoints(points=points, friction=FRICTION)
+        elif name.startswith("pressure_"):
+            support = UniformPressure(friction=FRICTION)
+        elif name.startswith("ellipsoid_"):
+            support = Ellipsoid(force=FORCE, torque=FORCE * arm, centre=body.com)
+    return scene if support is None else replace(scene, bodies=(replace(body, support=support),))
+
+
+def pressure_arm(body: Body) -> float:
+    """Compute the mean distance of the outline's area from the centre of mass [m].
+
+    It is the ratio of largest friction torque to largest friction force under uniform pressure.
+    """
+    points, share = cells(body.shape, 4000)
+    return float(share @ np.hypot(*(points - body.com).T) / share.sum())
