@@ -1,0 +1,290 @@
+"""Write a model for another engine, with a program that runs it and a card of its accuracy."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from fixel.errors import InvalidInput, unknown_name
+from fixel.formats.frames_file import folder_whole, refuse_folder
+from fixel.model import Experiment
+from fixel.progress import ProgressOption, show_progress
+from fixel.simulation.engine_names import EngineName
+from fixel.simulation.engines import AbstractPhysicsEngine, engine_of
+from fixel.simulation.engines.mjcf import mjcf
+from fixel.simulation.engines.task import PlainTask, plain, task_of, unsupported
+from fixel.simulation.motion import OtherEngine
+from fixel.workflows.model_export.card import Distances, distances_from_fixel, errors_on
+from fixel.workflows.model_export.source import Exportable, ModelSource, SourceCase, source_of
+from fixel.workflows.model_export.urdf import excess_inertia, urdf
+
+TARGETS: Final = ("mujoco", "pymunk", "box2d", "urdf")
+FORMAT: Final = "fixel-model-1"
+_SCRIPTS: Final = "fixel.workflows.model_export.scripts"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelExport:
+    """Result of an export of a model.
+
+    Attributes
+    ----------
+    folder : Path
+    to : str
+        Engine with its version, or ``urdf``.
+    files : tuple of str
+        Names of the files.
+    card : mapping
+        Contents of ``card.json``.
+    """
+
+    folder: Path
+    to: str
+    files: tuple[str, ...]
+    card: Mapping[str, Any]
+
+    def summary(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        return {
+            "folder": str(self.folder),
+            "to": self.to,
+            "files": list(self.files),
+            "card": dict(self.card),
+        }
+
+
+def export_model(
+    what: Exportable,
+    folder: str | os.PathLike[str],
+    *,
+    to: str,
+    calibration: int | None = None,
+    held_out: Iterable[Experiment] = (),
+    scenes: int = 100,
+    seed: int = 0,
+    progress: ProgressOption = None,
+) -> ModelExport:
+    """Write a scene as a model for another engine, and measure how far that engine is from fixel.
+
+    The folder contains the model, ``run.py``, which simulates it without fixel and prints poses as
+    CSV, and ``card.json``: versions, parameters with their intervals, the distance between end
+    poses of the engine and of fixel, and errors on experiments. Distances are measured on scenes
+    that differ in the start pose: by up to 5 % of the size of the body, and by up to 5 degrees.
+
+    Parameters
+    ----------
+    what : Scene, SceneFile, path, Experiment, Calibration or Project
+        Scene or experiment; or a calibration, whose first experiment is written with the calibrated
+        parameters.
+    folder : path
+        New or empty folder.
+    to : str
+        ``"mujoco"``, ``"pymunk"``, ``"box2d"``, with choices as in
+        ``"mujoco:step=0.001"``; or ``"urdf"``, the body with its support alone.
+    calibration : int, optional
+        Id of a calibration of a project; by default the newest for several experiments.
+    held_out : iterable of Experiment, optional
+        Experiments that the calibration has not used, on which errors are computed. By default
+        errors are those on the experiments of the calibration.
+    scenes : int
+        Number of scenes on which the distance from fixel is measured; 0 for none.
+    seed : int
+        Seed of the random number generator.
+    progress : bool or callable, optional
+
+    Returns
+    -------
+    ModelExport
+
+    Raises
+    ------
+    InvalidInput
+        The engine cannot represent the scene, or the folder is not empty.
+    MissingExtra
+        The package of the engine is not installed.
+
+    Examples
+    --------
+    >>> import fixel, tempfile
+    >>> from fixel.testing.scenes import pushed_square
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     done = fixel.export_model(pushed_square(), f"{folder}/model", to="urdf")
+    >>> done.files
+    ('card.json', 'object.urdf')
+    """
+    target, wanted = Path(folder), EngineName.of(to)
+    if wanted.name not in TARGETS:
+        raise unknown_name("to", wanted.name, TARGETS)
+    if isinstance(scenes, bool) or not 0 <= scenes <= 100_000:
+        raise InvalidInput("scenes", found=scenes, expected="a whole number from 0 to 100000")
+    refuse_folder(target)
+    source = source_of(what, calibration, held_out)
+    exported = source.cases[0]
+    if found := unsupported(exported.scene):
+        raise _refused(wanted.name, found)
+    if wanted.name == "urdf":
+        model = _urdf(exported)
+        # A description of a body has no motion of its own.
+        stated, judged = "urdf", {"to": "urdf", "distance_from_fixel": None}
+    else:
+        engine = _engine(wanted, exported)
+        model = _model(engine, exported)
+        stated = f"{engine.name} {engine.version}"
+        judged = _judged(source, engine, wanted, scenes, seed, progress)
+    card = _head(source) | {"not_in_the_model": model.lost} | judged
+    contents = {**model.files, "card.json": json.dumps(card, indent=2, allow_nan=False) + "\n"}
+    with folder_whole(target) as unfinished:
+        for name, text in contents.items():
+            (unfinished / name).write_text(text, encoding="utf-8")
+    return ModelExport(folder=target, to=stated, files=tuple(sorted(contents)), card=card)
+
+
+class _ModelFiles(NamedTuple):
+    files: Mapping[str, str]  # text by name
+    lost: list[str]
+
+
+def _engine(wanted: EngineName, case: SourceCase) -> AbstractPhysicsEngine:
+    """Return the engine with the calibrated values of its own parameters."""
+    engine = engine_of(str(wanted))
+    if wanted.version and engine.version != wanted.version:
+        raise InvalidInput(
+            f"engine {wanted.name}",
+            found=f"version {engine.version}",
+            expected=f"version {wanted.version}",
+        )
+    own = {
+        name.partition(".")[2]: value
+        for name, value in case.values.items()
+        if name.partition(".")[0] == wanted.name
+    }
+    return engine.under(own)
+
+
+def _task(case: SourceCase) -> tuple[PlainTask, list[float]]:
+    """Return the task of a case, and the frame of its poses in that of the body of the task."""
+    shared = {name: value for name, value in case.values.items() if "." not in name}
+    task, frames = task_of(case.scene, case.times, shared, {})
+    return task, frames.scene_poses(np.zeros(3)).tolist()
+
+
+def _model(engine: AbstractPhysicsEngine, case: SourceCase) -> _ModelFiles:
+    task, frame = _task(case)
+    if found := engine.refusal(task):
+        raise _refused(engine.name, found)
+    made = asdict(engine)
+    document = {
+        "format": FORMAT,
+        "fixel": version("fixel"),
+        "engine": f"{engine.name} {engine.version}",
+        "choices": made,
+        "frame": frame,
+        **plain(task),
+    }
+    del document["values"]
+    contents = {"model.json": json.dumps(document, indent=1, allow_nan=False) + "\n"}
+    if engine.name == "mujoco":
+        contents["model.xml"] = mjcf(task, engine)  # type: ignore[arg-type]
+    contents |= {"run.py": _script(f"run_{engine.name}"), "drive.py": _script("drive")}
+    lost = excess_inertia(task) if engine.name == "mujoco" else []
+    lost += [
+        f"{name}, a parameter of another engine"
+        for name in case.values
+        if "." in name and name.partition(".")[0] != engine.name
+    ]
+    return _ModelFiles(contents, lost)
+
+
+def _urdf(case: SourceCase) -> _ModelFiles:
+    task, _ = _task(case)
+    text, meshes, lost = urdf(task, case.scene.bodies[0].name)
+    return _ModelFiles({"object.urdf": text, **meshes}, lost)
+
+
+def _script(name: str) -> str:
+    text = files(_SCRIPTS).joinpath(f"{name}.py").read_text("utf-8")
+    return text.replace(f"from {_SCRIPTS}.drive import", "from drive import")
+
+
+def _head(source: ModelSource) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "fixel": version("fixel"),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "source": {
+            "kind": source.kind,
+            "name": source.name,
+            "calibration": source.calibration_id,
+            "exported": source.cases[0].key or None,
+            "experiments": sum(case.measured is not None for case in source.cases),
+        },
+        "parameters": [
+            {
+                "name": own.label,
+                "unit": own.unit,
+                "value": own.value,
+                "best_fit": own.best_fit,
+                "low": own.low,
+                "high": own.high,
+                "level": own.level,
+                "verdict": own.verdict,
+            }
+            for own in source.estimates
+        ],
+        "exported_values": dict(source.cases[0].values),
+    }
+
+
+def _judged(
+    source: ModelSource,
+    engine: AbstractPhysicsEngine,
+    wanted: EngineName,
+    scenes: int,
+    seed: int,
+    progress: ProgressOption,
+) -> dict[str, Any]:
+    other = OtherEngine(str(wanted))
+    found: dict[str, Any] = {
+        "to": engine.name,
+        "version": engine.version,
+        "choices": asdict(engine),
+        "distance_from_fixel": None,
+        "errors_on_experiments": None,
+    }
+    if scenes:
+        with show_progress(progress, f"comparing {engine.name} with fixel") as report:
+            distances = distances_from_fixel(source, other, scenes, seed, report)
+        found["distance_from_fixel"] = {
+            "of": "end poses",
+            "motion": source.motion.name,
+            "seed": seed,
+            **distances.stated(),
+        }
+    cases = source.held_out or [case for case in source.cases if case.measured is not None]
+    if cases:
+        by: dict[str, Distances] = {
+            engine.name: errors_on(cases, other),
+            "fixel": errors_on(cases, source.motion, source.stepper),
+        }
+        found["errors_on_experiments"] = {
+            "of": "end poses",
+            "held_out": bool(source.held_out),
+            **{name: own.stated() for name, own in by.items()},
+        }
+    return found
+
+
+def _refused(engine: str, found: str) -> InvalidInput:
+    return InvalidInput(
+        f"export to {engine}", found=found, expected="a scene that the engine can represent"
+    )
