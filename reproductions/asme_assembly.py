@@ -40,7 +40,8 @@ from fixel.planning.pushes import FreePushes
 from fixel.planning.search import MarginRequest, PlanSearch
 from fixel.replay.base import Row
 from fixel.sampling.eight_push import PART_LENGTH, PART_MASS, PART_WIDTH, PROBE_SIDE
-from fixel.simulation.ensemble import Ensemble, RolloutCase
+from fixel.simulation.ensemble import Ensemble
+from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.scenes import box, row
 from fixel.typing import FloatArray
 from fixel.uncertainty.starts import ASME, StartError

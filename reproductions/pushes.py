@@ -22,8 +22,9 @@ from fixel.model import (
 from fixel.model.footprint import support_grid
 from fixel.replay.mit_pushes import NOMINAL, MitPushes
 from fixel.simulation import StewartTrinkle
-from fixel.simulation.ensemble import Ensemble, RolloutCase
+from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.load_profile import PROFILE_NAMES, LoadNet
+from fixel.simulation.rollouts import RolloutCase
 from fixel.simulation.uneven_table import TABLE_NAMES, factors_on_table
 from fixel.typing import BoolArray, FloatArray, IntArray
 

@@ -21,6 +21,7 @@ from reproductions import (
     asme_assembly,
     cmu_tripod,
     coverage,
+    engines,
     error_bounds,
     learned_sides,
     mit_push,
@@ -66,6 +67,7 @@ REPRODUCTIONS: Final[Mapping[str, tuple[str | None, Callable[[RunOptions], Repro
             "plans": (MIT_PUSHES, plans.run),
             "repeated-plans": ("cmu_two_point_push", repeated_plans.run),
             "rates": ("", rates.run),
+            "engines": (MIT_PUSHES, engines.run),
         }
     )
 )

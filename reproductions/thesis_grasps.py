@@ -25,7 +25,8 @@ from fixel.planning.belief import Belief
 from fixel.planning.pushes import RigPushes
 from fixel.replay.base import Row
 from fixel.sampling.thesis import thesis_plan
-from fixel.simulation.ensemble import Ensemble, RolloutCase
+from fixel.simulation.ensemble import Ensemble
+from fixel.simulation.rollouts import RolloutCase
 from fixel.testbed.repeated_pushes import repeat_pushes
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.uncertainty.starts import StartError

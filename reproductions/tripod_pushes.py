@@ -19,7 +19,7 @@ from fixel.model import Experiment, SupportPoints
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
 from fixel.simulation import StewartTrinkle
-from fixel.simulation.ensemble import RolloutCase
+from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import FloatArray
 
 GRAVITY: Final = 9.81  # [m/s^2]

@@ -19,7 +19,8 @@ from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.target import Target
 from fixel.model import Body, Disk, LineDrive, Polygon, Pusher, Scene, SupportPoints
 from fixel.simulation import StewartTrinkle
-from fixel.simulation.ensemble import Ensemble, RolloutCase
+from fixel.simulation.ensemble import Ensemble
+from fixel.simulation.rollouts import RolloutCase
 
 OUTLINE = np.array([[-0.05, -0.05], [0.1, -0.05], [-0.05, 0.1]])
 POINTS = np.array([[-0.02, -0.02], [0.04, -0.02], [-0.02, 0.04]])
