@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 
 from benchmarks.accuracy import PUSH_RANGES, apart, converged_batch, random_sets, share_within
-from benchmarks.figures import Bar, Figure, Size, at_least, seconds
+from benchmarks.figures import Bar, Figure, Size, at_least, at_most, seconds
 from fixel.model import Scene
 from fixel.simulation import BatchResult, QuasiStatic, StewartTrinkle, simulate_batch
-from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.ensemble import Ensemble
+from fixel.simulation.motion import AbstractMotionModel, Dynamic
+from fixel.simulation.rollouts import RolloutCase, Rollouts, ensemble_of
 from fixel.testing.scenes import Layout, grasp, micro_push
 from fixel.typing import FloatArray
 
@@ -33,6 +36,28 @@ def run_pushes(size: Size) -> list[Figure]:
         *_throughput("free push", scene, sets, motion, size, at_least(5000.0)),
         _share("free push", scene, sets, motion, reference, MAGNIFIED),
     ]
+
+
+def run_contract(size: Size) -> list[Figure]:
+    """Grasps by `ensemble_of`, which chooses the engine, over the same by `Ensemble`, in turn."""
+    scene = grasp("slip")
+    cases = [RolloutCase(scene, np.array([scene.duration]))]
+    sets = random_sets(64)
+    ratios = []
+    for repeat in range(10 * size.repeats):
+        chosen, own = (
+            seconds(partial(_simulated, made, cases, sets), 1, repeat == 0)[0]
+            for made in (ensemble_of, Ensemble)
+        )
+        ratios.append(chosen / own)
+    ratio = float(np.median(ratios))
+    return [Figure("64 slip grasps through the contract of engines", "x", (ratio,), at_most(1.05))]
+
+
+def _simulated(
+    made: Callable[..., Rollouts], cases: list[RolloutCase], sets: dict[str, FloatArray]
+) -> None:
+    made(cases, Dynamic()).simulate(np.zeros(64, np.int64), sets)
 
 
 def _grasps(layout: Layout, size: Size) -> list[Figure]:

@@ -28,7 +28,8 @@ from fixel.planning.plan import simulator_of
 from fixel.planning.pushes import FreePushes, RigPushes, scene_of_push
 from fixel.planning.search import PlanSearch
 from fixel.sampling.thesis import thesis_plan
-from fixel.simulation.ensemble import Ensemble, RolloutCase
+from fixel.simulation.ensemble import Ensemble
+from fixel.simulation.rollouts import RolloutCase
 from fixel.testbed.repeated_pushes import repeat_pushes
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import FloatArray

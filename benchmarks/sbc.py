@@ -18,7 +18,7 @@ from fixel.calibration.target import Target
 from fixel.model import Tripod
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import QuasiStatic, StewartTrinkle
-from fixel.simulation.ensemble import RolloutCase
+from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.scenes import free_push, row
 from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import ModelError

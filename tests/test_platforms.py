@@ -45,9 +45,16 @@ class Kernel:
 
 def import_all():
     import fixel
+    from fixel.simulation.engine_names import ENGINES, installed_engines
 
+    # An adapter needs its engine, of which Drake is not installed everywhere.
+    absent = {
+        f"fixel.simulation.engines.{own.module}"
+        for name, own in ENGINES.items()
+        if name not in installed_engines()
+    }
     for module in pkgutil.walk_packages(fixel.__path__, "fixel."):
-        if module.name not in SCRIPTS and "migrations" not in module.name:
+        if module.name not in {*SCRIPTS, *absent} and "migrations" not in module.name:
             importlib.import_module(module.name)
 
 

@@ -7,7 +7,7 @@ from fixel.calibration.misfit import misfit_of, noise_from_differences
 from fixel.calibration.noise import Noise
 from fixel.calibration.target import Target
 from fixel.model import Tripod
-from fixel.simulation.ensemble import RolloutCase
+from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.scenes import free_push
 
 SCENE = free_push(Tripod(radius=0.03, friction=0.3))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from fixel.calibration.target import Target, repetitions, same_configuration
-from fixel.simulation.ensemble import RolloutCase
+from fixel.simulation.rollouts import RolloutCase
 
 TIMES = np.arange(1, 31) / 30.0
 

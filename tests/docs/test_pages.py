@@ -29,6 +29,8 @@ ALL_PAGES = [
     if not _is_generated(page)
 ]
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
+# A file that the reader saves.
+FILE = re.compile(r"```{code-block} \w+\n:caption: (\S+)\n\n(.*?)```", re.DOTALL)
 # The first tutorial runs as a notebook; recordings are read in tests/formats.
 ELSEWHERE = ("docs/how-to/record.md", f"docs/tutorials/{NAMES[0]}.md")
 RUNNING = [
@@ -48,6 +50,8 @@ def test_python_blocks_run_in_order(
 ) -> None:
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
+    for name, text in FILE.findall(page.read_text(encoding="utf-8")):
+        (tmp_path / name).write_text(text, encoding="utf-8")
     namespace: dict[str, object] = {"__name__": "page"}
     for block, shown in shown_outputs(page.read_text(encoding="utf-8")):
         exec(compile(block, str(page), "exec"), namespace)

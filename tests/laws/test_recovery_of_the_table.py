@@ -12,7 +12,8 @@ from fixel.calibration.target import Target
 from fixel.model import Body, Disk, PathDrive, Pusher, Scene, SupportPoints
 from fixel.model.footprint import support_grid
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.simulation.ensemble import Ensemble, RolloutCase
+from fixel.simulation.ensemble import Ensemble
+from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.scenes import box
 from fixel.typing import FloatArray
 

@@ -11,7 +11,7 @@ from fixel.parts.fit import fit_part, simulated, slopes
 from fixel.parts.prior import NAMES, SupportPrior
 from fixel.parts.pushes import PartPushes, paced
 from fixel.simulation import QuasiStatic, simulate
-from fixel.simulation.ensemble import RolloutCase
+from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.pushes import example_parts
 
 TRIANGLE = Polygon([(-0.05, -0.04), (0.06, -0.03), (-0.02, 0.06)])

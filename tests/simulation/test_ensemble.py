@@ -9,7 +9,8 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.model import Parameters, SupportPoints
 from fixel.simulation import QuasiStatic, simulate
-from fixel.simulation.ensemble import INFEASIBLE, Ensemble, RolloutCase
+from fixel.simulation.ensemble import Ensemble
+from fixel.simulation.rollouts import INFEASIBLE, RolloutCase
 from fixel.testing.scenes import grasp, heap, micro_push
 
 TIMES = np.linspace(0.5, 5.0, 10)

@@ -10,7 +10,7 @@ from fixel import simulate
 from fixel.errors import InvalidInput
 from fixel.formats.scene_file import scene_file_from_dict
 from fixel.model import Body, Disk, Fixel, LineDrive, PairFriction, Pusher, Scene, Tripod
-from fixel.simulation.pack import _pair_tables
+from fixel.simulation.pack import pair_tables
 from fixel.web.views import scene_editor
 
 NAMES = ("a", "b", "c1", "c2", "d", "*", "c*", "?", "[ab]", "c[12]")
@@ -65,7 +65,7 @@ def test_tables_of_pairs_are_what_the_scene_says_of_each(seed):
         given = None if rng.random() < 0.5 else round(float(rng.random()), 3)
         entries.append(PairFriction(pair=(one, other), friction=0.6 + k, restitution=given))
     scene = scene_of(6, 3, [entries[k] for k in rng.permutation(len(entries))])
-    friction, restitution = _pair_tables(scene)
+    friction, restitution = pair_tables(scene)
     for i, a in enumerate(scene.names):
         for j, b in enumerate(scene.names):
             pair = i != j and min(i, j) < 6
@@ -78,7 +78,7 @@ def test_no_pair_of_many_bodies_is_asked_for_alone(monkeypatch):
     asked = []
     for name in ("friction", "restitution", "_entry", "_obstacle"):
         monkeypatch.setattr(Scene, name, lambda *_, name=name: asked.append(name))
-    _pair_tables(scene)
+    pair_tables(scene)
     assert len(asked) < 80  # there are 2380 pairs
 
 

@@ -125,7 +125,9 @@ def test_nominal_simulations_are_kept_once(bench):
         ({"parameters": {"mu_suport": 0.4}}, "parameters"),
         ({"parameters": {"mu_support": -1.0}}, "mu_support"),
         ({"parameters": {"tripod_radius": 0.0}}, "tripod_radius"),
-        ({"motion": "magic"}, "body.motion"),
+        ({"motion": "magic"}, "motion"),
+        ({"motion": "./a_program.py"}, "motion"),  # pages start no programs
+        ({"motion": "pymunk"}, "engine pymunk"),  # whose pusher has no force limit
         ({"parameters": {"mu_support": "much"}}, "body.parameters.mu_support"),
     ],
 )

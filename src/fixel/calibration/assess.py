@@ -32,6 +32,7 @@ from fixel.model import Fixel, Parameters, Pusher
 from fixel.model.parameters import info_of
 from fixel.model.records import Estimate
 from fixel.model.space import ParameterSpace
+from fixel.simulation.motion import Dynamic, OtherEngine
 from fixel.simulation.simulate import simulate
 from fixel.typing import BoolArray, FloatArray, IntArray
 
@@ -533,10 +534,12 @@ def _touches(comparer: Comparer, member: int, point: FloatArray) -> set[str]:
     target = comparer.targets[member]
     scene = target.case.scene
     columns = comparer.space.columns(point[None], target.conditions)
+    own = comparer.ensemble.motion
     run = simulate(
         scene,
-        Parameters({name: float(value[0]) for name, value in columns.items()}),
-        motion=comparer.ensemble.motion,
+        Parameters({n: float(value[0]) for n, value in columns.items() if "." not in n}),
+        # Another engine does not tell its contacts.
+        motion=Dynamic() if isinstance(own, OtherEngine) else own,
         stepper=comparer.ensemble.stepper,
         duration=float(target.case.times[-1]),
     )

@@ -30,8 +30,8 @@ from fixel.calibration.registration import gaps_and_normals
 from fixel.calibration.target import Target, target_of
 from fixel.model import Disk, Experiment, Scene
 from fixel.model.fields import Comparable, frozen, instance, settle
-from fixel.simulation.ensemble import RolloutCase
 from fixel.simulation.pack import pusher_path
+from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import FloatArray, IntArray
 
 PARTS: Final = ("shape", "part", "object", "object_id")

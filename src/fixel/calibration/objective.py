@@ -16,8 +16,8 @@ from fixel.errors import InvalidInput, unknown_name
 from fixel.model.fields import positive
 from fixel.model.space import ParameterSpace
 from fixel.model.trajectory import wrapped
-from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.rollouts import Rollouts, ensemble_of
 from fixel.simulation.stepper import AbstractStepper
 from fixel.typing import BoolArray, FloatArray, IntArray
 
@@ -160,7 +160,7 @@ class Comparer:
         self.error = error or MeanSquare()
         _refuse_idle(self.targets, space)
         cases = [target.case for target in self.targets]
-        self.ensemble = Ensemble(cases, motion, stepper, threads=threads)
+        self.ensemble: Rollouts = ensemble_of(cases, motion, stepper, threads)
         self._columns = _Columns(self.targets, space)
         self._length = np.array([len(target.pose) for target in self.targets])
         self._measured = np.zeros((len(self.targets), self.ensemble.n_sample, 3))

@@ -9,7 +9,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, LineDrive, Scene, Trajectory, pose_error
-from fixel.simulation.ensemble import RolloutCase
+from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import BoolArray, FloatArray
 
 ANGLE_SCALE: Final = 35.0  # [mm/rad], length that the thesis's E counts an angle as

@@ -229,9 +229,9 @@ def _unknowns(key: str, entry: Bounds, targets: Sequence[Target]) -> list[Unknow
 def _unknown(
     name: str, entry: Parameter | None, where: Mapping[str, str | float], targets: Sequence[Target]
 ) -> Unknown:
-    usual = replace(
-        usual_in(name, [t.case.scene for t in targets if _covers(where, t)]), where=where
-    )
+    scenes = [t.case.scene for t in targets if _covers(where, t)]
+    bounds = None if entry is None else (entry.low, entry.high)
+    usual = replace(usual_in(name, scenes, bounds), where=where)
     if entry is None:
         return usual
     start = usual.nominal if entry.start is None else entry.start
@@ -245,8 +245,20 @@ def _unknown(
     )
 
 
-def usual_in(name: str, scenes: Sequence[Scene]) -> Unknown:
-    """Return a parameter with its usual bounds in the first of the scenes that can inform it."""
+def usual_in(
+    name: str, scenes: Sequence[Scene], bounds: tuple[float, float] | None = None
+) -> Unknown:
+    """Return a parameter with its usual bounds in the first of the scenes that can inform it.
+
+    Those of other engines do not depend on a scene, and may have the given bounds only.
+    """
+    if "." in name:
+        usual = info_of(name).usual
+        if usual is None and bounds is not None:
+            usual = bounds[0], 0.5 * (bounds[0] + bounds[1]), bounds[1]
+        if usual is None:
+            raise InvalidInput(name, found="no bounds", expected="bounds such as (0.1, 2.0)")
+        return Unknown(name=name, low=usual[0], high=usual[2], nominal=usual[1])
     contact = info_of(name).contact
     able = (scene for scene in scenes if not contact or touched_by(contact, scene))
     return usual_unknown(name, next(able, scenes[0]))

@@ -10,6 +10,7 @@ import typer
 
 from fixel.cli.options import (
     AsJson,
+    Engine,
     MeasurementNoise,
     PictureFolder,
     ProjectFolder,
@@ -72,6 +73,7 @@ class SearchOptions:
     motion: str = option(
         "dynamic", "Motion model: dynamic, quasistatic or first-order.", metavar="MODEL"
     )
+    engine: Engine = None
     optimiser: str | None = option(
         None,
         "Optimiser: pattern-search, fixed-step, nelder-mead, cma-es, mads or least-squares.",
@@ -128,7 +130,7 @@ class SearchOptions:
             else Noise(position_m=1e-3 * noise.noise_mm, angle_rad=1e-3 * noise.noise_mrad),
             "level": self.level,
             "verdicts": self.verdicts,
-            "motion": self.motion,
+            "motion": self.engine or self.motion,
             "seed": self.seed,
             "budget": self.budget,
             "name": self.name,

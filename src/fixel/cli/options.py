@@ -27,6 +27,16 @@ ProjectPlace = Annotated[
     Path | None,
     typer.Argument(help="Same as --project.", metavar="[PROJECT]", show_default=False),
 ]
+Engine = Annotated[
+    str | None,
+    typer.Option(
+        "--engine",
+        metavar="NAME",
+        help="Simulate by another engine: mujoco, drake, pymunk, box2d, or the path of a "
+        "program; with choices as in mujoco:step=0.001.",
+        show_default=False,
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
 DatasetName = Annotated[
     str | None, typer.Option(help="Select only experiments of this dataset.", metavar="NAME")
@@ -217,3 +227,15 @@ class MeasurementNoise:
 
     noise_mm: NoiseMm = None
     noise_mrad: NoiseMrad = None
+
+
+def engine_or_motion(engine: str | None, motion: str | None) -> str | None:
+    """Return the engine or the motion model that was chosen; raise for both."""
+    if engine and motion:
+        raise InvalidInput(
+            "--engine and --motion",
+            found=f"{engine} and {motion}",
+            expected="one of them",
+            hint="other engines have their own equations of motion",
+        )
+    return engine or motion

@@ -2,7 +2,7 @@
 
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,7 +21,15 @@ from fixel.cli.options import (
     required,
     with_options,
 )
-from fixel.cli.screen import command_of, notify, print_answer, progress_bar, project_words, seconds
+from fixel.cli.screen import (
+    command_of,
+    notify,
+    print_answer,
+    progress_bar,
+    project_words,
+    seconds,
+    wrote,
+)
 from fixel.errors import InvalidInput
 from fixel.table import Column, Table
 
@@ -29,6 +37,7 @@ if TYPE_CHECKING:
     from fixel.database.browsing import ExperimentPage
     from fixel.database.project import AddSummary
     from fixel.model.selection import ExperimentRow
+    from fixel.workflows.model_export.run import ModelExport
     from fixel.workflows.project.export import ExportAnswer
 
 MAX_ROWS = 30
@@ -277,9 +286,9 @@ def _content(listing: "ExperimentPage") -> dict[str, Any]:
 def export(
     *,
     paths: list[Path] = required(
-        "TARGET: .zip file that another project can import; with --parquet or --lerobot, a new "
-        "folder. PROJECT: same as --project.",
-        metavar="[PROJECT] TARGET",
+        "TARGET: .zip file that another project can import; with --parquet, --lerobot or --to, a "
+        "new folder. PROJECT: same as --project. SCENE: scene file, with --to.",
+        metavar="[PROJECT|SCENE] TARGET",
         show_default=False,
     ),
     folder: ProjectFolder = Path(),
@@ -291,14 +300,35 @@ def export(
         "Frame rate of the LeRobot dataset [Hz]; by default that of most experiments.",
         metavar="HZ",
     ),
+    to: str | None = option(
+        None,
+        "Write a model for another engine: mujoco, pymunk or box2d, with choices as in "
+        "mujoco:step=0.001; or urdf.",
+        metavar="ENGINE",
+    ),
+    calibration: int | None = option(
+        None,
+        "Stored calibration whose first experiment is the model, with --to.",
+        metavar="ID",
+        show_default="the newest for several experiments",
+    ),
+    scenes: int = option(
+        100, "Number of scenes on which the engine is compared with fixel, with --to."
+    ),
+    seed: int = option(0, "Seed of the random number generator, with --to."),
     as_json: AsJson = False,
 ) -> None:
-    """Export the experiments of a project, including flagged ones."""
+    """Export the experiments of a project, or a scene as a model for another engine."""
     from fixel.database.project import Project
 
     *places, target = paths
     if len(places) > 1:
         raise InvalidInput("TARGET", found=f"{len(paths)} paths", expected="[PROJECT] TARGET")
+    if to is not None:
+        _export_model(
+            places[0] if places else None, folder, target, to, calibration, scenes, seed, as_json
+        )
+        return
     if parquet and lerobot:
         raise InvalidInput("--parquet", found="--parquet and --lerobot", expected="one of them")
     answer = Project(project_at(places[0] if places else None, folder)).export(
@@ -308,6 +338,53 @@ def export(
         fps=fps,
     )
     print_answer(as_json, answer.summary, lambda: _exported(answer))
+
+
+def _export_model(
+    place: Path | None,
+    folder: Path,
+    target: Path,
+    to: str,
+    calibration: int | None,
+    scenes: int,
+    seed: int,
+    as_json: bool,
+) -> None:
+    from fixel.database.project import Project
+    from fixel.workflows.model_export.run import export_model
+
+    is_scene = place is not None and not place.is_dir()
+    what = place if place is not None and is_scene else Project(project_at(place, folder))
+    answer = export_model(
+        what, target, to=to, calibration=calibration, scenes=scenes, seed=seed, progress=not as_json
+    )
+    print_answer(as_json, answer.summary, lambda: _exported_model(answer))
+
+
+def _exported_model(answer: "ModelExport") -> list[str]:
+    card = answer.card
+    apart, errors = card["distance_from_fixel"], card.get("errors_on_experiments")
+    lines = [f"{answer.to}: {card['source']['name']}"]
+    lines += [f"not in the model: {text}" for text in card["not_in_the_model"]]
+    if apart is not None:
+        lines.append(f"end poses differ from those of fixel by {_distances(apart)}")
+    if errors is not None:
+        which = "held-out experiments" if errors["held_out"] else "the experiments"
+        for name in (card["to"], "fixel"):
+            lines.append(f"error of {name} on {which}: {_distances(errors[name])}")
+    return [*lines, *wrote([answer.folder / name for name in answer.files])]
+
+
+def _distances(stated: Mapping[str, Any]) -> str:
+    n, failures = stated["simulations"], stated["failures"]
+    failed = f", {failures} of {n} simulations failed" if failures else ""
+    if stated["position_mm"] is None:
+        return f"no value{failed}"
+    shown = [
+        f"{stated['position_mm'][name]:.3g} mm and {stated['angle_deg'][name]:.3g} deg ({text})"
+        for name, text in (("median", "median"), ("quantile_90", "90 % quantile"))
+    ]
+    return ", ".join(shown) + failed
 
 
 def _exported(answer: "ExportAnswer") -> list[str]:

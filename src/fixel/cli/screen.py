@@ -86,8 +86,14 @@ def compare_command(
 ) -> str:
     """Return the command that compares an experiment with its simulation."""
     settings = [word for k, v in values.items() for word in ("--set", f"{k}={v:.4g}")]
-    chosen = [] if motion == "dynamic" else ["--motion", motion]
+    chosen = [] if motion == "dynamic" else motion_words(motion)
     return command_of("compare", key, *settings, *chosen, project=folder)
+
+
+def motion_words(motion: str | None) -> list[str]:
+    """Return the words of a command that choose a motion model, or an engine."""
+    known = motion in {"dynamic", "quasistatic", "first-order"}
+    return [] if motion is None else ["--motion" if known else "--engine", motion]
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:

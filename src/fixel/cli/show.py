@@ -7,9 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import AsJson, ProjectFolder, option, require_picture, with_options
+from fixel.cli.options import (
+    AsJson,
+    Engine,
+    ProjectFolder,
+    engine_or_motion,
+    option,
+    require_picture,
+    with_options,
+)
 from fixel.cli.screen import (
     command_of,
+    motion_words,
     notice,
     origin_of,
     paragraphs,
@@ -81,9 +90,8 @@ def compare(
         metavar="ID",
     ),
     motion: MotionChoice | None = option(None, "Motion model; dynamic by default."),
-    plot: Path | None = option(
-        None, "Draw the measured and the simulated motion: .png, .svg or .pdf."
-    ),
+    engine: Engine = None,
+    plot: Path | None = option(None, "Draw measured and simulated motion: .png, .svg or .pdf."),
     as_json: AsJson = False,
     save: bool = option(False, "Store the simulation.", "--save"),
 ) -> None:
@@ -103,7 +111,8 @@ def compare(
         if experiment.scene is None and published is not None and not save:
             _print_published(published, number, plot, as_json)
             return
-        model = motion_model(motion.value) if motion else None
+        chosen = engine_or_motion(engine, motion)
+        model = motion_model(chosen) if chosen else None
         if calibration is not None:
             parameters, model = parameters_of(store, calibration, experiment, parameters, model)
         unseen = [] if calibration is None else unseen_by(store, calibration, experiment)
@@ -111,7 +120,7 @@ def compare(
         found = compare_experiments(experiment, {"given": parameters}, motion=model, progress=False)
         answer = found.rows[0].run
         assert isinstance(answer, RunComparison)
-        command = _command("compare", experiment, project, set_ or [], motion, calibration)
+        command = _command("compare", experiment, project, set_ or [], chosen, calibration)
         saved = store.add_simulation(answer.record(number, command)) if save else None
     if plot is not None:
         _draw(answer, plot)
@@ -176,13 +185,13 @@ def _command(
     experiment: "Experiment",
     project: Path,
     set_: list[str] | None = None,
-    motion: MotionChoice | None = None,
+    motion: str | None = None,
     calibration: int | None = None,
 ) -> str:
     """Return the command, to be run in the current folder."""
     words: list[object] = [] if calibration is None else ["--calibration", calibration]
     words += [word for value in set_ or [] for word in ("--set", value)]
-    words += [] if motion is None else ["--motion", motion.value]
+    words += [] if motion is None else motion_words(motion)
     return command_of(name, experiment.key, *project_words(project), *words)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from fixel.cli.options import AsJson, option, required, with_options
+from fixel.cli.options import AsJson, Engine, engine_or_motion, option, required, with_options
 from fixel.cli.screen import command_of, notice, paragraphs, print_answer, seconds, wrote
 
 if TYPE_CHECKING:
@@ -55,15 +55,14 @@ def simulate(
     motion: MotionChoice | None = option(
         None, "Motion model; that of the scene file by default.", show_default=False
     ),
+    engine: Engine = None,
     step: float | None = option(
         None, "Fixed time step; that of the scene file by default.", metavar="SECONDS"
     ),
     tolerance: float | None = option(
         None, "Position error allowed per step; selects the adaptive stepper.", metavar="MM"
     ),
-    solver: Solver = option(
-        Solver.NEWTON, "Solver of each step; lemke needs support_directions in the scene."
-    ),
+    solver: Solver = option(Solver.NEWTON, "Solver; lemke needs support_directions in the scene."),
     plain: bool = option(False, "Run the steps in Python, slowly, as a cross-check.", "--plain"),
 ) -> None:
     """Simulate a scene file and report its end."""
@@ -75,7 +74,7 @@ def simulate(
     simulation = simulate_file(
         load_scene(scene, set_ or ()),
         outputs,
-        motion=motion,
+        motion=engine_or_motion(engine, motion),
         stepper=stepper_of(step, None if tolerance is None else 1e-3 * tolerance),
         solver=solver,
         plain=plain,

@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING
 
 from fixel.cli.options import (
     AsJson,
+    Engine,
     MeasurementNoise,
     PictureFolder,
     ProjectFolder,
     Seed,
     argument,
+    engine_or_motion,
     option,
     require_folder,
     with_options,
@@ -53,6 +55,7 @@ class UncertaintyOptions:
         metavar="MODEL",
         show_default="that of the calibration, or dynamic",
     )
+    engine: Engine = None
     noise: MeasurementNoise
     model_error: bool = option(
         True, "Whether to include model error as a separate term.", "--model-error/--no-model-error"
@@ -69,7 +72,7 @@ class UncertaintyOptions:
             held_out=tuple(self.held_out or ()),
             calibration=self.calibration,
             fit=tuple(self.fit or ()),
-            motion=self.motion,
+            motion=engine_or_motion(self.engine, self.motion),
             noise=_noise(self.noise.noise_mm, self.noise.noise_mrad),
             model_error=self.model_error,
             samples=self.samples,

@@ -14,7 +14,7 @@ from fixel.filtering.head_path import smoothed
 from fixel.filtering.running import RunningFilter
 from fixel.model import Scene, Trajectory, wrapped
 from fixel.simulation import StewartTrinkle, simulate_batch
-from fixel.simulation.ensemble import RolloutCase
+from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import FloatArray
 
 TRIES: Final = 64  # simulations, of which the best counts

@@ -21,7 +21,8 @@ from fixel.model.goals import (
     PoseRegion,
     Seated,
 )
-from fixel.model.parameters import KNOWN_PARAMETERS, ParameterInfo, Parameters
+from fixel.model.parameter_info import ParameterInfo
+from fixel.model.parameters import KNOWN_PARAMETERS, Parameters
 from fixel.model.plane import FrictionMap, Plane
 from fixel.model.probability import Probability
 from fixel.model.scene import PairFriction, Scene

@@ -6,25 +6,12 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from types import MappingProxyType
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 from fixel.errors import InvalidInput, unknown_name
+from fixel.model.engine_parameters import engine_parameter
 from fixel.model.fields import finite
-
-
-class ParameterInfo(NamedTuple):
-    """Unit, range and meaning of a parameter."""
-
-    unit: str
-    meaning: str
-    lowest: float = 0.0  # smallest value
-    above: bool = False  # whether `lowest` itself is excluded
-    # Property of the real object that an estimate of an effective parameter represents; empty where
-    # the parameter itself is such a property.
-    stands_for: str = ""
-    # Contact of the free body that the parameter acts on: "pusher" or "fixel"; empty for others.
-    contact: str = ""
-
+from fixel.model.parameter_info import ParameterInfo
 
 _ANY = -math.inf
 _LOADS = "the distribution of the load under the body"
@@ -168,8 +155,8 @@ _REPLACED = re.compile(r"tripod_radius|support_[123]_[xy]|ellipsoid_(force|torqu
 
 
 def is_parameter(name: str) -> bool:
-    """Return whether a name is that of a parameter, `load_1`, `load_2`, ... included."""
-    return name in KNOWN_PARAMETERS or _LOAD.fullmatch(name) is not None
+    """Return whether a name is that of a parameter, with `load_1`, ... and those of engines."""
+    return name in KNOWN_PARAMETERS or "." in name or _LOAD.fullmatch(name) is not None
 
 
 def info_of(name: str) -> ParameterInfo:
@@ -180,6 +167,8 @@ def info_of(name: str) -> ParameterInfo:
         return ParameterInfo(
             "-", f"load on support point {name[5:]}, relative to the others", stands_for=_LOADS
         )
+    if "." in str(name):
+        return engine_parameter(name)
     if "[" in str(name):
         raise InvalidInput(
             "parameters",

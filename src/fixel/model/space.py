@@ -20,7 +20,7 @@ from fixel.typing import FloatArray
 SHARE_OF_RANGE: Final = 0.1
 
 
-_LABEL: Final = re.compile(r"(?P<name>\w+)(?:\[(?P<where>.*)\])?")
+_LABEL: Final = re.compile(r"(?P<name>[\w.]+)(?:\[(?P<where>.*)\])?")
 
 
 @final

@@ -14,8 +14,9 @@ from fixel.calibration.target import Target
 from fixel.errors import InvalidInput
 from fixel.model import Disk, PathDrive, Pusher, Scene, pose_error
 from fixel.simulation import QuasiStatic, StewartTrinkle
-from fixel.simulation.ensemble import Ensemble, RolloutCase
+from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.pack import pusher_path
+from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 # Quasi-static pushes do not depend on time: all are simulated at one speed, in steps of 1 mm.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from fixel.simulation.pack import (
     pusher_path,
     stack,
 )
+from fixel.simulation.rollouts import INFEASIBLE, EnsembleOutcome, RolloutCase
 from fixel.simulation.simulate import empty_record, method_of, shape_poses
 from fixel.simulation.solver import AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
@@ -39,34 +40,6 @@ MAX_POSES = 300_000
 # The same if poses are recorded without velocities and forces.
 MAX_BARE_POSES = 5 * MAX_POSES
 
-
-class RolloutCase(NamedTuple):
-    """Scene with one free body, and the times at which it is sampled."""
-
-    scene: Scene
-    times: FloatArray  # (n_sample,) increasing, above 0 [s]; the last is the end
-
-
-class EnsembleOutcome(NamedTuple):
-    """Results of the rollouts of one call.
-
-    Forces between two samples are not recorded: add samples where a peak matters.
-    """
-
-    status: IntArray  # (n,) index into codes.STATUS_NAMES; INFEASIBLE where not simulated
-    pose: FloatArray  # (n, n_sample, 3) of the body; the last one repeated where a case has fewer
-    stopped_at: FloatArray  # (n,) time reached [s]
-    force: FloatArray  # (n,) largest force of the drive in the steps that hold the samples [N]
-    stalled: NDArray[np.bool_]  # (n,) whether a force-limited drive is stalled at the last sample
-    reasons: list[str]  # why there is no simulation, or it ended early; empty for others
-
-    @property
-    def converged(self) -> NDArray[np.bool_]:
-        """Return (n,) bool: simulations that reached their end."""
-        return np.equal(self.status, codes.CONVERGED)
-
-
-INFEASIBLE = -1
 
 # Receives numbers (k,) of rollouts of one template, which are packed like this, and their record.
 _Use = Callable[[IntArray, PackedBatch, BatchRecord], None]

@@ -10,11 +10,13 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import ClassVar, TypeVar, final
 
-from fixel.errors import unknown_name
+from fixel.errors import InvalidInput, unknown_name
 from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Model, Problem, State
+from fixel.simulation.engine_names import is_engine
 from fixel.typing import FloatArray
 
 
@@ -146,13 +148,62 @@ class FirstOrder(_BuiltInMotion):
     kind: ClassVar[int] = codes.FIRST_ORDER
 
 
+@final
+@dataclass(frozen=True, slots=True)
+class OtherEngine(AbstractMotionModel):
+    """Another simulator, instead of fixel's own equations of motion.
+
+    Parameters
+    ----------
+    name : str
+        Engine, with a version and choices if wanted, such as ``"mujoco==4.0.0:step=0.001"``; or the
+        path of a program.
+
+    Examples
+    --------
+    >>> OtherEngine("pymunk:iterations=30").name
+    'pymunk:iterations=30'
+    """
+
+    name: str  # type: ignore[misc]
+
+    def assemble(
+        self, model: Model, state: State, step: float, pose: FloatArray, problem: Problem
+    ) -> int:
+        raise _not_here(self.name)
+
+    def move(
+        self, model: Model, state: State, step: float, problem: Problem, extrapolation: int
+    ) -> None:
+        raise _not_here(self.name)
+
+
+def _not_here(engine: str) -> InvalidInput:
+    return InvalidInput(
+        "motion",
+        found=f"the engine {engine}",
+        expected="a motion model of fixel: this needs contacts, forces or many bodies",
+    )
+
+
 Part = TypeVar("Part")
 MOTION_MODELS: tuple[type[AbstractMotionModel], ...] = (Dynamic, QuasiStatic, FirstOrder)
 
 
 def motion_model(motion: AbstractMotionModel | str | None) -> AbstractMotionModel:
-    """Return a motion model, also by its name; the dynamic one for None."""
+    """Return a motion model, also by its name, or another engine; the dynamic one for None."""
+    if isinstance(motion, str) and is_engine(motion):
+        return OtherEngine(motion)
     return named_part(motion or Dynamic.name, MOTION_MODELS, "motion")
+
+
+def stated_name(motion: AbstractMotionModel | str) -> str:
+    """Return the name under which a motion model, or an engine with its version, is stored."""
+    name = motion if isinstance(motion, str) else motion.name
+    if isinstance(motion_model(motion), OtherEngine):
+        # Only for another engine: this loads what the others need.
+        name = import_module("fixel.simulation.engines").stated(name)
+    return name
 
 
 def named_part(part: Part | str, family: Sequence[type[Part]], where: str) -> Part:

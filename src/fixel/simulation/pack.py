@@ -101,7 +101,7 @@ def characteristic_units(
         Products of speeds, sizes, masses and forces overflow.
     """
     try:
-        units = _units(scene, speed, friction or _friction_forces(_elements(scene), scene))
+        units = _units(scene, speed, friction or _friction_forces(supports_of(scene), scene))
         scales = [*units, units.speed, units.force, units.torque]
     except (OverflowError, ZeroDivisionError):
         scales = [math.inf]
@@ -155,7 +155,8 @@ def _friction_forces(elements: Elements, scene: Scene) -> list[float]:
     return [float(elements.load[i:k] @ elements.friction[i:k]) for i, k in itertools.pairwise(end)]
 
 
-def _elements(scene: Scene) -> Elements:
+def supports_of(scene: Scene) -> Elements:
+    """Return the support friction elements of all free bodies."""
     parts: list[tuple[FloatArray, ...]] = []
     for body in scene.bodies:
         support = body.support
@@ -240,8 +241,8 @@ def _pieces(key: _Same, com: tuple[tuple[float, float], ...]) -> Pieces:
     return Pieces(body, start, bound, radius, vertex, real.astype(np.int64))
 
 
-def _pair_tables(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Compute `Scene.friction` and `Scene.restitution` of all pairs as tables (n, n)."""
+def pair_tables(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Return the friction and the restitution of all pairs of bodies of a scene, (n, n) each."""
     names, free = scene.names, len(scene.bodies)
     friction = np.zeros((len(names), len(names)))
     usual = np.zeros((len(names), len(names)))
@@ -310,7 +311,7 @@ def check_motion(scene: Scene, motion_kind: int, friction: Sequence[float] | Non
     """Raise for a motion model that needs support friction if a body has none."""
     if motion_kind not in (codes.QUASI_STATIC, codes.FIRST_ORDER):
         return
-    friction = _friction_forces(_elements(scene), scene) if friction is None else friction
+    friction = _friction_forces(supports_of(scene), scene) if friction is None else friction
     for k, body in enumerate(scene.bodies):
         if friction[k] <= 0.0:
             raise InvalidInput(
@@ -365,14 +366,14 @@ def _scene_arrays(key: _Same, motion_kind: int, speed: float | None) -> SceneArr
     scene: Scene = key.objects[0]
     items = _items(scene)
     n_free, n_driven = len(scene.bodies), len(scene.pushers)
-    elements = _elements(scene)
+    elements = supports_of(scene)
     forces = _friction_forces(elements, scene)
     check_motion(scene, motion_kind, forces)
     units = characteristic_units(scene, speed, forces)
     origins = [item.com.tolist() if isinstance(item, Body) else [0.0, 0.0] for item in items]
     pieces = _pieces(_Same(*(item.shape for item in items)), tuple(map(tuple, origins)))
     com = np.array(origins[:n_free])
-    friction, restitution = _pair_tables(scene)
+    friction, restitution = pair_tables(scene)
     own = scene.plane.friction_map
     factors = np.zeros((0, 0)) if own is None else own.factor
     frame = np.zeros(4) if own is None else np.concatenate((own.origin, own.cell))

@@ -88,6 +88,9 @@ class Simulation(Result):
     `simulation["part"]` is the trajectory of a body; for a pusher it has also `force`, `travel` and
     `stalled`.
 
+    Another engine reports neither contacts nor forces: `contacts` and `pushers` are empty then,
+    twists are differences of the poses, and `steps` and `max_residual` are zero.
+
     Attributes
     ----------
     scene : Scene
@@ -153,7 +156,9 @@ class Simulation(Result):
     @property
     def advice(self) -> str:
         """Remedy for an early end; empty when converged."""
-        return codes.STATUS_ADVICE[codes.STATUS_NAMES.index(self.status)]
+        advice = codes.STATUS_ADVICE[codes.STATUS_NAMES.index(self.status)]
+        reason = self.method.get("reason")
+        return f"{reason}. {advice}" if reason else advice
 
     @property
     def converged(self) -> bool:
@@ -220,6 +225,11 @@ class Simulation(Result):
 
     def _summary(self) -> Summary:
         names = (self.method["motion"], self.method["stepper"])
+        taken = f" in {self.steps} steps ({', '.join(names)})"
+        quality = f"worst residual {self.max_residual:.1e}"
+        if not self.steps and "engine" in self.method:
+            taken = f" by {self.method['engine']}"
+            quality = "contacts and forces are not known from another engine"
         ended = f"{self.duration:g} s"
         if self.stopped_at is not None:
             ended = f"stopped at {self.stopped_at:.4g} s"
@@ -245,12 +255,12 @@ class Simulation(Result):
         ]
         columns = ("pusher", Column("travel", unit, ".2f"), Column("force", "N", ".4g"), "")
         return Summary(
-            f"Simulation: {self.status}, {ended} in {self.steps} steps ({', '.join(names)})",
+            f"Simulation: {self.status}, {ended}{taken}",
             [
                 Table(("body, at the end", *place, "touching"), rows),
                 *([Table(columns, traces)] if traces else []),
             ],
-            [*([self.advice] if self.advice else []), f"worst residual {self.max_residual:.1e}"],
+            [*([self.advice] if self.advice else []), quality],
             {
                 "parameters": ", ".join(f"{k} = {v:g}" for k, v in (self.parameters or {}).items()),
                 "solver": str(self.method["solver"]),

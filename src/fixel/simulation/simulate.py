@@ -30,7 +30,7 @@ from fixel.kernels.arrays import (
 )
 from fixel.model import Parameters, PathDrive, Scene
 from fixel.model.fields import instance
-from fixel.simulation.motion import AbstractMotionModel, motion_model, named_part
+from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack
 from fixel.simulation.plain import rollout_in_python
 from fixel.simulation.result import CONTACT_FIELDS, PusherTrace, Simulation
@@ -246,19 +246,22 @@ class Simulator:
         variation = one_variation(parameters)
         if start is not None:  # no other array depends on it
             variation = variation._replace(start=np.array([[body.pose for body in scene.bodies]]))
-        known = self.scene if waypoints is None else scene
-        packed = pack(known, self.motion, self.stepper, variation, 1, duration)
         times = None if interval is None else sample_times(duration, interval)
-        seconds = clock.perf_counter()
-        record = self._record(packed, duration, times)
-        seconds = clock.perf_counter() - seconds
+        if isinstance(self.motion, OtherEngine):
+            engines = import_module("fixel.simulation.engines.single")
+            found = engines.fields_of_engine(scene, self.motion, parameters, duration, times)
+        else:
+            known = self.scene if waypoints is None else scene
+            packed = pack(known, self.motion, self.stepper, variation, 1, duration)
+            seconds = clock.perf_counter()
+            record = self._record(packed, duration, times)
+            seconds = clock.perf_counter() - seconds
+            found = _unpacked(scene, packed, record, duration) | {
+                "wall_time_s": seconds,
+                "method": _described(self.motion, self.stepper, self.solver),
+            }
         simulation = Simulation(
-            scene=scene,
-            parameters=parameters,
-            method=_described(self.motion, self.stepper, self.solver),
-            wall_time_s=seconds,
-            version=fixel_version(),
-            **_unpacked(scene, packed, record, duration),
+            scene=scene, parameters=parameters, version=fixel_version(), **found
         )
         if simulation.status == codes.STATUS_NAMES[codes.INTERRUPTED]:
             raise Interrupted(simulation, "its result is the motion up to then")

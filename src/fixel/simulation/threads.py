@@ -50,7 +50,7 @@ def rollout_in_threads(
         Ctrl-C; rollouts that did not end have the status INTERRUPTED.
     """
     n = len(record.status)
-    n_threads = _cores() if threads is None else threads
+    n_threads = cores() if threads is None else threads
     if n_threads < 1:
         raise InvalidInput("threads", found=threads, expected="at least 1")
     roll = partial(kernel.rollout_batch, batch, method, record, every_step)
@@ -73,7 +73,8 @@ def rollout_in_threads(
         raise
 
 
-def _cores() -> int:
+def cores() -> int:
+    """Return the number of cores that this process may use."""
     count = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()
     return count or 1
 

@@ -75,6 +75,7 @@ def vary(
     if not values:
         plane = varied_plane(scene, values)
         return VariedScene(variation.start, elements, None, friction, None, None, plane, None)
+    _check_own(values)
     start = varied_start(scene, variation.start, values)
     return VariedScene(
         start=start,
@@ -86,6 +87,19 @@ def vary(
         plane=varied_plane(scene, values),
         outline=_columns(values, "outline"),
     )
+
+
+def _check_own(values: Values) -> None:
+    """Raise for parameters of another engine, which change nothing here."""
+    for name in values:
+        engine, dot, _ = name.partition(".")
+        if dot:
+            raise InvalidInput(
+                "parameters",
+                found=name,
+                expected="parameters of the scene, for a motion model of fixel",
+                hint=f"simulate by the engine: motion={engine!r}, or --engine {engine}",
+            )
 
 
 # --- supports -----------------------------------------------------------------------------------

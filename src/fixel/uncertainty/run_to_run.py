@@ -22,8 +22,8 @@ from fixel.calibration.target import Target, target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene, wrapped
 from fixel.model.fields import instance, non_negative, settle
-from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
+from fixel.simulation.rollouts import ensemble_of
 from fixel.simulation.stepper import AbstractStepper
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.push import CalibratedModel
@@ -368,7 +368,7 @@ class _ExperimentEnds:
             )
         cases = [t.case._replace(times=t.case.times[-1:]) for t in targets]
         table = {name: np.array([own[name] for own in given]) for name in names}
-        self._ensemble = Ensemble(cases, motion or QuasiStatic(), stepper, threads=threads)
+        self._ensemble = ensemble_of(cases, motion or QuasiStatic(), stepper, threads)
         base = self._poses(np.arange(len(cases)), table)
         self._rows = np.flatnonzero(np.isfinite(base).all(axis=1))
         self._scenes = [cases[k].scene for k in self._rows]

@@ -12,8 +12,8 @@ from fixel.errors import InvalidInput
 from fixel.kernels import codes
 from fixel.model import Disk, Pusher, Scene, Shape
 from fixel.model.trajectory import wrapped
-from fixel.simulation.ensemble import Ensemble, RolloutCase
 from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.rollouts import RolloutCase, Rollouts, ensemble_of
 from fixel.simulation.stepper import AbstractStepper
 from fixel.simulation.vary import grown_by, registration_of, varied_start
 from fixel.typing import BoolArray, FloatArray, ProgressCallback
@@ -84,7 +84,7 @@ def simulate_starts(
     given = _given(values or {}, n, nominal or {})
     columns = _starts(given, errors)
     refused = [""] * (n + 1) if error is None else _set_apart(scene, columns, error)
-    ensemble = Ensemble([RolloutCase(scene, instants)], motion, stepper, threads=threads)
+    ensemble = ensemble_of([RolloutCase(scene, instants)], motion, stepper, threads)
     good = np.array([not reason for reason in refused], bool)
     pose, status, reasons = _simulated(ensemble, columns, good, progress)
     for k in np.flatnonzero(~good):
@@ -191,7 +191,7 @@ def _radius(shape: Shape) -> float:
 
 
 def _simulated(
-    ensemble: Ensemble, columns: Values, good: BoolArray, progress: ProgressCallback | None
+    ensemble: Rollouts, columns: Values, good: BoolArray, progress: ProgressCallback | None
 ) -> tuple[FloatArray, np.ndarray, list[str]]:
     n = len(good)
     pose = np.zeros((n, ensemble.n_sample, 3))

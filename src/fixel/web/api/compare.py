@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final
 
 from fastapi import APIRouter, Query
 from pydantic import Field
@@ -36,7 +36,11 @@ class ComparisonRequest(RequestBody):
     """Parameters and motion model of a simulation."""
 
     parameters: dict[str, Value] = Field(default_factory=dict, max_length=64)
-    motion: Literal["dynamic", "quasistatic", "first-order"] = "dynamic"
+    motion: str = Field(
+        "dynamic",
+        max_length=200,
+        description="dynamic, quasistatic, first-order, or an engine such as mujoco:step=0.001",
+    )
 
 
 class NominalRequest(RequestBody):

@@ -9,6 +9,7 @@ from fastapi import Request
 
 from fixel.errors import InvalidInput
 from fixel.web.pages.experiment import Fact, number_in
+from fixel.web.views.calibration_detail import engine_of
 from fixel.workflows.calibration.result import SEARCHED
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ def stored_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "title": record.name,
         "number": number,
         "name": record.name,
+        "engine": engine_of(record),
         "method": method(record),
         "provenance": provenance(record),
         "command": record.provenance.command,

@@ -15,6 +15,7 @@ from fastapi import Request
 
 from fixel.errors import NotStored
 from fixel.model.selection import ExperimentQuery
+from fixel.simulation.engine_names import installed_engines
 from fixel.web.app import API, Page
 from fixel.web.context import ProjectContext
 from fixel.web.pages import calibration, experiment
@@ -77,6 +78,7 @@ def compare_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "number": number,
         "key": one.key,
         "keys": [row.key for row in listed],
+        "engines": installed_engines(),
     }
 
 

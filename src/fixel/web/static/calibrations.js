@@ -7,7 +7,7 @@ import { digits, lasting, rms, verdictOf } from "./quantity.js";
 import { several } from "./units.js";
 
 /** @typedef {import("./calibrating.js").Running} Running */
-/** @typedef {{id: number, name: string, how: string, mode: string, optimiser: string, unit: string, created_utc: string, sets: number, experiments: number, before: number | null, after: number | null, verdicts: Record<string, number>}} Listed */
+/** @typedef {{id: number, name: string, how: string, mode: string, optimiser: string, engine: string, unit: string, created_utc: string, sets: number, experiments: number, before: number | null, after: number | null, verdicts: Record<string, number>}} Listed */
 
 const PAGE = 100;
 const AGAIN = 2000; // [ms] until running ones are looked at again
@@ -59,6 +59,7 @@ function row(one) {
     "tr", {},
     make("th", { scope: "row" },
       make("a", { href: `${ROOT}/calibrations/${one.id}` }, one.name),
+      ...(one.engine ? [" ", make("span", { class: "tag" }, one.engine)] : []),
       make("small", {}, one.sets > 1 ? `${one.mode}, ${one.sets} sets` : one.how)),
     make("td", { class: "number" }, one.experiments),
     make("td", {}, one.optimiser || "\u2013"),

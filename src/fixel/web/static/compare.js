@@ -231,7 +231,12 @@ function build() {
     make("option", { value: "" }, "another parameter\u2026"),
     ...rest.map((one) => make("option", { value: one.name, title: one.meaning }, one.name)),
   );
-  /** @type {HTMLSelectElement} */ (at("motion")).value = live().motion;
+  const motions = /** @type {HTMLSelectElement} */ (at("motion"));
+  // A calibration may have an engine with choices, which is not among the usual ones.
+  if (![...motions.options].some((own) => own.value === live().motion)) {
+    motions.append(make("option", { value: live().motion }, live().motion));
+  }
+  motions.value = live().motion;
 }
 
 /**

@@ -15,6 +15,7 @@ from fixel.database.store import Store
 from fixel.errors import FixelError
 from fixel.model.records import CalibrationRecord, Estimate
 from fixel.model.space import split_label
+from fixel.simulation.engine_names import is_engine
 from fixel.typing import FloatArray
 from fixel.web.values import Answer, Array, Finite
 from fixel.workflows.calibration.calibration import Calibrations
@@ -239,6 +240,7 @@ class CalibrationSummary(Answer):
     how: str
     mode: str
     optimiser: str
+    engine: str = Field(description="engine other than fixel's own, else empty")
     unit: str = Field(description="unit of the errors: mm^2 or mm")
     created_utc: str
     sets: int = Field(description="number of calibrations stored from the same run")
@@ -246,6 +248,12 @@ class CalibrationSummary(Answer):
     before: Finite = Field(description="mean error at the nominal values")
     after: Finite
     verdicts: dict[str, int] = Field(description="number of parameters by verdict")
+
+
+def engine_of(record: CalibrationRecord) -> str:
+    """Return the engine of a calibration with its version; empty for fixel's own."""
+    motion = str(record.method.get("motion", ""))
+    return motion if is_engine(motion) else ""
 
 
 def list_calibrations(store: Store) -> list[CalibrationSummary]:
@@ -274,6 +282,7 @@ def _listed(sets: list[tuple[int, CalibrationRecord]]) -> CalibrationSummary:
         how=str(record.method.get("how", "")),
         mode=str(record.method.get("mode", "")),
         optimiser=str(record.method.get("optimiser", "")),
+        engine=engine_of(record),
         unit=record.error_unit,
         created_utc=record.provenance.created,
         sets=len(sets),

@@ -22,6 +22,7 @@ from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.records import CalibrationRecord, SimulationRecord
 from fixel.model.selection import ExperimentQuery
 from fixel.simulation import simulate
+from fixel.simulation.engine_names import EngineName, is_engine
 from fixel.simulation.motion import motion_model
 from fixel.simulation.stepper import Adaptive
 from fixel.web.values import Answer, Finite
@@ -187,7 +188,7 @@ class LiveComparison:
         return compare_run(
             self.experiment(experiment_id),
             Parameters(parameters),
-            motion_model(motion),
+            motion_model(_shown(motion)),
             Adaptive(max_steps=MAX_STEPS),
         )
 
@@ -257,6 +258,18 @@ def warm_up() -> None:
     get_ready(grasp())
 
 
+def _shown(motion: str) -> str:
+    """Return a motion model or an engine that a page may ask for; no program of this machine."""
+    if EngineName.of(motion).is_program:
+        raise InvalidInput(
+            "motion",
+            found=motion,
+            expected="a motion model, or an engine by its name",
+            hint="pages start no programs: use fixel compare --engine",
+        )
+    return motion
+
+
 def command_of(
     experiment: Experiment, folder: Path, parameters: Mapping[str, float], motion: str
 ) -> str:
@@ -265,7 +278,7 @@ def command_of(
     for name, value in parameters.items():
         words += ["--set", f"{name}={value!r}"]
     if motion != DYNAMIC:
-        words += ["--motion", motion]
+        words += ["--engine" if is_engine(motion) else "--motion", motion]
     return shlex.join(words)
 
 

@@ -26,6 +26,7 @@ from fixel.model import Experiment, Parameters, Scene
 from fixel.model.records import Estimate
 from fixel.model.space import ParameterSpace, split_label
 from fixel.results import Result, Summary
+from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
@@ -443,7 +444,7 @@ class Calibration(Result, Mapping[str, float]):
             "failed": "failed",
         }[self.status]
         return (
-            f"Calibration of {of} ({self.request.motion}): {how} after"
+            f"Calibration of {of} ({EngineName.of(self.request.motion).short}): {how} after"
             f" {self.evaluations} evaluations"
         )
 

@@ -31,9 +31,8 @@ def searched_unknowns(settings: Sequence[str], scenes: Sequence[Scene]) -> list[
 def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
     written, _, limits = setting.partition("=")
     name, factor = in_si(written.strip())
-    unknown = usual_in(name, scenes)
     if not limits:
-        return unknown
+        return usual_in(name, scenes)
     try:
         numbers = [factor * float(text) for text in limits.split(":")]
     except ValueError:
@@ -43,6 +42,7 @@ def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
             f"--fit {written}", found=repr(limits), expected="LOW:HIGH or LOW:HIGH:START"
         )
     low, high = numbers[0], numbers[1]
+    unknown = usual_in(name, scenes, (low, high))
     nominal = numbers[2] if len(numbers) == 3 else unknown.nominal
     return replace(unknown, low=low, high=high, nominal=nominal, scale=None)
 

@@ -25,7 +25,7 @@ from fixel.jobs.work import AbstractEngine, Batch, Chunk, JobProgress, Show, ans
 from fixel.model import Experiment
 from fixel.model.space import ParameterSpace
 from fixel.progress import Progress, Reporter
-from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.motion import AbstractMotionModel, stated_name
 from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.job import CHUNKS, SearchState, comparer_of, evaluate_here
 from fixel.workflows.calibration.request import (
@@ -104,7 +104,7 @@ class CalibrationPlan:
                 optimiser=search,
                 noise_position=None if noise is None else noise.position_m,
                 noise_angle=None if noise is None else noise.angle_rad,
-                motion=motion if isinstance(motion, str) else motion.name,
+                motion=stated_name(motion),
                 sample_of=getattr(experiments, "sample_of", None),
                 **others,
             )

@@ -24,8 +24,8 @@ from fixel.io.damaged_files import readable
 from fixel.model.fields import name_of
 from fixel.model.space import SHARE_OF_RANGE, ParameterSpace, Unknown
 from fixel.simulation import AbstractMotionModel
-from fixel.simulation.ensemble import RolloutCase
-from fixel.simulation.motion import MOTION_MODELS
+from fixel.simulation.motion import motion_model
+from fixel.simulation.rollouts import RolloutCase
 
 Mode = Literal["each", "joint", "campaign", "stored"]
 Combine = Literal["sum", "mean", "largest"]
@@ -153,9 +153,8 @@ class CalibrationRequest(_RequestLevel):
 
     @property
     def made_motion(self) -> AbstractMotionModel:
-        """The motion model."""
-        made: AbstractMotionModel = _made(MOTION_MODELS, NamedOptions(name=self.motion), "motion")
-        return made
+        """The motion model, or another engine."""
+        return motion_model(self.motion)
 
     @property
     def noise(self) -> Noise | None:

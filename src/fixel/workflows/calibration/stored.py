@@ -19,8 +19,8 @@ from fixel.model import Experiment, Parameters, Scene
 from fixel.model.parameters import is_parameter
 from fixel.model.records import CalibrationRecord
 from fixel.model.space import ParameterSpace, Unknown, split_label
-from fixel.simulation import AbstractMotionModel, Dynamic
-from fixel.simulation.motion import MOTION_MODELS
+from fixel.simulation import AbstractMotionModel
+from fixel.simulation.motion import motion_model
 from fixel.workflows.calibration.job import REQUEST
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.result import SEARCHED, FitKind
@@ -55,9 +55,9 @@ class CalibratedValues:
 
     @cached_property
     def motion(self) -> AbstractMotionModel:
-        """Motion model of the calibration."""
+        """Motion model of the calibration, or its engine."""
         name = self.record.method.get("motion")
-        return next((model() for model in MOTION_MODELS if model.name == name), Dynamic())
+        return motion_model(name if isinstance(name, str) else None)
 
     @cached_property
     def error(self) -> AbstractError:

@@ -270,7 +270,8 @@ def _track(simulation: Simulation, name: str, start: float) -> Trajectory:
 def _contacts(simulation: Simulation, name: str, start: float) -> Channel | None:
     """Return contacts of a body with each fixel, sample by sample, like a tactile channel."""
     fixels = simulation.scene.fixels
-    if not fixels:
+    # Another engine does not tell its contacts.
+    if not fixels or "engine" in simulation.method:
         return None
     rows, names = simulation.contacts, simulation.names
     sample = np.searchsorted(simulation.time, rows["time"])

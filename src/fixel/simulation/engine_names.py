@@ -1,0 +1,82 @@
+"""Names of other engines, as users write them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+
+class BuiltIn(NamedTuple):
+    """Place of the class of an engine, and the package that it needs."""
+
+    module: str
+    name: str
+    package: str
+    imported: str  # name of the package in Python
+    tested: str  # front of the versions with which the conformance suite was run
+    extra: str
+
+
+ENGINES: Final[Mapping[str, BuiltIn]] = MappingProxyType(
+    {
+        "box2d": BuiltIn("box2d", "Box2D", "Box2D", "Box2D", "2.3", "engines"),
+        "drake": BuiltIn("drake", "Drake", "drake", "pydrake", "1.51", "drake"),
+        "mujoco": BuiltIn("mujoco", "MuJoCo", "mujoco", "mujoco", "4.0", "engines"),
+        "pymunk": BuiltIn("chipmunk", "Chipmunk", "pymunk", "pymunk", "7.3", "engines"),
+    }
+)
+GROUP = "fixel.engines"  # entry points of packages that offer an engine
+
+
+class EngineName(NamedTuple):
+    """Name of an engine as a user writes it, such as ``"mujoco==4.0.0:step=0.001"``.
+
+    Attributes
+    ----------
+    name : str
+        Name of an engine, or path of a program.
+    version : str
+        Version that it must have; empty for any.
+    choices : str
+        Choices of the engine; empty for the usual ones.
+    """
+
+    name: str
+    version: str
+    choices: str
+
+    @classmethod
+    def of(cls, text: str) -> EngineName:
+        """Return the parts of a name."""
+        front, _, choices = text.partition(":")
+        name, _, wanted = front.partition("==")
+        return cls(name, wanted, choices)
+
+    def __str__(self) -> str:
+        wanted = f"=={self.version}" if self.version else ""
+        return f"{self.name}{wanted}" + (f":{self.choices}" if self.choices else "")
+
+    @property
+    def short(self) -> str:
+        """Name for texts: a program without its folder."""
+        return str(self._replace(name=self.name.replace("\\", "/").rpartition("/")[2]))
+
+    @property
+    def is_program(self) -> bool:
+        """Whether the name is the path of a program."""
+        return "/" in self.name or "\\" in self.name
+
+
+def is_engine(text: str) -> bool:
+    """Return whether a name is that of another engine or of a program."""
+    own = EngineName.of(text)
+    return own.is_program or own.name in ENGINES or own.name in entry_points(group=GROUP).names
+
+
+def installed_engines() -> list[str]:
+    """Return the names of the engines whose packages are installed."""
+    known = [name for name, own in ENGINES.items() if find_spec(own.imported) is not None]
+    return [*known, *sorted(entry_points(group=GROUP).names)]

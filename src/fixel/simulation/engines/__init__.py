@@ -1,0 +1,109 @@
+"""Other simulators, which functions of fixel can use instead of its own engine."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, entry_points, version
+from pathlib import Path
+
+from fixel.errors import InvalidInput, MissingExtra, unknown_name
+from fixel.simulation.engine_names import ENGINES, GROUP, EngineName
+from fixel.simulation.engines.contract import AbstractPhysicsEngine, EngineFailed, EngineInfo
+from fixel.simulation.engines.program import Program, ProgramFailed
+from fixel.simulation.engines.serve import serve
+from fixel.simulation.engines.task import PlainTask
+
+__all__ = [
+    "ENGINES",
+    "AbstractPhysicsEngine",
+    "EngineFailed",
+    "EngineInfo",
+    "EngineName",
+    "PlainTask",
+    "engine_of",
+    "program_of",
+    "serve",
+]
+
+
+def engine_of(text: str) -> AbstractPhysicsEngine:
+    """Return an engine by its name; raise where its package is missing."""
+    own = EngineName.of(text)
+    if own.name in ENGINES:
+        built_in = ENGINES[own.name]
+        _check_installed(own)
+        module = import_module(f"fixel.simulation.engines.{built_in.module}")
+        made: type[AbstractPhysicsEngine] = getattr(module, built_in.name)
+    else:
+        found = entry_points(group=GROUP, name=own.name)
+        if not found:
+            raise unknown_name("engine", own.name, ENGINES, more=", or the path of a program")
+        made = next(iter(found)).load()
+    return made.of_text(own.choices)
+
+
+def program_of(text: str) -> Program:
+    """Return the program of an engine, not started yet; raise where it cannot be."""
+    own = EngineName.of(text)
+    if own.is_program:
+        return Program(_program_command(own))
+    if own.name in ENGINES:
+        _check_installed(own)
+    return Program((sys.executable, "-m", "fixel.simulation.engines.serve", str(own)))
+
+
+def stated(text: str) -> str:
+    """Return the name of an engine with its version, and of a program with its whole path."""
+    own = EngineName.of(text)
+    if own.is_program:
+        own = own._replace(name=str(_file(own)))
+    program = program_of(str(own))
+    try:
+        found = program.info().version
+    except ProgramFailed as failure:
+        raise silent(own.name, failure) from None
+    finally:
+        program.close()
+    return str(own._replace(version=own.version or found))
+
+
+def silent(engine: str, failure: ProgramFailed) -> InvalidInput:
+    """Return the refusal of an engine that does not answer."""
+    return InvalidInput(
+        f"engine {engine}",
+        found=str(failure),
+        expected='an answer to {"hello": 1}, such as {"name": "mine", "version": "1"}',
+    )
+
+
+def _check_installed(own: EngineName) -> None:
+    """Raise where the package of an engine is missing, or has a version that was not tested."""
+    needed = ENGINES[own.name]
+    try:
+        found = version(needed.package)
+    except PackageNotFoundError:
+        raise MissingExtra(f"the engine {own.name}", needed.package, extra=needed.extra) from None
+    if not own.version and not f"{found}.".startswith(f"{needed.tested}."):
+        raise InvalidInput(
+            f"engine {own.name}",
+            found=f"version {found}",
+            expected=f"version {needed.tested}, which was tested",
+            hint=f"run pip install '{needed.package}=={needed.tested}.*', or use the version as it "
+            f"is by the name {own._replace(version=found)}",
+        )
+
+
+def _program_command(own: EngineName) -> tuple[str, ...]:
+    path = _file(own)
+    arguments = tuple(filter(None, own.choices.split(",")))
+    if path.suffix == ".py":
+        return (sys.executable, str(path), *arguments)
+    return (str(path), *arguments)
+
+
+def _file(own: EngineName) -> Path:
+    path = Path(own.name).expanduser().resolve()
+    if not path.is_file():
+        raise InvalidInput("engine", found=f"no file {own.name}", expected="a program")
+    return path

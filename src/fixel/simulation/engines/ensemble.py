@@ -1,0 +1,266 @@
+"""Scenes that another engine simulates many times with varying parameters."""
+
+from __future__ import annotations
+
+import statistics
+import time
+import weakref
+from collections import defaultdict, deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from queue import SimpleQueue
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.errors import FixelError, InvalidInput, SolveFailed, unknown_name
+from fixel.kernels import codes
+from fixel.simulation.engines import EngineName, program_of, silent
+from fixel.simulation.engines.contract import EngineInfo, fault
+from fixel.simulation.engines.program import Program, ProgramFailed
+from fixel.simulation.engines.task import plain, task_of, unsupported
+from fixel.simulation.motion import OtherEngine
+from fixel.simulation.rollouts import INFEASIBLE, EnsembleOutcome, RolloutCase
+from fixel.simulation.threads import cores
+from fixel.simulation.vary import infeasible
+from fixel.typing import FloatArray, IntArray
+
+FIRST_LIMIT = 60.0  # [s] for a rollout of a case that was not simulated before
+LEAST_LIMIT = 5.0  # [s] for later ones
+SLOWER = 20.0  # so many times the median of its case a rollout may take
+REMEMBERED = 32  # rollouts of a case whose times count
+GIVE_UP = 10  # lost programs in a row, without an answer between them, that end the work
+PER_PASS = 256  # rollouts whose poses are held at once
+
+
+class _Rollout(NamedTuple):
+    pose: FloatArray | None  # (n, 3) in the frame of the scene's body
+    reason: str
+
+
+@final
+class EngineEnsemble:
+    """Set of scenes that another engine simulates, with the interface of `Ensemble`.
+
+    The engine runs in processes of its own. One that hangs, ends or answers nonsense costs one
+    rollout, which fails with its reason, and is started again.
+
+    Parameters
+    ----------
+    cases : sequence of RolloutCase
+        Cases, each with one free body and at most one pusher.
+    motion : OtherEngine
+        Engine.
+    stepper : optional
+        Ignored: the step is a choice of the engine.
+    threads : int, optional
+        Number of processes; all cores by default. Does not affect the results.
+    limit : float, optional
+        Longest time of one rollout [s]; by default 20 times the median of its case.
+    programs : sequence of Program, optional
+        Processes to use, which stay when the ensemble ends; by default its own.
+    """
+
+    def __init__(
+        self,
+        cases: Sequence[RolloutCase],
+        motion: OtherEngine,
+        stepper: Any = None,
+        threads: int | None = None,
+        *,
+        limit: float | None = None,
+        programs: Sequence[Program] = (),
+    ) -> None:
+        if not cases:
+            raise InvalidInput("cases", found="none", expected="at least one")
+        for case in cases:
+            if found := unsupported(case.scene):
+                raise _refused(motion.name, found)
+        self.cases, self.motion, self.stepper = tuple(cases), motion, stepper
+        self._limit = limit
+        self._times: dict[int, deque[float]] = defaultdict(lambda: deque(maxlen=REMEMBERED))
+        self._lost = 0
+        self._programs = list(programs)
+        if not programs:
+            self._programs = [program_of(motion.name) for _ in range(threads or cores())]
+            weakref.finalize(self, _close, self._programs)
+        self.info = self._greeted()
+
+    @property
+    def n_sample(self) -> int:
+        """Number of samples of the case that has the most."""
+        return max(len(case.times) for case in self.cases)
+
+    def simulate(
+        self,
+        which: IntArray,
+        values: Mapping[str, FloatArray],
+        fixels: FloatArray | None = None,
+    ) -> EnsembleOutcome:
+        """Simulate cases under parameters, as `Ensemble.simulate`; forces are not known: zero."""
+        n = len(which)
+        starts = np.array([self.cases[k].scene.bodies[0].pose for k in which]).reshape(n, 3)
+        pose = np.repeat(starts[:, None], self.n_sample, axis=1)
+
+        def store(rollouts: IntArray, found: FloatArray) -> None:
+            pose[rollouts] = found
+
+        status, reasons = self._run(store, which, values, fixels)
+        ends = np.array([self.cases[k].times[-1] for k in which])
+        reached = np.where(status == codes.CONVERGED, ends, 0.0)
+        return EnsembleOutcome(status, pose, reached, np.zeros(n), np.zeros(n, bool), reasons)
+
+    def simulate_into(
+        self,
+        use: Callable[[IntArray, FloatArray], None],
+        which: IntArray,
+        values: Mapping[str, FloatArray],
+    ) -> tuple[NDArray[np.bool_], list[str]]:
+        """Simulate cases under parameters, and pass their poses on, as `Ensemble.simulate_into`."""
+        status, reasons = self._run(use, which, values, None)
+        return np.equal(status, codes.CONVERGED), reasons
+
+    def refused(self, which: IntArray, values: Mapping[str, FloatArray]) -> list[str]:
+        """Reasons why rollouts of cases `which` (n,) are infeasible; empty for feasible ones."""
+        reasons = [""] * len(which)
+        shared, own = self._split(values)
+        for name, column in own.items():
+            info = self.info.parameters[name.partition(".")[2]]
+            low = column <= info.lowest if info.above else column < info.lowest
+            for k in np.flatnonzero(low):
+                reasons[k] = f"{name} below its smallest value"
+        if shared:
+            for case in np.unique(which):
+                rows = np.flatnonzero(which == case)
+                scene = self.cases[case].scene
+                found = infeasible(scene, {name: v[rows] for name, v in shared.items()})
+                for k, reason in zip(rows, found, strict=True):
+                    reasons[k] = reasons[k] or reason
+        return reasons
+
+    def close(self) -> None:
+        """End the processes; the next call starts them again."""
+        _close(self._programs)
+
+    def _greeted(self) -> EngineInfo:
+        """Return name, version and parameters of the engine; raise for a wrong version."""
+        wanted = EngineName.of(self.motion.name)
+        try:
+            info = self._programs[0].info()
+        except ProgramFailed as failure:
+            raise silent(wanted.name, failure) from None
+        if wanted.version and info.version != wanted.version:
+            raise InvalidInput(
+                f"engine {wanted.name}",
+                found=f"version {info.version}",
+                expected=f"version {wanted.version}",
+                hint=f"install that version, or choose {wanted._replace(version='')}",
+            )
+        return info
+
+    def _split(
+        self, values: Mapping[str, FloatArray]
+    ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+        """Separate fixel's parameters from those of the engine; raise for another engine's."""
+        shared = {name: v for name, v in values.items() if "." not in name}
+        own = {name: v for name, v in values.items() if "." in name}
+        known = {f"{self.info.name}.{name}" for name in self.info.parameters}
+        for name in own:
+            if name not in known:
+                raise unknown_name("parameters", name, known)
+        return shared, own
+
+    def _run(
+        self,
+        use: Callable[[IntArray, FloatArray], None],
+        which: IntArray,
+        values: Mapping[str, FloatArray],
+        fixels: FloatArray | None,
+    ) -> tuple[IntArray, list[str]]:
+        reasons = self.refused(which, values)
+        status = np.full(len(which), INFEASIBLE, np.int64)
+        shared, own = self._split(values)
+        free: SimpleQueue[Program] = SimpleQueue()
+        for program in self._programs:
+            free.put(program)
+
+        def one(k: int) -> _Rollout:
+            task, frames = task_of(
+                self.cases[which[k]].scene,
+                self.cases[which[k]].times,
+                {name: float(v[k]) for name, v in shared.items()},
+                {name.partition(".")[2]: float(v[k]) for name, v in own.items()},
+                None if fixels is None else fixels[k],
+            )
+            program = free.get()
+            try:
+                answer, reason = self._answer(program, int(which[k]), plain(task))
+            finally:
+                free.put(program)
+            reason = reason or fault(task, answer)
+            pose = None if reason else frames.scene_poses(np.array(answer, np.float64))
+            return _Rollout(pose, reason)
+
+        ready = np.flatnonzero([not reason for reason in reasons])
+        workers = ThreadPoolExecutor(len(self._programs), thread_name_prefix="fixel-engine")
+        try:
+            for first in range(0, len(ready), PER_PASS):
+                part = ready[first : first + PER_PASS]
+                answers = list(workers.map(one, part.tolist()))
+                good = [k for k, answer in enumerate(answers) if answer.pose is not None]
+                status[part] = codes.ENGINE_FAILED
+                status[part[good]] = codes.CONVERGED
+                for k, answer in zip(part.tolist(), answers, strict=True):
+                    reasons[k] = answer.reason and f"{self.info.name}: {answer.reason}"
+                if good:
+                    use(part[good], self._padded([answers[k].pose for k in good]))
+        except BaseException:
+            # Ctrl-C, or an engine that is given up: what runs is ended, what waits never starts.
+            workers.shutdown(wait=False, cancel_futures=True)
+            self.close()
+            raise
+        workers.shutdown()
+        return status, reasons
+
+    def _answer(self, program: Program, case: int, task: Any) -> tuple[Any, str]:
+        """Return the poses of one rollout, or the reason why there are none."""
+        times = self._times[case]
+        usual = max(LEAST_LIMIT, SLOWER * statistics.median(times)) if times else FIRST_LIMIT
+        begin = time.monotonic()
+        try:
+            answer = program.ask({"task": task}, self._limit or usual)
+        except ProgramFailed as failure:
+            self._lost += 1
+            if self._lost >= GIVE_UP:
+                raise SolveFailed(
+                    f"the engine {self.info.name} was lost {GIVE_UP} times in a row: {failure}"
+                ) from None
+            return None, str(failure)
+        self._lost = 0
+        times.append(time.monotonic() - begin)
+        if "refused" in answer:
+            raise _refused(self.info.name, str(answer["refused"]))
+        if "failed" in answer:
+            return None, str(answer["failed"])
+        return answer.get("pose"), ""
+
+    def _padded(self, poses: Sequence[FloatArray | None]) -> FloatArray:
+        """Stack poses, the last one repeated where a case has fewer samples."""
+        n = self.n_sample
+        rows = [p[np.minimum(np.arange(n), len(p) - 1)] for p in poses if p is not None]
+        return np.array(rows)
+
+
+def _refused(engine: str, found: str) -> FixelError:
+    return InvalidInput(
+        f"engine {engine}",
+        found=found,
+        expected="a scene that the engine can represent",
+        hint="simulate it by fixel's own engine, or change the scene",
+    )
+
+
+def _close(programs: Sequence[Program]) -> None:
+    for program in programs:
+        program.close()

@@ -1,0 +1,149 @@
+"""Model of a task in MJCF, the format of MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.resources import files
+from string import Template
+from typing import Final, Protocol
+
+import numpy as np
+
+from fixel.simulation.engines.prisms import rectangle
+from fixel.simulation.engines.task import PlainOutline, PlainTask
+
+FOOT = 0.002  # [m] radius of a foot
+THICKNESS = 0.005  # [m] of bodies, half
+HEAVY = 1e7  # [kg], [kg m^2]: a pusher that nothing slows down
+LIGHT = 1e-3  # [kg] of the body apart from its feet; the engine wants some
+
+_JOINTS: Final = (
+    '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
+    '<joint type="hinge" axis="0 0 1"/>'
+)
+_MODEL: Final = Template(files(__package__).joinpath("mujoco.xml").read_text("utf-8"))
+
+
+class ContactSettings(Protocol):
+    """Settings of MuJoCo, as fields of `MuJoCo`."""
+
+    @property
+    def step(self) -> float: ...
+    @property
+    def timeconst(self) -> float: ...
+    @property
+    def dmin(self) -> float: ...
+    @property
+    def dmax(self) -> float: ...
+    @property
+    def width(self) -> float: ...
+    @property
+    def impratio(self) -> float: ...
+    @property
+    def torsion(self) -> float: ...
+    @property
+    def noslip(self) -> int: ...
+
+
+def mjcf(task: PlainTask, settings: ContactSettings) -> str:
+    """Return the model of a task as MJCF.
+
+    The body moves on two slides and a hinge; its mass is in its feet, its inertia in itself. Only
+    the named pairs touch, each with its own coefficient.
+    """
+    own = task.body
+    meshes: list[str] = []
+    body = list(_geoms("object", own.outline, meshes))
+    loaded = np.flatnonzero(own.loads * own.friction > 0.0)
+    # An ellipsoid has no load of its own: its largest force, at a friction of 1.
+    mass = own.loads / task.gravity
+    carried = float(mass[loaded] @ (own.points[loaded] ** 2).sum(axis=1))
+    feet = [_foot(k, own.points[k].tolist(), float(mass[k])) for k in loaded.tolist()]
+    torsion = own.friction * own.arms + settings.torsion
+    pairs = [
+        _pair("floor", f"foot{k}", float(own.friction[k]), float(torsion[k]), settings)
+        for k in loaded.tolist()
+    ]
+    fixels = []
+    for k, fixel in enumerate(task.fixels):
+        geoms = list(_geoms(f"fixel{k}_", fixel.outline, meshes))
+        fixels.append(_placed(geoms, *fixel.pose.tolist()))
+        pairs += _all_pairs(body, geoms, fixel.friction, settings)
+    pusher: list[str] = []
+    if task.pusher is not None:
+        pusher = list(_geoms("pusher", task.pusher.outline, meshes))
+        pairs += _all_pairs(body, pusher, task.pusher.friction, settings)
+    return _MODEL.substitute(
+        step=settings.step,
+        gravity=task.gravity,
+        impratio=settings.impratio,
+        noslip=settings.noslip,
+        joints=_JOINTS,
+        foot=FOOT,
+        light=LIGHT,
+        heavy=HEAVY,
+        inertia=max(own.inertia - carried, 1e-9),
+        meshes="".join(meshes),
+        fixels="".join(fixels),
+        body="".join(body),
+        feet="".join(feet),
+        pusher="".join(pusher),
+        pairs="".join(pairs),
+    )
+
+
+def _foot(k: int, at: list[float], mass: float) -> str:
+    x, y = at
+    return (
+        f'<body pos="{x!r} {y!r} 0"><joint type="slide" axis="0 0 1"/>'
+        f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1e-9 1e-9 1e-9"/>'
+        f'<geom name="foot{k}" type="sphere" size="{FOOT}"/></body>'
+    )
+
+
+def _all_pairs(
+    body: list[str], others: list[str], friction: float, settings: ContactSettings
+) -> list[str]:
+    return [
+        _pair(one, other, friction, 0.0, settings)
+        for one in _names(body)
+        for other in _names(others)
+    ]
+
+
+def _pair(one: str, other: str, friction: float, torsion: float, settings: ContactSettings) -> str:
+    size = 4 if torsion > 0.0 else 3
+    return (
+        f'<pair geom1="{one}" geom2="{other}" condim="{size}" '
+        f'friction="{friction!r} {friction!r} {torsion!r} 0 0" solref="{settings.timeconst!r} 1" '
+        f'solimp="{settings.dmin!r} {settings.dmax!r} {settings.width!r} 0.5 2"/>'
+    )
+
+
+def _geoms(name: str, outline: PlainOutline, meshes: list[str]) -> Iterator[str]:
+    """Yield the geoms of an outline, and add the meshes that they need."""
+    for k, piece in enumerate(outline.pieces):
+        own = f'name="{name}{k}"'
+        if outline.radius > 0.0:
+            x, y = piece[0].tolist()
+            yield f'<geom {own} type="sphere" pos="{x!r} {y!r} 0" size="{outline.radius!r}"/>'
+        elif (box := rectangle(piece)) is not None:
+            x, y, theta, length, width = box
+            yield (
+                f'<geom {own} type="box" pos="{x!r} {y!r} 0" euler="0 0 {theta!r}" '
+                f'size="{length / 2!r} {width / 2!r} {THICKNESS}"/>'
+            )
+        else:
+            corners = [
+                f"{x!r} {y!r} {z}" for x, y in piece.tolist() for z in (-THICKNESS, THICKNESS)
+            ]
+            meshes.append(f'<mesh {own} vertex="{" ".join(corners)}"/>')
+            yield f'<geom {own} type="mesh" mesh="{name}{k}"/>'
+
+
+def _names(geoms: list[str]) -> list[str]:
+    return [geom.split('"')[1] for geom in geoms]
+
+
+def _placed(geoms: list[str], x: float, y: float, theta: float) -> str:
+    return f'<body pos="{x!r} {y!r} {FOOT}" euler="0 0 {theta!r}">{"".join(geoms)}</body>'

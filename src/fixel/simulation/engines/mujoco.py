@@ -1,0 +1,91 @@
+"""MuJoCo: soft contacts by Newton's method on a convex problem, three dimensions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, final
+
+import mujoco
+import numpy as np
+
+from fixel.model.engine_parameters import MUJOCO
+from fixel.model.parameter_info import ParameterInfo
+from fixel.simulation.engines.contract import AbstractPhysicsEngine, EngineFailed
+from fixel.simulation.engines.mjcf import mjcf
+from fixel.simulation.engines.plane import drive_refusal, steps_of
+from fixel.simulation.engines.task import PlainTask
+from fixel.typing import FloatArray
+
+SETTLING = 0.2  # [s] before time zero in which feet sink to their rest
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MuJoCo(AbstractPhysicsEngine):
+    """Engine MuJoCo, by default with the contacts that it is shipped with.
+
+    Every support point is a ball on a floor, pressed down by its own weight; an ellipsoidal limit
+    surface is one ball with torsional friction. Cones are elliptic.
+
+    Parameters
+    ----------
+    step : float
+        Time step [s].
+    timeconst : float
+        Time constant of contacts, the first of `solref` [s].
+    dmin, dmax, width : float
+        Impedance of contacts at no overlap, the largest one [-], and the overlap at which it is
+        reached [m]: the first three of `solimp`.
+    impratio : float
+        Stiffness of friction over that of contacts.
+    torsion : float
+        Torsional friction of every support point [m].
+    noslip : int
+        Iterations of the solver that suppresses slow sliding.
+    """
+
+    name: ClassVar[str] = "mujoco"
+    parameters: ClassVar[Mapping[str, ParameterInfo]] = MUJOCO
+
+    step: float = 2e-3
+    timeconst: float = 0.02
+    dmin: float = 0.9
+    dmax: float = 0.95
+    width: float = 1e-3
+    impratio: float = 1.0
+    torsion: float = 0.0
+    noslip: int = 0
+
+    @property
+    def version(self) -> str:
+        return str(mujoco.__version__)
+
+    def refusal(self, task: PlainTask) -> str:
+        return drive_refusal(task)
+
+    def simulate(self, task: PlainTask) -> FloatArray:
+        model = mujoco.MjModel.from_xml_string(mjcf(task, self))
+        data = mujoco.MjData(model)
+        path = np.zeros((1, 4)) if task.pusher is None else task.pusher.path
+        self._settle(model, data, task)
+        data.qpos[:3], data.qvel[:3] = task.body.start, task.body.velocity
+        data.qpos[-3:] = path[0, 1:]
+        found = []
+        for segment, n, step in steps_of(task, self.step):
+            data.qvel[-3:] = segment.velocity
+            model.opt.timestep = step
+            mujoco.mj_step(model, data, n)
+            if any(warning.number for warning in data.warning):
+                raise EngineFailed(f"a warning of MuJoCo at {data.time:.3g} s: unstable")
+            if segment.sample:
+                found.append(data.qpos[:3].copy())
+        return np.array(found)
+
+    def _settle(self, model: mujoco.MjModel, data: mujoco.MjData, task: PlainTask) -> None:
+        """Let the feet sink with body and pusher far from everything."""
+        data.qpos[:2] = 100.0
+        data.qpos[-3:-1] = -100.0
+        mujoco.mj_step(model, data, round(SETTLING / self.step))
+        data.qvel[:] = 0.0
+        data.time = 0.0

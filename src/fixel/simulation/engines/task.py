@@ -1,0 +1,272 @@
+"""One simulation as plain numbers, for engines that know nothing of fixel's scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fixel.errors import InvalidInput
+from fixel.kernels import codes
+from fixel.model import Body, Disk, Pusher, Scene
+from fixel.model.shape import Shape
+from fixel.simulation.geometry import contact_pieces
+from fixel.simulation.pack import pair_tables, pusher_path, supports_of
+from fixel.simulation.vary import Variation, composed, inverted, vary
+from fixel.typing import FloatArray
+
+SHORTEST = 1e-6  # [s] of an interval
+
+
+class PlainOutline(NamedTuple):
+    """PlainOutline of a body as convex pieces, or as a disc."""
+
+    pieces: tuple[FloatArray, ...]  # (k, 2) corners each, counter-clockwise; the centre of a disc
+    radius: float  # of a disc [m]; 0 for polygons
+
+
+class PlainBody(NamedTuple):
+    """Free body. The origin of its frame is its centre of mass."""
+
+    outline: PlainOutline
+    mass: float  # [kg]
+    inertia: float  # [kg m^2]
+    start: FloatArray  # (3,) pose [m, m, rad]
+    velocity: FloatArray  # (3,) at the start [m/s, m/s, rad/s]
+    points: FloatArray  # (n, 2) support points [m]
+    loads: FloatArray  # (n,) normal force on each [N]; largest friction force of an ellipsoid
+    friction: FloatArray  # (n,) coefficient of each; 1 for an ellipsoid
+    arms: FloatArray  # (n,) largest torque over largest force of an ellipsoid [m]; 0 for points
+
+
+class PlainPusher(NamedTuple):
+    """Pusher. Between two waypoints it moves at constant velocity, after the last it stands."""
+
+    outline: PlainOutline
+    path: FloatArray  # (n, 4) time [s], x, y [m], theta [rad]
+    force_limit: float | None  # [N] along the path; None: a drive that nothing slows down
+    friction: float
+
+
+class PlainFixel(NamedTuple):
+    """Fixed body."""
+
+    outline: PlainOutline
+    pose: FloatArray  # (3,) [m, m, rad]
+    friction: float
+
+
+class PlainTask(NamedTuple):
+    """Simulation of one body, at most one pusher, and fixels, on a level plane."""
+
+    body: PlainBody
+    pusher: PlainPusher | None
+    fixels: tuple[PlainFixel, ...]
+    times: FloatArray  # (n,) at which poses of the body are wanted [s]; the last is the end
+    gravity: float  # [m/s^2]
+    values: Mapping[str, float]  # parameters of the engine itself
+
+
+class Segment(NamedTuple):
+    """Interval of time in which the pusher has one velocity."""
+
+    duration: float  # [s]
+    velocity: FloatArray  # (3,) of the pusher [m/s, m/s, rad/s]
+    sample: bool  # whether the pose at its end is wanted
+
+
+def unsupported(scene: Scene) -> str:
+    """Return what of a scene a task cannot hold; empty for a scene that it can."""
+    if len(scene.bodies) != 1 or len(scene.pushers) > 1:
+        return f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers"
+    free, plane = scene.bodies[0], scene.plane
+    if free.spring is not None:
+        return "a spring"
+    if np.any(free.force != 0.0):
+        return "a force on the body other than contact and support friction"
+    if plane.friction_map is not None or tuple(plane.anisotropy) != (1.0, 1.0):
+        return "a plane whose friction depends on direction or place"
+    if pair_tables(scene)[1].any():
+        return "restitution"
+    return ""
+
+
+def task_of(
+    scene: Scene,
+    times: FloatArray,
+    values: Mapping[str, float],
+    own: Mapping[str, float],
+    fixels: FloatArray | None = None,
+) -> tuple[PlainTask, BodyFrames]:
+    """Return a scene as a task, and what turns its answer into poses of the scene's body.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene that a task can hold, see `unsupported`.
+    times : (n,) float64
+        Times of the samples [s].
+    values : mapping of name to float
+        Parameters of fixel, which replace values of the scene.
+    own : mapping of name to float
+        Parameters of the engine.
+    fixels : (n_fixel, 3) float64, optional
+        Errors of the poses of the fixels, added to them [m, m, rad].
+
+    Raises
+    ------
+    InvalidInput
+        A parameter that no task has.
+    """
+    directed = [name for name in values if name.startswith("anisotropy_")]
+    if directed:
+        raise InvalidInput(
+            f"parameters.{directed[0]}",
+            found="a plane whose friction depends on direction",
+            expected="parameters that other engines have",
+        )
+    free = scene.bodies[0]
+    columns = {name: np.array([value]) for name, value in values.items()}
+    varied = vary(scene, supports_of(scene), pair_tables(scene)[0], Variation(columns))
+    supports, friction = varied.elements, _row(varied.friction, 2)[0]
+    ratio = 1.0 if varied.mass_ratio is None else float(varied.mass_ratio[0])
+    start = np.array(free.pose if varied.start is None else varied.start[0, 0])
+    body = PlainBody(
+        outline=_outline(free.shape, free.com),
+        mass=free.mass * ratio,
+        inertia=free.moment_of_inertia * ratio,
+        start=_moved(start, free.com),
+        velocity=np.array(free.velocity, np.float64),
+        points=_row(supports.point, 2),
+        loads=_row(supports.load, 1),
+        friction=_row(supports.friction, 1),
+        arms=np.where(supports.kind == codes.ELLIPSOID, _row(supports.arm, 1), 0.0),
+    )
+    pusher = None
+    for driven in scene.pushers:
+        grown = 0.0 if varied.growth is None else float(varied.growth[0])
+        pusher = _pusher(driven, float(times[-1]), grown, varied.registration, float(friction[1]))
+    first = 1 + len(scene.pushers)
+    fixed = tuple(
+        PlainFixel(
+            _outline(fixel.shape, np.zeros(2)),
+            np.array(fixel.pose) + (0.0 if fixels is None else fixels[k]),
+            float(friction[first + k]),
+        )
+        for k, fixel in enumerate(scene.fixels)
+    )
+    outline = None if varied.outline is None else varied.outline[0]
+    times = np.asarray(times, np.float64)
+    return PlainTask(body, pusher, fixed, times, scene.gravity, own), BodyFrames(free, outline)
+
+
+class BodyFrames(NamedTuple):
+    """BodyFrames of a body: that of a task is at its centre of mass, the scene's is not."""
+
+    body: Body
+    outline: FloatArray | None  # (3,) pose of the outline in the frame of the scene's poses
+
+    def scene_poses(self, pose: FloatArray) -> FloatArray:
+        """Return poses (n, 3) of the scene's frame from those of a task's."""
+        found = _moved(pose, -self.body.com)
+        return found if self.outline is None else composed(found, inverted(self.outline))
+
+
+def segments(task: PlainTask) -> Iterator[Segment]:
+    """Yield the intervals between waypoints and samples, in order of time.
+
+    A waypoint very near another end is left out: engines divide by the length of a step.
+    """
+    samples = task.times[task.times > 0.0]
+    ends = [(float(time), True) for time in samples]
+    if task.pusher is not None:
+        inside = task.pusher.path[1:, 0]
+        apart = np.abs(inside[:, None] - np.append(samples, 0.0)).min(axis=1) > SHORTEST
+        ends += [(float(time), False) for time in inside[apart & (inside < samples[-1])]]
+    before = 0.0
+    for end, sample in sorted(ends):
+        if end - before < SHORTEST and not sample:
+            continue
+        velocity = np.zeros(3)
+        if task.pusher is not None:
+            velocity = np.diff(pusher_poses(task.pusher, np.array([before, end])), axis=0)[0]
+        yield Segment(end - before, velocity / (end - before), sample)
+        before = end
+
+
+def pusher_poses(pusher: PlainPusher, times: FloatArray) -> FloatArray:
+    """Return the poses (n, 3) of a pusher that follows its path at times (n,) [s]."""
+    path = pusher.path
+    return np.column_stack([np.interp(times, path[:, 0], path[:, k]) for k in (1, 2, 3)])
+
+
+# --- plain values -----------------------------------------------------------------------------
+
+
+def plain(value: Any) -> Any:
+    """Return a task, or a part of it, as objects of JSON."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if hasattr(value, "_asdict"):
+        return {name: plain(item) for name, item in value._asdict().items()}
+    if isinstance(value, tuple):
+        return [plain(item) for item in value]
+    return dict(value) if isinstance(value, Mapping) else value
+
+
+def task_from(document: Mapping[str, Any]) -> PlainTask:
+    """Return the task of a JSON object that `plain` made."""
+    body, pusher = document["body"], document["pusher"]
+    return PlainTask(
+        body=PlainBody(**_arrays(body)),
+        pusher=None if pusher is None else PlainPusher(**_arrays(pusher)),
+        fixels=tuple(PlainFixel(**_arrays(fixel)) for fixel in document["fixels"]),
+        times=np.array(document["times"], np.float64),
+        gravity=document["gravity"],
+        values=document["values"],
+    )
+
+
+_COLUMNS = {"points": 2, "path": 4}  # of tables, which may have no rows
+
+
+def _arrays(record: Mapping[str, Any]) -> dict[str, Any]:
+    found = {k: np.array(v, np.float64) if isinstance(v, list) else v for k, v in record.items()}
+    for name in _COLUMNS.keys() & found.keys():
+        found[name] = found[name].reshape(-1, _COLUMNS[name])
+    pieces, radius = (record["outline"][name] for name in ("pieces", "radius"))
+    return {**found, "outline": PlainOutline(tuple(np.array(piece) for piece in pieces), radius)}
+
+
+# --- parts ------------------------------------------------------------------------------------
+
+
+def _pusher(
+    pusher: Pusher,
+    duration: float,
+    grown: float,
+    registration: FloatArray | None,
+    friction: float,
+) -> PlainPusher:
+    path = pusher_path(pusher, duration)
+    if registration is not None:
+        path[:, 1:] = composed(registration, path[:, 1:])
+    outline = _outline(pusher.shape, np.zeros(2))
+    limit = pusher.drive.force_limit
+    return PlainPusher(outline._replace(radius=outline.radius + grown), path, limit, friction)
+
+
+def _outline(shape: Shape, origin: FloatArray) -> PlainOutline:
+    radius = shape.radius if isinstance(shape, Disk) else 0.0
+    return PlainOutline(tuple(piece - origin for piece, _ in contact_pieces(shape)), radius)
+
+
+def _moved(pose: FloatArray, offset: FloatArray) -> FloatArray:
+    """Return poses (..., 3) of frames with this offset (2,) in the given ones."""
+    return composed(pose, np.array([*offset, 0.0]))
+
+
+def _row(array: FloatArray, n_axis: int) -> FloatArray:
+    """Return the one row of an array that may have an axis of rollouts."""
+    return np.array(array if array.ndim == n_axis else array[0], np.float64)

@@ -1,0 +1,276 @@
+"""Tests of ensembles of another engine, with programs that answer well and badly."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+import time
+from importlib.metadata import PackageNotFoundError
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fixel
+from fixel.errors import InvalidInput, MissingExtra, SolveFailed
+from fixel.kernels import codes
+from fixel.model import Parameters
+from fixel.simulation import simulate
+from fixel.simulation.engines import program_of
+from fixel.simulation.engines.ensemble import EngineEnsemble
+from fixel.simulation.motion import OtherEngine, motion_model
+from fixel.simulation.rollouts import INFEASIBLE, RolloutCase, ensemble_of
+from fixel.testing.scenes import pushed_square
+
+SCENE = pushed_square()
+TIMES = np.linspace(0.1, 2.0, 5)
+HELLO = '{"name": "toy", "version": "1", "parameters": {"grip": {"unit": "-", "lowest": 0}}}'
+# The body follows the pusher, by a share of its way; `misbehave` may do something else first.
+PROGRAM = """
+import json, os, sys, time
+for line in sys.stdin:
+    question = json.loads(line)
+    if "hello" in question:
+        print('{hello}', flush=True)
+        continue
+    task = question["task"]
+    friction = task["pusher"]["friction"]
+    x, y, theta = task["body"]["start"]
+    (t0, x0, y0, _), (t1, x1, y1, _) = task["pusher"]["path"]
+    share = task["values"].get("grip", 1.0)
+    pose = [[x + share * (x1 - x0) * t / t1, y, theta] for t in task["times"]]
+    if abs(friction - 0.5) < 1e-12:
+        {misbehave}
+    print(json.dumps({{"pose": pose}}), flush=True)
+"""
+BAD = {
+    "hangs": ("time.sleep(60)", "no answer within 0.5 s"),
+    "crashes": ("raise RuntimeError('no more memory')", "RuntimeError: no more memory"),
+    "is killed": ("os.kill(os.getpid(), 11)", "SIGSEGV"),
+    "answers NaN": ("pose[2][0] = float('nan')", "not finite"),
+    "answers too little": ("del pose[-1]", "shape"),
+    "answers texts": ("pose = 'forward'", "without a table of poses"),
+    "answers no JSON": ("print('hello'); continue", "expected a JSON object"),
+    "answers half a line": ("print('{{\"pose\": [[', end='', flush=True); os._exit(0)", "status 0"),
+    "answers without end": ("print('x' * (80 << 20), end='', flush=True)", "more than 64 MB"),
+    "jumps": ("pose[3][0] += 1.0", "a jump"),
+    "fails with a reason": ('print(\'{{"failed": "jammed"}}\', flush=True); continue', "jammed"),
+}
+
+
+def program(folder: Path, misbehave: str = "pass", hello: str = HELLO) -> OtherEngine:
+    """Write a program and return the engine of its name."""
+    path = folder / "toy.py"
+    code = misbehave.replace("{{", "{").replace("}}", "}")
+    path.write_text(PROGRAM.format(hello=hello, misbehave=code))
+    return OtherEngine(str(path))
+
+
+def many(engine: OtherEngine, limit: float | None = None, threads: int = 2) -> EngineEnsemble:
+    return EngineEnsemble([RolloutCase(SCENE, TIMES)], engine, threads=threads, limit=limit)
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_a_bad_answer_is_one_failed_rollout_with_its_reason(fault: str, tmp_path: Path) -> None:
+    misbehave, expected = BAD[fault]
+    ensemble = many(program(tmp_path, misbehave), limit=0.5 if fault == "hangs" else 20.0)
+    friction = np.array([0.1, 0.2, 0.5, 0.3, 0.4, 0.6])
+    outcome = ensemble.simulate(np.zeros(6, np.int64), {"mu_pusher": friction})
+    ensemble.close()
+    assert outcome.status[2] == codes.ENGINE_FAILED
+    assert expected in outcome.reasons[2]
+    assert outcome.reasons[2].startswith("toy: ")
+    good = np.arange(6) != 2
+    assert outcome.converged.tolist() == good.tolist()
+    # The start plus the way of the pusher: 20 mm/s for 2 s.
+    np.testing.assert_allclose(outcome.pose[good, -1, 0], 0.04, atol=1e-12)
+    assert np.isfinite(outcome.pose).all()
+
+
+def test_results_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> None:
+    values = {"toy.grip": np.linspace(1.0, 1.4, 9)}
+    which = np.zeros(9, np.int64)
+    one, several = (many(program(tmp_path), threads=n).simulate(which, values).pose for n in (1, 3))
+    assert one.tobytes() == several.tobytes()
+
+
+def test_an_engine_that_never_answers_ends_the_work(tmp_path: Path) -> None:
+    engine = program(tmp_path, "pass")
+    path = Path(engine.name)
+    path.write_text(path.read_text().replace('    task = question["task"]', "    sys.exit(3)"))
+    with pytest.raises(
+        SolveFailed, match="lost 10 times in a row: the program ended with status 3"
+    ):
+        many(engine).simulate(np.zeros(40, np.int64), {})
+
+
+def test_a_scene_that_an_engine_refuses_is_named(tmp_path: Path) -> None:
+    engine = program(tmp_path)
+    path = Path(engine.name)
+    text = path.read_text().replace(
+        '    task = question["task"]',
+        '    print(\'{"refused": "a pusher with corners"}\', flush=True); continue',
+    )
+    path.write_text(text)
+    with pytest.raises(InvalidInput, match="engine toy: found a pusher with corners"):
+        many(engine).simulate(np.zeros(3, np.int64), {})
+
+
+def test_parameters_of_another_engine_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match=r"mujoco\.timeconst.*toy\.grip"):
+        many(program(tmp_path)).simulate(
+            np.zeros(1, np.int64), {"mujoco.timeconst": np.array([0.01])}
+        )
+
+
+def test_values_out_of_range_are_not_simulated(tmp_path: Path) -> None:
+    outcome = many(program(tmp_path)).simulate(
+        np.zeros(2, np.int64), {"toy.grip": np.array([-0.1, 1.2])}
+    )
+    assert outcome.reasons == ["toy.grip below its smallest value", ""]
+    assert outcome.status.tolist() == [INFEASIBLE, codes.CONVERGED]
+
+
+def test_a_program_with_another_version_is_refused(tmp_path: Path) -> None:
+    engine = program(tmp_path)
+    with pytest.raises(InvalidInput, match="found version 1, expected version 2"):
+        many(OtherEngine(f"{engine.name}==2"))
+
+
+@pytest.mark.parametrize("hello", ["[1]", "{oops", '{"parameters": 3}'])
+def test_a_program_that_greets_badly_is_refused(hello: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="engine"):
+        many(program(tmp_path, hello=hello))
+
+
+def test_a_version_that_was_not_tested_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fixel.simulation.engines.version", lambda package: "7.30.0")
+    with pytest.raises(InvalidInput, match=r"7\.30\.0.*7\.3, which was tested.*pymunk==7\.30\.0:"):
+        program_of("pymunk:step=0.01")
+    assert program_of("pymunk==7.30.0").command[-1] == "pymunk==7.30.0"
+
+
+def test_a_missing_package_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(package: str) -> str:
+        raise PackageNotFoundError(package)
+
+    monkeypatch.setattr("fixel.simulation.engines.version", missing)
+    with pytest.raises(MissingExtra, match=r"pymunk.*pip install 'fixel\[engines\]'"):
+        program_of("pymunk")
+
+
+def test_a_missing_program_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="no file"):
+        many(OtherEngine(str(tmp_path / "none.py")))
+
+
+def test_a_file_that_cannot_be_run_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "engine"
+    path.write_text("no program")
+    with pytest.raises(InvalidInput, match="cannot be started"):
+        many(OtherEngine(str(path)))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a script that the shell starts")
+def test_any_executable_is_an_engine(tmp_path: Path) -> None:
+    script = program(tmp_path).name
+    shell = tmp_path / "engine"
+    shell.write_text(f"#!/bin/sh\nexec {sys.executable} {script}\n")
+    shell.chmod(shell.stat().st_mode | stat.S_IXUSR)
+    found = simulate(SCENE, motion=str(shell), output_interval=0.5)
+    assert found.converged
+    assert found.method["engine"] == f"{shell} 1"
+
+
+def test_processes_end_with_their_ensemble(tmp_path: Path) -> None:
+    ensemble = many(program(tmp_path))
+    ensemble.simulate(np.zeros(2, np.int64), {})
+    pids = [own._process.pid for own in ensemble._programs if own._process is not None]
+    assert pids
+    del ensemble
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+
+
+def test_simulate_returns_what_an_engine_knows(tmp_path: Path) -> None:
+    engine = program(tmp_path)
+    found = simulate(SCENE, {"toy.grip": 1.5}, motion=engine.name, output_interval=0.25)
+    assert found.converged
+    assert found.final["part"].x == pytest.approx(0.06)
+    assert found.final["finger"].x - found.pose["finger"][0, 0] == pytest.approx(0.04)
+    assert len(found.contacts) == 0
+    assert found.twist["part"][3, 0] == pytest.approx(0.03)
+    assert "toy.py 1" in repr(found)
+
+
+def test_a_failed_simulation_is_a_value_with_advice(tmp_path: Path) -> None:
+    engine = program(tmp_path, BAD["crashes"][0])
+    found = simulate(SCENE, {"mu_pusher": 0.5}, motion=engine.name)
+    assert found.status == "engine_failed"
+    assert "no more memory" in found.advice
+    assert len(found.time) == 1
+
+
+def test_a_calibration_finds_the_parameter_of_a_program(tmp_path: Path) -> None:
+    """The toy's own motion, with noise, as measurements: the parameter is found again."""
+    engine = program(tmp_path)
+    truth = simulate(SCENE, {"toy.grip": 1.2}, motion=engine.name, output_interval=0.1)
+    noisy = truth.pose["part"] + np.random.default_rng(1).normal(0.0, 2e-5, (21, 3))
+    case = RolloutCase(SCENE, np.linspace(0.1, 2.0, 20))
+    ensemble = ensemble_of([case], engine)
+    grips = np.linspace(1.0, 1.4, 41)
+    pose = ensemble.simulate(np.zeros(41, np.int64), {"toy.grip": grips}).pose
+    error = ((pose - noisy[1:]) ** 2).sum(axis=(1, 2))
+    assert grips[np.argmin(error)] == pytest.approx(1.2)
+
+
+# An engine of fixel that crashes where friction at the pusher is high, by a pusher's own value.
+FRAGILE = """
+import json, os, sys
+from fixel.simulation.engines import engine_of
+from fixel.simulation.engines.serve import answer
+engine = engine_of("pymunk:step=0.02")
+for line in sys.stdin:
+    question = json.loads(line)
+    if "task" in question and question["task"]["pusher"]["friction"] > {limit}:
+        os.abort()
+    print(json.dumps(answer(engine, question)), flush=True)
+"""
+
+
+def test_a_calibration_goes_on_after_crashes(tmp_path: Path) -> None:
+    """The search finds the same values as with an engine that does not crash far from them."""
+    pytest.importorskip("pymunk")
+    pushes = fixel.datasets.example()[:2]
+    found = []
+    for limit in (9.0, 0.45):
+        path = tmp_path / f"engine_{limit:g}.py"
+        path.write_text(FRAGILE.format(limit=limit))
+        fit = fixel.calibrate(
+            pushes,
+            {"mu_pusher": (0.05, 0.6)},
+            motion=str(path),
+            verdicts=False,
+            optimiser="pattern-search",
+            max_evaluations=40,
+            progress=False,
+        )
+        found.append(fit["mu_pusher"])
+    assert found[1] == pytest.approx(found[0], abs=0.02)
+    assert found[1] < 0.45
+
+
+def test_the_motion_of_a_name_is_the_engine() -> None:
+    assert motion_model("pymunk:iterations=30") == OtherEngine("pymunk:iterations=30")
+    with pytest.raises(InvalidInput, match="motion"):
+        fixel.simulate_batch(SCENE, {"mu_pusher": [0.1]}, motion="pymunk")
+
+
+def test_a_time_limit_follows_the_times_of_a_case(tmp_path: Path) -> None:
+    ensemble = many(program(tmp_path))
+    begin = time.monotonic()
+    ensemble.simulate(np.zeros(4, np.int64), {})
+    assert time.monotonic() - begin < 30.0
+    assert Parameters({"toy.grip": 0.5})["toy.grip"] == 0.5

@@ -1,0 +1,120 @@
+"""Tests of simulations as plain numbers."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fixel.model import Body, Disk, Ellipsoid, Fixel, PathDrive, Plane, Polygon, Pusher, Scene
+from fixel.model.bodies import Spring
+from fixel.model.support import UniformPressure
+from fixel.simulation.engines.contract import fault, overlap
+from fixel.simulation.engines.task import plain, segments, task_from, task_of, unsupported
+from fixel.testing.scenes import pushed_square
+
+L_SHAPE = Polygon([(0, 0), (0.08, 0), (0.08, 0.03), (0.03, 0.03), (0.03, 0.09), (0, 0.09)])
+PATH = np.array([(0.0, -0.01, 0.05, 0.0), (0.7, 0.02, 0.06, 0.0), (1.0, 0.03, 0.05, 0.2)])
+SCENE = Scene(
+    Body("part", L_SHAPE, mass=0.3, pose=(0.1, -0.2, 0.4), support=UniformPressure(friction=0.3)),
+    Pusher("finger", Disk(0.005), friction=0.25, drive=PathDrive(PATH)),
+    Fixel("peg", Disk(0.004), pose=(0.4, 0.1, 0.0), friction=0.15),
+)
+TIMES = np.array([0.1, 0.33, 0.7 + 1e-13, 1.5])
+
+
+def test_a_task_survives_json() -> None:
+    task, _ = task_of(SCENE, TIMES, {}, {"grip": 0.5})
+    back = task_from(json.loads(json.dumps(plain(task))))
+    assert plain(back) == plain(task)
+    assert back.body.points.shape == task.body.points.shape
+
+
+def test_parameters_mean_what_they_mean_to_fixel() -> None:
+    values = {"mu_pusher": 0.11, "mu_fixel": 0.12, "mu_support": 0.4, "mass": 0.6}
+    task, _ = task_of(SCENE, TIMES, values | {"contact_offset": 1e-3}, {})
+    assert task.pusher is not None
+    assert task.pusher.friction == 0.11
+    assert task.fixels[0].friction == 0.12
+    assert task.pusher.outline.radius == pytest.approx(0.006)
+    assert task.body.mass == pytest.approx(0.6)
+    assert set(task.body.friction.tolist()) == {0.4}
+    # The weight of 0.6 kg on all points.
+    assert float(task.body.loads.sum()) == pytest.approx(0.6 * 9.81)
+
+
+def test_registration_moves_the_path() -> None:
+    task, _ = task_of(SCENE, TIMES, {"registration_x": 2e-3, "registration_theta": np.pi / 2}, {})
+    assert task.pusher is not None
+    # A quarter turn about the origin of the world, then the shift.
+    np.testing.assert_allclose(task.pusher.path[:, 1], -PATH[:, 2] + 2e-3, atol=1e-15)
+    np.testing.assert_allclose(task.pusher.path[:, 2], PATH[:, 1], atol=1e-15)
+
+
+def test_frames_return_to_the_scene() -> None:
+    """The start of a task, whose frame is at the centre of mass, is the start of the body."""
+    task, frames = task_of(SCENE, TIMES, {}, {})
+    body = SCENE.bodies[0]
+    np.testing.assert_allclose(frames.scene_poses(task.body.start), body.pose, atol=1e-15)
+    moved = task.body.start + np.array([0.01, 0.0, 0.0])
+    np.testing.assert_allclose(frames.scene_poses(moved) - body.pose, [0.01, 0, 0], atol=1e-15)
+
+
+def test_segments_reach_every_sample_and_follow_the_path() -> None:
+    task, _ = task_of(SCENE, TIMES, {}, {})
+    found = list(segments(task))
+    assert [s.sample for s in found] == [True, True, True, False, True]
+    np.testing.assert_allclose(
+        np.cumsum([s.duration for s in found]), [0.1, 0.33, 0.7, 1.0, 1.5], atol=1e-12
+    )
+    way = np.cumsum([s.duration * s.velocity for s in found], axis=0)
+    np.testing.assert_allclose(way[2], PATH[1, 1:] - PATH[0, 1:], atol=1e-12)
+    np.testing.assert_allclose(way[-1], PATH[2, 1:] - PATH[0, 1:], atol=1e-12)
+    assert min(s.duration for s in found) > 1e-6
+
+
+def test_a_sample_at_the_last_waypoint_is_one_end() -> None:
+    task, _ = task_of(SCENE, np.array([0.5, 1.0, 1.5]), {}, {})
+    assert [s.duration for s in segments(task)] == pytest.approx([0.5, 0.2, 0.3, 0.5])
+
+
+PUSH = pushed_square()
+ON_SPRING = replace(PUSH.bodies[0], spring=Spring(stiffness=10.0, anchor=np.zeros(2)))
+BOUNCY = replace(PUSH.pushers[0], restitution=0.5)
+
+
+@pytest.mark.parametrize(
+    ("scene", "found"),
+    [
+        (PUSH, ""),
+        (replace(PUSH, plane=Plane(anisotropy=(1.1, 0.9))), "direction or place"),
+        (replace(PUSH, bodies=(ON_SPRING,)), "a spring"),
+        (replace(PUSH, bodies=(replace(PUSH.bodies[0], force=(0.1, 0.0, 0.0)),)), "a force"),
+        (replace(PUSH, pushers=(BOUNCY,)), "restitution"),
+    ],
+)
+def test_what_a_task_cannot_hold_is_said(scene: Scene, found: str) -> None:
+    assert found in unsupported(scene)
+    assert bool(unsupported(scene)) == bool(found)
+
+
+def test_an_ellipsoid_keeps_its_arm() -> None:
+    support = Ellipsoid(force=0.4, torque=0.012)
+    scene = replace(pushed_square(), bodies=(replace(pushed_square().bodies[0], support=support),))
+    task, _ = task_of(scene, TIMES, {}, {})
+    assert task.body.arms.tolist() == [pytest.approx(0.03)]
+    assert task.body.loads.tolist() == [pytest.approx(0.4)]
+
+
+def test_the_judge_measures_overlap() -> None:
+    """A body that stays where a pusher of radius 5 mm passes through its edge."""
+    task, _ = task_of(pushed_square(), np.array([1.0, 2.0]), {}, {})
+    still = np.repeat(task.body.start[None], 2, axis=0)
+    assert task.pusher is not None
+    way = task.pusher.path[-1, 1] - task.pusher.path[0, 1]
+    assert overlap(task, still) == pytest.approx(way - 5e-3, abs=1e-9)  # it starts 5 mm away
+    assert "inside an obstacle" in fault(task, still)
+    along = still + np.array([[0.5 * way, 0.0, 0.0], [way, 0.0, 0.0]])
+    assert fault(task, along) == ""
