@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
+from queue import Empty, SimpleQueue
 from typing import Final
 
 from fixel.errors import InvalidInput
@@ -88,30 +89,44 @@ def _share(
 ) -> None:
     n = len(record.status)
     left = deque(range(0, n, size))
+    # A queue in C: Ctrl-C inside a wait for futures could find their lock released, and end in
+    # a RuntimeError in place of the KeyboardInterrupt.
+    ended: SimpleQueue[BaseException | None] = SimpleQueue()
 
     def work() -> None:
-        while left:
-            try:
-                first = left.popleft()
-            except IndexError:  # another thread was faster
-                return
-            last = min(n, first + size)
-            roll(first, last)
-            if then and not record.total[first, STOP]:
-                then(first, last)
+        problem = None
+        try:
+            while left:
+                try:
+                    first = left.popleft()
+                except IndexError:  # another thread was faster
+                    return
+                last = min(n, first + size)
+                roll(first, last)
+                if then and not record.total[first, STOP]:
+                    then(first, last)
+        except BaseException as found:
+            problem = found
+        finally:
+            ended.put(problem)
 
     pool = _threads(n_threads)
-    working = futures = {pool.submit(work) for _ in range(min(n_threads, len(left)))}
+    futures = [pool.submit(work) for _ in range(min(n_threads, len(left)))]
     try:
-        while working:
-            done, working = wait(working, WAIT_S)
-            for future in done:
-                future.result()
+        for _ in futures:
+            if problem := _awaited(ended):
+                raise problem
     except BaseException:
         left.clear()
         record.total[:, STOP] = 1.0
         wait(futures)
         raise
+
+
+def _awaited(ended: SimpleQueue[BaseException | None]) -> BaseException | None:
+    while True:
+        with suppress(Empty):
+            return ended.get(timeout=WAIT_S)
 
 
 def _threads(n: int) -> ThreadPoolExecutor:
