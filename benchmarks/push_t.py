@@ -17,7 +17,7 @@ from fixel.environments.push_t import SUCCESS, PushTVectorEnv, WorldName
 from fixel.environments.push_t_planner import PushTPlanner
 from fixel.typing import FloatArray
 
-CHILD = Path(__file__).parent / "peers" / "push_t.py"
+CHILD = Path(__file__).with_name("push_t_process.py")
 ENVIRONMENTS = 64
 ACTIONS = ("random", "pushes")
 OURS = ("fixel/PushT-v0", "vector_entry_point")

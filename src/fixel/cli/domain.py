@@ -9,6 +9,7 @@ import typer
 
 from fixel.cli.options import (
     AsJson,
+    CalibrationEngine,
     DatasetName,
     PictureFolder,
     ProjectFolder,
@@ -50,6 +51,7 @@ class DomainOptions:
         metavar="N",
         show_default="the newest for several",
     )
+    engine: CalibrationEngine = None
     fit: list[str] | None = option(
         None,
         "Parameter to calibrate, instead of those of the calibration; may be repeated.",
@@ -118,6 +120,7 @@ class DomainOptions:
         return DomainRequest(
             query=self.selection.query,
             calibration=self.calibration,
+            engine=self.engine or "",
             fit=tuple(self.fit or ()),
             axes=_names(self.axes),
             by=_names(self.by),

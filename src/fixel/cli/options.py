@@ -37,6 +37,15 @@ Engine = Annotated[
         show_default=False,
     ),
 ]
+CalibrationEngine = Annotated[
+    str | None,
+    typer.Option(
+        "--engine",
+        metavar="NAME",
+        help="Use the newest calibration by this engine, such as mujoco.",
+        show_default=False,
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as one JSON object.")]
 DatasetName = Annotated[
     str | None, typer.Option(help="Select only experiments of this dataset.", metavar="NAME")

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fixel.cli.options import AsJson, ProjectFolder, option, with_options
+from fixel.cli.options import AsJson, CalibrationEngine, ProjectFolder, option, with_options
 from fixel.cli.screen import command_line, notify, print_answer
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ def report(
         metavar="ID",
         show_default="the newest for several experiments",
     ),
+    engine: CalibrationEngine = None,
     title: str = option("", "Title of the report.", metavar="TEXT"),
     as_json: AsJson = False,
 ) -> None:
@@ -36,6 +37,7 @@ def report(
     done = Project(folder).report(
         out,
         calibration=calibration,
+        engine=engine or "",
         title=title,
         command=command_line(),
         notify=notify if sys.stderr.isatty() else None,

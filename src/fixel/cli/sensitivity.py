@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from fixel.cli.options import (
     AnySeed,
     AsJson,
+    CalibrationEngine,
     ProjectFolder,
     argument,
     option,
@@ -39,6 +40,7 @@ class SensitivityOptions:
         metavar="ID",
         show_default="the newest; nominal values if there is none",
     )
+    engine: CalibrationEngine = None
     set_: list[str] | None = option(
         None, "Value of a parameter; may be repeated.", "--set", metavar="NAME=VALUE"
     )
@@ -82,6 +84,7 @@ class SensitivityOptions:
             values=dict(map(_value, self.set_ or ())),
             ranges=dict(map(_range, self.vary or ())),
             calibration=self.calibration,
+            engine=self.engine or "",
             indices=self.indices or bool(self.vary),
             base=self.base,
             seed=self.seed,

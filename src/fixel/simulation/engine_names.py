@@ -59,6 +59,11 @@ class EngineName(NamedTuple):
         wanted = f"=={self.version}" if self.version else ""
         return f"{self.name}{wanted}" + (f":{self.choices}" if self.choices else "")
 
+    def fits(self, stated: str) -> bool:
+        """Return whether a stated name has this name, and the version and choices given here."""
+        other = EngineName.of(stated)
+        return all(own in ("", found) for own, found in zip(self, other, strict=True))
+
     @property
     def short(self) -> str:
         """Name for texts: a program without its folder."""

@@ -20,6 +20,7 @@ from fixel.model.parameters import is_parameter
 from fixel.model.records import CalibrationRecord
 from fixel.model.space import ParameterSpace, Unknown, split_label
 from fixel.simulation import AbstractMotionModel
+from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import motion_model
 from fixel.workflows.calibration.job import REQUEST
 from fixel.workflows.calibration.parameter_options import searched_unknowns
@@ -95,7 +96,10 @@ def _meets(conditions: Mapping[str, str | float], where: Mapping[str, str]) -> b
 
 
 def load_values(
-    store: Store, calibration_id: int | None = None, experiment: int | None = None
+    store: Store,
+    calibration_id: int | None = None,
+    experiment: int | None = None,
+    engine: str = "",
 ) -> CalibratedValues:
     """Load a stored calibration.
 
@@ -107,16 +111,27 @@ def load_values(
         all. Means computed by the growth of a domain are selected only by their id.
     experiment : int, optional
         Id of an experiment that must be a member, if no id of a calibration is given.
+    engine : str
+        Engine that must have simulated, as for `newest_calibration`.
     """
-    own = newest_calibration(store, experiment) if calibration_id is None else calibration_id
+    own = calibration_id
+    if own is None:
+        own = newest_calibration(store, experiment, engine)
     if own is None:
         raise InvalidInput(
             "calibration",
-            found="none stored" + ("" if experiment is None else " for this experiment"),
+            found="none stored"
+            + (f" by {engine}" if engine else "")
+            + ("" if experiment is None else " for this experiment"),
             expected="at least one",
-            hint="calibrate first: fixel calibrate",
+            hint="calibrate first: fixel calibrate" + (f" --engine {engine}" if engine else ""),
         )
-    return CalibratedValues(own, store.calibration(own))
+    found = CalibratedValues(own, store.calibration(own))
+    if engine and not EngineName.of(engine).fits(found.motion.name):
+        raise InvalidInput(
+            f"calibration {own}", found=f"one by {found.motion.name}", expected=f"one by {engine}"
+        )
+    return found
 
 
 def parameters_of(
@@ -158,14 +173,25 @@ def unseen_by(store: Store, calibration_id: int, experiment: Experiment) -> list
     return list(known.texts(target_of(experiment)))
 
 
-def newest_calibration(store: Store, experiment: int | None = None) -> int | None:
-    """Id of the calibration that `load_values` loads by default; None without any."""
+def newest_calibration(store: Store, experiment: int | None = None, engine: str = "") -> int | None:
+    """Return the id of the calibration that `load_values` loads by default; None without any.
+
+    Parameters
+    ----------
+    store : Store
+    experiment : int, optional
+        Id of an experiment that must be a member.
+    engine : str
+        Name of an engine that must have simulated, with any version and choices that are not
+        named; empty for any engine or motion model.
+    """
     known = [
         CalibratedValues(calibration_id, record)
         for calibration_id, record in reversed(store.calibration_summaries().items())
         if record.method.get("how") != FitKind.GROWTH
     ]
     known = [one for one in known if experiment is None or experiment in one.members]
+    known = [one for one in known if not engine or EngineName.of(engine).fits(one.motion.name)]
     several = [one for one in known if one.is_for_several]
     return next((one.id for one in (*several, *known)), None)
 

@@ -137,13 +137,18 @@ def mark_of(store: Store, asked: DomainRequest, calibration: int | None) -> str:
 
 
 def _newest(store: Store, asked: DomainRequest) -> int | None:
-    return None if asked.calibration is not None or asked.fit else newest_calibration(store)
+    return (
+        None
+        if asked.calibration is not None or asked.fit
+        else newest_calibration(store, engine=asked.engine)
+    )
 
 
 def _mark(asked: DomainRequest, ids: Sequence[int], latest: int | None) -> str:
     """Hash of everything the numbers depend on; stored records never change."""
     question = asked.question()
     kept = {k: question[k] for k in ("calibration", "fit", "apart", "leave_out", "folds", "seed")}
+    kept |= {"engine": asked.engine} if asked.engine else {}
     if asked.calibration is None and not asked.fit:
         kept["newest_calibration"] = latest
     of = [VERSION, kept, list(ids), repr(SQUARES), MAX_TRAINING]

@@ -20,7 +20,7 @@ from fixel.domain.evidence import Measure
 from fixel.errors import InvalidInput
 from fixel.model.selection import Bound, ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
-from fixel.simulation import Dynamic
+from fixel.simulation.motion import motion_model
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.result import FitKind
@@ -46,6 +46,8 @@ class DomainRequest:
     axes, by, apart : sequence of str
         Coordinates of the map; conditions that get a map for each value; conditions that get
         parameters for each value.
+    engine : str
+        Engine whose newest calibration is used, or that simulates with the parameters of `fit`.
     leave_out : str
         Condition whose values are held out as a whole.
     nominal : mapping of name to value
@@ -66,6 +68,7 @@ class DomainRequest:
     by: Sequence[str] = ()
     apart: Sequence[str] = ()
     leave_out: str = ""
+    engine: str = ""
     nominal: Mapping[str, str | float] = field(default_factory=dict)
     steps: Mapping[str, float] = field(default_factory=dict)
     threshold: float | None = None
@@ -95,6 +98,7 @@ class DomainRequest:
             "by": list(self.by),
             "apart": list(self.apart),
             "leave_out": self.leave_out,
+            "engine": self.engine,
             "nominal": dict(self.nominal),
             "steps": dict(self.steps),
             "threshold": self.threshold,
@@ -136,7 +140,8 @@ def model_of(
     if one is None or asked.fit:
         unknowns = searched_unknowns(asked.fit, scenes) if asked.fit else default_unknowns(scenes)
         space = ParameterSpace(unknowns=tuple(unknowns))
-        motion, error = (Dynamic(), MeanSquare()) if one is None else (one.motion, one.error)
+        motion = motion_model(asked.engine or None) if one is None else one.motion
+        error = MeanSquare() if one is None else one.error
         said = "parameters of --fit" if asked.fit else "the usual parameters, no calibration stored"
         return FitStarts(CalibrationModel(space=space, motion=motion, error=error), None, said)
     space = searched_space(project, one, scenes)
@@ -146,10 +151,10 @@ def model_of(
 
 def _calibration(store: Store, asked: DomainRequest) -> CalibratedValues | None:
     if asked.calibration is not None:
-        return load_values(store, asked.calibration)
-    if asked.fit or not store.calibrations():
+        return load_values(store, asked.calibration, engine=asked.engine)
+    if asked.fit or not (asked.engine or store.calibrations()):
         return None
-    return load_values(store)
+    return load_values(store, engine=asked.engine)
 
 
 def own_best(
@@ -217,6 +222,7 @@ def command_of(folder: Path, asked: DomainRequest, claim: Claim) -> str:
     words += ["--all"] * asked.query.include_faulty
     if asked.calibration is not None:
         words += ["--calibration", str(asked.calibration)]
+    words += ["--engine", asked.engine] if asked.engine else []
     for setting in asked.fit:
         words += ["--fit", setting]
     for option, names in (("--axes", asked.axes), ("--by", asked.by), ("--apart", asked.apart)):

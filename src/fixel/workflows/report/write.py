@@ -95,6 +95,7 @@ def report(
     path: str | os.PathLike[str] = "report",
     *,
     calibration: int | None = None,
+    engine: str = "",
     title: str = "",
     command: str = "",
     notify: Notify | None = None,
@@ -110,6 +111,8 @@ def report(
         A ``.html`` file, or a folder; files of the same names are replaced.
     calibration : int, optional
         Id of the calibration of a project.
+    engine : str
+        Engine whose newest calibration is used, such as ``"mujoco"``.
     title, command : str
         Title of the page, and the command that wrote it.
     notify : callable, optional
@@ -139,7 +142,7 @@ def report(
     template = environment().get_template("report.html")
     make_folder(folder / FIGURES)
     if isinstance(what, Project):
-        content = gather(what, calibration, folder / FIGURES, title, notify)
+        content = gather(what, calibration, folder / FIGURES, title, notify, engine)
     else:
         results = [what] if isinstance(what, Result) else [*what]
         content = results_content(results, folder / FIGURES, title)
@@ -175,7 +178,12 @@ def report(
 
 
 def gather(
-    project: Project, number: int | None, folder: Path, title: str, notify: Notify | None = None
+    project: Project,
+    number: int | None,
+    folder: Path,
+    title: str,
+    notify: Notify | None = None,
+    engine: str = "",
 ) -> Content:
     """Collect the content of a report, and draw its figures into a folder.
 
@@ -190,10 +198,12 @@ def gather(
         Title of the report; an empty one is replaced by one with the project's name.
     notify : callable, optional
         Called with a sentence before each part of the work.
+    engine : str
+        Engine that must have simulated, if no id is given.
     """
     tell = notify or (lambda _: None)
     with project.store() as store:
-        one = load_values(store, number)
+        one = load_values(store, number, engine=engine)
         ids = sorted(one.members)
         data = data_of(store, ids)
         checksum = store.checksum(ids)

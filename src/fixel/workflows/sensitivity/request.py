@@ -29,6 +29,8 @@ class SensitivityRequest:
         Further uncertain inputs of the indices; they override a calibration's intervals.
     calibration : int, optional
         Id; for stored experiments by default the newest; without any, the scene's own values.
+    engine : str
+        Engine whose newest calibration is used, and that simulates scene files.
     indices : bool
     base : int
         Base samples of the indices, a power of two.
@@ -41,6 +43,7 @@ class SensitivityRequest:
     values: Mapping[str, float] = field(default_factory=dict)
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     calibration: int | None = None
+    engine: str = ""
     indices: bool = False
     base: int = 128
     seed: int = 0
@@ -55,6 +58,7 @@ class SensitivityRequest:
             "values": dict(self.values),
             "ranges": {name: list(interval) for name, interval in self.ranges.items()},
             "calibration": self.calibration,
+            "engine": self.engine,
             "indices": self.base if self.indices else None,
             "seed": self.seed,
         }

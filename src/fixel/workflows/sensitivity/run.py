@@ -24,7 +24,7 @@ from fixel.model.fields import instance
 from fixel.model.selection import ExperimentQuery
 from fixel.model.space import split_label
 from fixel.progress import ProgressOption, show_progress
-from fixel.simulation import AbstractMotionModel, Dynamic
+from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model
 from fixel.simulation.simulate import SceneWithMethod
 from fixel.simulation.stepper import AbstractStepper
@@ -192,7 +192,8 @@ def analyse_sensitivity(
     opened = project() if stored else None
     if opened is not None and request.calibration is None:
         with opened.store() as store:
-            request = replace(request, calibration=newest_calibration(store))
+            newest = newest_calibration(store, engine=request.engine)
+            request = replace(request, calibration=newest)
     subjects, skipped = _subjects(things, request, opened)
     if not subjects:
         why = "; ".join(f"{key}: {reason}" for key, reason in list(skipped.items())[:3])
@@ -290,7 +291,7 @@ def _subjects(
     with project.store() as store:
         model = None
         if request.calibration is not None:
-            model = load_values(store, request.calibration)
+            model = load_values(store, request.calibration, engine=request.engine)
         ids = {} if things else _all(store)
         for thing in things:
             if not is_scene_file(thing):
@@ -320,7 +321,7 @@ def _of_file(thing: str, request: SensitivityRequest, model: CalibratedValues | 
         scene=file.scene,
         values=values | dict(request.values),
         ranges=_ranges(model, values) | dict(request.ranges),
-        motion=motion_model(file.motion) if model is None else model.motion,
+        motion=motion_model(request.engine or file.motion) if model is None else model.motion,
         stepper=file.stepper,
         banner="",
     )
@@ -338,7 +339,7 @@ def _of_experiment(
         scene=scene,
         values=values | dict(request.values),
         ranges=_ranges(model, values) | dict(request.ranges),
-        motion=Dynamic() if model is None else model.motion,
+        motion=motion_model(request.engine or None) if model is None else model.motion,
         stepper=None,
         banner="" if experiment.real else f"SIMULATED by {experiment.simulated_by}",
     )

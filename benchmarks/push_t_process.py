@@ -1,6 +1,6 @@
 """Steps per second of a vectorised Push-T task; any interpreter with gym-pusht or fixel runs it.
 
-python benchmarks/peers/push_t.py ID async|sync|vector_entry_point ACTIONS ENVIRONMENTS STEPS
+python benchmarks/push_t_process.py ID async|sync|vector_entry_point ACTIONS ENVIRONMENTS STEPS
 """
 
 from __future__ import annotations
