@@ -9,6 +9,7 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, LineDrive, Scene, Trajectory, pose_error
+from fixel.model.fields import instance
 from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import BoolArray, FloatArray
 
@@ -53,9 +54,12 @@ def target_of(experiment: Experiment) -> Target:
     )
 
 
-def targets_of(experiments: Iterable[Experiment]) -> list[Target]:
+def targets_of(experiments: Iterable[Experiment | Target]) -> list[Target]:
     """Return the targets of several experiments, at least one."""
-    targets = [target_of(experiment) for experiment in experiments]
+    targets = []
+    for own in experiments:
+        instance(own, Experiment | Target, "experiments", "experiments")
+        targets.append(own if isinstance(own, Target) else target_of(own))
     if not targets:
         raise InvalidInput(
             "experiments",

@@ -17,7 +17,7 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import AbstractError, Comparer, EndPose
 from fixel.calibration.optimiser import AbstractOptimiser
 from fixel.calibration.study import at_points, run_study
-from fixel.calibration.target import Target, target_of
+from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space, search_space
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of
@@ -240,14 +240,6 @@ def usual_search(
     frames = sum(1 if ends else len(target.pose) for target in targets)
     several = mode if len(targets) > 1 else "each"
     return usual_optimiser(several, combine, error, 3 * frames, len(space.free))
-
-
-def targets_of(experiments: Iterable[Experiment | Target]) -> list[Target]:
-    """Return what simulations are compared with."""
-    found = [own if isinstance(own, Target) else target_of(own) for own in experiments]
-    if not found:
-        raise InvalidInput("experiments", found="none", expected="one or more with a scene")
-    return found
 
 
 def _named(choice: Any, where: str) -> NamedOptions:

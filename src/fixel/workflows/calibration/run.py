@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, TypedDict, Unpack
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import AbstractError
 from fixel.calibration.optimiser import AbstractOptimiser
-from fixel.calibration.target import Target
+from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space, search_space
 from fixel.errors import Interrupted, InvalidInput
 from fixel.jobs.work import run_work
@@ -24,7 +24,6 @@ from fixel.workflows.calibration.plan import (
     Named,
     best_so_far,
     reporting,
-    targets_of,
 )
 from fixel.workflows.calibration.request import Combine, Mode
 from fixel.workflows.calibration.result import outcome_of

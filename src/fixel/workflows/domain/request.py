@@ -20,7 +20,7 @@ from fixel.domain.evidence import Measure
 from fixel.errors import InvalidInput
 from fixel.model.selection import Bound, ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
-from fixel.simulation.motion import motion_model
+from fixel.simulation.motion import motion_model, stated_name
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.result import FitKind
@@ -140,7 +140,7 @@ def model_of(
     if one is None or asked.fit:
         unknowns = searched_unknowns(asked.fit, scenes) if asked.fit else default_unknowns(scenes)
         space = ParameterSpace(unknowns=tuple(unknowns))
-        motion = motion_model(asked.engine or None) if one is None else one.motion
+        motion = motion_model(stated_name(asked.engine or "dynamic")) if one is None else one.motion
         error = MeanSquare() if one is None else one.error
         said = "parameters of --fit" if asked.fit else "the usual parameters, no calibration stored"
         return FitStarts(CalibrationModel(space=space, motion=motion, error=error), None, said)

@@ -121,6 +121,7 @@ def _numbers(finding: Finding) -> dict[str, Any]:
     found: dict[str, Any] = {
         "key": finding.subject.key,
         "experiment_id": finding.subject.id,
+        "motion": finding.sensitivity.prediction.motion,
         **finding.sensitivity.summary(),
         "moved_apart": finding.sensitivity.prediction.moved_apart,
         "nominal_end": finding.sensitivity.prediction.nominal[-1].tolist(),

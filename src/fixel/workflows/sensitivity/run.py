@@ -25,7 +25,7 @@ from fixel.model.selection import ExperimentQuery
 from fixel.model.space import split_label
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation import AbstractMotionModel
-from fixel.simulation.motion import motion_model
+from fixel.simulation.motion import motion_model, stated_name
 from fixel.simulation.simulate import SceneWithMethod
 from fixel.simulation.stepper import AbstractStepper
 from fixel.uncertainty.indices import indices_of
@@ -194,6 +194,8 @@ def analyse_sensitivity(
         with opened.store() as store:
             newest = newest_calibration(store, engine=request.engine)
             request = replace(request, calibration=newest)
+    if request.engine and request.calibration is None:
+        request = replace(request, engine=stated_name(request.engine))
     subjects, skipped = _subjects(things, request, opened)
     if not subjects:
         why = "; ".join(f"{key}: {reason}" for key, reason in list(skipped.items())[:3])
