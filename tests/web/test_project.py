@@ -179,16 +179,19 @@ def test_the_command_prints_a_link_that_opens_and_ends_at_once(project):
         stderr=subprocess.PIPE,
         text=True,
     ) as process:
-        said = json.loads(line_of(process))
-        assert said["project"] == "my_lab"
-        page, _, token = said["link"].partition("?token=")
-        asked = urllib.request.Request(
-            f"{page}api/v1/project", headers={"Authorization": f"Bearer {token}"}
-        )
-        with urllib.request.urlopen(asked, timeout=5) as answer:
-            assert json.load(answer)["name"] == "my_lab"
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=5)
+        try:
+            said = json.loads(line_of(process))
+            assert said["project"] == "my_lab"
+            page, _, token = said["link"].partition("?token=")
+            asked = urllib.request.Request(
+                f"{page}api/v1/project", headers={"Authorization": f"Bearer {token}"}
+            )
+            with urllib.request.urlopen(asked, timeout=30) as answer:
+                assert json.load(answer)["name"] == "my_lab"
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=30)
+        finally:
+            process.kill()
     assert process.returncode == 0
     assert token not in out + err
 
