@@ -47,12 +47,12 @@ def decay_residuals(seed, sd=0.05):
 DECAY_BOX = box([0, 0, -1], [5, 5, 1], [1, 0.3, 0])
 
 
-def rough(residuals, size=1e-3, jump=0.05):
+def rough(residuals, size=1e-3, jump=0.05, offset=0.0):
     """The same with deterministic noise in the last digits, and jumps."""
 
     def shaken(points):
         told = residuals(points)
-        phase = 1e7 * points.sum(axis=1, keepdims=True) + np.arange(told.shape[1])
+        phase = 1e7 * points.sum(axis=1, keepdims=True) + np.arange(told.shape[1]) + offset
         steps = np.floor(37.0 * points[:, :1]) % 2.0
         return told + size * np.sin(phase) + jump * steps * np.cos(np.arange(told.shape[1]))
 
