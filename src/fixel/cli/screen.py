@@ -85,15 +85,11 @@ def compare_command(
     key: str, values: Mapping[str, float], motion: str, folder: Path = Path()
 ) -> str:
     """Return the command that compares an experiment with its simulation."""
+    from fixel.simulation.engine_names import motion_words
+
     settings = [word for k, v in values.items() for word in ("--set", f"{k}={v:.4g}")]
     chosen = [] if motion == "dynamic" else motion_words(motion)
     return command_of("compare", key, *settings, *chosen, project=folder)
-
-
-def motion_words(motion: str | None) -> list[str]:
-    """Return the words of a command that choose a motion model, or an engine."""
-    known = motion in {"dynamic", "quasistatic", "first-order"}
-    return [] if motion is None else ["--motion" if known else "--engine", motion]
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:

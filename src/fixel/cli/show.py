@@ -18,7 +18,6 @@ from fixel.cli.options import (
 )
 from fixel.cli.screen import (
     command_of,
-    motion_words,
     notice,
     origin_of,
     paragraphs,
@@ -189,6 +188,8 @@ def _command(
     calibration: int | None = None,
 ) -> str:
     """Return the command, to be run in the current folder."""
+    from fixel.simulation.engine_names import motion_words
+
     words: list[object] = [] if calibration is None else ["--calibration", calibration]
     words += [word for value in set_ or [] for word in ("--set", value)]
     words += [] if motion is None else motion_words(motion)

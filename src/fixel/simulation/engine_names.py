@@ -81,6 +81,11 @@ def is_engine(text: str) -> bool:
     return own.is_program or own.name in ENGINES or own.name in entry_points(group=GROUP).names
 
 
+def motion_words(motion: str) -> list[str]:
+    """Return the words of a command that choose a motion model, or an engine."""
+    return ["--engine" if is_engine(motion) else "--motion", motion]
+
+
 def installed_engines() -> list[str]:
     """Return the names of the engines whose packages are installed."""
     known = [name for name, own in ENGINES.items() if find_spec(own.imported) is not None]

@@ -467,6 +467,9 @@ def test_the_command_for_the_same_calibration_says_all_of_it(chosen):
     for said in ("--error end-pose", "--angle-scale-mm 50", "--noise-mm 0.1", "--noise-mrad 2",
                  "--motion quasistatic"):  # fmt: skip
         assert said in words
+    by_engine = command_of(Path("lab"), _request(chosen, motion="pymunk:step=0.01"), ["3"])
+    assert "--engine pymunk:step=0.01" in by_engine
+    assert "--motion" not in by_engine
 
 
 def test_parameters_that_no_experiment_could_inform(chosen):

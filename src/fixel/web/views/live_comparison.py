@@ -22,7 +22,7 @@ from fixel.model.parameters import KNOWN_PARAMETERS, info_of
 from fixel.model.records import CalibrationRecord, SimulationRecord
 from fixel.model.selection import ExperimentQuery
 from fixel.simulation import simulate
-from fixel.simulation.engine_names import EngineName, is_engine
+from fixel.simulation.engine_names import EngineName, motion_words
 from fixel.simulation.motion import motion_model
 from fixel.simulation.stepper import Adaptive
 from fixel.web.values import Answer, Finite
@@ -278,7 +278,7 @@ def command_of(
     for name, value in parameters.items():
         words += ["--set", f"{name}={value!r}"]
     if motion != DYNAMIC:
-        words += ["--engine" if is_engine(motion) else "--motion", motion]
+        words += motion_words(motion)
     return shlex.join(words)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Final
 
+from fixel.simulation.engine_names import motion_words
 from fixel.workflows.calibration.parameter_options import in_si
 from fixel.workflows.calibration.request import CalibrationRequest
 
@@ -31,7 +32,9 @@ def command_of(folder: Path, request: CalibrationRequest, keys: Sequence[str]) -
         else:
             ends = f"{unknown.low:.9g}:{unknown.high:.9g}:{unknown.nominal:.9g}"
             words += ["--fit", f"{unknown.name}={ends}"]
-    for name in ("motion", "combine", "starts", "seed", "level", "name", "budget"):
+    if request.motion != usual.motion:
+        words += motion_words(request.motion)
+    for name in ("combine", "starts", "seed", "level", "name", "budget"):
         value = getattr(request, name)
         if value != getattr(usual, name):
             words += [f"--{name}", str(value)]
