@@ -1,8 +1,10 @@
-"""Other simulators on the straight pushes of the MIT push dataset, before and after calibration.
+"""Other simulators on real pushes of MIT and CMU, before and after calibration.
 
-Every engine simulates the same scenes: the plate on the same points of even pressure, the tip on a
-rigid drive at its real speed. Every plate on every surface is calibrated on the same few pushes,
-with the same parameters, start, priors and search. Held-out pushes have the outcome.
+Every engine simulates the same scenes: the object on the same support points, the tip on a rigid
+drive at its real speed. Every group is calibrated on the same few pushes, with the same parameters,
+start, priors and search. Held-out pushes have the outcome. A group is a plate on a surface (MIT),
+calibrated on its own pushes, or a support on a surface (CMU), calibrated on the pushes of other
+supports on the other surface.
 
 The settings below were chosen on training pushes of fixel alone, before an engine simulated a
 held-out push.
@@ -11,9 +13,10 @@ held-out push.
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -22,16 +25,19 @@ from fixel.calibration.cost import NormalPrior
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.optimiser import SearchBox
 from fixel.calibration.registration import registration_from_gaps
+from fixel.datasets.cmu_tripod import MU_FINGER
 from fixel.datasets.contact import pushed_scene
 from fixel.datasets.mit_plates import TIP
 from fixel.datasets.mit_push import STROKE
+from fixel.errors import DatasetMissing
 from fixel.io.result_cache import ResultCache, listed
-from fixel.model import SupportPoints, wrapped
+from fixel.model import Body, Disk, SupportPoints, UniformPressure, wrapped
 from fixel.model.engine_parameters import ENGINE_PARAMETERS
 from fixel.model.footprint import support_grid
 from fixel.replay.base import Row, errors_in_mm_and_deg
-from fixel.replay.mit_pushes import NOMINAL, MitPushes, read_mit_pushes
+from fixel.replay.mit_pushes import NOMINAL, read_mit_pushes
 from fixel.simulation.motion import motion_model, stated_name
+from fixel.simulation.pack import pusher_path
 from fixel.simulation.rollouts import RolloutCase, ensemble_of
 from fixel.typing import BoolArray, FloatArray, IntArray
 from reproductions.charts.engines import engines_figure
@@ -42,6 +48,7 @@ from reproductions.fitting import (
     WIDTH,
     Belief,
     about,
+    outline_beliefs,
     profile_beliefs,
     registration_beliefs,
     table_beliefs,
@@ -49,10 +56,13 @@ from reproductions.fitting import (
 )
 from reproductions.protocols import SHARE
 from reproductions.pushes import Key, rows_by_key
-from reproductions.residuals import few_of, random_split
+from reproductions.residuals import Split, few_of, random_split
 from reproductions.result import Reproduction, RunOptions
+from reproductions.tripod_pushes import read_pushes, support_of
 
 TRAIN: Final = 12  # pushes of every plate and surface that calibrate
+CMU_SPEED: Final = 2.5e-3  # of the finger [m/s]
+CMU_TRAIN: Final = 36  # pushes that calibrate for a support and surface of CMU
 HELD_OUT: Final = 84  # pushes of every plate and surface that are scored, at most
 ITERATIONS: Final = 4  # of the search
 QUICK: Final = 4  # pushes of two plates, and one iteration
@@ -71,6 +81,8 @@ SHARED: Final = (
 )
 SPREAD: Final = float(np.log(3.0))  # standard deviation of the logarithm of an own parameter
 MIN_OWN: Final = 1e-9  # least value of an own parameter, whose logarithm is searched
+# For CMU, whose support points are known: friction and radius of the finger, which are not.
+CMU_SHARED: Final = (Belief("mu_pusher", MU_FINGER, 0.2, 0.02, 1.0), outline_beliefs()[3])
 
 
 class Setting(NamedTuple):
@@ -90,6 +102,10 @@ SETTINGS: Final[Mapping[str, Setting]] = {
     "MuJoCo": Setting("mujoco", ("timeconst", "width", "impratio")),
     "Drake": Setting("drake:step=0.01", train=6, iterations=1),
 }
+CMU_SETTINGS: Final[Mapping[str, Setting]] = {
+    **{name: setting._replace(train=CMU_TRAIN) for name, setting in SETTINGS.items()},
+    "Drake": Setting("drake:step=0.01", ("stiffness", "dissipation"), CMU_TRAIN),
+}
 BASELINE: Final = "fixel"
 SHIPPED, CALIBRATED, OWN = "as shipped", "calibrated", "with own parameters"
 CONDITIONS: Final = (SHIPPED, CALIBRATED, OWN)
@@ -97,9 +113,9 @@ STILL: Final = "object does not move"
 
 
 class Member(NamedTuple):
-    """Pushes of one plate on one surface, by their places in the list of cases."""
+    """Pushes of one group, by their places in the list of cases."""
 
-    key: Key
+    key: Key  # surface, plate or support
     train: IntArray  # registered
     held_out: IntArray  # as recorded
     registered: IntArray  # the same pushes, registered
@@ -113,6 +129,28 @@ class Cases(NamedTuple):
     start: FloatArray  # (n, 3)
     end: FloatArray  # (n, 3) measured
     speed: FloatArray  # (n,)
+    shared: tuple[Belief, ...]  # priors of the parameters that all engines have
+
+
+class Pushes(NamedTuple):
+    """Recorded straight pushes."""
+
+    bodies: Sequence[Body]  # (n,) on support points
+    tip: Disk
+    start: FloatArray  # (n, 3)
+    end: FloatArray  # (n, 3)
+    tip_start: FloatArray  # (n, 2)
+    tip_end: FloatArray  # (n, 2)
+    duration: FloatArray  # (n,)
+    speed: FloatArray  # (n,) nominal
+
+
+class Part(NamedTuple):
+    """Dataset that engines are compared on."""
+
+    folder: str
+    select: Callable[[Path, bool], Cases]
+    settings: Mapping[str, Setting]
 
 
 class Ends(NamedTuple):
@@ -125,60 +163,139 @@ class Ends(NamedTuple):
 def run(options: RunOptions) -> Reproduction:
     """Compare engines on held-out pushes, as shipped and calibrated.
 
-    With `quick`, it uses two plates, few pushes and no Drake.
+    It compares them on the datasets that the folder has. With `quick`, it uses two groups, few
+    pushes and no Drake.
     """
-    data = read_mit_pushes(options.folder)
-    cases = select_cases(data, options.quick)
-    cache = ResultCache(options.fits)
-    settings = dict(SETTINGS)
-    if options.quick:
-        del settings["Drake"]
-    found = {}
-    for k, (name, setting) in enumerate(settings.items()):
-        options.progress(k, len(settings), name)
-        found[name] = _of_engine(setting, cases, cache, options)
-    scores = _scores(cases, found)
-    overall = [_overall(key, scores, found) for key in scores]
-    groups = [row for key, own in scores.items() for row in _groups(cases, key, own)]
+    root = options.folder
+    folders = {
+        name: root if root.name == part.folder else root / part.folder
+        for name, part in parts().items()
+    }
+    chosen = {name: part for name, part in parts().items() if folders[name].is_dir()}
+    if not chosen:
+        raise DatasetMissing(root, " or ".join(part.folder for part in parts().values()))
+    overall: list[Row] = []
+    groups: list[Row] = []
+    about: Row = {"quick": options.quick}
+    for data, part in chosen.items():
+        settings = {k: v for k, v in part.settings.items() if not options.quick or k != "Drake"}
+        cases, found = part.select(folders[data], options.quick), {}
+        for k, (name, setting) in enumerate(settings.items()):
+            options.progress(k, len(settings), f"{data}, {name}")
+            found[name] = _of_engine(setting, cases, ResultCache(options.fits), options)
+        scores = _scores(cases, found)
+        overall += [{"data": data, **_overall(key, scores, found)} for key in scores]
+        for key, own in scores.items():
+            groups += [{"data": data, **row} for row in _groups(cases, key, own)]
+        about[data] = {
+            name: {**own._asdict(), "engine": found[name]["engine"]}
+            for name, own in settings.items()
+        }
     return Reproduction(
         tables={"overall": overall, "groups": groups},
         conclusions=[_conclusion(row) for row in overall],
-        settings={
-            "quick": options.quick,
-            "train": {name: own.train for name, own in settings.items()},
-            "iterations": {name: own.iterations for name, own in settings.items()},
-            "engines": {name: own["engine"] for name, own in found.items()},
-        },
-        figure=partial(engines_figure, groups),
+        settings=about,
+        figure=partial(engines_figure, [row for row in groups if row["data"] == groups[0]["data"]]),
     )
+
+
+def parts() -> dict[str, Part]:
+    """Return the datasets by name."""
+    return {
+        "MIT": Part("mit_push_endpoints", mit_cases, SETTINGS),
+        "CMU": Part("cmu_tripod_push", cmu_cases, CMU_SETTINGS),
+    }
 
 
 # --- pushes -----------------------------------------------------------------------------------
 
 
-def select_cases(data: MitPushes, quick: bool) -> Cases:
+def mit_cases(folder: Path, quick: bool) -> Cases:
     """Select the pushes of every plate and surface, of the first split of the benchmark."""
+    data = read_mit_pushes(folder)
+    bodies = {name: _on_points(body) for name, body in data.bodies.items()}
+    pushes = Pushes(
+        [bodies[name] for name in data.shape.tolist()],
+        TIP,
+        *(data.start, data.end, data.tip_start, data.tip_end),
+        *(STROKE / data.speed, data.speed),
+    )
+    splits: dict[Key, Split] = {}
+    for key, own in rows_by_key(data, data.usable).items():
+        if key[1] in LEFT_OUT or (quick and len(splits) == 2):
+            continue
+        split = random_split(np.round(data.speed[own] * 1e3, 6).tolist(), SHARE, 0)
+        train = own[few_of(split, QUICK if quick else TRAIN, 0).train]
+        splits[key] = Split(train, own[_spread(split.held_out, QUICK if quick else HELD_OUT)])
+    return cases_of(pushes, splits, SHARED, friction=NOMINAL["mu_pusher"], by_gaps=True)
+
+
+def cmu_cases(folder: Path, quick: bool) -> Cases:
+    """Select the pushes of every support and surface of CMU.
+
+    Odd pushes of each are held out. Even ones train, for the other supports on the other surface.
+    """
+    found = read_pushes(folder)
+    scenes = [push.target.case.scene for push in found]
+    path = np.array([pusher_path(scene.pushers[0], scene.duration)[[0, -1]] for scene in scenes])
+    tip = scenes[0].pushers[0].shape
+    assert isinstance(tip, Disk)
+    pushes = Pushes(
+        [_on_points(scene.bodies[0]) for scene in scenes],
+        tip,
+        np.array([scene.bodies[0].pose for scene in scenes]),
+        np.array([push.target.pose[-1] for push in found]),
+        *(path[:, 0, 1:3], path[:, 1, 1:3], path[:, 1, 0], np.full(len(path), CMU_SPEED)),
+    )
+    groups: dict[Key, list[int]] = {}
+    for row, push in enumerate(found):
+        key = str(push.target.conditions["surface"]), support_of(push)
+        groups.setdefault(key, []).append(row)
+    n = QUICK if quick else CMU_TRAIN
+    splits = {}
+    for key in sorted(groups)[: 2 if quick else None]:
+        others = [groups[k][::2] for k in groups if k[0] != key[0] and k[1] != key[1]]
+        train = np.random.default_rng(0).permutation(np.concatenate(others))[:n]
+        splits[key] = Split(train, np.array(groups[key][1::2])[: n if quick else None])
+    return cases_of(pushes, splits, CMU_SHARED, friction=MU_FINGER, by_gaps=False)
+
+
+def _on_points(body: Body) -> Body:
+    """Return a body on support points; even pressure becomes that of the points for all engines."""
+    if isinstance(body.support, SupportPoints):
+        return body
+    assert isinstance(body.support, UniformPressure)
+    points = support_grid(body.shape)[0]
+    return replace(body, support=SupportPoints(points=points, friction=body.support.friction))
+
+
+def cases_of(
+    pushes: Pushes,
+    splits: Mapping[Key, Split],
+    shared: tuple[Belief, ...],
+    *,
+    friction: float,
+    by_gaps: bool,
+) -> Cases:
+    """Build the scenes of all groups; `by_gaps` shifts paths by the gaps at the ends of training
+    pushes before a calibration."""
     members: list[Member] = []
     chosen: list[RolloutCase] = []
     rows: list[int] = []
-    for key, own in rows_by_key(data, data.usable).items():
-        if key[1] in LEFT_OUT or (quick and len(members) == 2):
-            continue
-        speeds = np.round(data.speed[own] * 1e3, 6).tolist()
-        split = random_split(speeds, SHARE, 0)
-        train = own[few_of(split, QUICK if quick else TRAIN, 0).train]
+    for key, (train, held_out) in splits.items():
         train = np.random.default_rng(0).permutation(train)  # some engines take the first of them
-        held_out = own[_spread(split.held_out, QUICK if quick else HELD_OUT)]
-        shift = registration_from_gaps(
-            data.bodies[key[1]].shape, TIP.radius, data.end[train], data.tip_end[train]
-        ).shift
+        shape, shift = pushes.bodies[train[0]].shape, np.zeros(2)
+        if by_gaps:
+            ends = pushes.end[train], pushes.tip_end[train]
+            shift = registration_from_gaps(shape, pushes.tip.radius, *ends).shift
         places = []
         for some, by in ((train, shift), (held_out, np.zeros(2)), (held_out, shift)):
             places.append(len(rows) + np.arange(len(some)))
-            chosen += [_case(data, row, by) for row in some.tolist()]
+            chosen += [_case(pushes, row, by, friction) for row in some.tolist()]
             rows += some.tolist()
         members.append(Member(key, *places))
-    return Cases(tuple(members), tuple(chosen), data.start[rows], data.end[rows], data.speed[rows])
+    start, end, speed = (column[rows] for column in (pushes.start, pushes.end, pushes.speed))
+    return Cases(tuple(members), tuple(chosen), start, end, speed, shared)
 
 
 def _spread(rows: IntArray, most: int) -> IntArray:
@@ -186,18 +303,15 @@ def _spread(rows: IntArray, most: int) -> IntArray:
     return rows[np.arange(n) * len(rows) // n]
 
 
-def _case(data: MitPushes, row: int, shift: FloatArray) -> RolloutCase:
-    """Scene of a push at its real speed, with the tip moved by a shift and out of the plate."""
-    body = data.bodies[str(data.shape[row])]
-    support = SupportPoints(points=support_grid(body.shape)[0], friction=NOMINAL["mu_support"])
-    duration = STROKE / float(data.speed[row])
+def _case(pushes: Pushes, row: int, shift: FloatArray, friction: float) -> RolloutCase:
+    """Scene of a push at its real speed, with the tip moved by a shift and out of the object."""
     path = np.zeros((2, 4))
-    path[1, 0] = duration
-    path[0, 1:3], path[1, 1:3] = data.tip_start[row] + shift, data.tip_end[row] + shift
-    body = replace(body, pose=data.start[row], support=support)
-    scene, flags = pushed_scene(body, TIP, path, friction=NOMINAL["mu_pusher"])
+    path[1, 0] = pushes.duration[row]
+    path[0, 1:3], path[1, 1:3] = pushes.tip_start[row] + shift, pushes.tip_end[row] + shift
+    body = replace(pushes.bodies[row], pose=pushes.start[row])
+    scene, flags = pushed_scene(body, pushes.tip, path, friction=friction)
     assert scene is not None, flags
-    return RolloutCase(scene, np.array([duration]))
+    return RolloutCase(scene, path[1:, 0])
 
 
 # --- one engine -------------------------------------------------------------------------------
@@ -215,7 +329,11 @@ def _of_engine(
     own = own_beliefs(setting)
     found: dict[str, Any] = {"engine": stated}
     values: dict[Key, dict[str, float]] = {member.key: {} for member in cases.members}
-    for condition, beliefs in ((SHIPPED, ()), (CALIBRATED, SHARED), (OWN, (SHARED[0], *own))):
+    for condition, beliefs in (
+        (SHIPPED, ()),
+        (CALIBRATED, cases.shared),
+        (OWN, (cases.shared[0], *own)),
+    ):
         if condition == OWN and not own:
             continue
         iterations = 1 if options.quick else setting.iterations
@@ -239,7 +357,7 @@ def _of_member(
     iterations: int,
     known: Mapping[str, float],
 ) -> Row:
-    """Calibrate one plate on one surface, and simulate its held-out pushes."""
+    """Calibrate for one group, and simulate its held-out pushes."""
     begun = clock.perf_counter()
     values, simulations = engine.calibrated(member, beliefs, iterations, known)
     seconds = clock.perf_counter() - begun
@@ -380,7 +498,7 @@ def _overall(
     row["within_5_mm"] = float((own.mm <= GOOD_MM).mean())
     row["failures"] = int((~own.good).sum())
     row["simulations"] = sum(part["simulations"] for part in parts)
-    row["seconds"] = round(sum(part["seconds"] for part in parts), 1)
+    row["seconds"] = float(f"{sum(part['seconds'] for part in parts):.2g}")
     spent = sum(part["held_out_seconds"] for part in parts)
     row["milliseconds_per_push"] = 1e3 * spent / len(own.mm) if parts else None
     other = scores[BASELINE, SHIPPED if condition in ("", SHIPPED) else CALIBRATED]
@@ -403,7 +521,7 @@ def _difference(more: FloatArray, group: IntArray) -> tuple[float, float, float]
 def _groups(cases: Cases, key: tuple[str, str], own: Scores) -> list[Row]:
     """Figures of one engine in one condition by surface, plate and speed."""
     held_out = np.concatenate([member.held_out for member in cases.members])
-    speed = np.round(1e3 * cases.speed[held_out]).astype(int)
+    speed = np.round(1e3 * cases.speed[held_out], 1)
     rows = []
     for k, member in enumerate(cases.members):
         for v in np.unique(speed[own.group == k]).tolist():
@@ -426,12 +544,12 @@ def _groups(cases: Cases, key: tuple[str, str], own: Scores) -> list[Row]:
 
 
 def _conclusion(row: Row) -> str:
-    text = f"{row['engine']} {row['condition']}".strip()
+    text = f"{row['data']}, {row['engine']} {row['condition']}".strip()
     more, (low, high) = row["more_mm"], row["more_mm_95"]
     return (
         f"{text}: {row['mean_mm']:.2f} / {row['median_mm']:.2f} mm, {row['mean_deg']:.2f} /"
         f" {row['median_deg']:.2f} deg, {100 * row['within_5_mm']:.1f} % within {GOOD_MM:g} mm,"
-        f" {row['failures']} failures, {row['simulations']} simulations in {row['seconds']:.0f} s;"
+        f" {row['failures']} failures, {row['simulations']} simulations in {row['seconds']:g} s;"
         f" against {BASELINE} {more:+.2f} mm ({low:+.2f} to {high:+.2f})."
     )
 

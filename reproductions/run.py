@@ -67,7 +67,7 @@ REPRODUCTIONS: Final[Mapping[str, tuple[str | None, Callable[[RunOptions], Repro
             "plans": (MIT_PUSHES, plans.run),
             "repeated-plans": ("cmu_two_point_push", repeated_plans.run),
             "rates": ("", rates.run),
-            "engines": (MIT_PUSHES, engines.run),
+            "engines": ("", engines.run),
         }
     )
 )

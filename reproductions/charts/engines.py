@@ -39,7 +39,7 @@ def engines_figure(groups: Sequence[dict[str, Any]]) -> Figure:
         colour = palette.INK if 20.0 < value < 85.0 else "white"
         axes.text(j, i, f"{value:.0f}", ha="center", va="center", fontsize=6, color=colour)
     axes.set_yticks(range(len(rows)), [" ".join(filter(None, row)) for row in rows])
-    names = [f"{surface}\n{shape}\n{speed} mm/s" for surface, shape, speed in columns]
+    names = [f"{surface}\n{shape}\n{speed:g} mm/s" for surface, shape, speed in columns]
     axes.set_xticks(range(len(columns)), names, fontsize=6)
     axes.set_title("Held-out pushes within 5 mm [%]", fontsize=8, loc="left")
     axes.tick_params(length=0)

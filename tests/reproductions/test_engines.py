@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from reproductions import engines
 from reproductions.run import reproduce
+from reproductions.tripod_pushes import TripodPush
+from tests.reproductions.test_cmu_tripod import MU, scene
 from tests.reproductions.test_mit_push import made_up
 
+from fixel.calibration.target import Target
+from fixel.errors import DatasetMissing
+from fixel.model import SupportPoints, UniformPressure
 from fixel.replay.mit_pushes import read_mit_pushes
+from fixel.simulation.rollouts import RolloutCase, ensemble_of
 from fixel.typing import FloatArray, IntArray
 
 TWO = {
@@ -52,7 +59,7 @@ def test_engines_are_compared_and_a_second_run_simulates_nothing(
 def test_a_push_that_an_engine_cannot_finish_counts_as_one_that_did_not_move(
     tmp_path: Path,
 ) -> None:
-    cases = engines.select_cases(read_mit_pushes(made_up(tmp_path, 30)), quick=True)
+    cases = engines.mit_cases(made_up(tmp_path, 30), quick=True)
     engine = engines._Engine(cases, engines.SETTINGS["fixel"])
     some = cases.members[0].held_out
 
@@ -67,6 +74,57 @@ def test_a_push_that_an_engine_cannot_finish_counts_as_one_that_did_not_move(
 
     assert found.pose[0].tolist() == cases.start[some[0]].tolist()
     assert found.good.tolist() == [False, *[True] * (len(some) - 1)]
+
+
+def tripod_pushes() -> list[TripodPush]:
+    """Pushes of a block on two surfaces, each on three points and on its face."""
+    made = []
+    for surface, mu in MU.items():
+        for support in ("3pts3", "patch"):
+            for k, place in enumerate((-0.95, -0.4, 0.1, 0.4, 0.95)):
+                block = scene(place, 0.3 * (-1) ** k, mu)
+                case = RolloutCase(block, np.array([block.duration]))
+                end = ensemble_of([case]).simulate(np.zeros(1, int), {}).pose[0]
+                if support == "patch":
+                    body = replace(block.bodies[0], support=UniformPressure(friction=mu))
+                    case = RolloutCase(replace(block, bodies=(body,)), case.times)
+                conditions = {"surface": surface, "support": support}
+                target = Target(f"{surface}/{support}/{k}", conditions, case, end)
+                made.append(TripodPush(target, np.zeros((1, 2))))
+    return made
+
+
+def test_training_pushes_of_cmu_share_neither_surface_nor_support_with_held_out_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engines, "read_pushes", lambda folder: tripod_pushes())
+    monkeypatch.setattr(engines, "CMU_SETTINGS", {"fixel": engines.CMU_SETTINGS["fixel"]})
+    monkeypatch.setattr(engines, "RESAMPLES", 200)
+    cases = engines.cmu_cases(tmp_path, quick=False)
+
+    def groups(places: IntArray) -> set[tuple[float, bool]]:
+        found = [cases.cases[k].scene.bodies[0].support for k in places.tolist()]
+        assert all(isinstance(own, SupportPoints) for own in found)
+        return {(own.friction, len(own.points) == 3) for own in found}
+
+    assert len(cases.members) == 4
+    for member in cases.members:
+        own = (MU[member.key[0]], member.key[1] == "3pts3")
+        other = (next(mu for mu in MU.values() if mu != own[0]), not own[1])
+        assert groups(member.held_out) == {own}
+        assert groups(member.train) == {other}
+        assert (len(member.train), len(member.held_out)) == (3, 2)
+
+    (tmp_path / "cmu_tripod_push").mkdir()
+    answer = reproduce("engines", tmp_path)
+    still, shipped, calibrated = answer.tables["overall"]
+    assert shipped["data"] == "CMU"
+    assert calibrated["held_out"] == 8
+    exact = [row for row in answer.tables["groups"] if row["shape"] == "3pts3"]
+    errors = [row["mean_mm"] for row in exact if row["condition"] == engines.SHIPPED]
+    assert max(errors) < 0.01 < still["mean_mm"]
+    with pytest.raises(DatasetMissing, match="cmu_tripod_push"):
+        reproduce("engines", tmp_path / "elsewhere")
 
 
 def test_own_parameters_start_as_shipped() -> None:
@@ -95,6 +153,7 @@ def test_calibration_makes_fixel_better_on_real_pushes(
     data_root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(engines, "SETTINGS", {"fixel": engines.SETTINGS["fixel"]})
-    still, shipped, calibrated = reproduce("engines", data_root).tables["overall"]
+    folder = data_root / "mit_push_endpoints"
+    still, shipped, calibrated = reproduce("engines", folder).tables["overall"]
     assert shipped["held_out"] >= 1000
     assert calibrated["mean_mm"] < 0.9 * shipped["mean_mm"] < 0.5 * still["mean_mm"]
