@@ -12,13 +12,14 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Final
+from typing import Final, TypeVar
 
 from fixel.errors import InvalidInput
 from fixel.kernels import batch as kernel
 from fixel.kernels import codes
 from fixel.kernels.arrays import SAMPLES, STOP, Batch, BatchRecord, StepMethod
 
+T = TypeVar("T")
 MAX_RANGE: Final = 64  # rollouts of one call
 POOL_NAME: Final = "fixel-rollouts"  # beginning of the names of its threads
 WAIT_S: Final = 0.1  # between two looks for Ctrl-C, which interrupts no wait on Windows
@@ -89,8 +90,6 @@ def _share(
 ) -> None:
     n = len(record.status)
     left = deque(range(0, n, size))
-    # A queue in C: Ctrl-C inside a wait for futures could find their lock released, and end in
-    # a RuntimeError in place of the KeyboardInterrupt.
     ended: SimpleQueue[BaseException | None] = SimpleQueue()
 
     def work() -> None:
@@ -114,7 +113,7 @@ def _share(
     futures = [pool.submit(work) for _ in range(min(n_threads, len(left)))]
     try:
         for _ in futures:
-            if problem := _awaited(ended):
+            if problem := awaited(ended):
                 raise problem
     except BaseException:
         left.clear()
@@ -123,10 +122,14 @@ def _share(
         raise
 
 
-def _awaited(ended: SimpleQueue[BaseException | None]) -> BaseException | None:
+def awaited(queue: SimpleQueue[T]) -> T:
+    """Wait for the next item of a queue, or for Ctrl-C.
+
+    Ctrl-C inside a wait for futures can find their lock released, and ends in a RuntimeError then.
+    """
     while True:
         with suppress(Empty):
-            return ended.get(timeout=WAIT_S)
+            return queue.get(timeout=WAIT_S)
 
 
 def _threads(n: int) -> ThreadPoolExecutor:

@@ -22,7 +22,7 @@ from fixel.simulation.engines.program import Program, ProgramFailed
 from fixel.simulation.engines.task import plain, task_of, unsupported
 from fixel.simulation.motion import OtherEngine
 from fixel.simulation.rollouts import INFEASIBLE, EnsembleOutcome, RolloutCase
-from fixel.simulation.threads import cores
+from fixel.simulation.threads import awaited, cores
 from fixel.simulation.vary import infeasible
 from fixel.typing import FloatArray, IntArray
 
@@ -202,19 +202,32 @@ class EngineEnsemble:
             pose = None if reason else frames.scene_poses(np.array(answer, np.float64))
             return _Rollout(pose, reason)
 
+        done: SimpleQueue[tuple[int, _Rollout | BaseException]] = SimpleQueue()
+
+        def work(k: int) -> None:
+            try:
+                done.put((k, one(k)))
+            except BaseException as problem:
+                done.put((k, problem))
+
         ready = np.flatnonzero([not reason for reason in reasons])
         workers = ThreadPoolExecutor(len(self._programs), thread_name_prefix="fixel-engine")
         try:
             for first in range(0, len(ready), PER_PASS):
                 part = ready[first : first + PER_PASS]
-                answers = list(workers.map(one, part.tolist()))
-                good = [k for k, answer in enumerate(answers) if answer.pose is not None]
-                status[part] = codes.ENGINE_FAILED
-                status[part[good]] = codes.CONVERGED
-                for k, answer in zip(part.tolist(), answers, strict=True):
+                for k in part.tolist():
+                    workers.submit(work, k)
+                poses = {}
+                for _ in part:
+                    k, answer = awaited(done)
+                    if isinstance(answer, BaseException):
+                        raise answer
+                    status[k] = codes.ENGINE_FAILED if answer.reason else codes.CONVERGED
                     reasons[k] = answer.reason and f"{self.info.name}: {answer.reason}"
-                if good:
-                    use(part[good], self._padded([answers[k].pose for k in good]))
+                    if answer.pose is not None:
+                        poses[k] = answer.pose
+                if good := sorted(poses):
+                    use(np.array(good), self._padded([poses[k] for k in good]))
         except BaseException:
             # Ctrl-C, or an engine that is given up: what runs is ended, what waits never starts.
             workers.shutdown(wait=False, cancel_futures=True)
@@ -245,10 +258,10 @@ class EngineEnsemble:
             return None, str(answer["failed"])
         return answer.get("pose"), ""
 
-    def _padded(self, poses: Sequence[FloatArray | None]) -> FloatArray:
+    def _padded(self, poses: Sequence[FloatArray]) -> FloatArray:
         """Stack poses, the last one repeated where a case has fewer samples."""
         n = self.n_sample
-        rows = [p[np.minimum(np.arange(n), len(p) - 1)] for p in poses if p is not None]
+        rows = [p[np.minimum(np.arange(n), len(p) - 1)] for p in poses]
         return np.array(rows)
 
 
