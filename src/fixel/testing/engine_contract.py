@@ -233,6 +233,12 @@ class EngineContract:
         self.within(abs(float(end[0]) - speed**2 / (2.0 * friction * G)), allowed, "m")
         self.within(abs(float(end[1])), self.position, "m")
 
+    def test_slides_to_rest_on_the_moon(self, engine: AbstractMotionModel | str) -> None:
+        speed, friction, gravity = 0.2, 0.25, 1.62
+        end = _ends(engine, [replace(sliding_block(speed, friction), gravity=gravity)])[0]
+        off = abs(float(end[0]) - speed**2 / (2.0 * friction * gravity))
+        self.within(off, self.position + self.stop * speed, "m")
+
     def test_spins_to_rest(self, engine: AbstractMotionModel | str) -> None:
         block = sliding_block(0.0).bodies[0]
         rate, friction, radius = 5.0, 0.25, 0.03

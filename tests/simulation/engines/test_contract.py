@@ -30,6 +30,7 @@ class TestPymunk(EngineContract):
     position, angle, stop = 4e-4, math.radians(0.5), 1e-3
     misses: ClassVar = {
         "test_slides_to_rest": "0.96 mm against 0.9 mm",
+        "test_slides_to_rest_on_the_moon": "0.79 mm against 0.6 mm",
         "test_slides_and_spins_to_rest": f"8.4 mm, 8.7 degrees: {JOINTS}",
         "test_free_push": f"4.3 mm, 7.0 degrees: {JOINTS}",
         "test_irregular_times": f"4.3 mm, 7.0 degrees: {JOINTS}",
@@ -59,7 +60,6 @@ class TestBox2D(EngineContract):
 
 class TestMuJoCo(EngineContract):
     position, angle, stop = 3e-4, math.radians(0.7), 5e-4
-    misses: ClassVar = {"test_ellipsoid_is_exact_or_refused": "0.62 mm against 0.3 mm"}
 
     @pytest.fixture
     def engine(self) -> str:

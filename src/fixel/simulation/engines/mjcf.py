@@ -7,15 +7,10 @@ from importlib.resources import files
 from string import Template
 from typing import Final, Protocol
 
-import numpy as np
-
-from fixel.simulation.engines.prisms import rectangle
+from fixel.simulation.engines.solids import FOOT, HEAVY, footed, solids
 from fixel.simulation.engines.task import PlainOutline, PlainTask
 
-FOOT = 0.002  # [m] radius of a foot
 THICKNESS = 0.005  # [m] of bodies, half
-HEAVY = 1e7  # [kg], [kg m^2]: a pusher that nothing slows down
-LIGHT = 1e-3  # [kg] of the body apart from its feet; the engine wants some
 
 _JOINTS: Final = (
     '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
@@ -51,18 +46,14 @@ def mjcf(task: PlainTask, settings: ContactSettings) -> str:
     The body moves on two slides and a hinge; its mass is in its feet, its inertia in itself. Only
     the named pairs touch, each with its own coefficient.
     """
-    own = task.body
-    meshes: list[str] = []
-    body = list(_geoms("object", own.outline, meshes))
-    loaded = np.flatnonzero(own.loads * own.friction > 0.0)
-    # An ellipsoid has no load of its own: its largest force, at a friction of 1.
-    mass = own.loads / task.gravity
-    carried = float(mass[loaded] @ (own.points[loaded] ** 2).sum(axis=1))
-    feet = [_foot(k, own.points[k].tolist(), float(mass[k])) for k in loaded.tolist()]
-    torsion = own.friction * own.arms + settings.torsion
+    feet, meshes = footed(task.body, task.gravity), list[str]()
+    numbers = range(len(feet.masses))
+    body = list(_geoms("object", task.body.outline, meshes))
     pairs = [
-        _pair("floor", f"foot{k}", float(own.friction[k]), float(torsion[k]), settings)
-        for k in loaded.tolist()
+        _pair("floor", f"foot{k}", friction, friction * arm + settings.torsion, settings)
+        for k, friction, arm in zip(
+            numbers, feet.friction.tolist(), feet.arms.tolist(), strict=True
+        )
     ]
     fixels = []
     for k, fixel in enumerate(task.fixels):
@@ -80,13 +71,13 @@ def mjcf(task: PlainTask, settings: ContactSettings) -> str:
         noslip=settings.noslip,
         joints=_JOINTS,
         foot=FOOT,
-        light=LIGHT,
+        mass=feet.mass,
         heavy=HEAVY,
-        inertia=max(own.inertia - carried, 1e-9),
+        inertia=feet.inertia,
         meshes="".join(meshes),
         fixels="".join(fixels),
         body="".join(body),
-        feet="".join(feet),
+        feet="".join(map(_foot, numbers, feet.points.tolist(), feet.masses.tolist())),
         pusher="".join(pusher),
         pairs="".join(pairs),
     )
@@ -122,20 +113,22 @@ def _pair(one: str, other: str, friction: float, torsion: float, settings: Conta
 
 def _geoms(name: str, outline: PlainOutline, meshes: list[str]) -> Iterator[str]:
     """Yield the geoms of an outline, and add the meshes that they need."""
-    for k, piece in enumerate(outline.pieces):
+    for k, solid in enumerate(solids(outline)):
         own = f'name="{name}{k}"'
-        if outline.radius > 0.0:
-            x, y = piece[0].tolist()
-            yield f'<geom {own} type="sphere" pos="{x!r} {y!r} 0" size="{outline.radius!r}"/>'
-        elif (box := rectangle(piece)) is not None:
-            x, y, theta, length, width = box
+        x, y, theta = solid.at
+        length, width = solid.size
+        if solid.kind == "disc":
+            yield f'<geom {own} type="sphere" pos="{x!r} {y!r} 0" size="{length!r}"/>'
+        elif solid.kind == "box":
             yield (
                 f'<geom {own} type="box" pos="{x!r} {y!r} 0" euler="0 0 {theta!r}" '
                 f'size="{length / 2!r} {width / 2!r} {THICKNESS}"/>'
             )
         else:
             corners = [
-                f"{x!r} {y!r} {z}" for x, y in piece.tolist() for z in (-THICKNESS, THICKNESS)
+                f"{x!r} {y!r} {z}"
+                for x, y in solid.corners.tolist()
+                for z in (-THICKNESS, THICKNESS)
             ]
             meshes.append(f'<mesh {own} vertex="{" ".join(corners)}"/>')
             yield f'<geom {own} type="mesh" mesh="{name}{k}"/>'

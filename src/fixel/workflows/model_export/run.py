@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from importlib.resources import files
@@ -21,14 +21,21 @@ from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.engine_names import EngineName
 from fixel.simulation.engines import AbstractPhysicsEngine, engine_of
 from fixel.simulation.engines.mjcf import mjcf
+from fixel.simulation.engines.sdf import sdf
+from fixel.simulation.engines.solids import excess_inertia
 from fixel.simulation.engines.task import PlainTask, plain, task_of, unsupported
 from fixel.simulation.motion import OtherEngine
 from fixel.workflows.model_export.card import Distances, distances_from_fixel, errors_on
 from fixel.workflows.model_export.source import Exportable, ModelSource, SourceCase, source_of
-from fixel.workflows.model_export.urdf import excess_inertia, urdf
+from fixel.workflows.model_export.urdf import urdf
 
-TARGETS: Final = ("mujoco", "pymunk", "box2d", "urdf")
+TARGETS: Final = ("mujoco", "drake", "pymunk", "box2d", "urdf")
 FORMAT: Final = "fixel-model-1"
+# Files of engines that read models, by name. In these the mass of a body is in its feet.
+MODELS: Final[Mapping[str, Callable[[PlainTask, Any], Mapping[str, str]]]] = {
+    "mujoco": lambda task, engine: {"model.xml": mjcf(task, engine)},
+    "drake": sdf,
+}
 _SCRIPTS: Final = "fixel.workflows.model_export.scripts"
 
 
@@ -89,7 +96,7 @@ def export_model(
     folder : path
         New or empty folder.
     to : str
-        ``"mujoco"``, ``"pymunk"``, ``"box2d"``, with choices as in
+        ``"mujoco"``, ``"drake"``, ``"pymunk"``, ``"box2d"``, with choices as in
         ``"mujoco:step=0.001"``; or ``"urdf"``, the body with its support alone.
     calibration : int, optional
         Id of a calibration of a project; by default the newest for several experiments.
@@ -193,10 +200,11 @@ def _model(engine: AbstractPhysicsEngine, case: SourceCase) -> _ModelFiles:
     }
     del document["values"]
     contents = {"model.json": json.dumps(document, indent=1, allow_nan=False) + "\n"}
-    if engine.name == "mujoco":
-        contents["model.xml"] = mjcf(task, engine)  # type: ignore[arg-type]
+    lost: list[str] = []
+    if engine.name in MODELS:
+        contents |= MODELS[engine.name](task, engine)
+        lost = excess_inertia(task.body, task.gravity)
     contents |= {"run.py": _script(f"run_{engine.name}"), "drive.py": _script("drive")}
-    lost = excess_inertia(task) if engine.name == "mujoco" else []
     lost += [
         f"{name}, a parameter of another engine"
         for name in case.values

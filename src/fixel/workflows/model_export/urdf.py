@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from xml.sax.saxutils import quoteattr
 
-import numpy as np
-
 from fixel.simulation.engines.plane import harmonic_partner
+from fixel.simulation.engines.solids import (
+    FOOT,
+    PieceSolid,
+    excess_inertia,
+    footed,
+    prism_obj,
+    solids,
+)
 from fixel.simulation.engines.task import PlainTask
-from fixel.workflows.model_export.solids import PieceSolid, prism_obj, solids
 
-FOOT = 0.002  # [m] radius of a foot
 HEIGHT = 0.02  # [m] of the body
-LIGHT = 1e-3  # [kg] of the body apart from its feet
 
 
 def urdf(task: PlainTask, name: str) -> tuple[str, Mapping[str, str], list[str]]:
@@ -30,43 +33,25 @@ def urdf(task: PlainTask, name: str) -> tuple[str, Mapping[str, str], list[str]]
     name : str
         Name of the robot.
     """
-    own = task.body
+    # No foot has a torque, as an ellipsoid has.
+    own = task.body._replace(friction=task.body.friction * (task.body.arms == 0.0))
+    feet = footed(own, task.gravity)
     meshes: dict[str, str] = {}
-    shapes = ""
-    for k, solid in enumerate(solids(own.outline)):
-        shapes += _shape(k, solid, meshes)
-    loaded = np.flatnonzero((own.loads * own.friction > 0.0) & (own.arms == 0.0))
-    mass = own.loads / task.gravity
-    rest = own.inertia - float(mass[loaded] @ (own.points[loaded] ** 2).sum(axis=1))
-    light = LIGHT if len(loaded) else own.mass
+    shapes = "".join(_shape(k, solid, meshes) for k, solid in enumerate(solids(own.outline)))
     text = (
         f'<?xml version="1.0"?>\n<robot name={quoteattr(name)} xmlns:drake="drake.mit.edu">\n'
-        f'<link name="object">\n{_inertial(light, max(rest, 1e-9))}{shapes}</link>\n'
+        f'<link name="object">\n{_inertial(feet.mass, feet.inertia)}{shapes}</link>\n'
     )
-    for k in loaded.tolist():
-        text += _foot(k, own.points[k].tolist(), float(mass[k]), float(own.friction[k]))
-    return text + "</robot>\n", meshes, _lost(task)
-
-
-def excess_inertia(task: PlainTask) -> list[str]:
-    """Return by how much feet with mass make the moment of inertia too large; empty for none."""
-    own = task.body
-    carried = own.loads / task.gravity * (own.arms == 0.0) * (own.friction > 0.0)
-    inertia = float(carried @ (own.points**2).sum(axis=1))
-    if inertia <= own.inertia:
-        return []
-    return [
-        f"the moment of inertia {own.inertia:.3g} kg m^2: masses on the support points have"
-        f" {inertia:.3g} kg m^2"
-    ]
+    masses, friction = feet.masses.tolist(), feet.friction.tolist()
+    text += "".join(map(_foot, range(len(masses)), feet.points.tolist(), masses, friction))
+    return text + "</robot>\n", meshes, excess_inertia(own, task.gravity) + _lost(task)
 
 
 def _lost(task: PlainTask) -> list[str]:
     own = task.body
     friction = {task.pusher.friction} if task.pusher else set()
     friction |= {fixel.friction for fixel in task.fixels}
-    lost = excess_inertia(task)
-    lost += [f"{len(task.fixels)} fixels"] if task.fixels else []
+    lost = [f"{len(task.fixels)} fixels"] if task.fixels else []
     lost += ["the pusher and its drive"] if task.pusher else []
     if friction:
         values = ", ".join(f"{value:g}" for value in sorted(friction))
