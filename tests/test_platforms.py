@@ -49,9 +49,13 @@ def import_all():
 
     # An adapter needs its engine, of which Drake is not installed everywhere.
     absent = {
-        f"fixel.simulation.engines.{own.module}"
+        module
         for name, own in ENGINES.items()
         if name not in installed_engines()
+        for module in (
+            f"fixel.simulation.engines.{own.module}",
+            f"fixel.workflows.model_export.scripts.run_{name}",
+        )
     }
     for module in pkgutil.walk_packages(fixel.__path__, "fixel."):
         if module.name not in {*SCRIPTS, *absent} and "migrations" not in module.name:

@@ -302,7 +302,7 @@ def export(
     ),
     to: str | None = option(
         None,
-        "Write a model for another engine: mujoco, pymunk or box2d, with choices as in "
+        "Write a model for another engine: mujoco, drake, pymunk or box2d, with choices as in "
         "mujoco:step=0.001; or urdf.",
         metavar="ENGINE",
     ),
