@@ -180,35 +180,21 @@ class EngineEnsemble:
     ) -> tuple[IntArray, list[str]]:
         reasons = self.refused(which, values)
         status = np.full(len(which), INFEASIBLE, np.int64)
-        shared, own = self._split(values)
         free: SimpleQueue[Program] = SimpleQueue()
         for program in self._programs:
             free.put(program)
-
-        def one(k: int) -> _Rollout:
-            task, frames = task_of(
-                self.cases[which[k]].scene,
-                self.cases[which[k]].times,
-                {name: float(v[k]) for name, v in shared.items()},
-                {name.partition(".")[2]: float(v[k]) for name, v in own.items()},
-                None if fixels is None else fixels[k],
-            )
-            program = free.get()
-            try:
-                answer, reason = self._answer(program, int(which[k]), plain(task))
-            finally:
-                free.put(program)
-            reason = reason or fault(task, answer)
-            pose = None if reason else frames.scene_poses(np.array(answer, np.float64))
-            return _Rollout(pose, reason)
-
         done: SimpleQueue[tuple[int, _Rollout | BaseException]] = SimpleQueue()
 
         def work(k: int) -> None:
+            program = free.get()
             try:
-                done.put((k, one(k)))
+                own = {name: float(column[k]) for name, column in values.items()}
+                fixed = None if fixels is None else fixels[k]
+                done.put((k, self._rollout(program, int(which[k]), own, fixed)))
             except BaseException as problem:
                 done.put((k, problem))
+            finally:
+                free.put(program)
 
         ready = np.flatnonzero([not reason for reason in reasons])
         workers = ThreadPoolExecutor(len(self._programs), thread_name_prefix="fixel-engine")
@@ -235,6 +221,22 @@ class EngineEnsemble:
             raise
         workers.shutdown()
         return status, reasons
+
+    def _rollout(
+        self, program: Program, case: int, values: Mapping[str, float], fixels: FloatArray | None
+    ) -> _Rollout:
+        """Simulate a case once, and check the answer."""
+        task, frames = task_of(
+            self.cases[case].scene,
+            self.cases[case].times,
+            {name: value for name, value in values.items() if "." not in name},
+            {name.partition(".")[2]: value for name, value in values.items() if "." in name},
+            fixels,
+        )
+        answer, reason = self._answer(program, case, plain(task))
+        reason = reason or fault(task, answer)
+        pose = None if reason else frames.scene_poses(np.array(answer, np.float64))
+        return _Rollout(pose, reason)
 
     def _answer(self, program: Program, case: int, task: Any) -> tuple[Any, str]:
         """Return the poses of one rollout, or the reason why there are none."""
