@@ -357,7 +357,7 @@ def _interrupted(folder, delays, stores):
 
 
 def test_the_interpreter_is_usable_after_an_interruption(tmp_path):
-    # A busy machine takes longer until there is a result so far, with which `Interrupted` is raised.
+    # A busy machine takes longer until there is a first result, which `Interrupted` has.
     delays = [0.05 * 2.0**k for k in range(8)]
     stores = [tmp_path / f"{k}" if k % 2 else "-" for k in range(8)]
     assert "Interrupted" in _interrupted(tmp_path, delays, stores)

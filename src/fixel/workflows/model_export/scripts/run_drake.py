@@ -1,6 +1,6 @@
 """Run `model.sdf` in Drake: `python run.py > poses.csv`. Needs the package drake 1.51.
 
-The pusher weighs so much that nothing slows it down; its velocity is set at each step.
+The pusher weighs so much that nothing slows it down; its velocity is set where it changes.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from fixel.workflows.model_export.scripts.drive import Poses, pusher_path, run
+
+SAME = 1e-9  # [m/s], [rad/s]
 
 
 def simulate(model: dict[str, Any]) -> Poses:
@@ -36,11 +38,12 @@ def simulate(model: dict[str, Any]) -> Poses:
     body.set_translational_velocity(context, own["velocity"][:2])
     body.set_angular_velocity(context, own["velocity"][2])
     simulator.Initialize()
+    velocity = np.diff(head, axis=0) / step
     track = [own["start"]]
     for k in range(n):
-        velocity = (head[k + 1] - head[k]) / step
-        drive.set_translational_velocity(context, velocity[:2])
-        drive.set_angular_velocity(context, velocity[2])
+        if k == 0 or np.abs(velocity[k] - velocity[k - 1]).max() > SAME:
+            drive.set_translational_velocity(context, velocity[k, :2])
+            drive.set_angular_velocity(context, velocity[k, 2])
         simulator.AdvanceTo(grid[k + 1])
         track.append([*body.get_translation(context), body.get_rotation(context)])
     columns = [np.interp(times, grid, column) for column in np.array(track).T]
