@@ -16,6 +16,7 @@ import importlib.util
 import itertools
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
@@ -81,6 +82,7 @@ def main() -> None:
     options = parser.parse_args()
     n, installed = options.scenes, installed_engines()
     with RESULTS.open(newline="", encoding="utf-8") as file:
+        rows: dict[tuple[str, str], Sequence[Any]]
         rows = {(row[0], row[1]): row for row in list(csv.reader(file))[1:]}
     for name, scene in SCENES.items():
         for engine in (own for own in options.engines if own in installed):

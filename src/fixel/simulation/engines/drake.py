@@ -86,7 +86,7 @@ class Drake(AbstractPhysicsEngine):
         drive.set_rotation(context, float(head[0, 2]))
         simulator.Initialize()
         velocity = np.diff(head, axis=0) / step
-        track, before = [task.body.start], 0
+        track, before = [task.body.start.tolist()], 0
         # A call of Drake takes longer than a step: one until the velocity changes, or a sample.
         jumps = np.abs(np.diff(velocity, axis=0)).max(axis=1) > SAME
         changes = {0, *(1 + np.flatnonzero(jumps)).tolist()}
