@@ -48,7 +48,7 @@ def test_copies_are_bit_for_bit_as_many_single_environments(name, world):
 def test_a_push_ends_where_one_simulation_of_it_does(shape):
     env = PushVectorEnv(6, scene=shape, autoreset_mode="Disabled")
     seen, _ = env.reset(seed=4)
-    start, agent = env.block_poses(), [seen["observation"][:, :2]]
+    start, agent = env._motion.poses(), [seen["observation"][:, :2]]
     route = []
     for _ in range(12):
         action = seen["achieved_goal"][:, :2] / env.half_side
@@ -66,11 +66,11 @@ def test_a_push_ends_where_one_simulation_of_it_does(shape):
         )
         one = simulate(scene, motion="quasistatic", stepper=Adaptive(tolerance=1e-7))
         assert one.converged
-        off = env.block_poses()[k] - one.pose["part"][-1]
+        off = env._motion.poses()[k] - one.pose["part"][-1]
         assert np.hypot(*off[:2]) < 1e-3
         if not isinstance(shape, Disk):
             assert abs(off[2]) < np.radians(1.0)
-        assert np.hypot(*(env.block_poses()[k] - start[k])[:2]) > 0.0 or k > 0
+        assert np.hypot(*(env._motion.poses()[k] - start[k])[:2]) > 0.0 or k > 0
 
 
 def test_rewards_are_those_of_the_goals():

@@ -54,7 +54,7 @@ def test_scripted_pushes_end_where_those_of_gym_pusht_do():
     assert np.degrees(np.abs(found - end)[:, 4]).max() < 1.0
     # The coverage at the recorded pose, which no motion separates from the recorded one.
     own = np.zeros(len(end))
-    coverage(end[:, 2:5].copy(), np.zeros(2), PIECES, placed_pieces(GOAL), 0, len(own), own)
+    coverage(end[:, 2:5].copy(), PIECES, placed_pieces(GOAL), 0, len(own), own)
     assert np.abs(own - end[:, 5]).max() < 1e-9
 
 
@@ -70,7 +70,7 @@ def test_coverage_is_the_area_that_shapely_computes():
     poses = np.column_stack((rng.uniform(150, 350, (300, 2)), rng.uniform(-9, 9, 300)))
     poses[0] = GOAL
     found = np.zeros(300)
-    coverage(poses, np.zeros(2), PIECES, placed_pieces(GOAL), 0, 300, found)
+    coverage(poses, PIECES, placed_pieces(GOAL), 0, 300, found)
     goal = shapely.unary_union([shapely.Polygon(own) for own in placed_pieces(GOAL)])
     for pose, share in zip(poses, found, strict=True):
         t = shapely.unary_union([shapely.Polygon(own) for own in placed_pieces(pose)])

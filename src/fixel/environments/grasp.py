@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, Unpack, get_args
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
 
 from fixel.environments.scene_picture import scene_picture
-from fixel.environments.vector import BatchEnv, Info, SingleEnv, check_name, copied
-from fixel.environments.worlds import world_draws
+from fixel.environments.vector import (
+    BatchEnv,
+    BatchOptions,
+    Info,
+    SingleEnv,
+    check_name,
+    symmetric_box,
+    with_cosine,
+)
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Fixel, Goal, LineDrive, Polygon, Pusher, Scene, Seated, Tripod
-from fixel.model.fields import instance
+from fixel.model.fields import instance, non_negative, vector
 from fixel.model.goals import BodyTrack
 from fixel.planning.rollout import part_overlap, tool_overlap
 from fixel.simulation.ensemble import Ensemble
@@ -110,48 +116,42 @@ class GraspVectorEnv(BatchEnv):
         offset: float = OFFSET,
         world: WorldName = "nominal",
         parameters: Any = None,
-        render_mode: str | None = "rgb_array",
         max_episode_steps: int | None = MAX_STROKES,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        threads: int | None = None,
+        **options: Unpack[BatchOptions],
     ) -> None:
         check_name("world", world, get_args(WorldName))
         instance(goal, Goal | None, "goal", "a Goal")
         self.scene = grasp_scene() if scene is None else scene
         self._drive = _stroke(self.scene)
-        # A stroke moves the part by its travel at most, from where the strokes before left it.
-        size = self.scene.bodies[0].shape.radius
-        place = float(np.abs(self.scene.bodies[0].pose[:2]).max()) + 3.0 * self._drive.travel + size
-        high = np.array([place, place, 1.0, 1.0])
+        self._range = np.abs(vector(start, "start", "x [m], y [m], angle [rad]"))
+        self._offset = non_negative(offset, "offset", "m")
         super().__init__(
             num_envs,
+            symmetric_box([*self._limits(), 1.0, 1.0]),
+            spaces.Box(-1.0, 1.0, (2,), np.float32),
             max_episode_steps=max_episode_steps,
-            autoreset_mode=autoreset_mode,
-            render_mode=render_mode,
-            threads=threads,
-            observation_space=spaces.Box(-high, high, dtype=np.float64),
-            action_space=spaces.Box(-1.0, 1.0, (2,), np.float32),
+            **options,
         )
-        self._draws = world_draws(world, self.scene, parameters, RANGES, num_envs)
-        self.scene = self.scene if self._draws is None else self._draws.scene
+        self.scene = self._set_world(world, self.scene, parameters, RANGES)
         names = [fixel.name for fixel in self.scene.fixels]
         self.goal = Seated(*names[:2]) if goal is None else goal
-        self._range, self._offset = np.array(start, np.float64), offset
-        if self._range.shape != (3,) or not (self._range >= 0.0).all() or not offset >= 0.0:
-            found = f"{start} and {offset}"
-            raise InvalidInput("start", found=found, expected="three lengths and one, 0 or more")
         self._pose = np.tile(self.scene.bodies[0].pose, (num_envs, 1))
         self._tool = np.tile(self.scene.pushers[0].pose, (num_envs, 1))
         self._success = np.zeros(num_envs, bool)
         self._simulated = np.ones(num_envs, bool)
+
+    def _limits(self) -> FloatArray:
+        """Largest distances (2,) of the part from the origin: at the start, or at the head."""
+        part, head = self.scene.bodies[0], self.scene.pushers[0]
+        at_start = np.abs(part.pose[:2]) + self._range[:2]
+        reach = self._drive.travel + self._offset + head.shape.radius + part.shape.radius
+        return np.asarray(np.maximum(at_start, 1.1 * (np.abs(head.pose[:2]) + reach)))
 
     def _begin(self, which: IntArray, options: Info) -> None:
         self._success[which], self._simulated[which] = False, True
         self._tool[which] = self.scene.pushers[0].pose
         for k in which.tolist():
             self._pose[k] = self._start(self.rngs[k])
-        if self._draws is not None:
-            self._draws.redraw(which, self.world_rngs)
 
     def _start(self, rng: np.random.Generator) -> FloatArray:
         """Draw a start that overlaps neither the head nor a fixel."""
@@ -174,7 +174,7 @@ class GraspVectorEnv(BatchEnv):
         path[:, :, 1:3] += (self._offset * action[:, :1] * across)[:, None]
         path[:, 1, 1:3] += travel[:, None] * along
         path[:, 1, 0] = travel / self._drive.speed
-        self._tool = path[:, 1, 1:]
+        self._tool = path[:, 0, 1:]
         free = tool_overlap(self.scene, self._pose, path[:, 0, 1:]) <= 0.0
         self._simulate(np.flatnonzero(free), path)
 
@@ -200,27 +200,22 @@ class GraspVectorEnv(BatchEnv):
         return self._success.astype(np.float64), self._success.copy()
 
     def _observations(self) -> FloatArray:
-        angle = self._pose[:, 2]
-        return np.column_stack((self._pose[:, :2], np.cos(angle), np.sin(angle)))
+        return with_cosine(self._pose)
 
     def _info(self) -> Info:
-        info: Info = {
+        return {
             "is_success": self._success.copy(),
             "pose": self._pose.copy(),
             "simulated": self._simulated.copy(),
         }
-        if self._draws is not None:
-            info["parameters"] = copied(self._draws.values)
-        return info
 
     def picture(self, k: int) -> Any:
-        """Return a picture (480, 480, 3) uint8 of environment k at the end of its stroke."""
+        """Return a picture (480, 480, 3) uint8 of environment k, with the head taken back."""
         size = self.scene.bodies[0].shape.radius
         points = np.array([f.pose for f in self.scene.fixels] + [self.scene.pushers[0].pose])
         low, high = points[:, :2].min(axis=0) - size, points[:, :2].max(axis=0) + size
-        middle, half = 0.5 * (low + high), 0.5 * float((high - low).max())
-        view = np.array([middle[0] - half, middle[0] + half, middle[1] - half, middle[1] + half])
-        return scene_picture(self.scene, view, self._pose[k], self._tool[k])
+        half = 0.5 * float((high - low).max())
+        return scene_picture(self.scene, 0.5 * (low + high), half, self._pose[k], self._tool[k])
 
 
 class GraspEnv(SingleEnv):
@@ -242,7 +237,7 @@ class GraspEnv(SingleEnv):
     """
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(GraspVectorEnv(1, max_episode_steps=None, threads=1, **options))
+        super().__init__(GraspVectorEnv, **options)
 
 
 def _stroke(scene: Scene) -> LineDrive:

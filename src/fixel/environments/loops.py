@@ -281,7 +281,6 @@ def _common_area(one: FloatArray, other: FloatArray, here: FloatArray, there: Fl
 @entry
 def coverage(
     pose: FloatArray,
-    com: FloatArray,
     pieces: FloatArray,
     goal: FloatArray,
     first: int,
@@ -293,11 +292,9 @@ def coverage(
     Parameters
     ----------
     pose : (n, 3) float64
-        Poses of the centres of mass [px, px, rad].
-    com : (2,) float64
-        Centre of mass in the frame of the shape [px].
+        Poses of the shapes [px, px, rad].
     pieces : (n_piece, 4, 2) float64
-        Quadrilaterals of the body in that frame, counter-clockwise, without overlap [px].
+        Quadrilaterals of the shape in its frame, counter-clockwise, without overlap [px].
     goal : (n_piece, 4, 2) float64
         The same at the goal, in the world [px].
     first, last : int
@@ -316,7 +313,7 @@ def coverage(
         area = 0.0
         for p in range(pieces.shape[0]):
             for i in range(4):
-                x, y = pieces[p, i, 0] - com[0], pieces[p, i, 1] - com[1]
+                x, y = pieces[p, i, 0], pieces[p, i, 1]
                 placed[i, 0] = pose[k, 0] + (c * x - s * y)
                 placed[i, 1] = pose[k, 1] + (s * x + c * y)
             for g in range(goal.shape[0]):

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final, Literal, get_args
+from collections.abc import Mapping
+from typing import Any, Final, Literal, Unpack, get_args
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike
 
 from fixel.environments.motion import STIFFNESS, PushMotion
 from fixel.environments.scene_picture import scene_picture
-from fixel.environments.vector import BatchEnv, Info, SingleEnv, check_name, copied
-from fixel.environments.worlds import FORCE, pressure_arm, world_draws
+from fixel.environments.vector import (
+    BatchEnv,
+    BatchOptions,
+    Info,
+    SingleEnv,
+    check_name,
+    symmetric_box,
+    with_cosine,
+)
+from fixel.environments.worlds import FORCE, pressure_arm
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Ellipsoid, PathDrive, Polygon, Pusher, Scene
 from fixel.model.fields import positive, vector
@@ -71,7 +79,8 @@ class PushVectorEnv(BatchEnv):
     position, angle : float
         Largest distance [m] and rotation [rad] from the goal.
     symmetry : int
-        Number of rotations that leave the body as it is, such as 2 for a rectangle.
+        Number of rotations that leave the body as it is, such as 2 for a rectangle. Rotations of
+        a disk never count.
     half_side : float
         Half of the side of the square table about the origin [m].
     reward : str
@@ -111,10 +120,8 @@ class PushVectorEnv(BatchEnv):
         reward: RewardName = "sparse",
         world: WorldName = "nominal",
         parameters: Any = None,
-        render_mode: str | None = "rgb_array",
         max_episode_steps: int | None = MAX_STEPS,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        threads: int | None = None,
+        **options: Unpack[BatchOptions],
     ) -> None:
         check_name("reward", reward, get_args(RewardName))
         check_name("world", world, get_args(WorldName))
@@ -127,40 +134,36 @@ class PushVectorEnv(BatchEnv):
         self.symmetry, self.reward_name = symmetry, reward
         own = scene if isinstance(scene, Scene) else push_scene(scene)
         _check_scene(own)
+        body, agent = own.bodies[0], own.pushers[0]
         # The agent stays on the table, and a body at the agent.
-        place = self.half_side + 2.0 * own.bodies[0].shape.radius
-        pose = _box([place, place, 1.0, 1.0])
+        self._reach = self.half_side + body.shape.radius + 1.1 * agent.shape.radius
+        place = max([self._reach, *([] if self.goal is None else np.abs(self.goal[:2]))])
         speed = 0.5 * math.sqrt(STIFFNESS) * 2.0 * self.half_side
+        pose = [place, place, 1.0, 1.0]
+        boxes: dict[str, spaces.Space[Any]] = {
+            "observation": symmetric_box([place, place, speed, speed, *pose]),
+            "achieved_goal": symmetric_box(pose),
+            "desired_goal": symmetric_box(pose),
+        }
         super().__init__(
             num_envs,
+            spaces.Dict(boxes),
+            spaces.Box(-1.0, 1.0, (2,), np.float32),
             max_episode_steps=max_episode_steps,
-            autoreset_mode=autoreset_mode,
-            render_mode=render_mode,
-            threads=threads,
-            observation_space=spaces.Dict(
-                {
-                    "observation": _box([place, place, speed, speed, place, place, 1.0, 1.0]),
-                    "achieved_goal": pose,
-                    "desired_goal": pose,
-                }
-            ),
-            action_space=spaces.Box(-1.0, 1.0, (2,), np.float32),
+            **options,
         )
-        self._draws = world_draws(world, own, parameters, _usual_parameters(own), num_envs)
-        self.scene = own if self._draws is None else self._draws.scene
-        body = self.scene.bodies[0]
+        self.scene = self._set_world(world, own, parameters, _usual_parameters(own))
         self._arm = math.sqrt(body.moment_of_inertia / body.mass)
         self._motion = PushMotion(self.scene, num_envs, unit=1.0, threads=self.threads)
         self._goals = np.zeros((num_envs, 3))
 
+    def _set_parameters(self, values: Mapping[str, FloatArray]) -> None:
+        self._motion.set_parameters(values)
+
     def _begin(self, which: IntArray, options: Info) -> None:
         drawn = np.array([self._start(k) for k in which.tolist()])
-        agent, pose, self._goals[which] = drawn[:, :2], drawn[:, 2:5], drawn[:, 5:]
-        body = pose + _shifted(pose[:, 2], self._motion.com)
-        self._motion.place(which, agent, body, np.zeros(len(which)))
-        if self._draws is not None:
-            self._draws.redraw(which, self.world_rngs)
-            self._motion.set_parameters(self._draws.values)
+        self._motion.place(which, drawn[:, :2], drawn[:, 2:5])
+        self._goals[which] = drawn[:, 5:]
 
     def _start(self, k: int) -> FloatArray:
         """Draw agent, body and goal without overlap, and with the body away from its goal."""
@@ -188,7 +191,7 @@ class PushVectorEnv(BatchEnv):
         self._motion.step(self.half_side * np.clip(actions, -1.0, 1.0))
 
     def _rewards(self) -> tuple[FloatArray, BoolArray]:
-        now, goals = _as_goal(self.block_poses()), _as_goal(self._goals)
+        now, goals = with_cosine(self._motion.poses()), with_cosine(self._goals)
         return self.compute_reward(now, goals, {}), self.compute_terminated(now, goals, {})
 
     def compute_reward(self, achieved: FloatArray, desired: FloatArray, info: Any) -> FloatArray:
@@ -218,6 +221,8 @@ class PushVectorEnv(BatchEnv):
     def _apart(self, one: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distances [m] and rotations [rad] between poses (..., 3)."""
         distance = np.hypot(*np.moveaxis(one - other, -1, 0)[:2])
+        if isinstance(self.scene.bodies[0].shape, Disk):  # its rotation makes no difference
+            return distance, np.zeros_like(distance)
         turn = wrapped(self.symmetry * (one - other)[..., 2]) / self.symmetry
         return distance, np.abs(turn)
 
@@ -225,33 +230,28 @@ class PushVectorEnv(BatchEnv):
         distance, angle = self._apart(one, other)
         return np.asarray((distance <= self.position) & (angle <= self.angle))
 
-    def block_poses(self) -> FloatArray:
-        """Return poses (n, 3) of the shapes of the bodies [m, m, rad]."""
-        body = self._motion.state.body
-        return body + _shifted(body[:, 2], -self._motion.com)
-
     def _observations(self) -> Any:
-        achieved = _as_goal(self.block_poses())
+        achieved = with_cosine(self._motion.poses())
         return {
             "observation": np.concatenate((self._motion.state.agent, achieved), axis=1),
             "achieved_goal": achieved,
-            "desired_goal": _as_goal(self._goals),
+            "desired_goal": with_cosine(self._goals),
         }
 
     def _info(self) -> Info:
-        poses = self.block_poses()
+        poses = self._motion.poses()
         distance, angle = self._apart(poses, self._goals)
         success = self._success(poses, self._goals)
-        info: Info = {"is_success": success, "distance": distance, "angle": angle}
-        if self._draws is not None:
-            info["parameters"] = copied(self._draws.values)
-        return info
+        return {"is_success": success, "distance": distance, "angle": angle}
 
     def picture(self, k: int) -> Any:
-        """Return a picture (480, 480, 3) uint8 of environment k, with its goal."""
-        view = self.half_side * np.array([-1.0, 1.0, -1.0, 1.0])
+        """Return a picture (480, 480, 3) uint8 of environment k, with its table and goal."""
+        side, view = 2.0 * self.half_side, self._reach + self.scene.bodies[0].shape.radius
         agent = np.array([*self._motion.state.agent[k, :2], 0.0])
-        return scene_picture(self.scene, view, self.block_poses()[k], agent, self._goals[k])
+        return scene_picture(
+            self.scene, np.zeros(2), view, self._motion.poses()[k], agent,
+            goal=self._goals[k], table=Polygon.rectangle(side, side),
+        )  # fmt: skip
 
 
 class PushEnv(SingleEnv):
@@ -276,7 +276,7 @@ class PushEnv(SingleEnv):
     batch: PushVectorEnv
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(PushVectorEnv(1, max_episode_steps=None, threads=1, **options))
+        super().__init__(PushVectorEnv, **options)
 
     def compute_reward(self, achieved: FloatArray, desired: FloatArray, info: Any) -> FloatArray:
         """Compute the rewards (...) of achieved goals (..., 4), as `PushVectorEnv`."""
@@ -289,12 +289,6 @@ class PushEnv(SingleEnv):
     def compute_truncated(self, achieved: FloatArray, desired: FloatArray, info: Any) -> bool:
         """Return False: only the number of steps truncates an episode."""
         return False
-
-
-def _box(most: list[float]) -> spaces.Box:
-    """Box from minus to plus some numbers."""
-    high = np.array(most)
-    return spaces.Box(-high, high, dtype=np.float64)
 
 
 def _check_scene(scene: Scene) -> None:
@@ -314,21 +308,8 @@ def _usual_parameters(scene: Scene) -> dict[str, tuple[float, float]]:
     return {"mu_pusher": FRICTION_RANGE, "ellipsoid_torque": torque}
 
 
-def _shifted(angle: FloatArray, point: FloatArray) -> FloatArray:
-    """Shifts (n, 3) of poses at angles (n,) by a point of their frames."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.column_stack(
-        (c * point[0] - s * point[1], s * point[0] + c * point[1], np.zeros(len(angle)))
-    )
-
-
-def _as_goal(poses: FloatArray) -> FloatArray:
-    """Poses (n, 3) as x, y, cosine and sine (n, 4)."""
-    return np.column_stack((poses[:, :2], np.cos(poses[:, 2]), np.sin(poses[:, 2])))
-
-
 def _as_pose(goals: FloatArray) -> FloatArray:
-    """Inverse of `_as_goal`, for any number of axes."""
+    """Inverse of `with_cosine`, for any number of axes."""
     given = np.asarray(goals, np.float64)
     angle = np.arctan2(given[..., 3], given[..., 2])
     return np.concatenate((given[..., :2], angle[..., None]), axis=-1)

@@ -8,20 +8,20 @@ Lengths are pixels.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, Final, Literal, get_args
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, Literal, Unpack, get_args
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
 
 from fixel.environments.loops import STILL, coverage
 from fixel.environments.motion import PushMotion
 from fixel.environments.push_t_picture import picture
-from fixel.environments.vector import BatchEnv, Info, SingleEnv, check_name, copied
-from fixel.environments.worlds import FORCE, WorldDraws, world_draws
+from fixel.environments.vector import BatchEnv, BatchOptions, Info, SingleEnv, check_name
+from fixel.environments.worlds import FORCE
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Ellipsoid, Fixel, PathDrive, Polygon, Pusher, Scene
+from fixel.model.fields import vector
 from fixel.model.overlap import overlap_depth
 from fixel.typing import BoolArray, FloatArray, IntArray
 
@@ -107,8 +107,6 @@ class PushTVectorEnv(BatchEnv):
         Number of environments.
     obs_type : str
         ``"state"``, ``"environment_state_agent_pos"``, ``"pixels"`` or ``"pixels_agent_pos"``.
-    render_mode : str or None
-        ``"rgb_array"``, or None.
     block_cog : (2,) sequence of float, optional
         Centre of mass in the frame of the T [px]; that of the world by default.
     damping : float, optional
@@ -126,7 +124,7 @@ class PushTVectorEnv(BatchEnv):
     seeds : str
         Version of gym-pusht whose start states seeds stand for: ``"0.1.8"`` (from 0.1.6), or
         ``"0.1.5"``.
-    max_episode_steps, autoreset_mode, threads
+    max_episode_steps, autoreset_mode, render_mode, threads
         See `BatchEnv`.
 
     Raises
@@ -147,7 +145,6 @@ class PushTVectorEnv(BatchEnv):
         num_envs: int = 1,
         *,
         obs_type: ObservationName = "state",
-        render_mode: str | None = "rgb_array",
         block_cog: Sequence[float] | None = None,
         damping: float | None = None,
         observation_width: int = 96,
@@ -158,8 +155,7 @@ class PushTVectorEnv(BatchEnv):
         parameters: Any = None,
         seeds: SeedsName = "0.1.8",
         max_episode_steps: int | None = MAX_STEPS,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        threads: int | None = None,
+        **options: Unpack[BatchOptions],
     ) -> None:
         check_name("obs_type", obs_type, get_args(ObservationName))
         check_name("world", world, get_args(WorldName))
@@ -174,47 +170,43 @@ class PushTVectorEnv(BatchEnv):
                 raise InvalidInput("size of a picture", found=x, expected="at least 1 px")
         super().__init__(
             num_envs,
+            _observation_space(obs_type, self.size),
+            spaces.Box(0.0, SIDE, (2,), np.float32),
             max_episode_steps=max_episode_steps,
-            autoreset_mode=autoreset_mode,
-            render_mode=render_mode,
-            threads=threads,
-            observation_space=_observation_space(obs_type, self.size),
-            action_space=spaces.Box(0.0, SIDE, (2,), np.float32),
+            **options,
         )
-        com = None if block_cog is None else np.array(block_cog, np.float64)
+        com = None if block_cog is None else vector(block_cog, "block_cog", "x [px], y [px]")
         # Start states turn about the legacy centre, so that they are the same in every world.
         self._pivot = LEGACY_COM if com is None else com
-        self._draws, scene = self._world(com, parameters)
-        self._motion = PushMotion(scene, num_envs, unit=PIXEL, threads=self.threads)
-        self._com = self._motion.com
+        unit = FORCE * ARM * PIXEL
+        torque = (ARM_RANGE[0] * unit, ARM_RANGE[1] * unit)
+        usual = {"mu_pusher": FRICTION_RANGE, "ellipsoid_torque": torque}
+        self.scene = self._set_world(world, push_t_scene_of(world, com), parameters, usual)
+        self._motion = PushMotion(self.scene, num_envs, unit=PIXEL, threads=self.threads)
         self._action = np.full((num_envs, 2), np.nan)  # none yet
         self._coverage = np.zeros(num_envs)
         self._goal = placed_pieces(GOAL)
 
-    def _world(self, com: FloatArray | None, parameters: Any) -> tuple[WorldDraws | None, Scene]:
-        scene = push_t_scene_of(self.world, com)
-        unit = FORCE * ARM * PIXEL
-        usual = {
-            "mu_pusher": FRICTION_RANGE,
-            "ellipsoid_torque": (ARM_RANGE[0] * unit, ARM_RANGE[1] * unit),
-        }
-        draws = world_draws(self.world, scene, parameters, usual, self.num_envs)
-        return draws, scene if draws is None else draws.scene
+    def _set_parameters(self, values: Mapping[str, FloatArray]) -> None:
+        self._motion.set_parameters(values)
 
     def _begin(self, which: IntArray, options: Info) -> None:
         states = np.array([self._start(k) for k in which.tolist()])
         given = options.get("reset_to_state")
         if given is not None:
             states = _given_states(given, len(which))
-        origin = states[:, 2:] + _turned(states[:, 4], -self._pivot, pivot=self._pivot)
-        sunk = np.array([max(0.0, _depth(own)) for own in np.column_stack((states[:, :2], origin))])
-        body = origin + _turned(origin[:, 2], self._com)
-        self._motion.place(which, states[:, :2], body, sunk)
+        poses = self._turned(states[:, 2:])
+        sunk = np.array([max(0.0, _depth(own)) for own in np.column_stack((states[:, :2], poses))])
+        self._motion.place(which, states[:, :2], poses, sunk)
         self._action[which] = np.nan
-        if self._draws is not None:
-            self._draws.redraw(which, self.world_rngs)
-            self._motion.set_parameters(self._draws.values)
         self._measure()
+
+    def _turned(self, poses: FloatArray) -> FloatArray:
+        """Return poses (n, 3) of the T, which gym-pusht turns about a pivot after placing it."""
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        x, y = self._pivot
+        shift = np.column_stack((x - c * x + s * y, y - s * x - c * y))
+        return np.column_stack((poses[:, :2] + shift, poses[:, 2]))
 
     def _start(self, k: int) -> FloatArray:
         """Draw a start state: agent, then body as gym-pusht states it."""
@@ -238,7 +230,7 @@ class PushTVectorEnv(BatchEnv):
 
     def _is_free(self, state: FloatArray) -> bool:
         """Whether the T of a start state overlaps neither agent nor walls."""
-        pose = state[2:] + _turned(state[4:], -self._pivot, pivot=self._pivot)[0]
+        pose = self._turned(state[None, 2:])[0]
         corners = placed_pieces(pose)
         inside = corners.min() > WALLS[0] and corners.max() < WALLS[1]
         return bool(inside) and _depth(np.array([*state[:2], *pose])) <= 0.0
@@ -249,57 +241,38 @@ class PushTVectorEnv(BatchEnv):
         self._measure()
 
     def _measure(self) -> None:
-        body = self._motion.state.body
-        coverage(body, self._com, PIECES, self._goal, 0, self.num_envs, self._coverage)
+        coverage(self._motion.poses(), PIECES, self._goal, 0, self.num_envs, self._coverage)
 
     def _rewards(self) -> tuple[FloatArray, BoolArray]:
         return np.clip(self._coverage / SUCCESS, 0.0, 1.0), self._coverage > SUCCESS
 
-    def block_poses(self) -> FloatArray:
-        """Return poses (n, 3) of the frames of the T [px, px, rad]."""
-        body = self._motion.state.body
-        return body + _turned(body[:, 2], -self._com)
-
     def _observations(self) -> Any:
-        agent = self._motion.state.agent[:, :2].copy()
+        agent, poses = self._motion.state.agent[:, :2].copy(), self._motion.poses()
         if self.obs_type == "state":
-            pose = self.block_poses()
-            pose[:, 2] %= 2.0 * np.pi
-            return np.concatenate((agent, pose), axis=1)
+            poses[:, 2] %= 2.0 * np.pi
+            return np.concatenate((agent, poses), axis=1)
         if self.obs_type == "environment_state_agent_pos":
-            return {"environment_state": self._keypoints(), "agent_pos": agent}
-        poses = self.block_poses()
+            return {"environment_state": keypoints(poses).reshape(-1, 16), "agent_pos": agent}
         pixels = np.array(
             [self._drawn(agent[k], poses[k], self.size) for k in range(self.num_envs)]
         )
         return pixels if self.obs_type == "pixels" else {"pixels": pixels, "agent_pos": agent}
 
-    def _keypoints(self) -> FloatArray:
-        """Return keypoints (n, 16): the corners of bar and stem."""
-        pose = self.block_poses()
-        c, s = np.cos(pose[:, 2:]), np.sin(pose[:, 2:])
-        x, y = PIECES.reshape(8, 2).T
-        corners = np.stack((c * x - s * y, s * x + c * y), axis=-1) + pose[:, None, :2]
-        return corners.reshape(-1, 16)
-
     def _info(self) -> Info:
         state = self._motion.state
-        info: Info = {
+        return {
             "pos_agent": state.agent[:, :2].copy(),
             "vel_agent": state.agent[:, 2:].copy(),
-            "block_pose": self.block_poses(),
+            "block_pose": self._motion.poses(),
             "goal_pose": np.repeat(GOAL[None], self.num_envs, axis=0),
             "n_contacts": (state.outcome != STILL).astype(np.int64),
             "is_success": self._coverage > SUCCESS,
             "coverage": self._coverage.copy(),
         }
-        if self._draws is not None:
-            info["parameters"] = copied(self._draws.values)
-        return info
 
     def picture(self, k: int) -> Any:
         """Return a picture (height, width, 3) uint8 of environment k, with its last action."""
-        agent, pose = self._motion.state.agent[k, :2], self.block_poses()[k]
+        agent, pose = self._motion.state.agent[k, :2], self._motion.poses()[k]
         return self._drawn(agent, pose, self.shown_size, self._action[k])
 
     def _drawn(
@@ -317,7 +290,7 @@ class PushTEnv(SingleEnv):
 
     Parameters
     ----------
-    **options
+    obs_type, **options
         Those of `PushTVectorEnv`, but for the vector environment's own.
 
     Examples
@@ -330,40 +303,20 @@ class PushTEnv(SingleEnv):
     (5,)
     """
 
-    def __init__(
-        self,
-        obs_type: ObservationName = "state",
-        render_mode: str | None = "rgb_array",
-        block_cog: Sequence[float] | None = None,
-        damping: float | None = None,
-        observation_width: int = 96,
-        observation_height: int = 96,
-        visualization_width: int = 680,
-        visualization_height: int = 680,
-        **world: Any,
-    ) -> None:
-        super().__init__(
-            PushTVectorEnv(
-                1,
-                obs_type=obs_type,
-                render_mode=render_mode,
-                block_cog=block_cog,
-                damping=damping,
-                observation_width=observation_width,
-                observation_height=observation_height,
-                visualization_width=visualization_width,
-                visualization_height=visualization_height,
-                max_episode_steps=None,
-                threads=1,
-                **world,
-            )
-        )
+    def __init__(self, obs_type: ObservationName = "state", **options: Any) -> None:
+        super().__init__(PushTVectorEnv, obs_type=obs_type, **options)
+
+
+def keypoints(poses: FloatArray) -> FloatArray:
+    """Return the corners (n, 8, 2) of bar and stem of Ts at poses (n, 3) of their frames [px]."""
+    c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+    x, y = PIECES.reshape(8, 2).T
+    return np.stack((c * x - s * y, s * x + c * y), axis=-1) + poses[:, None, :2]
 
 
 def placed_pieces(pose: FloatArray) -> FloatArray:
     """Return the corners (2, 4, 2) of bar and stem of a T at a pose (3,) of its frame [px]."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    return np.asarray(PIECES @ np.array([[c, s], [-s, c]]) + pose[:2])
+    return keypoints(pose[None]).reshape(2, 4, 2)
 
 
 def _given_states(given: Any, n: int) -> FloatArray:
@@ -373,14 +326,6 @@ def _given_states(given: Any, n: int) -> FloatArray:
         expected = f"finite numbers of shape (5,) or ({n}, 5)"
         raise InvalidInput("options['reset_to_state']", found=found, expected=expected)
     return np.array(np.broadcast_to(found, (n, 5)))
-
-
-def _turned(angle: FloatArray, point: FloatArray, pivot: FloatArray | float = 0.0) -> FloatArray:
-    """Return shifts (n, 3) of a pose by a point of its frame at angles (n,), plus a pivot."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y = point
-    shift = np.column_stack((c * x - s * y, s * x + c * y)) + pivot
-    return np.column_stack((shift, np.zeros(len(shift))))
 
 
 def _depth(state: FloatArray) -> float:

@@ -67,7 +67,7 @@ def picture(
 def _mark(out: NDArray[np.uint8], action: FloatArray) -> None:
     """Draw a cross at an action, in the proportions of gym-pusht."""
     height, width = out.shape[:2]
-    x, y = (action / SIDE * [height, width]).astype(np.int64)
+    x, y = (action / SIDE * [width, height]).astype(np.int64)
     half, thick = int(8 / 96 * min(height, width)) // 2, max(1, int(min(height, width) / 96))
     low, high = -(thick // 2), thick - thick // 2
 
@@ -79,8 +79,8 @@ def _mark(out: NDArray[np.uint8], action: FloatArray) -> None:
 
 
 @kernel
-def _side(corners: FloatArray, p: int, x: float, y: float) -> int:
-    """Whether a place is on the outline (2) or inside (1) of a convex piece, or outside (0)."""
+def _side(corners: FloatArray, p: int, line: float, x: float, y: float) -> int:
+    """Return 2 on the outline of a convex piece, as wide as a line, 1 inside and 0 outside."""
     inside = True
     for i in range(4):
         k = (i + 1) % 4
@@ -92,30 +92,11 @@ def _side(corners: FloatArray, p: int, x: float, y: float) -> int:
         along = min(max(along, 0.0), 1.0)
         dx = x - ax - along * ex
         dy = y - ay - along * ey
-        if dx * dx + dy * dy <= LINE * LINE:
+        if dx * dx + dy * dy <= line * line:
             return 2
         if ex * (y - ay) - ey * (x - ax) < 0.0:
             inside = False
     return 1 if inside else 0
-
-
-@kernel
-def _within(corners: FloatArray, x: float, y: float) -> bool:
-    """Whether a place is inside any convex piece."""
-    for p in range(corners.shape[0]):
-        inside = True
-        for i in range(4):
-            k = (i + 1) % 4
-            ax = corners[p, i, 0]
-            ay = corners[p, i, 1]
-            ex = corners[p, k, 0] - ax
-            ey = corners[p, k, 1] - ay
-            if ex * (y - ay) - ey * (x - ax) < 0.0:
-                inside = False
-                break
-        if inside:
-            return True
-    return False
 
 
 @kernel
@@ -134,14 +115,17 @@ def _colour(
         return WALL
     if bounds[0, 0] <= x <= bounds[0, 1] and bounds[0, 2] <= y <= bounds[0, 3]:
         for p in range(pieces.shape[0] - 1, -1, -1):
-            side = _side(pieces, p, x, y)
+            side = _side(pieces, p, LINE, x, y)
             if side > 0:
                 return BLOCK if side == 1 else BLOCK_RIM
     away = math.hypot(x - agent[0], y - agent[1])
     if away <= RADIUS:
         return AGENT if away <= INNER_RADIUS else AGENT_RIM
-    near_goal = bounds[1, 0] <= x <= bounds[1, 1] and bounds[1, 2] <= y <= bounds[1, 3]
-    return GOAL if near_goal and _within(goal, x, y) else WHITE
+    if bounds[1, 0] <= x <= bounds[1, 1] and bounds[1, 2] <= y <= bounds[1, 3]:
+        for p in range(goal.shape[0]):
+            if _side(goal, p, 0.0, x, y) > 0:
+                return GOAL
+    return WHITE
 
 
 @kernel

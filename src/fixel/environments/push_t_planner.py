@@ -12,10 +12,10 @@ from fixel.environments.push_t import (
     AGENT_RADIUS,
     GOAL,
     OUTLINE,
-    PIECES,
     PIXEL,
     SIDE,
     WorldName,
+    keypoints,
     push_t_scene_of,
 )
 from fixel.typing import FloatArray, IntArray
@@ -63,7 +63,7 @@ class PushTPlanner:
     def __init__(self, n: int, *, world: WorldName = "legacy", seed: int = 0) -> None:
         self._rng = np.random.default_rng(seed)
         self._motion = PushMotion(push_t_scene_of(world), CANDIDATES, unit=PIXEL)
-        self._goal = _corners(GOAL[None])[0]
+        self._goal = keypoints(GOAL[None])[0]
         self._phase = np.full(n, CHOOSE)
         self._steps = np.zeros(n, np.int64)
         self._start = np.zeros((n, 2))
@@ -122,18 +122,10 @@ class PushTPlanner:
     def _choose(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return start and end of the agent in the push that brings the T closest to its goal."""
         start, end = self._candidates(pose)
-        motion, every = self._motion, np.arange(CANDIDATES)
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        com = pose[:2] + np.array([[c, -s], [s, c]]) @ motion.com
-        body = np.tile([*com, pose[2]], (CANDIDATES, 1))
-        motion.place(every, start, body, np.zeros(CANDIDATES))
+        self._motion.place(np.arange(CANDIDATES), start, np.tile(pose, (CANDIDATES, 1)))
         for _ in range(PUSH_STEPS):
-            motion.step(end)
-        found = motion.state.body
-        cos, sin = np.cos(found[:, 2]), np.sin(found[:, 2])
-        x, y = motion.com
-        shift = np.column_stack((cos * x - sin * y, sin * x + cos * y, np.zeros(CANDIDATES)))
-        off = ((_corners(found - shift) - self._goal) ** 2).mean(axis=(1, 2))
+            self._motion.step(end)
+        off = ((keypoints(self._motion.poses()) - self._goal) ** 2).mean(axis=(1, 2))
         best = int(off.argmin())
         return start[best], end[best]
 
@@ -173,13 +165,6 @@ def _distance(points: FloatArray, turn: FloatArray) -> FloatArray:
     u = (from_corner * edge).sum(axis=2) / (edge**2).sum(axis=1)
     off = from_corner - np.clip(u, 0.0, 1.0)[..., None] * edge
     return np.asarray(np.hypot(off[..., 0], off[..., 1]).min(axis=1))
-
-
-def _corners(poses: FloatArray) -> FloatArray:
-    """Corners (n, 8, 2) of bar and stem at poses (n, 3)."""
-    c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
-    x, y = PIECES.reshape(8, 2).T
-    return np.stack((c * x - s * y, s * x + c * y), axis=-1) + poses[:, None, :2]
 
 
 def _centre(pose: FloatArray) -> FloatArray:

@@ -8,21 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from fixel.model import Disk, Scene, Shape
+from fixel.model import Disk, Polygon, Scene, Shape
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
 
 PIXELS: Final = 480  # side of a picture
 FINER: Final = 2  # pixels drawn for each pixel of the picture, to smooth edges
+TABLE, AROUND = "#ffffff", "#e4e4e4"
 GOAL, BODY, TOOL, FIXEL = "#b8e3c4", "#778899", "#4169e1", "#555555"
 
 
 def scene_picture(
     scene: Scene,
-    view: FloatArray,
+    centre: FloatArray,
+    half_side: float,
     body: FloatArray,
     tool: FloatArray,
+    *,
     goal: FloatArray | None = None,
+    table: Polygon | None = None,
 ) -> NDArray[np.uint8]:
     """Draw a scene.
 
@@ -30,30 +34,37 @@ def scene_picture(
     ----------
     scene : Scene
         Scene with one body and one pusher.
-    view : (4,) float64
-        Low x, high x, low y and high y of the picture, a square [m].
+    centre : (2,) float64
+        Centre of the picture, a square [m].
+    half_side : float
+        Half of its side [m].
     body, tool : (3,) float64
         Poses of the body's shape and of the pusher [m, m, rad].
     goal : (3,) float64, optional
         Pose of the body at its goal.
+    table : Polygon, optional
+        Outline of a table; by default everywhere.
 
     Returns
     -------
     (PIXELS, PIXELS, 3) uint8
     """
     side = FINER * PIXELS
-    image = Image.new("RGB", (side, side), "white")
+    image = Image.new("RGB", (side, side), TABLE if table is None else AROUND)
     pen = ImageDraw.Draw(image)
-    scale = side / (view[1] - view[0])
+    corner, scale = centre + np.array([-half_side, half_side]), 0.5 * side / half_side
 
     def draw(shape: Shape, pose: FloatArray, colour: str) -> None:
         points = np.zeros((1, 2)) if isinstance(shape, Disk) else shape.vertices
-        at = (placed(points, pose) - (view[0], view[3])) * (scale, -scale)
+        at = (placed(points, pose) - corner) * (scale, -scale)
         if isinstance(shape, Disk):
-            pen.circle(tuple(at[0]), shape.radius * scale, fill=colour)
+            size = shape.radius * scale
+            pen.ellipse([*(at[0] - size), *(at[0] + size)], fill=colour)
         else:
-            pen.polygon([tuple(corner) for corner in at.tolist()], fill=colour)
+            pen.polygon([tuple(point) for point in at.tolist()], fill=colour)
 
+    if table is not None:
+        draw(table, np.zeros(3), TABLE)
     shape = scene.bodies[0].shape
     if goal is not None:
         draw(shape, goal, GOAL)

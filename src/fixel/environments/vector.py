@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 from abc import abstractmethod
-from collections.abc import Collection, Mapping
-from typing import Any, Final
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, Final, TypedDict
 
 import gymnasium as gym
 import numpy as np
@@ -13,11 +13,21 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from fixel.environments.worlds import WorldDraws, world_draws
 from fixel.errors import InvalidInput, unknown_name
+from fixel.model import Scene
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 Info = dict[str, Any]
 METADATA: Final[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+
+class BatchOptions(TypedDict, total=False):
+    """Options of every `BatchEnv`."""
+
+    autoreset_mode: AutoresetMode | str
+    render_mode: str | None
+    threads: int | None
 
 
 class BatchEnv(VectorEnv[Any, Any, Any]):
@@ -30,6 +40,8 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
     ----------
     num_envs : int
         Number of environments.
+    observation_space, action_space : gymnasium.Space
+        Spaces of one environment.
     max_episode_steps : int or None
         Number of steps after which an episode is truncated; None for never.
     autoreset_mode : AutoresetMode or str
@@ -37,27 +49,30 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
     render_mode : str or None
         ``"rgb_array"``, or None.
     threads : int, optional
-        Number of threads that share the environments, at most one for each 16; by default that of
-        the cores.
-    observation_space, action_space : gymnasium.Space
-        Spaces of one environment.
+        Largest number of threads that share the environments; by default that of the cores.
     """
+
+    _draws: WorldDraws | None = None  # those of worlds that differ between episodes
 
     def __init__(
         self,
         num_envs: int,
-        *,
-        max_episode_steps: int | None,
-        autoreset_mode: AutoresetMode | str,
-        render_mode: str | None,
-        threads: int | None,
         observation_space: gym.Space[Any],
         action_space: gym.Space[Any],
+        *,
+        max_episode_steps: int | None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = "rgb_array",
+        threads: int | None = None,
     ) -> None:
-        if num_envs < 1:
-            raise InvalidInput("num_envs", found=num_envs, expected="at least 1")
+        for name, x in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
+            if x is not None and x < 1:
+                raise InvalidInput(name, found=x, expected="at least 1")
         if render_mode not in (None, *METADATA["render_modes"]):
             raise InvalidInput("render_mode", found=render_mode, expected="'rgb_array' or None")
+        if not isinstance(autoreset_mode, AutoresetMode):
+            names = [mode.value for mode in AutoresetMode]
+            check_name("autoreset_mode", autoreset_mode, names)
         self.num_envs = num_envs
         self.max_episode_steps = max_episode_steps
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -75,6 +90,14 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         self._elapsed = np.zeros(num_envs, np.int64)
         self._ended = np.ones(num_envs, bool)
         self._begun = False
+
+    def _set_world(self, world: str, scene: Scene, parameters: Any, usual: Info) -> Scene:
+        """Return the scene of a world, and draw its parameters for every episode."""
+        self._draws = world_draws(world, scene, parameters, usual, self.num_envs)
+        return scene if self._draws is None else self._draws.scene
+
+    def _set_parameters(self, values: Mapping[str, FloatArray]) -> None:
+        """Take over parameters (n,) by name, those of the episodes that begin among them."""
 
     @abstractmethod
     def _begin(self, which: IntArray, options: Info) -> None:
@@ -127,7 +150,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
                 self.world_rngs[k] = np.random.default_rng([own, 1])
         self._restart(np.flatnonzero(mask), options)
         self.seeds = [None] * self.num_envs
-        return self._observations(), _masked(self._info(), mask)
+        return self._observations(), self._masked_info(mask)
 
     def step(self, actions: Any) -> tuple[Any, FloatArray, BoolArray, BoolArray, Info]:
         """Move all environments by one step.
@@ -160,15 +183,20 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._ended.any():
             final = self._final(self._ended.copy())
             self._restart(np.flatnonzero(self._ended), {})
-        info = _masked(self._info(), np.ones(self.num_envs, bool)) | final
+        info = self._masked_info(np.ones(self.num_envs, bool)) | final
         return self._observations(), rewards, terminated, truncated, info
 
-    def render(self) -> tuple[Any, ...]:
-        """Return a picture (height, width, 3) uint8 of each environment."""
+    def render(self) -> tuple[Any, ...] | None:
+        """Return a picture (height, width, 3) uint8 of each; None without a render mode."""
+        if self.render_mode is None:
+            return None
         return tuple(self.picture(k) for k in range(self.num_envs))
 
     def _restart(self, which: IntArray, options: Info) -> None:
         self._begin(which, options)
+        if self._draws is not None:
+            self._draws.redraw(which, self.world_rngs)
+            self._set_parameters(self._draws.values)
         self._elapsed[which], self._ended[which] = 0, False
         self._begun = self._begun or len(which) == self.num_envs
 
@@ -180,13 +208,19 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
             observations[k] = row(now, k)
         return {
             **{"final_obs": observations, "_final_obs": ended},
-            **{"final_info": _masked(self._info(), ended), "_final_info": ended.copy()},
+            **{"final_info": self._masked_info(ended), "_final_info": ended.copy()},
         }
+
+    def _masked_info(self, mask: BoolArray) -> Info:
+        info = self._info()
+        if self._draws is not None:
+            info["parameters"] = {name: x.copy() for name, x in self._draws.values.items()}
+        return _masked(info, mask)
 
     def _mask(self, given: Any) -> BoolArray:
         if given is None:
             return np.ones(self.num_envs, bool)
-        mask = np.asarray(given)
+        mask = np.array(given)
         if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
             found = f"{mask.dtype} of shape {mask.shape}, {np.count_nonzero(mask)} not zero"
             expected = f"bool of shape ({self.num_envs},), one of them true at least"
@@ -216,13 +250,16 @@ class SingleEnv(gym.Env[Any, Any]):
 
     Parameters
     ----------
-    batch : BatchEnv
-        Environment with ``num_envs=1``, without autoreset.
+    kind : type of BatchEnv
+    **options
+        Those of `kind`, without truncation and autoreset, which are Gymnasium's own.
     """
 
     metadata = METADATA
 
-    def __init__(self, batch: BatchEnv) -> None:
+    def __init__(self, kind: Callable[..., BatchEnv], **options: Any) -> None:
+        mode = AutoresetMode.DISABLED
+        batch = kind(1, max_episode_steps=None, autoreset_mode=mode, threads=1, **options)
         self.batch = batch
         self.render_mode = batch.render_mode
         self.observation_space = batch.single_observation_space
@@ -256,9 +293,15 @@ def row(values: Any, k: int) -> Any:
     return values[k].copy()
 
 
-def copied(values: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return copies of arrays by name."""
-    return {name: x.copy() for name, x in values.items()}
+def with_cosine(poses: FloatArray) -> FloatArray:
+    """Return poses (n, 3) as x, y, cosine and sine (n, 4)."""
+    return np.column_stack((poses[:, :2], np.cos(poses[:, 2]), np.sin(poses[:, 2])))
+
+
+def symmetric_box(most: list[float]) -> gym.spaces.Box:
+    """Return the box from minus to plus some numbers."""
+    high = np.array(most)
+    return gym.spaces.Box(-high, high, dtype=np.float64)
 
 
 def check_name(where: str, value: object, names: Collection[str]) -> None:
