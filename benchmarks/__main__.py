@@ -62,7 +62,11 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "heap": ("heap", "run", "many bodies swept by a bar"),
     "web": ("web_load", "run", "twenty clients that browse, ten thousand experiments"),
     "push-t": ("push_t", "run", "steps of 64 Push-T environments, compared with gym-pusht"),
-    "push-t-planner": ("push_t", "run_planner", "success of a scripted policy, 500 episodes"),
+    "push-t-planner": (
+        "push_t",
+        "run_planner",
+        "success of a scripted policy in 500 episodes, with Wilson intervals",
+    ),
     "peers": ("peers", "run", "the same grasp by other engines"),
 }
 ONLY_WHEN_ASKED = {
