@@ -194,12 +194,12 @@ def test_a_late_answer_is_not_drawn_over_the_newest(table):
         table.click("#show-coverage")
     held = []
     table.route("**/api/v1/coverage?filter=contacts%3D000*", lambda route: held.append(route))
-    table.fill("#filter", "contacts=000")
-    table.wait_for_function("() => location.search.includes('000')")
+    with table.expect_request("**/api/v1/coverage?filter=contacts%3D000*", timeout=30_000):
+        table.fill("#filter", "contacts=000")
     table.wait_for_timeout(300)
     assert len(held) == 1
-    table.fill("#filter", "contacts=111")
-    table.wait_for_function("() => location.search.includes('111')")
+    with table.expect_response("**/api/v1/coverage?filter=contacts%3D111*", timeout=30_000):
+        table.fill("#filter", "contacts=111")
     table.wait_for_timeout(300)
     shown = table.inner_text("#coverage .remark")
     for route in held:
