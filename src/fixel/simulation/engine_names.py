@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from types import MappingProxyType
@@ -78,7 +79,7 @@ class EngineName(NamedTuple):
 def is_engine(text: str) -> bool:
     """Return whether a name is that of another engine or of a program."""
     own = EngineName.of(text)
-    return own.is_program or own.name in ENGINES or own.name in entry_points(group=GROUP).names
+    return own.is_program or own.name in ENGINES or own.name in _offered()
 
 
 def motion_words(motion: str) -> list[str]:
@@ -89,4 +90,10 @@ def motion_words(motion: str) -> list[str]:
 def installed_engines() -> list[str]:
     """Return the names of the engines whose packages are installed."""
     known = [name for name, own in ENGINES.items() if find_spec(own.imported) is not None]
-    return [*known, *sorted(entry_points(group=GROUP).names)]
+    return [*known, *sorted(_offered())]
+
+
+@cache  # it reads the metadata of all packages, which takes 10 ms
+def _offered() -> frozenset[str]:
+    """Return the names of the engines that installed packages offer."""
+    return frozenset(entry_points(group=GROUP).names)

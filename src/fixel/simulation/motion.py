@@ -192,7 +192,8 @@ MOTION_MODELS: tuple[type[AbstractMotionModel], ...] = (Dynamic, QuasiStatic, Fi
 
 def motion_model(motion: AbstractMotionModel | str | None) -> AbstractMotionModel:
     """Return a motion model, also by its name, or another engine; the dynamic one for None."""
-    if isinstance(motion, str) and is_engine(motion):
+    own = {model.name for model in MOTION_MODELS}
+    if isinstance(motion, str) and motion not in own and is_engine(motion):
         return OtherEngine(motion)
     return named_part(motion or Dynamic.name, MOTION_MODELS, "motion")
 
