@@ -150,9 +150,9 @@ def test_what_cannot_be(project, capsys, tmp_path):
 
 def test_a_scene_becomes_a_model_of_another_engine(tmp_path, capsys):
     scene = files("fixel.testing") / "examples" / "peg_slip.yaml"
-    told = call(capsys, scene, tmp_path / "model", "--to", "pymunk", "--scenes", "3")
-    assert "end poses differ from those of fixel by" in told
-    assert f"wrote {tmp_path / 'model' / 'run.py'}" in told
+    text = call(capsys, scene, tmp_path / "model", "--to", "pymunk", "--scenes", "3")
+    assert "end poses differ from those of fixel by" in text
+    assert f"wrote {tmp_path / 'model' / 'run.py'}" in text
     answer = json.loads(call(capsys, scene, tmp_path / "body", "--to", "urdf", "--json"))
     assert answer["files"] == ["card.json", "object.urdf"]
     assert "3 fixels" in answer["card"]["not_in_the_model"]

@@ -1,4 +1,4 @@
-"""What the three tasks share: episodes, copies, parameters, spaces and pictures."""
+"""Tests of what all environments share: episodes, copies, parameters, spaces and pictures."""
 
 import copy
 import pickle

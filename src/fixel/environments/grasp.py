@@ -18,6 +18,7 @@ from fixel.environments.vector import (
     symmetric_box,
     with_cosine,
 )
+from fixel.environments.worlds import MAX_REDRAWS
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Fixel, Goal, LineDrive, Polygon, Pusher, Scene, Seated, Tripod
 from fixel.model.fields import instance, non_negative, vector
@@ -27,7 +28,6 @@ from fixel.simulation.ensemble import Ensemble
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 MAX_STROKES: Final = 3
-MAX_REDRAWS: Final = 1000
 # Ranges of the start, relative to the pose in the scene [m, m, rad], and of the head across its
 # axis [m].
 START_RANGE: Final = (0.01, 0.015, math.radians(20.0))

@@ -21,7 +21,7 @@ from fixel.environments.vector import (
     symmetric_box,
     with_cosine,
 )
-from fixel.environments.worlds import FORCE, pressure_arm
+from fixel.environments.worlds import FORCE, MAX_REDRAWS, pressure_arm, usual_parameters
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Ellipsoid, PathDrive, Polygon, Pusher, Scene
 from fixel.model.fields import positive, vector
@@ -32,10 +32,7 @@ from fixel.typing import BoolArray, FloatArray, IntArray
 MAX_STEPS: Final = 100
 HALF_SIDE: Final = 0.3  # of the table [m]
 START_SHARE: Final = 0.6  # of the table, on which bodies start and end
-MAX_REDRAWS: Final = 1000
-# Of the world "posterior" without parameters; the arm is relative to that of uniform pressure.
-FRICTION_RANGE: Final = (0.15, 0.35)
-ARM_RANGE: Final = (0.55, 1.9)
+FRICTION_RANGE: Final = (0.15, 0.35)  # of the world "posterior" without parameters
 
 WorldName = Literal["nominal", "posterior"]
 RewardName = Literal["sparse", "dense"]
@@ -152,7 +149,8 @@ class PushVectorEnv(BatchEnv):
             max_episode_steps=max_episode_steps,
             **options,
         )
-        self.scene = self._set_world(world, own, parameters, _usual_parameters(own))
+        usual = usual_parameters(FRICTION_RANGE, pressure_arm(body))
+        self.scene = self._set_world(world, own, parameters, usual)
         self._arm = math.sqrt(body.moment_of_inertia / body.mass)
         self._motion = PushMotion(self.scene, num_envs, unit=1.0, threads=self.threads)
         self._goals = np.zeros((num_envs, 3))
@@ -299,13 +297,6 @@ def _check_scene(scene: Scene) -> None:
             found=f"{len(scene.bodies)} bodies and {len(scene.pushers)} pushers",
             expected="one body and one round pusher",
         )
-
-
-def _usual_parameters(scene: Scene) -> dict[str, tuple[float, float]]:
-    body = scene.bodies[0]
-    unit = FORCE * pressure_arm(body)
-    torque = (ARM_RANGE[0] * unit, ARM_RANGE[1] * unit)
-    return {"mu_pusher": FRICTION_RANGE, "ellipsoid_torque": torque}
 
 
 def _as_pose(goals: FloatArray) -> FloatArray:

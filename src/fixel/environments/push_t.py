@@ -18,7 +18,7 @@ from fixel.environments.loops import STILL, coverage
 from fixel.environments.motion import PushMotion
 from fixel.environments.push_t_picture import picture
 from fixel.environments.vector import BatchEnv, BatchOptions, Info, SingleEnv, check_name
-from fixel.environments.worlds import FORCE
+from fixel.environments.worlds import FORCE, MAX_REDRAWS, usual_parameters
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Ellipsoid, Fixel, PathDrive, Polygon, Pusher, Scene
 from fixel.model.fields import vector
@@ -46,10 +46,7 @@ LEGACY_COM: Final = np.array([0.0, 45.0])
 LEGACY_ARM: Final = math.sqrt(3000.0)  # [px]
 ARM: Final = 39.92  # of uniform pressure about the centroid [px]
 NOMINAL_FRICTION: Final = 0.2
-# Calibrated friction of plates, and ratio of their arms to that of uniform pressure.
-FRICTION_RANGE: Final = (0.15, 0.25)
-ARM_RANGE: Final = (0.55, 1.9)
-MAX_REDRAWS: Final = 1000  # of a start with overlap
+FRICTION_RANGE: Final = (0.15, 0.25)  # calibrated friction of plates
 
 WorldName = Literal["legacy", "nominal", "posterior"]
 ObservationName = Literal["state", "environment_state_agent_pos", "pixels", "pixels_agent_pos"]
@@ -178,9 +175,7 @@ class PushTVectorEnv(BatchEnv):
         com = None if block_cog is None else vector(block_cog, "block_cog", "x [px], y [px]")
         # Start states turn about the legacy centre, so that they are the same in every world.
         self._pivot = LEGACY_COM if com is None else com
-        unit = FORCE * ARM * PIXEL
-        torque = (ARM_RANGE[0] * unit, ARM_RANGE[1] * unit)
-        usual = {"mu_pusher": FRICTION_RANGE, "ellipsoid_torque": torque}
+        usual = usual_parameters(FRICTION_RANGE, ARM * PIXEL)
         self.scene = self._set_world(world, push_t_scene_of(world, com), parameters, usual)
         self._motion = PushMotion(self.scene, num_envs, unit=PIXEL, threads=self.threads)
         self._action = np.full((num_envs, 2), np.nan)  # none yet

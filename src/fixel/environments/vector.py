@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final, TypedDict
@@ -16,6 +15,7 @@ from gymnasium.vector.utils import batch_space
 from fixel.environments.worlds import WorldDraws, world_draws
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Scene
+from fixel.simulation.threads import cores
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 Info = dict[str, Any]
@@ -78,7 +78,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**METADATA, "autoreset_mode": self.autoreset_mode}
         self.render_mode = render_mode
-        self.threads = threads or os.cpu_count() or 1
+        self.threads = threads or cores()
         self.single_observation_space = observation_space
         self.single_action_space = action_space
         self.observation_space = batch_space(observation_space, num_envs)

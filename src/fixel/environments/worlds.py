@@ -18,6 +18,9 @@ from fixel.typing import IntArray
 DRAWS: Final = 1024  # of the parameters, from which episodes choose
 FORCE: Final = 1.0  # [N] of an ellipsoid; quasi-static motion does not depend on it
 FRICTION: Final = 0.25  # against the plane, which quasi-static motion does not depend on either
+MAX_REDRAWS: Final = 1000  # of a start with overlap
+# Ratio of the arms of calibrated plates to that of uniform pressure.
+ARM_RANGE: Final = (0.55, 1.9)
 # Errors of the experiments of a calibration, which are no properties of the world.
 _OF_EXPERIMENTS: Final = ("registration_", "outline_", "start_")
 
@@ -86,6 +89,12 @@ def world_draws(
         found = f"parameters for the world {world!r}"
         raise InvalidInput("parameters", found=found, expected="world='posterior'")
     return None
+
+
+def usual_parameters(friction: tuple[float, float], arm: float) -> dict[str, tuple[float, float]]:
+    """Return the ranges of friction and support, about an arm of uniform pressure [m]."""
+    low, high = ARM_RANGE
+    return {"mu_pusher": friction, "ellipsoid_torque": (low * FORCE * arm, high * FORCE * arm)}
 
 
 def _with_support(scene: Scene, names: Iterable[str]) -> Scene:

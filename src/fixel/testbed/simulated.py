@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -40,6 +39,7 @@ from fixel.model.fields import (
     vector,
 )
 from fixel.simulation import Simulation, simulate
+from fixel.simulation.threads import cores
 from fixel.testbed.imperfections import (
     driven_unevenly,
     frames_kept,
@@ -203,7 +203,7 @@ class SimulatedTestbed:
         _check_plan(planned)
         if threads is not None and threads < 1:
             raise InvalidInput("threads", found=threads, expected="at least 1")
-        return self._run_all(planned, progress, threads or os.cpu_count() or 1)
+        return self._run_all(planned, progress, threads or cores())
 
     def _run_all(
         self, planned: Sequence[PlannedExperiment], progress: ProgressCallback | None, threads: int

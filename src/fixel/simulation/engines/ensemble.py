@@ -28,7 +28,7 @@ from fixel.typing import FloatArray, IntArray
 
 FIRST_LIMIT = 60.0  # [s] for a rollout of a case that was not simulated before
 LEAST_LIMIT = 5.0  # [s] for later ones
-SLOWER = 20.0  # so many times the median of its case a rollout may take
+SLOWER = 20.0  # longest time of a rollout over the median of its case
 REMEMBERED = 32  # rollouts of a case whose times count
 GIVE_UP = 10  # lost programs in a row, without an answer between them, that end the work
 PER_PASS = 256  # rollouts whose poses are held at once

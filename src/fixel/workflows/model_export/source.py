@@ -1,4 +1,4 @@
-"""What is exported: scenes with their parameters, and the experiments behind them."""
+"""Sources of exported models: scenes with their parameters, and the experiments behind them."""
 
 from __future__ import annotations
 
