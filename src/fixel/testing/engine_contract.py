@@ -13,8 +13,6 @@ then expected to fail, and fails if the engine meets it after all.
 
 from __future__ import annotations
 
-import atexit
-import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -38,8 +36,7 @@ from fixel.model import (
     Tripod,
 )
 from fixel.model.engine_parameters import engine_parameter
-from fixel.simulation.engines import program_of
-from fixel.simulation.engines.program import Program
+from fixel.simulation.engines import shared_program
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, OtherEngine, motion_model
 from fixel.simulation.rollouts import EnsembleOutcome, RolloutCase, Rollouts, ensemble_of
 from fixel.simulation.stepper import Adaptive
@@ -100,20 +97,12 @@ def push(
     return Scene((part,), (finger,), duration=travel / speed)
 
 
-@functools.lru_cache(maxsize=4)
-def _program(name: str) -> Program:
-    """Return the process of an engine, which all tests use."""
-    program = program_of(name)
-    atexit.register(program.close)
-    return program
-
-
 def _rollouts(motion: AbstractMotionModel, cases: Sequence[RolloutCase]) -> Rollouts:
     if isinstance(motion, OtherEngine):
         # Imported here: it needs what other tests of this package do not.
         from fixel.simulation.engines.ensemble import EngineEnsemble
 
-        shared: Any = EngineEnsemble(cases, motion, programs=[_program(motion.name)])
+        shared: Any = EngineEnsemble(cases, motion, programs=[shared_program(motion.name)])
         return cast(Rollouts, shared)
     return ensemble_of(cases, motion, threads=1)
 
@@ -375,7 +364,7 @@ class EngineContract:
         motion = motion_model(engine)
         bounds = {"mu_pusher": (0.05, 0.5), "tripod_radius": (0.02, 0.06)}
         if isinstance(motion, OtherEngine):
-            info = _program(motion.name).info()
+            info = shared_program(motion.name).info()
             for name in info.parameters:
                 own = f"{info.name}.{name}"
                 usual = engine_parameter(own).usual

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
 import sys
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, entry_points, version
@@ -24,6 +26,7 @@ __all__ = [
     "engine_of",
     "program_of",
     "serve",
+    "shared_program",
 ]
 
 
@@ -51,6 +54,14 @@ def program_of(text: str) -> Program:
     if own.name in ENGINES:
         _check_installed(own)
     return Program((sys.executable, "-m", "fixel.simulation.engines.serve", str(own)))
+
+
+@functools.lru_cache(maxsize=4)
+def shared_program(text: str) -> Program:
+    """Return the program of an engine that all callers in this process use, until it ends."""
+    program = program_of(text)
+    atexit.register(program.close)
+    return program
 
 
 def stated(text: str) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
-import functools
 import time as clock
 from typing import Any
 
@@ -11,9 +9,8 @@ import numpy as np
 
 from fixel.kernels import codes
 from fixel.model import Parameters, Scene
-from fixel.simulation.engines import EngineName, program_of
+from fixel.simulation.engines import EngineName, shared_program
 from fixel.simulation.engines.ensemble import EngineEnsemble
-from fixel.simulation.engines.program import Program
 from fixel.simulation.engines.task import pusher_poses, task_of
 from fixel.simulation.motion import OtherEngine
 from fixel.simulation.result import CONTACT_FIELDS
@@ -21,14 +18,6 @@ from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import FloatArray
 
 SAMPLES = 100  # where no output interval is given: an engine's own steps are not known
-
-
-@functools.lru_cache(maxsize=4)
-def _program(name: str) -> Program:
-    """Return the process of an engine, which later simulations use too."""
-    program = program_of(name)
-    atexit.register(program.close)
-    return program
 
 
 def fields_of_engine(
@@ -42,7 +31,7 @@ def fields_of_engine(
     times = np.linspace(0.0, duration, SAMPLES + 1) if times is None else times
     case = RolloutCase(scene, times[1:])
     values = {name: np.array([value]) for name, value in (parameters or {}).items()}
-    ensemble = EngineEnsemble([case], engine, programs=[_program(engine.name)])
+    ensemble = EngineEnsemble([case], engine, programs=[shared_program(engine.name)])
     stated = EngineName.of(engine.name)._replace(version=ensemble.info.version)
     seconds = clock.perf_counter()
     outcome = ensemble.simulate(np.zeros(1, np.int64), values)
