@@ -1,16 +1,23 @@
 """Shared by all tests: a quiet Matplotlib, Hypothesis profiles, and real data if there is any."""
 
+import atexit
 import gc
+import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+# Tests neither use nor change the list of trusted programs of the person who runs them.
+os.environ["XDG_CONFIG_HOME"] = tempfile.mkdtemp(prefix="fixel-settings-")
+atexit.register(shutil.rmtree, os.environ["XDG_CONFIG_HOME"], ignore_errors=True)
 
 # Shells start what runs in the background with Ctrl-C ignored; then no test of it could pass.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -48,6 +55,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish() -> None:
     """Exempt what collecting created from garbage collection: a tenth of the time of all tests."""
+    from fixel.kernels import jit
+
+    jit.PATIENCE_S = math.inf  # output must not depend on what is compiled already
     gc.freeze()
 
 

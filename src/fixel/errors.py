@@ -50,7 +50,9 @@ class _Absent:
 
 
 _ABSENT: Final = _Absent()
+_MAX_BEFORE_HINT: Final = 20  # known names that an error with a suggestion lists
 _MAX_NAMED: Final = 40  # known names that an error lists
+_MAX_FOUND: Final = 300  # [characters] of a text that was found; it may be a whole file
 
 
 @final
@@ -63,8 +65,8 @@ class InvalidInput(FixelError, ValueError):
         Path of the value, as in a scene file: `bodies[0].shape.polygon`. Without `found` and
         `expected` it may be the whole sentence.
     found : object
-        Value that was found. A string is shown as it is (`"two vertices"`), anything else as its
-        shortened `repr`.
+        Value that was found. A string is shown as it is (`"two vertices"`) up to 300 characters,
+        anything else as its shortened `repr`.
     expected : str
         Description of allowed values.
     hint : str
@@ -85,7 +87,8 @@ class InvalidInput(FixelError, ValueError):
         hint: str | None = None,
     ) -> None:
         self.where = where
-        self.found = found
+        is_long = isinstance(found, str) and len(found) > _MAX_FOUND
+        self.found = f"{str(found)[:_MAX_FOUND]} ..." if is_long else found
         self.expected = expected
         self.hint = hint
         super().__init__(self._sentence())
@@ -375,13 +378,17 @@ def unknown_name(where: str, name: object, known: Iterable[str], *, more: str = 
     motion: found 'dynamc', expected one of dynamic, quasistatic; did you mean 'dynamic'?
     """
     names = list(known)
+    hint = did_you_mean(name, names)
+    if hint and len(names) > _MAX_BEFORE_HINT:
+        expected = f"one of {len(names)} known names"
+        return InvalidInput(where, found=repr(name), expected=expected, hint=hint)
     if len(names) > _MAX_NAMED:
         more = f", ... ({len(names)} in all){more}"
     return InvalidInput(
         where,
         found=repr(name),
         expected=f"one of {', '.join(names[:_MAX_NAMED])}{more}",
-        hint=did_you_mean(name, names),
+        hint=hint,
     )
 
 

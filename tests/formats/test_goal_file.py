@@ -106,7 +106,9 @@ def test_free_pushes_and_intervals_of_parameters():
             fixel: 1
             goal: {seated: {fixels: [a]}}
             choose: {free: {most: 3, tool: {disk_mm: 5}, length_mm: [5, 60], retract_mm: 4}}
-            belief: {parameters: {mu_pusher: [0.2, 0.4], mu_support: 0.3}, start: {x_mm: 1}}
+            belief:
+              parameters: {mu_pusher: [0.2, 0.4], friction_centre_x_mm: [-2, 2], start_theta_deg: 3}
+              start: {x_mm: 1, kind: uniform}
             """,
             "text",
         )
@@ -115,8 +117,30 @@ def test_free_pushes_and_intervals_of_parameters():
     assert (found.choose.most, found.choose.length) == (3, (5e-3, 6e-2))
     assert found.choose.tool.radius == 5e-3
     assert (found.choose.retract, found.choose.angle) == (4e-3, pytest.approx(math.pi / 6))
-    assert found.belief.parameters == {"mu_pusher": (0.2, 0.4), "mu_support": 0.3}
-    assert found.belief.start.kind == "normal"
+    assert found.belief.parameters == {
+        "mu_pusher": (0.2, 0.4),
+        "friction_centre_x": (-2e-3, 2e-3),
+        "start_theta": pytest.approx(math.radians(3)),
+    }
+    assert found.belief.start.kind == "uniform"
+
+
+@pytest.mark.parametrize(
+    ("belief", "message"),
+    [
+        ("{parameters: {friction_centre_x: [-2, 2]}}", "expected friction_centre_x_mm.*mm"),
+        ("{parameters: {tripod_radius: 0.03}}", "expected tripod_radius_mm"),
+        ("{parameters: {start_theta: 0.1}}", "expected start_theta_deg"),
+        ("{parameters: {mu_pusher_mm: 0.1}}", "expected mu_pusher;"),
+        ("{parameters: {friction_center_x_mm: 1}}", "did you mean 'friction_centre_x'"),
+        ("{start: {x_mm: 1}}", r"belief\.start\.kind: found none.*half-widths"),
+        ("{start: {preset: asme, kind: normal}}", "a preset and sizes"),
+    ],
+)
+def test_units_and_kinds_are_named(belief: str, message: str):
+    text = f"fixel: 1\ngoal: {{seated: {{fixels: [a]}}}}\nbelief: {belief}\n"
+    with pytest.raises(InvalidInput, match=message):
+        goal_file_from_dict(parse_yaml(text, "text"))
 
 
 @pytest.mark.parametrize(
@@ -136,6 +160,7 @@ def test_free_pushes_and_intervals_of_parameters():
         ("position_mm: 2, angle_deg: 2, ", "", r"goal\.any\[0\]\.pose.*found a pose without"),
         ("any:", "both:", r"goal\.both: found an unknown key"),
         ("stroke_mm: [20, 150]", "stroke_mm: [150, 20]", r"choose\.rig\.stroke"),
+        ("stroke_mm: [20, 150]", "stroke_mm: [-20, 150]", r"choose\.rig\.stroke.*from 0"),
         ("preset: rpi-camera", "preset: rpi", r"belief\.start\.preset.*one of asme, rpi-camera"),
         ("{preset: rpi-camera}", "{preset: asme, x_mm: 1}", r"belief\.start.*a preset and sizes"),
         ("calibration: 7", "calibration: seven", r"belief\.calibration.*whole number"),

@@ -188,3 +188,20 @@ def test_where_the_file_system_knows_no_locks_a_file_stands_in(tmp_path, monkeyp
     (tmp_path / "lock.held").write_text('{"host": "elsewhere", "pid": 1}')
     with pytest.raises(JobRefused, match="process 1 on elsewhere"):
         FileLock(path, "it")
+
+
+def test_large_blocks_are_dropped_and_the_others_stay(tmp_path):
+    path = tmp_path / "journal"
+    with Journal(path) as journal:
+        journal.append([("a", b"small"), ("b", bytes(1000)), ("c", bytes(10))])
+        journal.drop(larger_than=100)
+        assert list(journal) == ["a", "c"]
+        assert journal.get("b") is None
+        assert journal.append([("d", b"later")]) == 1
+    assert path.stat().st_size < 300
+    assert dict(read_journal(path)) == {"a": b"small", "c": bytes(10), "d": b"later"}
+    with Journal(path) as journal:
+        assert journal.damaged == 0
+        before = path.read_bytes()
+        journal.drop(larger_than=100)
+        assert path.read_bytes() == before

@@ -9,7 +9,7 @@ from tests.jobs.fake_slurm import VARIABLE, FakeSlurm
 
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import link, slurm
-from fixel.jobs.site import Site
+from fixel.jobs.site import Site, trust_site
 from fixel.jobs.slurm import SlurmPool, require_slurm
 
 if find_spec("dask_jobqueue") is None:  # importing it would change what Ctrl-C does
@@ -77,7 +77,15 @@ def test_never_more_than_the_site_allows(fake, folder, said):
     assert fake.active() == [101, 102, 103, 104]
 
 
-def test_the_script_says_what_the_template_says(fake, folder, said):
+LINES = {
+    "directives": ["--qos=long"],
+    "prologue": ["module load python"],
+    "python": "/opt/my python/bin/python",
+}
+
+
+def test_the_script_says_what_the_template_says(fake, folder, said, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
     pool = make_pool(
         folder,
         said,
@@ -87,11 +95,12 @@ def test_the_script_says_what_the_template_says(fake, folder, said):
         walltime="1-00:00:00",
         cores=3,
         memory="5 GB",
-        directives=["--qos=long"],
-        prologue=["module load python"],
-        python="/opt/my python/bin/python",
+        **LINES,
     )
-    pool.keep()
+    with pytest.raises(InvalidInput, match="lines in the folder of the job"):
+        pool.keep()
+    trust_site(Site(**LINES))  # as `fixel jobs submit --site` does
+    steps(pool, 5)
     script = fake["jobs"]["101"]["script"].splitlines()
     for line in (
         "#SBATCH -p gpu",

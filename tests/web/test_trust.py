@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from fixel.calibration.study import OUT_OF_BUDGET
 from fixel.cli.main import app
 from fixel.database.project import Project
-from fixel.errors import JobRefused
+from fixel.errors import JobRefused, StoreRefused
 from fixel.web.app import create_app
 from fixel.web.context import ProjectContext
 from fixel.web.pages.site import project_pages
@@ -103,16 +103,18 @@ def test_one_has_parameters_starts_profiles_and_residuals(bench):
     compile(one["python"], "page", "exec")
 
 
-def test_one_whose_job_is_gone_still_says_what_is_stored(trusted_laboratory, tmp_path):
+def test_one_whose_job_is_gone_still_says_all_of_it(bench, trusted_laboratory, tmp_path):
     folder = tmp_path / "my_lab"
     shutil.copytree(trusted_laboratory, folder)
     shutil.rmtree(folder / "jobs")
     alone = Bench(folder)
     one = alone.get("/calibrations/1")
-    assert not one["complete"]
-    assert (one["starts"], one["curves"]) == ([], [])
-    assert len(one["residuals"]) == 6
-    assert one["objective"] is not None
+    assert one.pop("python") != ""
+    whole = bench.get("/calibrations/1")
+    assert whole.pop("python") != ""
+    assert one == whole
+    assert one["complete"]
+    assert one["starts"]
     alone.context.close()
 
 
@@ -244,9 +246,9 @@ def test_a_damaged_result_is_made_again_out_of_the_journal(trusted_laboratory, t
     whole = (job / "result").read_bytes()
     (job / "result").write_bytes(whole[:100])
     alone = Bench(folder)
-    one = alone.get("/calibrations/1")
-    assert not one["complete"]
-    assert f"delete that file, then: fixel jobs resume {job}" in one["note"]
+    assert alone.get("/calibrations/1")["complete"]  # which is stored with it
+    with pytest.raises(StoreRefused, match="delete that file, then: fixel jobs resume"):
+        collected(Project(folder), job)
     (job / "result").unlink()
     assert jobs.status_of(job).state == "lost"
     assert jobs.run_here(job).state == "done"
@@ -290,7 +292,7 @@ def test_a_damaged_file_is_named_and_hides_nothing_else(trusted_laboratory, tmp_
     assert one["after"] < one["before"]
     told = [alone.client.get(p).text for p in ("/api/v1/calibrations/1", "/domain",
             "/api/v1/calibrations", f"/api/v1/domain/{name}", "/jobs", "/api/v1/jobs")]  # fmt: skip
-    if file.name in ("analysis.json", "evidence.json", "result", "stored.json", "request.json"):
+    if file.name in ("analysis.json", "evidence.json", "stored.json"):
         assert any(file.name in text or "compute the map again" in text for text in told)
     alone.context.close()
 

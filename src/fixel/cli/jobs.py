@@ -10,7 +10,6 @@ from fixel.cli.options import (
     AsJson,
     ProjectFolder,
     SiteFile,
-    Workers,
     option,
     project_at,
     with_options,
@@ -35,7 +34,13 @@ class PlaceOptions:
     """Options of `fixel jobs submit` and `resume`: where and how a job runs."""
 
     site: SiteFile = None
-    workers: Workers = None
+    workers: int | None = option(
+        None,
+        "Number of worker processes; 0 computes in this process.",
+        min=0,
+        metavar="N",
+        show_default="0, or that of the last run",
+    )
     detach: bool = option(False, "Run in the background and return at once.", "--detach")
     coordinator: str = option(
         "here", "Place where the coordinator of the job runs: here or slurm.", metavar="PLACE"
@@ -62,7 +67,10 @@ def resume(
     ),
     as_json: AsJson = False,
 ) -> None:
-    """Resume a job that was stopped, cancelled or lost, by default with its last settings."""
+    """Resume a job that was stopped, cancelled or lost.
+
+    By default, it has its last settings.
+    """
     _run(folder, options, as_json, accept_version)
 
 
@@ -117,7 +125,7 @@ def logs(
 
 @app.command("site")
 def site() -> None:
-    """Print a commented template of a site file, which describes a cluster."""
+    """Print a commented template of a cluster's site file."""
     from fixel.jobs.site import TEMPLATE
 
     typer.echo(TEMPLATE, nl=False)
@@ -129,7 +137,7 @@ def pack(
     file: Annotated[Path, typer.Argument(help="Zip file to write.", metavar="FILE")],
     as_json: AsJson = False,
 ) -> None:
-    """Pack a job with its results into one file, to copy it to another machine."""
+    """Pack a job with its results into one file, to copy it."""
     from fixel.workflows import jobs
 
     size = jobs.pack(folder, file)

@@ -45,6 +45,7 @@ from fixel.cli import (
     simulation,
     testbed,
     track,
+    trust,
     uncertainty,
 )
 from fixel.cli.argument_options import in_options
@@ -104,7 +105,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
         "data": project.data,
         "replay": replay.replay,
     },
-    "Jobs and database": {"jobs": jobs.app, "db": db.app},
+    "Jobs and database": {"jobs": jobs.app, "db": db.app, "trust": trust.trust},
 }
 
 

@@ -25,6 +25,7 @@ from fixel.formats.records import (
     Triple,
     built,
     only_form,
+    si_field,
     si_fields,
     validated,
     within,
@@ -43,6 +44,7 @@ from fixel.model.goals import (
     PoseRegion,
     Seated,
 )
+from fixel.model.parameters import info_of
 from fixel.planning.belief import Belief, RigError
 from fixel.planning.pushes import FreePushes, RigPushes
 from fixel.uncertainty.starts import StartError, preset
@@ -52,6 +54,7 @@ Corners = Annotated[list[Point], Field(min_length=3)]
 Values = dict[str, Number | Range]
 
 ON_PART: Final = "free body; by default the only one"
+ENDINGS: Final = {"m": "_mm", "rad": "_deg"}  # of keys of parameters, by unit
 _KINDS: Final[dict[str, Any]] = {"pose": PoseRegion, "inside": Inside, "beyond": Beyond}
 GAP: Final = "largest gap that counts as contact [mm]; by default 0.1 % of the part's size"
 
@@ -161,8 +164,9 @@ class StartRecord(FileRecord):
     x_mm: NonNegative = Field(0.0, description="size of the error of x [mm]")
     y_mm: NonNegative = Field(0.0, description="size of the error of y [mm]")
     theta_deg: NonNegative = Field(0.0, description="size of the error of the angle [deg]")
-    kind: Literal["uniform", "normal"] = Field(
-        "normal", description="whether sizes are half-widths (uniform) or standard deviations"
+    kind: Literal["uniform", "normal"] | None = Field(
+        None,
+        description="required with sizes: half-widths (uniform) or standard deviations (normal)",
     )
 
 
@@ -175,7 +179,11 @@ class RigErrorRecord(FileRecord):
 
 class BeliefRecord(FileRecord):
     calibration: int | None = Field(None, ge=1, description="id of a stored calibration")
-    parameters: Values = Field({}, description="values or [low, high] by parameter, in SI units")
+    parameters: Values = Field(
+        {},
+        description="values or [low, high] by parameter; lengths have keys such as "
+        "tripod_radius_mm, others are in SI units",
+    )
     start: StartRecord | None = Field(None, description="error of the start pose")
     rig: RigErrorRecord | None = Field(None, description="errors of the rig")
     run_to_run: Literal["learned", "none"] = Field(
@@ -259,7 +267,7 @@ def load_goal(path: str | Path) -> GoalFile:
     the part within 2 mm of (180, 0) mm, 0 deg
     """
     path = Path(path)
-    return goal_file_from_dict(read_document(path), path.parent)
+    return goal_file_from_dict(read_document(path, "goal file"), path.parent)
 
 
 def goal_file_from_dict(raw: Any, folder: Path | None = None) -> GoalFile:
@@ -357,18 +365,27 @@ def _pair(values: Any) -> Any:
 def _belief(record: BeliefRecord, path: str) -> Belief:
     if record.calibration is not None and record.parameters:
         raise InvalidInput(path, found="calibration and parameters", expected="one of them")
-    spans = {
-        name: (value[0], value[1]) if isinstance(value, list) else value
-        for name, value in record.parameters.items()
-    }
     start, rig = record.start, record.rig
     with within(path, "belief."):
         return Belief(
-            parameters=spans or None,
+            parameters=_parameters(record.parameters) or None,
             start=None if start is None else _start(start),
             rig=None if rig is None else RigError(**si_fields(rig)),
             conditions=record.conditions,
         )
+
+
+def _parameters(given: Values) -> dict[str, Any]:
+    """Return values and intervals in SI units by parameter."""
+    found = {}
+    for key, value in given.items():
+        name, own = si_field(key, value)
+        expected = name + ENDINGS.get(info_of(name).unit, "")
+        if key != expected:
+            hint = "keys of lengths and angles name their unit: values are in mm and degrees"
+            raise InvalidInput(f"parameters.{key}", found=key, expected=expected, hint=hint)
+        found[name] = tuple(own) if isinstance(own, list) else own
+    return found
 
 
 def _start(record: StartRecord) -> StartError:
@@ -376,8 +393,8 @@ def _start(record: StartRecord) -> StartError:
     name = own.pop("preset")
     if name is None:
         with within("start", "start_error."):
-            return StartError(**own)
-    if own["x"] or own["y"] or own["theta"]:
+            return StartError(**own | {"kind": record.kind or ""})
+    if own["x"] or own["y"] or own["theta"] or record.kind:
         raise InvalidInput("start", found="a preset and sizes", expected="one of them")
     with within("start"):
         return preset(name)

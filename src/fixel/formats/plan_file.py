@@ -168,7 +168,7 @@ def load_plan(path: str | Path) -> Plan:
     InvalidInput
         The first error, with the path of its key.
     """
-    return _plan(read_document(Path(path)))
+    return _plan(read_document(Path(path), "plan file"))
 
 
 def plan_from_text(text: str, where: str = "plan") -> Plan:

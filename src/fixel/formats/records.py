@@ -90,7 +90,12 @@ def built(kind: type[T], record: FileRecord, path: str, *prefixes: str, **fields
 
 def si_fields(record: FileRecord) -> dict[str, Any]:
     """Return the fields of a record in metres and radians, without the units in their names."""
-    return {_UNIT.sub("", key): _scaled(key, value, _to_si) for key, value in record}
+    return dict(si_field(key, value) for key, value in record)
+
+
+def si_field(key: str, value: Any) -> tuple[str, Any]:
+    """Return a key without its unit, and its value in metres and radians."""
+    return _UNIT.sub("", key), _scaled(key, value, _to_si)
 
 
 def unit_content(value: object, record: type[FileRecord]) -> dict[str, Any]:

@@ -106,7 +106,7 @@ def plate_of(name_or_path: str | Path) -> tuple[Tag, ...]:
     """Load the tags on the plate of a rig, whose camera need not be placed yet; see `rig_of`."""
     if str(name_or_path) in EXAMPLES:
         return rig_of(name_or_path).plate
-    return _plate(validated(RigRecord, read_document(Path(name_or_path)), "rig"))
+    return _plate(validated(RigRecord, read_document(Path(name_or_path), "rig file"), "rig"))
 
 
 def load_rig(path: str | Path) -> Rig:
@@ -118,7 +118,7 @@ def load_rig(path: str | Path) -> Rig:
         The first error, with the path of its key.
     """
     path = Path(path)
-    return rig_from_dict(read_document(path), path.parent)
+    return rig_from_dict(read_document(path, "rig file"), path.parent)
 
 
 def rig_from_dict(raw: Any, folder: Path | None = None) -> Rig:

@@ -79,7 +79,7 @@ def load_scene(path: str | Path, overrides: Sequence[str] = ()) -> SceneFile:
     >>> fixel.simulate(file).duration
     0.5
     """
-    return scene_file_from_dict(read_document(Path(path)), overrides)
+    return scene_file_from_dict(read_document(Path(path), "scene file"), overrides)
 
 
 def scene_file_from_dict(raw: Mapping[str, Any], overrides: Sequence[str] = ()) -> SceneFile:

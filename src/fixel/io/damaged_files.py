@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,14 +16,19 @@ A = TypeVar("A")
 T = TypeVar("T")
 
 # Exceptions of parsers, archives and records for invalid content.
-_DAMAGE: Final = (
+DAMAGE: Final = (
+    ArithmeticError,
     AttributeError,
     EOFError,
     LookupError,
+    MemoryError,
     OSError,
+    RuntimeError,
     TypeError,
     ValueError,
+    struct.error,
     zipfile.BadZipFile,
+    zlib.error,
 )
 
 
@@ -44,7 +51,7 @@ def readable(path: Path, hint: str = "") -> Iterator[None]:
         yield
     except FixelError:
         raise
-    except _DAMAGE as problem:
+    except DAMAGE as problem:
         raise StoreRefused(
             f"{path} cannot be read: it is damaged, truncated or not a file of fixel",
             hint=hint or f"restore it from a copy, or delete the folder {path.parent}",

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shlex
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,7 @@ from fixel.errors import InvalidInput
 MAX_BYTES = 10_000_000
 # Scene files have about 7 levels. With much larger values a file could exhaust the stack later.
 MAX_DEPTH = 40
+TABLES = (".csv", ".csv.gz", ".tsv", ".parquet")  # endings of files that are never documents
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _INTEGER = re.compile(r"[-+]?[0-9]+")
@@ -38,14 +40,28 @@ _WORDS: dict[str, Any] = {
 }
 
 
-def read_document(path: Path) -> Any:
+def read_document(path: Path, kind: str = "file") -> Any:
     """Load a YAML or JSON file as dicts, lists, text, numbers, booleans and None.
+
+    Parameters
+    ----------
+    path : Path
+    kind : str
+        Kind of the file, for errors: `"scene file"`.
 
     Raises
     ------
     InvalidInput
-        The file is missing, too large, not UTF-8, or not one valid document within the limits.
+        The file is missing, a table, too large, not UTF-8, or not one valid document within the
+        limits.
     """
+    if path.is_file() and path.name.lower().endswith(TABLES):
+        raise InvalidInput(
+            str(path),
+            found="a table",
+            expected=f"a {kind}, in YAML or JSON",
+            hint=f"import its poses into a project: {shlex.join(['fixel', 'import', str(path)])}",
+        )
     text = _text(path)
     parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
     return parse(text, str(path))

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple, Self, final
 
 from fixel.errors import InvalidInput, JobRefused, os_reason
+from fixel.io.atomic import written_whole
 from fixel.io.lock import FileLock, Owner, holder
 
 MAGIC: Final = b"fixel journal 1\n"
@@ -120,6 +121,19 @@ class Journal:
         self._places |= places
         self._end = end
         return len(new)
+
+    def drop(self, larger_than: int) -> None:
+        """Remove blocks with more bytes of data; a crash leaves the file as before or after."""
+        small = {name: p for name, p in self._places.items() if p.length <= larger_than}
+        if len(small) == len(self._places):
+            return
+        with written_whole(self._path) as unfinished, unfinished.open("wb") as file:
+            file.write(MAGIC + self._mark)
+            for name, place in small.items():
+                file.write(_framed(self._mark, name, _read(self._stream, place)))
+        self._stream.close()
+        self._stream = _opened(self._path)
+        self._mark, self._places, self._end, self.damaged = _contents(self._stream, self._path)
 
     def close(self) -> None:
         """Close the file and release its lock; all blocks are durable already."""

@@ -60,7 +60,7 @@ class ResultCache:
 def _read(path: Path) -> dict[str, Any] | None:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     good = isinstance(content, dict) and isinstance(content.get("answer"), dict)
     return content if good else None

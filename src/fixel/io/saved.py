@@ -7,21 +7,24 @@ import inspect
 import io
 import json
 import math
+import re
 import sys
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from enum import Enum
 from functools import cache
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path, PurePath
-from types import MappingProxyType
-from typing import Any, Final
+from types import MappingProxyType, UnionType
+from typing import Any, Final, Literal, Union, final, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fixel.errors import FixelError, InvalidInput, os_reason
+from fixel.io.array_bytes import KINDS, RATIO, SMALL, array_of
 from fixel.io.atomic import written_whole
 
 FORMAT: Final = 1
@@ -34,10 +37,78 @@ _CONTAINERS: Final[Mapping[str, Callable[[Any], Any]]] = {
     "dict": dict,
     "mappingproxy": lambda pairs: MappingProxyType(dict(pairs)),
 }
-_DAMAGED: Final = (
-    zipfile.BadZipFile, zlib.error, KeyError, TypeError, AttributeError, ValueError, EOFError,
-    NotImplementedError, RuntimeError, OverflowError,
-)  # fmt: skip
+SMALL_HEAD: Final = 4_000_000  # [bytes] of them that may be JSON
+MAX_DEPTH: Final = 100  # levels of nesting in JSON
+_ARRAY_KINDS: Final = {np.float64: "fiu", np.int64: "iu", np.bool_: "b", np.str_: "U"}
+_TEXTS: Final = re.compile(rb'"(?:[^"\\]|\\.)*"')
+_BRACKETS: Final = re.compile(rb"[\[\]{}]")
+# Classes that results consist of, by module. None of them opens a file or starts a process.
+CLASSES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "fixel.calibration.known_pushes": "KnownPushes",
+        "fixel.calibration.noise": "Noise",
+        "fixel.calibration.study": "Trace",
+        "fixel.calibration.target": "Target",
+        "fixel.datasets.experiments": "ExperimentEntry Experiments",
+        "fixel.domain.cells": "CellAxis Cells",
+        "fixel.domain.claim": "Claim",
+        "fixel.domain.domain": "DomainMap",
+        "fixel.domain.evidence": "HeldOutErrors",
+        "fixel.domain.push_bound": "ErrorBound LeftOutErrors",
+        "fixel.domain.surface": "Surface",
+        "fixel.filtering.misfit": "FilterMisfit",
+        "fixel.filtering.particle_filter": "ParticleFilter",
+        "fixel.filtering.prior": "UniformPrior",
+        "fixel.filtering.recorded": "FilterRun",
+        "fixel.model.bodies": "Body Fixel LineDrive PathDrive Pusher Spring",
+        "fixel.model.experiment": "Channel Experiment Flag Provenance",
+        "fixel.model.goals": "AllOf AnyOf Beyond Contact Exit ForceAbove Inside PoseRegion Seated",
+        "fixel.model.parameters": "Parameters",
+        "fixel.model.plane": "FrictionMap Plane",
+        "fixel.model.probability": "Probability",
+        "fixel.model.records": "CalibrationRecord Estimate Evaluations FilterParameters"
+        " FilterRecord Member ProfileRecord SimulationRecord",
+        "fixel.model.scene": "PairFriction Scene",
+        "fixel.model.selection": "ExperimentDetails ExperimentRow",
+        "fixel.model.shape": "Disk Polygon",
+        "fixel.model.space": "Parameter ParameterSpace Unknown",
+        "fixel.model.support": "Ellipsoid NoSupport SupportPoints Tripod UniformPressure",
+        "fixel.model.trajectory": "Pose Trajectory",
+        "fixel.parts.left_out": "LeftOutEnds",
+        "fixel.parts.model": "PartModel",
+        "fixel.parts.next_pushes": "NextPushes",
+        "fixel.parts.prior": "PartValues",
+        "fixel.planning.belief": "Belief RigError Scenarios",
+        "fixel.planning.causes": "Explanation FailureRegion UnknownEffect",
+        "fixel.planning.orienting": "OrientingPlan PushFunction",
+        "fixel.planning.plan": "PlanRuns PushPlan",
+        "fixel.planning.pushes": "FreePushes PlanPush RigPush RigPushes",
+        "fixel.planning.race": "RaceResult RaceRound",
+        "fixel.planning.success": "SuccessProbability",
+        "fixel.planning.trials": "PlanTrial Trials",
+        "fixel.simulation.motion": "Dynamic FirstOrder OtherEngine QuasiStatic",
+        "fixel.simulation.result": "BatchResult PusherTrace PusherTrajectory Simulation",
+        "fixel.simulation.rollouts": "RolloutCase",
+        "fixel.simulation.solver": "GaussSeidel Lemke Newton",
+        "fixel.simulation.stepper": "Adaptive Midpoint StewartTrinkle",
+        "fixel.uncertainty.discrepancy": "ModelError",
+        "fixel.uncertainty.indices": "Factor Indices",
+        "fixel.uncertainty.outcomes": "PoseSpread Sensitivity",
+        "fixel.uncertainty.posterior": "Mode Posterior",
+        "fixel.uncertainty.prediction": "Prediction",
+        "fixel.uncertainty.run_to_run": "RunToRun",
+        "fixel.uncertainty.starts": "StartError",
+        "fixel.workflows.calibration.calibration": "Calibration Calibrations",
+        "fixel.workflows.calibration.request": "CalibrationRequest NamedOptions",
+        "fixel.workflows.calibration.result": "CalibrationResult ParameterSet",
+        "fixel.workflows.calibration.stored": "CalibratedValues",
+        "fixel.workflows.planning.held_out": "HeldSuccess",
+        "fixel.workflows.planning.request": "FoundPlan PlanRequest",
+        "fixel.workflows.planning.stored": "PlanFile",
+        "fixel.workflows.project.compare": "PathComparison RunComparison",
+        "fixel.workflows.project.comparison": "ComparedModel Comparison",
+    }
+)
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -71,12 +142,20 @@ def save(result: object, path: str | Path) -> Path:
         for name, array in arrays.items():
             stream = io.BytesIO()
             np.save(stream, array, allow_pickle=False)
-            file.writestr(f"{name}.npy", stream.getvalue())
+            data = stream.getvalue()
+            # What packs too well would be rejected by `load` as a bomb.
+            is_bomb = len(data) > SMALL // 64 and RATIO * len(zlib.compress(data, 1)) < 4 * len(
+                data
+            )
+            file.writestr(f"{name}.npy", data, zipfile.ZIP_STORED if is_bomb else None)
     return Path(path)
 
 
 def load(path: str | Path) -> Any:
     """Load a result that its `save` method wrote.
+
+    A file can only contain the classes of results, with values of the kinds that they have. Its
+    sizes are checked before it is read, and loading it runs nothing.
 
     Parameters
     ----------
@@ -104,17 +183,20 @@ def load(path: str | Path) -> Any:
     path = Path(path)
     try:
         with zipfile.ZipFile(path) as file:
-            head = json.loads(file.read("result.json"))
+            _check_sizes(file, path)
+            head = _json(file.read("result.json"))
             _check_head(head, path)
-            return _decoded(head["content"], lambda name: _array(file, name))
+            result = _Decoder(file).made(head["content"])
+        repr(result)  # parts that do not fit together are found here, not by the caller
+    except OSError as problem:
+        raise _refused(path, os_reason(problem)) from None
     except FixelError as problem:
         if isinstance(problem, InvalidInput) and problem.where == str(path):
             raise
         raise _refused(path, f"a result that this version cannot read: {problem}") from None
-    except OSError as problem:
-        raise _refused(path, os_reason(problem)) from None
-    except _DAMAGED:
+    except Exception:  # constructors raise any
         raise _refused(path, "another kind of file, or a damaged one") from None
+    return result
 
 
 def _refused(path: Path, found: str, hint: str | None = None) -> InvalidInput:
@@ -125,13 +207,36 @@ def _check_head(head: Any, path: Path) -> None:
     if int(head["format"]) > FORMAT:
         raise _refused(
             path,
-            f"a result of fixel {head['fixel']} in format {head['format']}",
+            f"a result of fixel {str(head['fixel'])[:40]} in format {int(head['format'])}",
             f"fixel {version('fixel')} reads formats up to {FORMAT}: install a newer one",
         )
 
 
+def _check_sizes(file: zipfile.ZipFile, path: Path) -> None:
+    """Raise where a small file announces much content."""
+    packed = path.stat().st_size
+    members = file.infolist()
+    total = sum(member.file_size for member in members)
+    head = file.getinfo("result.json").file_size
+    if total > max(SMALL, RATIO * packed) or head > max(SMALL_HEAD, RATIO * packed):
+        raise _refused(path, f"{total / 1e6:.0f} MB in a file of {packed / 1e6:.3g} MB")
+    if len({member.filename for member in members}) < len(members):
+        raise _refused(path, "an array twice")
+
+
+def _json(data: bytes) -> Any:
+    """Return the content of JSON, after a check of its depth."""
+    depth = most = 0
+    for bracket in _BRACKETS.findall(_TEXTS.sub(b"", data)):
+        depth += 1 if bracket in b"[{" else -1
+        most = max(most, depth)
+    if most > MAX_DEPTH:
+        raise ValueError(f"{most} levels")
+    return json.loads(data)
+
+
 def _array(file: zipfile.ZipFile, name: str) -> NDArray[Any]:
-    array: NDArray[Any] = np.load(io.BytesIO(file.read(f"{name}.npy")), allow_pickle=False)
+    array = array_of(file.read(f"{name}.npy"))
     array.setflags(write=False)
     return array
 
@@ -167,19 +272,23 @@ def _encoded(value: Any, arrays: Arrays) -> Any:
 def _contents(value: Any) -> tuple[str, Mapping[Any, Any]] | None:
     """Return the arguments that construct an object of fixel; None for other objects."""
     kind = type(value)
-    if not kind.__module__.startswith("fixel."):
+    if f"{kind.__module__}:{kind.__qualname__}" not in _known():
         return None
-    if dataclasses.is_dataclass(kind):
-        names = [field.name for field in dataclasses.fields(kind) if field.init]
-    elif hasattr(kind, "model_fields"):
-        names = list(kind.model_fields)
-    elif hasattr(kind, "_fields"):
-        names = list(kind._fields)
-    elif isinstance(value, Mapping):
+    if _is_mapping(kind):
         return "mapping", value
-    else:
-        return None
-    return "object", {name: getattr(value, name) for name in names}
+    return "object", {name: getattr(value, name) for name in _fields(kind)}
+
+
+def _is_mapping(kind: type) -> bool:
+    """Return whether a class is made of its items."""
+    return issubclass(kind, Mapping) and not dataclasses.is_dataclass(kind)
+
+
+def _fields(kind: Any) -> list[str]:
+    """Return the names of the arguments that construct a class."""
+    if dataclasses.is_dataclass(kind):
+        return [field.name for field in dataclasses.fields(kind) if field.init]
+    return list(getattr(kind, "model_fields", None) or kind._fields)
 
 
 def _path_of(kind: type) -> str:
@@ -188,15 +297,34 @@ def _path_of(kind: type) -> str:
     return f"fixel:{kind.__name__}" if public else f"{kind.__module__}:{kind.__qualname__}"
 
 
-def _class_of(path: str) -> type:
-    """Return a class of fixel by its path, if objects of it can be saved."""
-    module, name = path.split(":")
-    if module != "fixel" and not module.startswith("fixel."):
-        raise ValueError(path)
-    kind = getattr(sys.modules.get(module) or import_module(module), name)
-    if not isinstance(kind, type) or not kind.__module__.startswith("fixel."):
-        raise ValueError(path)
-    return kind
+@cache
+def _known() -> Mapping[str, tuple[str, str]]:
+    """Return module and name of the classes that a file may contain, by their paths in files."""
+    public = set(sys.modules["fixel"].__all__)
+    found = {}
+    for module, names in CLASSES.items():
+        for name in names.split():
+            found[f"{module}:{name}"] = module, name
+            if name in public:
+                found[f"fixel:{name}"] = module, name
+    return found
+
+
+def _class_of(path: str) -> Any:
+    module, name = _known()[path]
+    return getattr(import_module(module), name)
+
+
+@cache
+def _hints(kind: type) -> Mapping[str, Any]:
+    """Return the types of the arguments of a class; those of pydantic check themselves."""
+    if hasattr(kind, "model_fields"):
+        return {}
+    # Some modules import the classes of their annotations for type checkers only.
+    names = {own: _class_of(path) for path, (_, own) in _known().items()} | {"Callable": Callable}
+    own = sys.modules[kind.__module__].__dict__
+    missing = {name: named for name, named in names.items() if name not in own}
+    return get_type_hints(kind, localns=missing)
 
 
 @cache
@@ -206,24 +334,71 @@ def _sequence_of(kind: type) -> str:
     return next((own.name for own in parameters if own.kind is own.VAR_POSITIONAL), "")
 
 
-def _decoded(value: Any, array: Callable[[str], NDArray[Any]]) -> Any:
-    """Inverse of `_encoded`."""
-    if not isinstance(value, dict):
-        return value
-    kind = value["type"]
-    if kind == "array":
-        return array(value["name"])
-    if kind == "float":
-        return float(value["text"])
-    if kind == "path":
-        return Path(value["text"])
-    if kind == "bytes":
-        return bytes.fromhex(value["text"])
-    if kind in ("object", "mapping"):
-        content = {_decoded(k, array): _decoded(item, array) for k, item in value["items"]}
+@final
+class _Decoder:
+    """Inverse of `_encoded`; each array is loaded once."""
+
+    def __init__(self, file: zipfile.ZipFile) -> None:
+        self._array = cache(lambda name: _array(file, name))
+
+    def decoded(self, value: Any) -> Any:
+        """Return the value of its content in JSON."""
+        if not isinstance(value, dict):
+            return value
+        kind = value["type"]
+        if kind == "array":
+            return self._array(value["name"])
+        if kind == "float":
+            return float(value["text"])
+        if kind == "path":
+            return Path(value["text"])
+        if kind == "bytes":
+            return bytes.fromhex(value["text"])
+        if kind in ("object", "mapping"):
+            return self.made(value)
+        return _CONTAINERS[kind](self.decoded(item) for item in value["items"])
+
+    def made(self, value: Mapping[str, Any]) -> Any:
+        """Return the object of a listed class whose arguments are of the right types."""
+        content = {self.decoded(k): self.decoded(item) for k, item in value["items"]}
         own = _class_of(value["class"])
-        if kind == "mapping":
+        if _is_mapping(own):
             return own(content)
+        hints = _hints(own)
+        for name, item in content.items():
+            if name not in _fields(own) or not fits(item, hints.get(name, Any)):
+                raise ValueError(f"{own.__name__}.{name}")
         first = content.pop(_sequence_of(own), ())
         return own(*first, **content)
-    return _CONTAINERS[kind](_decoded(item, array) for item in value["items"])
+
+
+def fits(value: Any, hint: Any) -> bool:
+    """Return whether a value has the type of an annotation; arrays by the kind of their numbers."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if hint is Any:
+        return True
+    if origin in (Union, UnionType):
+        return any(fits(value, one) for one in inner)
+    if origin is Literal:
+        return value in inner
+    if hint in (None, type(None)):
+        return value is None
+    if hint is np.ndarray or origin is np.ndarray:
+        kind = get_args(inner[1])[0] if inner else np.generic
+        kinds = _ARRAY_KINDS.get(kind, KINDS)
+        return isinstance(value, np.ndarray) and (value.dtype.names or value.dtype.kind in kinds)
+    if origin in (tuple, list, set, frozenset, Sequence):
+        if not isinstance(value, Sequence | set | frozenset) or isinstance(value, str | bytes):
+            return False
+        if origin is not tuple or inner[1:] == (...,):
+            return all(fits(item, inner[0]) for item in value)
+        return len(value) == len(inner) and all(map(fits, value, inner))
+    if origin in (dict, Mapping):
+        return isinstance(value, Mapping) and all(
+            fits(key, inner[0]) and fits(item, inner[1]) for key, item in value.items()
+        )
+    if not isinstance(hint, type):
+        return False
+    if issubclass(hint, Enum):
+        return value in list(hint)
+    return isinstance(value, float | int if hint is float else hint)

@@ -12,6 +12,7 @@ import socket
 import sys
 import time
 import traceback
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -26,6 +27,7 @@ from fixel.jobs.stamp import stamp
 from fixel.jobs.work import AbstractEngine, JobProgress, Show, StopRequest, run_work
 from fixel.typing import Notify
 
+LARGE: Final = 1 << 16  # [byte] answers that the journal loses when the result is written
 MIN_PAUSE_S: Final = 1.0  # [s] shortest time between two writes of state.json
 
 
@@ -69,6 +71,8 @@ def coordinate(
             result = _run(folder, job, run, journal, state, local)
             state.enter("collecting")
             _write_result(folder, result)
+            with suppress(FixelError):  # of a full disk: the result is written
+                journal.drop(LARGE)
             state.enter("done")
         except StopRequest:
             state.enter("cancelled")

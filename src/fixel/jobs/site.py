@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fixel.errors import InvalidInput
 from fixel.io.document import read_document, yaml_text
+from fixel.simulation.trust import is_trusted, trust
 
 # One directive, one line: a value in a template cannot add other lines to the script.
 _LINE: Final = r"[^\r\n]*"
@@ -69,7 +70,7 @@ class Site(BaseModel):
     scheduler: Literal["slurm"] = "slurm"
     queue: Word | None = None
     account: Word | None = None
-    walltime: str = "01:00:00"
+    walltime: Line = "01:00:00"
     cores: int = Field(default=1, ge=1, le=1024)
     memory: str = Field(default="2 GB", pattern=f"^{_MEMORY}$")
     interface: Word = "lo"
@@ -79,6 +80,12 @@ class Site(BaseModel):
     skip_directives: list[Line] = []
     prologue: list[Line] = []
     python: Line | None = None
+
+    @property
+    def shell_lines(self) -> list[str]:
+        """Lines that the nodes run, or that the scheduler obeys, as the template has them."""
+        python = [] if self.python is None else [f"python: {self.python}"]
+        return [*self.directives, *self.prologue, *python]
 
     @property
     def walltime_s(self) -> float:
@@ -117,6 +124,23 @@ def site_of(content: object, where: str) -> Site:
     if site.walltime_s < 10.0:
         raise InvalidInput(f"{where}: walltime", found=site.walltime, expected="at least 00:00:10")
     return site
+
+
+def trust_site(site: Site) -> None:
+    """Add the lines of a site that the user names on a call to the user's list."""
+    if site.shell_lines and not is_trusted({"site": site.shell_lines}):
+        trust({"site": site.shell_lines})
+
+
+def check_site(site: Site) -> None:
+    """Raise `InvalidInput` for lines of a site that only the folder of a job names."""
+    if site.shell_lines and not is_trusted({"site": site.shell_lines}):
+        raise InvalidInput(
+            "site",
+            found=f"lines in the folder of the job that you have not named: {site.shell_lines}",
+            expected="the lines of a site template of yours",
+            hint="read them, and name the template again: fixel jobs resume FOLDER --site FILE",
+        )
 
 
 def site_text(site: Site) -> str:

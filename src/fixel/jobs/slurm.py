@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple, final
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import link
 from fixel.jobs.pool import MAX_STILLBORN, AbstractPool, stillborn, worker_command
-from fixel.jobs.site import Site
+from fixel.jobs.site import Site, check_site
 
 COMMAND_S: Final = 60.0  # [s] for a command of SLURM; a busy controller takes long to answer
 MAX_BACK_OFF_S: Final = 120.0
@@ -124,7 +124,14 @@ def _call(*command: str) -> str:
 
 
 def job_script(site: Site, name: str, command: list[str], logs: Path) -> str:
-    """Return a script for sbatch; `command` are the arguments of Python, quoted for the shell."""
+    """Return a script for sbatch; `command` are the arguments of Python, quoted for the shell.
+
+    Raises
+    ------
+    InvalidInput
+        The site has shell lines that the user has never named.
+    """
+    check_site(site)
     job = _slurm_job()(
         scheduler="none",
         name=name,

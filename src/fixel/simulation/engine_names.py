@@ -79,7 +79,12 @@ class EngineName(NamedTuple):
 def is_engine(text: str) -> bool:
     """Return whether a name is that of another engine or of a program."""
     own = EngineName.of(text)
-    return own.is_program or own.name in ENGINES or own.name in _offered()
+    return own.is_program or own.name in engine_names()
+
+
+def engine_names() -> list[str]:
+    """Return the names of all known engines, installed or not."""
+    return [*ENGINES, *sorted(_offered())]
 
 
 def motion_words(motion: str) -> list[str]:

@@ -16,7 +16,7 @@ from typing import ClassVar, TypeVar, final
 from fixel.errors import InvalidInput, unknown_name
 from fixel.kernels import codes, entries
 from fixel.kernels.arrays import Model, Problem, State
-from fixel.simulation.engine_names import is_engine
+from fixel.simulation.engine_names import EngineName, engine_names, is_engine
 from fixel.typing import FloatArray
 
 
@@ -192,9 +192,14 @@ MOTION_MODELS: tuple[type[AbstractMotionModel], ...] = (Dynamic, QuasiStatic, Fi
 
 def motion_model(motion: AbstractMotionModel | str | None) -> AbstractMotionModel:
     """Return a motion model, also by its name, or another engine; the dynamic one for None."""
-    own = {model.name for model in MOTION_MODELS}
-    if isinstance(motion, str) and motion not in own and is_engine(motion):
-        return OtherEngine(motion)
+    own = [model.name for model in MOTION_MODELS]
+    if isinstance(motion, str) and motion and motion not in own:
+        if is_engine(motion):
+            return OtherEngine(motion)
+        known = [*own, *engine_names()]
+        raise unknown_name(
+            "motion", EngineName.of(motion).name, known, more=", or the path of a program"
+        )
     return named_part(motion or Dynamic.name, MOTION_MODELS, "motion")
 
 

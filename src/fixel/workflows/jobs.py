@@ -18,6 +18,7 @@ import sys
 import threading
 import time
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
@@ -26,12 +27,13 @@ from typing import Any, Final, final
 from pydantic import Field, computed_field
 
 from fixel.errors import InvalidInput, JobRefused
+from fixel.io.array_bytes import RATIO, SMALL
 from fixel.io.atomic import written_whole
 from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
 from fixel.jobs.folder import Job, JobState, RunSettings
-from fixel.jobs.site import Site
+from fixel.jobs.site import Site, trust_site
 from fixel.jobs.stamp import stamp
 from fixel.jobs.work import AbstractEngine, JobProgress, Show
 from fixel.typing import Notify
@@ -148,8 +150,9 @@ def arrange(
     files.read_job(folder)
     _check_idle(folder)
     changes: dict[str, Any] = {"workers": workers, "site": site, "lease_s": lease_s}
-    if site is not None and workers is None:
-        changes["workers"] = site.max_jobs
+    if site is not None:
+        trust_site(site)
+        changes["workers"] = site.max_jobs if workers is None else workers
     if accept_version:
         changes["stamp"] = stamp()
     kept = {name: value for name, value in changes.items() if value is not None}
@@ -278,7 +281,7 @@ def status_of(folder: Path) -> JobStatus:
     elif owner is None and state not in (*files.ENDED, "queued"):
         state = LOST
     elif state == "done" and not (folder / files.RESULT).is_file():
-        state = LOST  # only the result is lost: the journal has all of it
+        state = LOST  # the result is lost: the journal has all but the large answers behind it
     journal = folder / files.JOURNAL
     kept = sum(1 for _ in read_journal(journal)) if journal.exists() else 0
     progress = status.model_dump(exclude={"state"})
@@ -376,7 +379,7 @@ def unpack(file: Path, folder: Path) -> JobStatus:
             for member in sorted(members, key=lambda m: m.filename == "job.json"):
                 with archive.open(member) as source, (folder / member.filename).open("wb") as copy:
                     shutil.copyfileobj(source, copy)
-    except (OSError, zipfile.BadZipFile) as problem:
+    except (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as problem:
         raise InvalidInput(str(file), found=str(problem), expected="a packed job") from None
     return status_of(folder)
 
@@ -390,8 +393,11 @@ def _check_members(file: Path, members: list[zipfile.ZipInfo]) -> None:
             raise InvalidInput(str(file), found=f"a file {name!r}", expected="a packed job")
     if "job.json" not in names or len(set(names)) < len(names):
         raise InvalidInput(str(file), found="something else", expected="a packed job")
-    if sum(member.file_size for member in members) > _MAX_BYTES:
-        raise InvalidInput(str(file), found="too much", expected=f"at most {_MAX_BYTES} bytes")
+    total, most = sum(member.file_size for member in members), file.stat().st_size * RATIO
+    if total > min(max(SMALL, most), _MAX_BYTES):
+        raise InvalidInput(
+            str(file), found=f"{total} bytes in a small file", expected="a packed job"
+        )
 
 
 def _check_idle(folder: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import reprlib
 import selectors
 import shutil
 import signal
@@ -22,10 +23,12 @@ from typing import Any, final
 from fixel.errors import InvalidInput
 from fixel.model.parameter_info import ParameterInfo
 from fixel.simulation.engines.contract import EngineInfo
+from fixel.simulation.trust import check_command
 
 PROTOCOL = 1
 START_LIMIT = 60.0  # [s] until a program answers for the first time: some load large libraries
 MAX_ANSWER = 64 << 20  # [bytes] of one line
+CHECK_PERIOD = 0.2  # [s] between two checks that a silent program still runs
 KEPT_ERRORS = 2000  # [bytes] of standard error that a reason quotes
 
 
@@ -40,7 +43,7 @@ class Program:
     Parameters
     ----------
     command : sequence of str
-        Program and its arguments.
+        Program and its arguments; started only with the permission of `fixel.simulation.trust`.
     """
 
     def __init__(self, command: Sequence[str]) -> None:
@@ -94,6 +97,7 @@ class Program:
         if self._process is not None and self._process.poll() is None:
             return
         self.close()
+        check_command(self.command)
         # Engines write logs into the working folder.
         self._folder = Path(tempfile.mkdtemp(prefix="fixel-engine-"))
         try:
@@ -128,7 +132,7 @@ class Program:
         line = self._line(limit)
         try:
             answer = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):  # deeper nesting than Python reads
             answer = None
         if not isinstance(answer, dict):
             raise ProgramFailed(f"expected a JSON object, found {line[:60]!r}")
@@ -146,7 +150,7 @@ class Program:
             while b"\n" not in blocks[-1]:
                 if size > MAX_ANSWER:
                     raise ProgramFailed(f"an answer of more than {MAX_ANSWER >> 20} MB")
-                if not ready.select(max(0.0, until - time.monotonic())):
+                if not self._waits_for(ready, until):
                     raise ProgramFailed(f"no answer within {limit:.3g} s")
                 block = os.read(pipe, 1 << 16)
                 if not block:
@@ -155,6 +159,19 @@ class Program:
                 size += len(block)
         line, _, self._rest = b"".join(blocks).partition(b"\n")
         return line
+
+    def _waits_for(self, ready: selectors.BaseSelector, until: float) -> bool:
+        """Wait for output; return False when it is late, raise when the program has ended.
+
+        A child of the program may still have the pipe, whose end would not come.
+        """
+        assert self._process is not None
+        while not ready.select(max(0.0, min(CHECK_PERIOD, until - time.monotonic()))):
+            if self._process.poll() is not None and not ready.select(0.0):
+                raise ProgramFailed(self._ended())
+            if time.monotonic() >= until:
+                return False
+        return True
 
     def _ended(self) -> str:
         """Describe the end of the process, with the last line that it wrote as an error."""
@@ -184,11 +201,16 @@ def _info(command: str, answer: Mapping[str, Any]) -> EngineInfo:
             )
             for name, own in dict(answer.get("parameters", {})).items()
         }
-    except (AttributeError, TypeError, ValueError):
+    except (AttributeError, TypeError, ValueError, RecursionError):
         raise InvalidInput(
             f"engine {command}",
-            found=f"parameters {answer.get('parameters')!r}",
+            found=f"parameters {reprlib.repr(answer.get('parameters'))}",
             expected='an object such as {"grip": {"unit": "-", "meaning": "...", "lowest": 0}}',
         ) from None
-    name = str(answer.get("name", Path(command).stem))
-    return EngineInfo(name, str(answer.get("version", "")), parameters)
+    name = text_of(answer.get("name", Path(command).stem))
+    return EngineInfo(name, text_of(answer.get("version", "")), parameters)
+
+
+def text_of(value: object) -> str:
+    """Return a text of an answer, of limited depth if it is something else."""
+    return value if isinstance(value, str) else reprlib.repr(value)

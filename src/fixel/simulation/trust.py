@@ -1,0 +1,239 @@
+"""Permission to run what a file names: a program as an engine, or the shell lines of a site.
+
+A file never carries permission. It comes from the user, who names the program on a call of this
+process, or has put it into the list of this user: one file for each entry in the user's folder of
+settings, outside all projects. The name of that file is the checksum of the command line and of the
+files that it names, so that another content is another entry.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from fixel.errors import InvalidInput, os_reason
+from fixel.simulation.engine_names import EngineName
+
+SERVE: Final = (sys.executable, "-m", "fixel.simulation.engines.serve")  # engines of packages
+MAX_ENTRY: Final = 1_000_000  # [bytes] of a file of the list
+_permitted: dict[str, list[str]] = {}  # commands that calls of this process named, by checksum
+
+
+class TrustedEntry(NamedTuple):
+    """Entry of the user's list.
+
+    Attributes
+    ----------
+    text : str
+        Program as after `--engine`, or the lines of a site.
+    content : mapping
+        What is trusted: a command with the checksums of its files, or the lines of a site.
+    file : Path
+        File of the entry.
+    """
+
+    text: str
+    content: dict[str, Any]
+    file: Path
+
+    @property
+    def lines(self) -> list[str]:
+        """Text of the entry, and the checksum of each of its files."""
+        sums = dict(self.content.get("sha256", {}))
+        return [self.text, *(_plain(f"  sha256 {own}  {name}") for name, own in sums.items())]
+
+
+def list_folder() -> Path:
+    """Return the folder of the list: `fixel/trusted` in the user's folder of settings."""
+    base = os.environ.get("XDG_CONFIG_HOME") or os.path.join(os.path.expanduser("~"), ".config")
+    return Path(base, "fixel", "trusted")
+
+
+def command_of(name: EngineName) -> tuple[str, ...]:
+    """Return the command line of a program: its whole path, and its arguments."""
+    command = _words(name)
+    if not _is_file(command[0]):
+        raise InvalidInput("engine", found=f"no file {_plain(name.name)}", expected="a program")
+    return command
+
+
+def permit(motion: object) -> None:
+    """Permit this process to run the program that a user names on a call, if it is one.
+
+    Only for arguments of public functions and options of commands, never for a name from a file.
+    """
+    if isinstance(motion, str) and (name := EngineName.of(motion)).is_program:
+        # A missing program is refused where it would be started.
+        with contextlib.suppress(InvalidInput):
+            content = _content(command_of(name))
+            _permitted[_digest(content)] = content["command"]
+
+
+def remember(motion: str) -> None:
+    """Add a program to the user's list, if a call of this process has named it.
+
+    The processes of a job, and those that later use its result, then run it as well.
+    """
+    if (name := EngineName.of(motion)).is_program:
+        content = _content(command_of(name))
+        if _digest(content) in _permitted and not is_trusted(content):
+            # Without the entry, the other processes refuse the program in a sentence.
+            with contextlib.suppress(InvalidInput):
+                trust(content)
+
+
+def check_command(command: Sequence[str]) -> None:
+    """Raise `InvalidInput` unless a command line may be run with the present content of its files.
+
+    Engines of installed packages may always be run.
+    """
+    own = tuple(command)
+    if own[: len(SERVE)] == SERVE and len(own) == len(SERVE) + 1:
+        return
+    content = _content(own)
+    if _digest(content) in _permitted or is_trusted(content):
+        return
+    listed = [entry.content.get("command") for entry in trusted_entries()]
+    changed = content["command"] in [*listed, *_permitted.values()]
+    why = "has changed since you allowed it" if changed else "was named by a file, not by you"
+    raise InvalidInput(
+        "engine",
+        found=f"the program {_plain(shlex.join(content['command']))}, which {why}",
+        expected="a program that this call names, or that you trust",
+        hint=f"if you know what it does, run: fixel trust {_plain(shlex.quote(_text_of(content)))}",
+    )
+
+
+def trust_program(text: str) -> TrustedEntry:
+    """Add a program to the user's list, with the present content of its files.
+
+    Parameters
+    ----------
+    text : str
+        Path of the program, with arguments as in `./mine.py:fast`.
+    """
+    return trust(_content(command_of(_program(text))))
+
+
+def trust(content: dict[str, Any]) -> TrustedEntry:
+    """Add what a user permits to the list."""
+    file = _file_of(content)
+    unfinished = file.with_suffix(f".{os.getpid()}")
+    try:
+        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        os.replace(unfinished, file)
+    except OSError as problem:
+        raise InvalidInput(
+            str(file), found=os_reason(problem), expected="a file that can be written"
+        ) from None
+    return TrustedEntry(_text_of(content), content, file)
+
+
+def trusted_entries() -> list[TrustedEntry]:
+    """Return the entries of the user's list, in the order of their texts."""
+    found = []
+    for file in list_folder().glob("*.json"):
+        try:
+            with file.open("rb") as stream:
+                content = json.loads(stream.read(MAX_ENTRY))
+            entry = TrustedEntry(_text_of(content), content, file)
+            _ = entry.lines
+            found.append(entry)
+        except (OSError, ValueError, LookupError, TypeError, RecursionError):
+            continue  # an entry counts by the name of its file; this one cannot be listed
+    return sorted(found, key=lambda entry: (entry.text, entry.file))
+
+
+def distrust(text: str) -> list[TrustedEntry]:
+    """Remove a program from the list, with all contents that it has had; return the entries.
+
+    Parameters
+    ----------
+    text : str
+        Program, as for `trust_program`, or the text of an entry.
+    """
+    texts = {text}
+    if EngineName.of(text).is_program:
+        texts.add(_text_of({"command": list(_words(_program(text)))}))
+    removed = [entry for entry in trusted_entries() if entry.text in texts]
+    for entry in removed:
+        entry.file.unlink(missing_ok=True)
+    return removed
+
+
+def is_trusted(content: dict[str, Any]) -> bool:
+    """Return whether the user's list has an entry with this content."""
+    return _file_of(content).is_file()
+
+
+def _file_of(content: dict[str, Any]) -> Path:
+    return list_folder() / f"{_digest(content)}.json"
+
+
+def _program(text: str) -> EngineName:
+    name = EngineName.of(text)
+    if not name.is_program:
+        expected = "the path of a program, such as ./mine.py"
+        raise InvalidInput("program", found=_plain(text), expected=expected)
+    return name
+
+
+def _words(name: EngineName) -> tuple[str, ...]:
+    try:
+        path = Path(name.name).expanduser().resolve()
+    except (OSError, RuntimeError, ValueError):
+        path = Path(name.name)
+    return (str(path), *filter(None, name.choices.split(",")))
+
+
+def _text_of(content: Mapping[str, Any]) -> str:
+    """Return a program as after `--engine`, or the lines of a site, for a terminal."""
+    if "site" in content:
+        return _plain("site: " + "; ".join(map(str, content["site"])))
+    first, *others = map(str, content["command"])
+    return _plain(first + (":" + ",".join(others) if others else ""))
+
+
+def _content(command: Sequence[str]) -> dict[str, Any]:
+    """Return a command line with the SHA-256 checksums of the files that it names."""
+    if command[0] == SERVE[0] and command[1:2] and command[1].endswith(".py"):
+        command = command[1:]  # the interpreter of fixel
+    return {
+        "command": list(command),
+        "sha256": {word: _checksum(Path(word)) for word in command if _is_file(word)},
+    }
+
+
+def _is_file(word: str) -> bool:
+    # Programs are started in an empty folder, where a relative name is no file.
+    try:
+        return os.path.isabs(word) and os.path.isfile(word)
+    except ValueError:
+        return False
+
+
+def _checksum(path: Path) -> str:
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as problem:
+        raise InvalidInput(
+            "engine", found=f"{_plain(str(path))}: {os_reason(problem)}", expected="a program"
+        ) from None
+
+
+def _digest(content: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _plain(text: str) -> str:
+    """Return text of a file without control characters, which a terminal would obey."""
+    return text if text.isprintable() else ascii(text)
