@@ -139,7 +139,7 @@ def _largest_step(
     steps = [step for step in LADDER if step >= size.finest_peer_step * (1.0 - 1e-9)]
     choices = peer.variants[variant]
     made = [engine_of(f"{peer.engine}:{choices},step={step!r}") for step in steps]
-    ends = [own.simulate(task)[-1] for own in made]
+    ends = [own.answer(task)[-1] for own in made]
     chosen = None
     for k in reversed(range(len(steps) - 1)):
         distance, angle = apart(ends[k], ends[-1])

@@ -98,7 +98,7 @@ def test_training_pushes_of_cmu_share_neither_surface_nor_support_with_held_out_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(engines, "read_pushes", lambda folder: tripod_pushes())
-    monkeypatch.setattr(engines, "CMU_SETTINGS", {"fixel": engines.CMU_SETTINGS["fixel"]})
+    monkeypatch.setattr(engines, "SETTINGS", {"fixel": engines.SETTINGS["fixel"]})
     monkeypatch.setattr(engines, "RESAMPLES", 200)
     cases = engines.cmu_cases(tmp_path, quick=False)
 
@@ -153,6 +153,8 @@ def test_calibration_makes_fixel_better_on_real_pushes(
     data_root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(engines, "SETTINGS", {"fixel": engines.SETTINGS["fixel"]})
+    monkeypatch.setattr(engines, "HELD_OUT", 84)
+    monkeypatch.setattr(engines, "LEFT_OUT", {"ellip2"})
     folder = data_root / "mit_push_endpoints"
     still, shipped, calibrated = reproduce("engines", folder).tables["overall"]
     assert shipped["held_out"] >= 1000

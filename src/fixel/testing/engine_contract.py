@@ -40,6 +40,7 @@ from fixel.simulation.engines import shared_program
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, OtherEngine, motion_model
 from fixel.simulation.rollouts import EnsembleOutcome, RolloutCase, Rollouts, ensemble_of
 from fixel.simulation.stepper import Adaptive
+from fixel.simulation.trust import permit
 from fixel.testing.scenes import box, grasp, moved, row, sliding_block
 from fixel.typing import FloatArray
 
@@ -48,6 +49,8 @@ SIDE = 0.1  # [m] of the square that is pushed
 FINGER = 0.005  # [m] radius
 EXACT = Adaptive(tolerance=1e-8)
 PUSHES = 20  # of the test of Mason's rule
+SIDES = (1e-6, 1e-3, 1.0)  # [m] of other squares
+MASSES = (1e-8, 10.0)  # [kg] of them
 
 ELL = [(-0.05, -0.05), (0.05, -0.05), (0.05, 0.0), (0.0, 0.0), (0.0, 0.05), (-0.05, 0.05)]
 TEE = [
@@ -97,6 +100,59 @@ def push(
     return Scene((part,), (finger,), duration=travel / speed)
 
 
+def _named(engine: AbstractMotionModel | str) -> AbstractMotionModel:
+    permit(engine)
+    return motion_model(engine)
+
+
+def resized(scene: Scene, length: float, mass: float) -> Scene:
+    """Scene with all lengths, and with all masses and forces, times a factor.
+
+    Times have the root of the first factor, so that gravity is the same and motions are alike.
+    Supports are tripods, drives lines.
+    """
+    time, pose = math.sqrt(length), row(length, length, 1.0)
+
+    def shape(own: Shape) -> Shape:
+        if isinstance(own, Disk):
+            return Disk(length * own.radius)
+        assert isinstance(own, Polygon)
+        return Polygon(length * own.vertices)
+
+    def body(own: Body) -> Body:
+        assert isinstance(own.support, Tripod)
+        return replace(
+            own,
+            shape=shape(own.shape),
+            mass=mass * own.mass,
+            inertia=None,
+            pose=pose * own.pose,
+            velocity=pose / time * own.velocity,
+            support=replace(own.support, radius=length * own.support.radius),
+        )
+
+    def pusher(own: Pusher) -> Pusher:
+        line = own.drive
+        assert isinstance(line, LineDrive)
+        drive = replace(
+            line,
+            speed=length / time * line.speed,
+            travel=line.travel and length * line.travel,
+            force_limit=line.force_limit and mass * line.force_limit,
+        )
+        return replace(own, shape=shape(own.shape), pose=pose * own.pose, drive=drive)
+
+    return replace(
+        scene,
+        bodies=tuple(map(body, scene.bodies)),
+        pushers=tuple(map(pusher, scene.pushers)),
+        fixels=tuple(
+            replace(own, shape=shape(own.shape), pose=pose * own.pose) for own in scene.fixels
+        ),
+        duration=time * scene.duration,
+    )
+
+
 def _rollouts(motion: AbstractMotionModel, cases: Sequence[RolloutCase]) -> Rollouts:
     if isinstance(motion, OtherEngine):
         # Imported here: it needs what other tests of this package do not.
@@ -114,7 +170,7 @@ def _outcome(
     times: FloatArray | None = None,
 ) -> EnsembleOutcome:
     cases = [RolloutCase(s, row(s.duration) if times is None else times) for s in scenes]
-    return _rollouts(motion_model(motion), cases).simulate(np.arange(len(cases)), values or {})
+    return _rollouts(_named(motion), cases).simulate(np.arange(len(cases)), values or {})
 
 
 def _ends(motion: AbstractMotionModel | str, scenes: Sequence[Scene], **options: Any) -> FloatArray:
@@ -320,6 +376,45 @@ class EngineContract:
         exact = ensemble_of([RolloutCase(push(), times)], Dynamic(), EXACT, threads=1)
         self.near(track, exact.simulate(np.zeros(1, np.int64), {}).pose[0])
 
+    # --- sizes and masses -------------------------------------------------------------------------
+
+    @pytest.mark.parametrize("mass", MASSES)
+    @pytest.mark.parametrize("side", SIDES)
+    def test_pushes_of_all_sizes_are_alike(
+        self, engine: AbstractMotionModel | str, side: float, mass: float
+    ) -> None:
+        """The motion of a square of 100 mm and 150 g, whose known answers are tested above."""
+        scenes = [push(0.0), push(0.02, 0.1), grasp("slip", force_limit=None)]
+        other = [resized(own, side / SIDE, mass / own.bodies[0].mass) for own in scenes]
+        back = _ends(engine, other) / (side / SIDE, side / SIDE, 1.0)
+        self.near(back, _ends(engine, scenes), factor=4.0)
+
+    @pytest.mark.parametrize("mass", MASSES)
+    @pytest.mark.parametrize("side", SIDES)
+    def test_blocks_of_all_sizes_slide_to_rest(
+        self, engine: AbstractMotionModel | str, side: float, mass: float
+    ) -> None:
+        speed, friction, ratio = 0.5 * math.sqrt(side / SIDE), 0.25, side / SIDE
+        block = sliding_block(0.5, friction)
+        end = _ends(engine, [resized(block, ratio, mass / block.bodies[0].mass)])[0]
+        off = abs(float(end[0]) - speed**2 / (2.0 * friction * G)) / ratio
+        self.within(off, 4.0 * self.position + self.stop * 0.5, "m for a side of 100 mm")
+
+    def test_a_small_part_may_be_far_from_the_origin(
+        self, engine: AbstractMotionModel | str
+    ) -> None:
+        small = resized(push(0.02, 0.1), 1e-3, 1e-6)
+        near, far = _ends(engine, [small, moved(small, (0.3, -0.2), 0.0)])
+        self.near((far - (0.3, -0.2, 0.0)) / (1e-3, 1e-3, 1.0), near / (1e-3, 1e-3, 1.0))
+
+    @pytest.mark.parametrize("side", SIDES)
+    def test_jam_of_any_size_is_a_failure(
+        self, engine: AbstractMotionModel | str, side: float
+    ) -> None:
+        scene = resized(grasp("seated", force_limit=None), side / SIDE, 1.0)
+        found = _outcome(engine, [scene], times=scene.duration * np.linspace(0.1, 1.0, 10))
+        assert not found.converged.any()
+
     # --- what an engine must not hide -------------------------------------------------------------
 
     def test_jam_is_a_failure(self, engine: AbstractMotionModel | str) -> None:
@@ -361,7 +456,7 @@ class EngineContract:
     # --- parameters and repetition ----------------------------------------------------------------
 
     def test_every_parameter_changes_the_answer(self, engine: AbstractMotionModel | str) -> None:
-        motion = motion_model(engine)
+        motion = _named(engine)
         bounds = {"mu_pusher": (0.05, 0.5), "tripod_radius": (0.02, 0.06)}
         if isinstance(motion, OtherEngine):
             info = shared_program(motion.name).info()
@@ -380,7 +475,7 @@ class EngineContract:
 
     def test_same_bits_again(self, engine: AbstractMotionModel | str) -> None:
         """The same again after other simulations, in another order, and in a new process."""
-        motion = motion_model(engine)
+        motion = _named(engine)
         cases = [RolloutCase(scene, row(0.5, 1.5)) for scene in (push(), push(0.03, 0.4))]
         shared, new = _rollouts(motion, cases), ensemble_of(cases, motion, threads=1)
         one = shared.simulate(np.array([0, 1]), {}).pose

@@ -88,8 +88,8 @@ def grasp(
 ) -> Scene:
     """Square pushed by a flat head against three fixels.
 
-    Sizes, masses, speed, reach and stall force are those of the thesis's testbed (RPI 2011,
-    sections 1.3 and 5.1). The thesis does not print the fixels' coordinates; these are made up.
+    Size of the square, speed, reach and stall force are printed in the thesis (RPI 2011, sections
+    1.3 and 4.2). It prints neither mass nor support nor the fixels' coordinates; these are ours.
 
     Parameters
     ----------

@@ -21,6 +21,7 @@ from fixel.simulation.engines import program_of
 from fixel.simulation.engines.ensemble import EngineEnsemble
 from fixel.simulation.motion import OtherEngine, motion_model
 from fixel.simulation.rollouts import INFEASIBLE, RolloutCase, ensemble_of
+from fixel.simulation.trust import permit
 from fixel.testing.scenes import pushed_square
 
 SCENE = pushed_square()
@@ -54,6 +55,19 @@ BAD = {
     "answers no JSON": ("print('hello'); continue", "expected a JSON object"),
     "answers half a line": ("print('{{\"pose\": [[', end='', flush=True); os._exit(0)", "status 0"),
     "answers without end": ("print('x' * (80 << 20), end='', flush=True)", "more than 64 MB"),
+    "answers a deep nesting": ("print('[' * 90000 + ']' * 90000); continue", "expected a JSON"),
+    "answers deep poses": (
+        "print('{{\"pose\": ' + '[' * 500 + ']' * 500 + '}}', flush=True); continue",
+        "without a table of poses",
+    ),
+    "fails for a deep reason": (
+        "print('{{\"failed\": ' + '[' * 800 + ']' * 800 + '}}', flush=True); continue",
+        "[[[[",
+    ),
+    "leaves a child with its pipe": (
+        "import subprocess; subprocess.Popen(['sleep', '120']); os._exit(4)",
+        "status 4",
+    ),
     "jumps": ("pose[3][0] += 1.0", "a jump"),
     "fails with a reason": ('print(\'{{"failed": "jammed"}}\', flush=True); continue', "jammed"),
 }
@@ -68,6 +82,7 @@ def program(folder: Path, misbehave: str = "pass", hello: str = HELLO) -> OtherE
 
 
 def many(engine: OtherEngine, limit: float | None = None, threads: int = 2) -> EngineEnsemble:
+    permit(engine.name)
     return EngineEnsemble([RolloutCase(SCENE, TIMES)], engine, threads=threads, limit=limit)
 
 
@@ -76,8 +91,10 @@ def test_a_bad_answer_is_one_failed_rollout_with_its_reason(fault: str, tmp_path
     misbehave, expected = BAD[fault]
     ensemble = many(program(tmp_path, misbehave), limit=0.5 if fault == "hangs" else 20.0)
     friction = np.array([0.1, 0.2, 0.5, 0.3, 0.4, 0.6])
+    begin = time.monotonic()
     outcome = ensemble.simulate(np.zeros(6, np.int64), {"mu_pusher": friction})
     ensemble.close()
+    assert time.monotonic() - begin < 15.0  # an end is noticed before the limit of 20 s
     assert outcome.status[2] == codes.ENGINE_FAILED
     assert expected in outcome.reasons[2]
     assert outcome.reasons[2].startswith("toy: ")
@@ -138,7 +155,15 @@ def test_a_program_with_another_version_is_refused(tmp_path: Path) -> None:
         many(OtherEngine(f"{engine.name}==2"))
 
 
-@pytest.mark.parametrize("hello", ["[1]", "{oops", '{"parameters": 3}'])
+DEEP = "[" * 700 + "]" * 700
+
+
+@pytest.mark.parametrize(
+    "hello",
+    [
+        "[1]", "{oops", '{"parameters": 3}', "[" * 90_000, f'{{"parameters": {DEEP}}}',
+    ],
+)  # fmt: skip
 def test_a_program_that_greets_badly_is_refused(hello: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="engine"):
         many(program(tmp_path, hello=hello))
@@ -202,7 +227,7 @@ def test_simulate_returns_what_an_engine_knows(tmp_path: Path) -> None:
     assert found.final["finger"].x - found.pose["finger"][0, 0] == pytest.approx(0.04)
     assert len(found.contacts) == 0
     assert found.twist["part"][3, 0] == pytest.approx(0.03)
-    assert "toy.py 1" in repr(found)
+    assert "toy.py 1" in " ".join(repr(found).split())  # a long path wraps the line
 
 
 def test_a_failed_simulation_is_a_value_with_advice(tmp_path: Path) -> None:
@@ -266,6 +291,17 @@ def test_the_motion_of_a_name_is_the_engine() -> None:
     assert motion_model("pymunk:iterations=30") == OtherEngine("pymunk:iterations=30")
     with pytest.raises(InvalidInput, match="motion"):
         fixel.simulate_batch(SCENE, {"mu_pusher": [0.1]}, motion="pymunk")
+
+
+@pytest.mark.parametrize("name", ["pymnk", "pymnk:step=0.01", "pymnk==7.3"])
+def test_an_unknown_motion_names_the_engines_and_the_nearest(name: str) -> None:
+    with pytest.raises(InvalidInput) as refusal:
+        motion_model(name)
+    text = str(refusal.value)
+    assert "dynamic, quasistatic, first-order, box2d, drake, mujoco, pymunk" in text
+    assert "the path of a program; did you mean 'pymunk'?" in text
+    with pytest.raises(InvalidInput, match="did you mean 'quasistatic'"):
+        motion_model("quasi-static")
 
 
 def test_a_time_limit_follows_the_times_of_a_case(tmp_path: Path) -> None:

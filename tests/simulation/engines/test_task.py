@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fixel.formats import load_scene
 from fixel.model import Body, Disk, Ellipsoid, Fixel, PathDrive, Plane, Polygon, Pusher, Scene
 from fixel.model.bodies import Spring
 from fixel.model.support import UniformPressure
 from fixel.simulation.engines.contract import fault, overlap
-from fixel.simulation.engines.task import plain, segments, task_from, task_of, unsupported
+from fixel.simulation.engines.task import (
+    PlainTask,
+    bench_units,
+    plain,
+    segments,
+    task_from,
+    task_of,
+    unsupported,
+)
 from fixel.testing.scenes import pushed_square
 
 L_SHAPE = Polygon([(0, 0), (0.08, 0), (0.08, 0.03), (0.03, 0.03), (0.03, 0.09), (0, 0.09)])
@@ -98,6 +108,55 @@ BOUNCY = replace(PUSH.pushers[0], restitution=0.5)
 def test_what_a_task_cannot_hold_is_said(scene: Scene, found: str) -> None:
     assert found in unsupported(scene)
     assert bool(unsupported(scene)) == bool(found)
+
+
+MICRO = load_scene(str(Path(__file__).parents[3] / "examples/scenes/micro_push.yaml")).scene
+
+
+def test_a_small_task_becomes_one_of_the_bench_with_the_same_motion() -> None:
+    """Ratios without units, from which the motion follows, are those of the task in SI."""
+    fixed = Fixel("peg", Disk(2e-4), pose=(0.0, 2e-3, 0.1), friction=0.15)
+    task, _ = task_of(replace(MICRO, fixels=(fixed,)), np.array([1.0, 7.0]), {}, {})
+    units = bench_units(task.body)
+    found = units.task(task)
+
+    def ratios(own: PlainTask) -> list[float]:
+        assert own.pusher is not None
+        body, path = own.body, own.pusher.path
+        size = float(np.ptp(body.outline.pieces[0][:, 0]))
+        speed = np.hypot(*(path[1] - path[0])[1:3]) / path[1, 0]
+        return [
+            speed**2 / (own.gravity * size),
+            body.inertia / (body.mass * size**2),
+            own.times[-1] * speed / size,
+            own.pusher.outline.radius / size,
+            own.fixels[0].outline.radius / size,
+            *(body.loads / (body.mass * own.gravity)).tolist(),
+            *(body.points / size).ravel().tolist(),
+            *((body.start - path[0, 1:])[:2] / size).tolist(),
+            *((body.start - own.fixels[0].pose)[:2] / size).tolist(),
+            path[-1, 3] - own.fixels[0].pose[2],
+        ]
+
+    assert ratios(found) == pytest.approx(ratios(task), rel=1e-12, abs=1e-12)
+    assert found.gravity == task.gravity
+    farthest = float(np.hypot(*found.body.outline.pieces[0].T).max())
+    assert (farthest, found.body.mass) == (pytest.approx(0.05), pytest.approx(0.1))
+    np.testing.assert_allclose(units.si_poses(found.body.start), task.body.start, atol=1e-18)
+
+
+def test_a_task_of_the_bench_stays_as_it_is() -> None:
+    task, _ = task_of(SCENE, TIMES, {}, {})
+    assert bench_units(task.body).task(task) is task
+
+
+def test_the_judge_is_as_strict_with_small_parts() -> None:
+    """A finger of 12.5 micrometres passes through a part of 1.6 mm that does not move."""
+    task, _ = task_of(MICRO, np.array([3.0, 7.0]), {}, {})
+    still = np.repeat(task.body.start[None], 2, axis=0)
+    assert "inside an obstacle" in fault(task, still)
+    away = still + np.array([[0.0, 0.0, 0.0], [0.0, 0.02, 0.0]])
+    assert "a jump" in fault(task, away)
 
 
 def test_an_ellipsoid_keeps_its_arm() -> None:

@@ -31,6 +31,7 @@ from fixel.testing.scenes import grasp, pushed_square
 
 ENGINES = ("pymunk", "box2d", "mujoco", "drake")
 PACKAGES = {"box2d": "Box2D", "drake": "pydrake"}
+EXAMPLES = Path(__file__).parents[3] / "examples" / "scenes"
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
 # What a program of an export sees: no fixel.
 ALONE = "import runpy, sys; sys.modules['fixel'] = None; sys.path.insert(0, sys.argv[1]); "
@@ -92,6 +93,62 @@ def test_the_program_moves_the_body_as_the_adapter_does(engine: str, tmp_path: P
     assert difference(tmp_path / "model", rich_scene(), engine) == 0.0
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_program_of_a_small_part_answers_in_metres_and_seconds(
+    engine: str, tmp_path: Path
+) -> None:
+    """A model of a small part has the size of a bench, in units that it states."""
+    pytest.importorskip(PACKAGES.get(engine, engine))
+    scene = fixel.load_scene(str(EXAMPLES / "micro_push.yaml")).scene
+    fixel.export_model(scene, tmp_path / "model", to=engine, scenes=0)
+    found = poses_of(tmp_path / "model")
+    direct = fixel.simulate(scene, motion=engine, output_interval=scene.duration / 100)
+    np.testing.assert_allclose(found[:, 0], direct.time[1:], rtol=1e-12)
+    np.testing.assert_allclose(found[:, 1:], direct.pose["part"][1:], rtol=0, atol=1e-15)
+    model = json.loads((tmp_path / "model" / "model.json").read_text())
+    length = model["units"]["length_m"]
+    sides = np.ptp(np.array(model["body"]["outline"]["pieces"][0]), axis=0)
+    assert length * sides == pytest.approx([1621e-6, 842e-6])
+
+
+def test_mass_and_inertia_of_models_are_those_of_the_body(tmp_path: Path) -> None:
+    """Other readers of the files find the exact values; feet on the rim had 23 % more inertia."""
+    mujoco, dynamics = pytest.importorskip("mujoco"), pytest.importorskip("pydrake.all")
+    on_rim = SupportPoints(
+        points=[(0.0, 0.0), (0.08, 0.0), (0.0, 0.06), (0.03, 0.06)], friction=0.3,
+        loads=[0.5, 0.6, 0.4, 0.3],
+    )  # fmt: skip
+    scene = rich_scene()
+    for k, support in enumerate((scene.bodies[0].support, on_rim)):
+        body = fixel.Body(
+            "part", L_SHAPE, mass=0.2, centre_of_mass=(0.03, 0.02), support=support,
+            pose=scene.bodies[0].pose,
+        )  # fmt: skip
+        exported = Scene((body,), scene.pushers, scene.fixels, duration=2.0)
+        expected = pytest.approx([0.2, 0.2, body.moment_of_inertia], rel=1e-12)
+        for name in ("mujoco", "drake", "urdf"):
+            fixel.export_model(exported, tmp_path / f"{name}{k}", to=name, scenes=0)
+        model = mujoco.MjModel.from_xml_path(str(tmp_path / f"mujoco{k}" / "model.xml"))
+        data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+        mujoco.mj_forward(model, data)
+        for row, unit in zip(full, np.eye(model.nv), strict=True):
+            mujoco.mj_mulM(model, data, row, unit)
+        assert np.diag(full)[:3] == expected
+        assert full[2, :2] == pytest.approx([0.0, 0.0], abs=1e-12)  # about the centre of mass
+        plant = dynamics.MultibodyPlant(0.01)
+        dynamics.Parser(plant).AddModels(str(tmp_path / f"drake{k}" / "model.sdf"))
+        plant.Finalize()
+        first = plant.GetJointByName("object_plane").velocity_start()
+        own = slice(first, first + 3)
+        full = plant.CalcMassMatrix(plant.CreateDefaultContext())[own, own]
+        assert np.diag(full) == expected
+        assert full[2, :2] == pytest.approx([0.0, 0.0], abs=1e-12)
+        robot = ElementTree.parse(tmp_path / f"urdf{k}" / "object.urdf").getroot()
+        masses = [float(own.get("value") or "nan") for own in robot.iter("mass")]
+        inertia = sum(float(own.get("izz") or "nan") for own in robot.iter("inertia"))
+        assert [sum(masses), sum(masses), inertia] == expected
+
+
 def test_an_ellipsoid_becomes_one_foot_with_torsion_in_mujoco(tmp_path: Path) -> None:
     scene = pushed_square()
     body = Body("part", scene.bodies[0].shape, mass=0.15, support=Ellipsoid(force=0.4, torque=0.01))
@@ -106,7 +163,7 @@ def test_an_ellipsoid_becomes_one_foot_with_torsion_in_mujoco(tmp_path: Path) ->
         fixel.export_model(scene, tmp_path / "other", to="box2d", scenes=0)
 
 
-def test_urdf_has_mass_inertia_and_feet_and_lists_what_it_lacks(tmp_path: Path) -> None:
+def test_urdf_has_loads_on_its_feet_and_lists_what_it_lacks(tmp_path: Path) -> None:
     import mujoco
 
     scene = rich_scene()
@@ -114,26 +171,31 @@ def test_urdf_has_mass_inertia_and_feet_and_lists_what_it_lacks(tmp_path: Path) 
     path = tmp_path / "model" / "object.urdf"
     robot = ElementTree.parse(path).getroot()
     feet = robot.findall("gazebo")
-    assert [float(foot.findtext("mu1") or "nan") for foot in feet] == [0.3, 0.3, 0.3]
+    rough = [float(foot.findtext("mu1") or "nan") for foot in feet]
+    assert rough == pytest.approx([0.3] * 3, rel=2e-3)
     assert "2 fixels" in done.card["not_in_the_model"]
     assert any("0.1, 0.2, 0.4" in text for text in done.card["not_in_the_model"])
-    # Another reader of URDF finds the mass and the moment of inertia of the scene's body.
-    model = mujoco.MjModel.from_xml_path(str(path))
-    masses = [float(own.get("value") or "nan") for own in robot.iter("mass")]
-    assert sum(masses) == pytest.approx(0.2 + 1e-3)
-    places = [
-        [float(x) for x in str(own.get("xyz")).split()][:2] for own in robot.findall("joint/origin")
-    ]
-    points, own = np.array(places), np.array(masses[1:])
-    np.testing.assert_allclose(own @ points, 0.0, atol=1e-12)  # about the centre of mass
-    assert any("the moment of inertia" in text for text in done.card["not_in_the_model"])
-    square = fixel.export_model(pushed_square(), tmp_path / "square", to="urdf")
-    assert not any("inertia" in text for text in square.card["not_in_the_model"])
-    robot = ElementTree.parse(tmp_path / "square" / "object.urdf").getroot()
-    rest = float(next(robot.iter("inertia")).get("izz") or "nan")
-    expected = pushed_square().bodies[0].moment_of_inertia
-    assert rest + 0.15 * 0.038**2 == pytest.approx(expected)  # feet on a tripod of 38 mm
+    assert not any("inertia" in text for text in done.card["not_in_the_model"])
+    model = mujoco.MjModel.from_xml_path(str(path))  # another reader of URDF
     assert model.nq == 3
+    links = robot.findall("link")
+    masses = np.array([float(own.find("inertial/mass").get("value")) for own in links])
+    places = np.array(
+        [
+            [float(x) for x in str(own.get("xyz")).split()][:2]
+            for own in robot.findall("joint/origin")
+        ]
+    )
+    centres = np.array(
+        [
+            [float(x) for x in str(own.find("inertial/origin").get("xyz")).split()][:2]
+            for own in links
+        ]
+    )
+    # The centre of mass of every link is that of the body, and the loads are in balance about it.
+    np.testing.assert_allclose(places + centres[1:], 0.0, atol=1e-15)
+    np.testing.assert_allclose(masses[1:] @ places, 0.0, atol=1e-12)
+    assert masses[1:].sum() * rough[0] == pytest.approx(0.2 * 0.3)  # the friction force is exact
 
 
 def test_the_card_of_a_calibration_has_intervals_and_errors(tmp_path: Path) -> None:

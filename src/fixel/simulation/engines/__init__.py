@@ -7,7 +7,6 @@ import functools
 import sys
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, entry_points, version
-from pathlib import Path
 
 from fixel.errors import InvalidInput, MissingExtra, unknown_name
 from fixel.simulation.engine_names import ENGINES, GROUP, EngineName
@@ -15,6 +14,7 @@ from fixel.simulation.engines.contract import AbstractPhysicsEngine, EngineFaile
 from fixel.simulation.engines.program import Program, ProgramFailed
 from fixel.simulation.engines.serve import serve
 from fixel.simulation.engines.task import PlainTask
+from fixel.simulation.trust import SERVE, command_of
 
 __all__ = [
     "ENGINES",
@@ -53,7 +53,7 @@ def program_of(text: str) -> Program:
         return Program(_program_command(own))
     if own.name in ENGINES:
         _check_installed(own)
-    return Program((sys.executable, "-m", "fixel.simulation.engines.serve", str(own)))
+    return Program((*SERVE, str(own)))
 
 
 @functools.lru_cache(maxsize=4)
@@ -68,7 +68,7 @@ def stated(text: str) -> str:
     """Return the name of an engine with its version, and of a program with its whole path."""
     own = EngineName.of(text)
     if own.is_program:
-        own = own._replace(name=str(_file(own)))
+        own = own._replace(name=command_of(own)[0])
     program = program_of(str(own))
     try:
         found = program.info().version
@@ -106,15 +106,5 @@ def _check_installed(own: EngineName) -> None:
 
 
 def _program_command(own: EngineName) -> tuple[str, ...]:
-    path = _file(own)
-    arguments = tuple(filter(None, own.choices.split(",")))
-    if path.suffix == ".py":
-        return (sys.executable, str(path), *arguments)
-    return (str(path), *arguments)
-
-
-def _file(own: EngineName) -> Path:
-    path = Path(own.name).expanduser().resolve()
-    if not path.is_file():
-        raise InvalidInput("engine", found=f"no file {own.name}", expected="a program")
-    return path
+    command = command_of(own)
+    return (sys.executable, *command) if command[0].endswith(".py") else command

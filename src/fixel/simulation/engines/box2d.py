@@ -48,6 +48,7 @@ class Box2D(AbstractPhysicsEngine):
 
     name: ClassVar[str] = "box2d"
     parameters: ClassVar[Mapping[str, ParameterInfo]] = BOX2D
+    at_bench_size: ClassVar[bool] = True
 
     step: float = 2e-3
     iterations: int = 10

@@ -41,6 +41,7 @@ class Chipmunk(AbstractPhysicsEngine):
 
     name: ClassVar[str] = "pymunk"
     parameters: ClassVar[Mapping[str, ParameterInfo]] = CHIPMUNK
+    at_bench_size: ClassVar[bool] = True
 
     step: float = 1e-3
     iterations: int = 10

@@ -13,15 +13,21 @@ from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Disk, Polygon
 from fixel.model.overlap import overlaps
 from fixel.model.parameter_info import ParameterInfo
-from fixel.simulation.engines.task import PlainOutline, PlainTask, pusher_poses
+from fixel.simulation.engines.task import (
+    PlainOutline,
+    PlainTask,
+    TaskUnits,
+    bench_units,
+    pusher_poses,
+)
 from fixel.simulation.vary import composed, inverted
 from fixel.typing import FloatArray
 
 # A body that overlaps an obstacle by more than this, and by more than at the start, has been pushed
 # through it: engines with soft contacts report no failure of their own.
-MAX_OVERLAP = 1e-3  # [m]
+MAX_OVERLAP = 1e-3  # [m] for a body of the bench, in `bench_units` for others
 # Largest distance between two samples beyond the travel of the pusher.
-MAX_JUMP = 50e-3  # [m]
+MAX_JUMP = 50e-3  # [m] likewise
 JUDGED_SAMPLES = 16  # of a simulation, for overlap
 
 
@@ -43,10 +49,15 @@ class AbstractPhysicsEngine(abc.ABC):
 
     The fields of a subclass are its choices, such as a time step, and its parameters. A parameter
     can be calibrated; a task overrides it by its `values`.
+
+    Tasks are in SI. An engine with `at_bench_size` receives them in `bench_units` instead: its
+    choices and parameters then have SI units for bodies of the size of a bench, and are scaled with
+    the others.
     """
 
     name: ClassVar[str]
     parameters: ClassVar[Mapping[str, ParameterInfo]] = {}
+    at_bench_size: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod
@@ -66,6 +77,11 @@ class AbstractPhysicsEngine(abc.ABC):
         EngineFailed
             The engine cannot finish.
         """
+
+    def answer(self, task: PlainTask) -> FloatArray:
+        """Return the poses of `simulate` for a task in SI, in units that suit the engine."""
+        units = bench_units(task.body) if self.at_bench_size else TaskUnits()
+        return units.si_poses(np.asarray(self.simulate(units.task(task)), np.float64))
 
     def info(self) -> EngineInfo:
         """Return name, version and parameters."""
@@ -123,11 +139,12 @@ def fault(task: PlainTask, pose: object) -> str:
     track = np.concatenate((task.body.start[None], found))
     jumps = np.hypot(*np.diff(track[:, :2], axis=0).T)
     coasting = np.hypot(*task.body.velocity[:2]) * np.diff(task.times, prepend=0.0)
-    if (jumps > MAX_JUMP + coasting + _travel(task)).any():
-        return f"a jump of {1e3 * jumps.max():.0f} mm between two samples"
+    unit = bench_units(task.body).length
+    if (jumps > MAX_JUMP * unit + coasting + _travel(task)).any():
+        return f"a jump of {1e3 * jumps.max():.4g} mm between two samples"
     deepest = overlap(task, found)
-    if deepest > MAX_OVERLAP:
-        return f"the body {1e3 * deepest:.1f} mm inside an obstacle"
+    if deepest > MAX_OVERLAP * unit:
+        return f"the body {1e3 * deepest:.3g} mm inside an obstacle"
     return ""
 
 

@@ -21,10 +21,12 @@ from fixel.model.parameter_info import ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine, EngineFailed
 from fixel.simulation.engines.plane import planar_refusal
 from fixel.simulation.engines.sdf import sdf
+from fixel.simulation.engines.solids import footed
 from fixel.simulation.engines.task import PlainTask, pusher_poses
 from fixel.typing import FloatArray
 
 SAME = 1e-9  # [m/s], [rad/s]
+MAX_FRICTION = 2.0  # no partner has a larger harmonic mean with 1
 
 
 @final
@@ -52,6 +54,7 @@ class Drake(AbstractPhysicsEngine):
 
     name: ClassVar[str] = "drake"
     parameters: ClassVar[Mapping[str, ParameterInfo]] = DRAKE
+    at_bench_size: ClassVar[bool] = True
 
     step: float = 5e-3
     approximation: str = "similar"
@@ -65,6 +68,11 @@ class Drake(AbstractPhysicsEngine):
         return version_of("drake")
 
     def refusal(self, task: PlainTask) -> str:
+        pairs = [fixel.friction for fixel in task.fixels]
+        pairs += [] if task.pusher is None else [task.pusher.friction]
+        largest = max([*pairs, *footed(task.body, task.gravity).friction.tolist()], default=0.0)
+        if largest >= MAX_FRICTION:
+            return f"a friction coefficient of {largest:.3g}; it takes less than {MAX_FRICTION:g}"
         return planar_refusal(task)
 
     def simulate(self, task: PlainTask) -> FloatArray:
@@ -100,7 +108,7 @@ class Drake(AbstractPhysicsEngine):
                 simulator.AdvanceTo(float(grid[k]))
             except RuntimeError as problem:
                 reason = str(problem).strip().partition("\n")[0]
-                raise EngineFailed(f"after {grid[before]:.3g} s: {reason}") from None
+                raise EngineFailed(reason) from None
             track.append([*joint.get_translation(context), joint.get_rotation(context)])
             before = k
         known = grid[[0, *stops]]

@@ -18,7 +18,7 @@ from fixel.errors import FixelError, InvalidInput, SolveFailed, unknown_name
 from fixel.kernels import codes
 from fixel.simulation.engines import EngineName, program_of, silent
 from fixel.simulation.engines.contract import EngineInfo, fault
-from fixel.simulation.engines.program import Program, ProgramFailed
+from fixel.simulation.engines.program import Program, ProgramFailed, text_of
 from fixel.simulation.engines.task import plain, task_of, unsupported
 from fixel.simulation.motion import OtherEngine
 from fixel.simulation.rollouts import INFEASIBLE, EnsembleOutcome, RolloutCase
@@ -255,9 +255,9 @@ class EngineEnsemble:
         self._lost = 0
         times.append(time.monotonic() - begin)
         if "refused" in answer:
-            raise _refused(self.info.name, str(answer["refused"]))
+            raise _refused(self.info.name, text_of(answer["refused"]))
         if "failed" in answer:
-            return None, str(answer["failed"])
+            return None, text_of(answer["failed"])
         return answer.get("pose"), ""
 
     def _padded(self, poses: Sequence[FloatArray]) -> FloatArray:

@@ -43,8 +43,8 @@ class ContactSettings(Protocol):
 def mjcf(task: PlainTask, settings: ContactSettings) -> str:
     """Return the model of a task as MJCF.
 
-    The body moves on two slides and a hinge; its mass is in its feet, its inertia in itself. Only
-    the named pairs touch, each with its own coefficient.
+    The body moves on two slides and a hinge; its weight is on its feet. Only the named pairs touch,
+    each with its own coefficient.
     """
     feet, meshes = footed(task.body, task.gravity), list[str]()
     numbers = range(len(feet.masses))
@@ -77,17 +77,21 @@ def mjcf(task: PlainTask, settings: ContactSettings) -> str:
         meshes="".join(meshes),
         fixels="".join(fixels),
         body="".join(body),
-        feet="".join(map(_foot, numbers, feet.points.tolist(), feet.masses.tolist())),
+        feet="".join(
+            _foot(k, at, mass, feet.foot_inertia)
+            for k, at, mass in zip(numbers, feet.points.tolist(), feet.masses.tolist(), strict=True)
+        ),
         pusher="".join(pusher),
         pairs="".join(pairs),
     )
 
 
-def _foot(k: int, at: list[float], mass: float) -> str:
+def _foot(k: int, at: list[float], mass: float, inertia: float) -> str:
     x, y = at
     return (
         f'<body pos="{x!r} {y!r} 0"><joint type="slide" axis="0 0 1"/>'
-        f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1e-9 1e-9 1e-9"/>'
+        f'<inertial pos="{-x!r} {-y!r} 0" mass="{mass!r}" '
+        f'diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>'
         f'<geom name="foot{k}" type="sphere" size="{FOOT}"/></body>'
     )
 

@@ -65,7 +65,8 @@ def sdf(task: PlainTask, settings: SdfSettings) -> Mapping[str, str]:
     for k, place in enumerate(feet.points.tolist()):
         name = f"foot{k}"
         ball = model.collision(name, _ball(FOOT), harmonic_partner(friction[k]))
-        model.link(name, ["feet"], [ball], _inertial(masses[k], 1e-6 * masses[k]), (*place, 0.0))
+        inertial = _inertial(masses[k], feet.foot_inertia, _pose(-place[0], -place[1]))
+        model.link(name, ["feet"], [ball], inertial, (*place, 0.0))
         model.parts.append(_slide(name))
     outline = PlainOutline((), 0.0) if pusher is None else pusher.outline
     partner = 1.0 if pusher is None else harmonic_partner(pusher.friction)
@@ -179,9 +180,9 @@ def _ball(radius: float) -> str:
     return f"<sphere><radius>{radius!r}</radius></sphere>"
 
 
-def _inertial(mass: float, inertia: float) -> str:
+def _inertial(mass: float, inertia: float, at: str = "") -> str:
     axes = "".join(f"<{axis}>{inertia!r}</{axis}>" for axis in ("ixx", "iyy", "izz"))
-    return f"<inertial><mass>{mass!r}</mass><inertia>{axes}</inertia></inertial>"
+    return f"<inertial>{at}<mass>{mass!r}</mass><inertia>{axes}</inertia></inertial>"
 
 
 def _weld(parent: str, child: str) -> str:

@@ -53,7 +53,7 @@ def answer(engine: AbstractPhysicsEngine, question: Mapping[str, Any]) -> dict[s
     if refusal:
         return {"refused": refusal}
     try:
-        return {"pose": engine.under(task.values).simulate(task).tolist()}
+        return {"pose": engine.under(task.values).answer(task).tolist()}
     except EngineFailed as failure:
         return {"failed": str(failure)}
 

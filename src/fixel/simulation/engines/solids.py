@@ -11,7 +11,7 @@ from fixel.typing import FloatArray
 
 FOOT = 0.002  # [m] radius of a foot
 HEAVY = 1e7  # [kg], [kg m^2]: a pusher that nothing slows down
-LIGHT = 1e-3  # [kg] of a body whose mass is in its feet; engines want some
+REST = 1e-3  # share of the mass that is not in feet, and of the inertia that is: engines want some
 SQUARE = 1e-9  # cosine below which a corner is a right angle
 
 
@@ -25,12 +25,17 @@ class PieceSolid(NamedTuple):
 
 
 class FootedBody(NamedTuple):
-    """Body whose weight is on feet, which carry the loads of its support points."""
+    """Body whose weight is on feet, which carry the loads of its support points.
+
+    A foot touches the floor at its point and slides vertically. Its mass is at the centre of mass
+    of the body, so that mass and moment of inertia in the plane are those of the body.
+    """
 
     points: FloatArray  # (n, 2) places of the feet [m]
     masses: FloatArray  # (n,) [kg]
     friction: FloatArray  # (n,)
     arms: FloatArray  # (n,) largest torque over largest force of an ellipsoid [m]; 0 for points
+    foot_inertia: float  # [kg m^2] of one foot
     mass: float  # [kg] of the body without its feet
     inertia: float  # [kg m^2] of the body without its feet
 
@@ -66,30 +71,21 @@ def footed(own: PlainBody, gravity: float) -> FootedBody:
     """Return a body on feet, one at each support point with friction.
 
     An ellipsoid has no load of its own: its foot has the weight of its largest force, at a friction
-    of 1.
+    of 1. Feet that would weigh more than the body are lighter, and rougher by the same factor.
     """
     loaded = np.flatnonzero(own.loads * own.friction > 0.0)
-    points, masses = own.points[loaded], own.loads[loaded] / gravity
+    masses = own.loads[loaded] / gravity
+    share = min(1.0, (1.0 - REST) * own.mass / float(masses.sum())) if len(loaded) else 1.0
+    masses *= share
     return FootedBody(
-        points,
+        own.points[loaded],
         masses,
-        own.friction[loaded],
+        own.friction[loaded] / share,
         own.arms[loaded],
-        max(own.mass - float(masses.sum()), LIGHT),
-        max(own.inertia - float(masses @ (points**2).sum(axis=1)), 1e-9),
+        REST * own.inertia / max(1, len(loaded)),
+        own.mass - float(masses.sum()),
+        own.inertia * (1.0 - REST if len(loaded) else 1.0),
     )
-
-
-def excess_inertia(own: PlainBody, gravity: float) -> list[str]:
-    """Return by how much feet with mass make the moment of inertia too large; empty for none."""
-    feet = footed(own, gravity)
-    inertia = float(feet.masses @ (feet.points**2).sum(axis=1))
-    if inertia <= own.inertia:
-        return []
-    return [
-        f"the moment of inertia {own.inertia:.3g} kg m^2: masses on the support points have"
-        f" {inertia:.3g} kg m^2"
-    ]
 
 
 def _rectangle(corners: FloatArray) -> tuple[float, float, float, float, float] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -17,6 +18,9 @@ from fixel.simulation.vary import Variation, composed, inverted, vary
 from fixel.typing import FloatArray
 
 SHORTEST = 1e-6  # [s] of an interval
+# Parts on a bench, for which engines and their usual choices are made. Others are scaled to them.
+BENCH_SIZE = (0.05, 0.15)  # [m] from the centre of mass to the farthest point of the outline
+BENCH_MASS = (0.1, 1.0)  # [kg]
 
 
 class PlainOutline(NamedTuple):
@@ -66,6 +70,74 @@ class PlainTask(NamedTuple):
     times: FloatArray  # (n,) at which poses of the body are wanted [s]; the last is the end
     gravity: float  # [m/s^2]
     values: Mapping[str, float]  # parameters of the engine itself
+
+
+class TaskUnits(NamedTuple):
+    """Units and origin of a task, in SI. Gravity is the same number in all units.
+
+    Simulations in two units are the same motion: lengths differ by `length`, times by its root, and
+    masses and forces by `mass`.
+    """
+
+    length: float = 1.0  # [m]
+    mass: float = 1.0  # [kg]
+    origin: tuple[float, float] = (0.0, 0.0)  # [m] without it, a small part may be far away
+
+    @property
+    def time(self) -> float:
+        """Unit of time [s]."""
+        return math.sqrt(self.length)
+
+    def task(self, task: PlainTask) -> PlainTask:
+        """Return a task of SI units in these."""
+        if self == TaskUnits():
+            return task
+        body, pusher = task.body, task.pusher
+        if pusher is not None:
+            path = np.column_stack((pusher.path[:, 0] / self.time, self._poses(pusher.path[:, 1:])))
+            pusher = pusher._replace(
+                outline=self._outline(pusher.outline),
+                path=path,
+                force_limit=pusher.force_limit and pusher.force_limit / self.mass,
+            )
+        return task._replace(
+            body=body._replace(
+                outline=self._outline(body.outline),
+                mass=body.mass / self.mass,
+                inertia=body.inertia / (self.mass * self.length**2),
+                start=self._poses(body.start),
+                velocity=body.velocity * np.array([1.0 / self.time, 1.0 / self.time, self.time]),
+                points=body.points / self.length,
+                loads=body.loads / self.mass,
+                arms=body.arms / self.length,
+            ),
+            pusher=pusher,
+            fixels=tuple(
+                own._replace(outline=self._outline(own.outline), pose=self._poses(own.pose))
+                for own in task.fixels
+            ),
+            times=task.times / self.time,
+        )
+
+    def si_poses(self, poses: FloatArray) -> FloatArray:
+        """Return poses (n, 3) in these units as [m, m, rad]."""
+        return np.asarray(poses * (self.length, self.length, 1.0) + (*self.origin, 0.0))
+
+    def _poses(self, poses: FloatArray) -> FloatArray:
+        return np.asarray((poses - (*self.origin, 0.0)) / (self.length, self.length, 1.0))
+
+    def _outline(self, outline: PlainOutline) -> PlainOutline:
+        pieces = tuple(piece / self.length for piece in outline.pieces)
+        return PlainOutline(pieces, outline.radius / self.length)
+
+
+def bench_units(body: PlainBody) -> TaskUnits:
+    """Return the units in which a body has the size and mass of one on a bench; SI for most."""
+    outline, (x, y, _) = body.outline, body.start.tolist()
+    size = max(float(np.hypot(*piece.T).max()) for piece in outline.pieces) + outline.radius
+    length = size / min(max(size, BENCH_SIZE[0]), BENCH_SIZE[1])
+    mass = body.mass / min(max(body.mass, BENCH_MASS[0]), BENCH_MASS[1])
+    return TaskUnits(length, mass, (0.0, 0.0) if length == 1.0 else (x, y))
 
 
 class Segment(NamedTuple):

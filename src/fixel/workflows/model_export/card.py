@@ -48,7 +48,7 @@ class Distances(NamedTuple):
 def start_error_of(scene: Scene) -> StartError:
     """Return the start errors with which scenes are drawn around one: 5 % of the body, 5 deg."""
     size = SHIFT * float(np.ptp(scene.bodies[0].shape.outline, axis=0).max())
-    return StartError(x=size, y=size, theta=TURN)
+    return StartError(x=size, y=size, theta=TURN, kind="uniform")
 
 
 def distances_from_fixel(

@@ -22,8 +22,7 @@ from fixel.simulation.engine_names import EngineName
 from fixel.simulation.engines import AbstractPhysicsEngine, engine_of
 from fixel.simulation.engines.mjcf import mjcf
 from fixel.simulation.engines.sdf import sdf
-from fixel.simulation.engines.solids import excess_inertia
-from fixel.simulation.engines.task import PlainTask, plain, task_of, unsupported
+from fixel.simulation.engines.task import PlainTask, bench_units, plain, task_of, unsupported
 from fixel.simulation.motion import OtherEngine
 from fixel.workflows.model_export.card import Distances, distances_from_fixel, errors_on
 from fixel.workflows.model_export.source import Exportable, ModelSource, SourceCase, source_of
@@ -31,7 +30,7 @@ from fixel.workflows.model_export.urdf import urdf
 
 TARGETS: Final = ("mujoco", "drake", "pymunk", "box2d", "urdf")
 FORMAT: Final = "fixel-model-1"
-# Files of engines that read models, by name. In these the mass of a body is in its feet.
+# Files of engines that read models, by name.
 MODELS: Final[Mapping[str, Callable[[PlainTask, Any], Mapping[str, str]]]] = {
     "mujoco": lambda task, engine: {"model.xml": mjcf(task, engine)},
     "drake": sdf,
@@ -189,23 +188,28 @@ def _model(engine: AbstractPhysicsEngine, case: SourceCase) -> _ModelFiles:
     task, frame = _task(case)
     if found := engine.refusal(task):
         raise _refused(engine.name, found)
-    made = asdict(engine)
+    made, units = asdict(engine), bench_units(task.body)
+    task = units.task(task)
     document = {
         "format": FORMAT,
         "fixel": version("fixel"),
         "engine": f"{engine.name} {engine.version}",
         "choices": made,
+        "units": {
+            "length_m": units.length,
+            "mass_kg": units.mass,
+            "time_s": units.time,
+            "origin_m": units.origin,
+        },
         "frame": frame,
         **plain(task),
     }
     del document["values"]
     contents = {"model.json": json.dumps(document, indent=1, allow_nan=False) + "\n"}
-    lost: list[str] = []
     if engine.name in MODELS:
         contents |= MODELS[engine.name](task, engine)
-        lost = excess_inertia(task.body, task.gravity)
     contents |= {"run.py": _script(f"run_{engine.name}"), "drive.py": _script("drive")}
-    lost += [
+    lost = [
         f"{name}, a parameter of another engine"
         for name in case.values
         if "." in name and name.partition(".")[0] != engine.name

@@ -16,7 +16,11 @@ SHORTEST = 1e-6  # [s] between two ends of segments
 
 
 def load() -> dict[str, Any]:
-    """Load `model.json`: lengths in m, angles in rad, times in s, masses in kg, forces in N."""
+    """Load `model.json`, whose numbers are in its units.
+
+    These are SI for parts of 50 to 150 mm and 0.1 to 1 kg. Others are written at such a size and
+    at the origin, for which engines are made; gravity is the same number in all units.
+    """
     text = Path(__file__).with_name("model.json").read_text("utf-8")
     model: dict[str, Any] = json.loads(text)
     return model
@@ -67,7 +71,7 @@ def segments(model: dict[str, Any]) -> Iterator[tuple[int, float, list[float], b
 
 def in_frame(pose: Sequence[float], frame: Sequence[float]) -> list[float]:
     """Return the pose of a frame that is fixed to the body, from the pose of the body."""
-    x, y, theta = (float(value) for value in pose)
+    x, y, theta = map(float, pose)
     cosine, sine = math.cos(theta), math.sin(theta)
     return [
         x + cosine * frame[0] - sine * frame[1],
@@ -79,7 +83,10 @@ def in_frame(pose: Sequence[float], frame: Sequence[float]) -> list[float]:
 def run(simulate: Callable[[dict[str, Any]], Iterable[Sequence[float]]]) -> None:
     """Simulate the model, and write the poses of the body to standard output as CSV."""
     model = load()
+    length, second = model["units"]["length_m"], model["units"]["time_s"]
+    x0, y0 = model["units"]["origin_m"]
     table = csv.writer(sys.stdout, lineterminator="\n")
     table.writerow(("time_s", "x_m", "y_m", "theta_rad"))
-    for time, pose in zip(model["times"], simulate(model), strict=True):
-        table.writerow((time, *in_frame(pose, model["frame"])))
+    for time, (x, y, theta) in zip(model["times"], simulate(model), strict=True):
+        pose = in_frame((x0 + length * x, y0 + length * y, theta), model["frame"])
+        table.writerow((second * time, *pose))
