@@ -72,10 +72,11 @@ def _rescues(size: Size) -> list[Figure]:
 
 
 def run_corners(size: Size) -> list[Figure]:
-    """Time per step of a disc of 64 corners over that of a square, default stepper."""
+    """Time per step of a disc of 64 corners, and of a push of a traced outline, over a square's."""
     return [
         _over("step of 64 corners over 4, grasp", size, 3.0, [_grasped(n) for n in (4, 64)]),
         _over("step of 64 corners over 4, finger alike", size, 3.0, [_pushed(n) for n in (4, 64)]),
+        _over("push of a traced outline over a square's", size, 5.0, _traced(), per_step=False),
     ]
 
 
@@ -100,6 +101,17 @@ def _pushed(corners: int) -> Scene:
     away = scene.bodies[0].pose + np.array([0.012, 0.0, 0.0])
     part = _with_part(scene, shape=Polygon.regular(corners, 0.0607), pose=away)
     return replace(part, pushers=(finger,))
+
+
+def _traced() -> list[Scene]:
+    """A square, and a smooth outline of 508 corners with two hollows, both on even pressure."""
+    angle = np.arange(508) * (2.0 * np.pi / 508)
+    radius = 0.05 * (1.0 + 0.3 * np.cos(2.0 * angle) + 0.1 * np.cos(4.0 * angle))
+    corners = radius[:, None] * np.column_stack((np.cos(angle), np.sin(angle)))
+    even = UniformPressure(friction=0.25)
+    scene = _with_part(pushed_square(), support=even)
+    away = np.array([0.02, 0.0, 0.0])
+    return [scene, _with_part(scene, shape=Polygon(corners), pose=away)]
 
 
 def _with_part(scene: Scene, **changes: object) -> Scene:

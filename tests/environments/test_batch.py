@@ -3,6 +3,7 @@
 import copy
 import pickle
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -16,6 +17,7 @@ from fixel.environments.push import PushVectorEnv, push_scene
 from fixel.environments.push_t import PushTVectorEnv
 from fixel.environments.scene_picture import BODY
 from fixel.errors import InvalidInput
+from fixel.parts.candidates import push_candidates
 from fixel.testing.pushes import example_pushes
 
 KINDS = {"PushT": PushTVectorEnv, "Push": PushVectorEnv, "Grasp": GraspVectorEnv}
@@ -45,20 +47,30 @@ def _episode(env, seen, steps=20):
     return np.array(found)
 
 
-@pytest.fixture(scope="module")
-def calibrated():
-    pushes = example_pushes(1, duration=0.3)
+def _calibrated(source, push):
+    """Posterior or calibration of one push."""
     space = {"mu_pusher": (0.1, 0.5), "tripod_radius": (0.03, 0.05)}
-    posterior = fixel.posterior(
-        pushes, {**space, "tripod_radius": 0.038}, samples=20, progress=False
+    if source == "calibration":
+        return fixel.calibrate([push], space, verdicts=False, progress=False)
+    return fixel.posterior([push], {**space, "tripod_radius": 0.038}, samples=20, progress=False)
+
+
+def _push_of_its_part(kind):
+    """Simulated push of the part of an environment, on a tripod."""
+    tripod = fixel.Tripod(radius=0.04, friction=0.25)
+    body = replace(kind().scene.bodies[0], support=tripod, pose=np.zeros(3))
+    scene = push_candidates(body, travel=0.02, contacts=4)[1]
+    run = fixel.simulate(scene, output_interval=scene.duration / 5)
+    track = fixel.Trajectory(time=run.time, pose=run.pose[body.name])
+    return replace(
+        example_pushes(1, duration=0.3)[0], scene=scene, trajectory=track, object_name=body.name
     )
-    return {"posterior": posterior, "calibration": fixel.calibrate(pushes, space, progress=False)}
 
 
 @every_task
 @pytest.mark.parametrize("source", ["posterior", "calibration"])
-def test_worlds_are_drawn_from_calibrations(kind, source, calibrated):
-    env = kind(40, world="posterior", parameters=calibrated[source])
+def test_worlds_are_drawn_from_calibrations(kind, source):
+    env = kind(40, world="posterior", parameters=_calibrated(source, _push_of_its_part(kind)))
     _, info = env.reset(seed=0)
     drawn = {name: x for name, x in info["parameters"].items() if name[0] != "_"}
     # The model's own error is no parameter of the world.
@@ -67,6 +79,16 @@ def test_worlds_are_drawn_from_calibrations(kind, source, calibrated):
     assert ((drawn["mu_pusher"] >= 0.1) & (drawn["mu_pusher"] <= 0.5)).all()
     assert env.scene.bodies[0].support.radius > 0.0
     env.step(env.action_space.sample())
+
+
+@every_task
+@pytest.mark.parametrize("source", ["posterior", "calibration"])
+def test_the_support_of_another_part_is_refused(kind, source):
+    """A calibration on a square of 100 mm, whose friction alone any part may have."""
+    square = _calibrated(source, example_pushes(1, duration=0.3)[0])
+    with pytest.raises(InvalidInput, match="tripod_radius: found values of a part with another"):
+        kind(2, world="posterior", parameters=square)
+    kind(2, world="posterior", parameters={"mu_pusher": (0.1, 0.5)})
 
 
 @every_task

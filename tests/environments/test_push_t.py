@@ -118,6 +118,16 @@ def test_an_episode_does_not_depend_on_threads():
     assert np.array_equal(*map(np.array, seen))
 
 
+@pytest.mark.parametrize("block_cog", [None, (30.0, 150.0)])
+@pytest.mark.parametrize("seeds", ["0.1.5", "0.1.8"])
+@pytest.mark.parametrize("kind", ["state", "environment_state_agent_pos"])
+def test_every_start_is_in_the_space_of_the_observations(kind, seeds, block_cog):
+    """Also starts with a corner outside the picture, which gym-pusht draws now and then."""
+    env = PushTVectorEnv(3000, obs_type=kind, seeds=seeds, block_cog=block_cog)
+    found, _ = env.reset(seed=0)
+    assert env.observation_space.contains(found)
+
+
 @pytest.mark.parametrize(
     "kind", ["state", "environment_state_agent_pos", "pixels", "pixels_agent_pos"]
 )

@@ -68,6 +68,25 @@ def test_cells_are_the_same_for_equal_shapes_and_cannot_be_written_to() -> None:
     )
 
 
+def test_a_traced_outline_has_as_many_cells_as_requested() -> None:
+    """A fan of triangles has one for each corner or more: 570 points instead of 64."""
+    turn = np.arange(508) * (2.0 * np.pi / 508)
+    radius = 0.05 * (1.0 + 0.3 * np.cos(2.0 * turn) + 0.1 * np.cos(4.0 * turn))
+    corners = np.column_stack((radius * np.cos(turn), radius * np.sin(turn)))
+    shape = Polygon(corners + np.array((0.2, 0.1)))
+
+    points, share = cells(shape, 64)
+
+    assert 40 <= len(points) <= 64
+    assert share.sum() == pytest.approx(1.0)
+    assert share.min() > 0.0
+    assert share @ points == pytest.approx(shape.centroid, abs=1e-15)
+    # Mean distance from the centroid, by the exact integral in polar coordinates.
+    exact = (radius**3).sum() / (1.5 * (radius**2).sum())
+    assert share @ np.hypot(*(points - shape.centroid).T) == pytest.approx(exact, rel=0.02)
+    assert len(cells(shape, 3)[0]) == 4
+
+
 def test_bodies_of_many_corners_are_built_again_as_fast_as_others() -> None:
     """A dataset builds its body once for every push, so the cells must not be cut each time."""
     took = {}

@@ -39,9 +39,11 @@ def test_only_what_can_be_negative_may_be():
         Parameters(ellipsoid_force=0.0)
 
 
-def test_an_unknown_name_is_refused_with_the_known_ones():
-    with pytest.raises(InvalidInput, match=r"mu_pusher.*did you mean 'mu_support'"):
+def test_an_unknown_name_is_refused_with_the_nearest_or_the_known_ones():
+    with pytest.raises(InvalidInput, match=r"'mu_suport'.*did you mean 'mu_support'"):
         Parameters(mu_suport=0.2)
+    with pytest.raises(InvalidInput, match=r"mu_pusher.*tripod_radius"):
+        Parameters(xyz=0.2)
 
 
 @pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf"), "0.2", True, None])

@@ -38,6 +38,8 @@ OUTLINE: Final = np.concatenate((PIECES[0, :3], PIECES[1, 1:], PIECES[1, :1], PI
 AGENT_RADIUS: Final = 15.0  # [px]
 WALLS: Final = (7.0, 504.0)  # inner faces [px]
 THICKNESS: Final = 4.0  # of the walls [px]
+AGENT_STARTS: Final = (50, 450)  # x and y of a drawn start, the second excluded [px]
+T_STARTS: Final = (100, 400)  # likewise, of the frame of the T before it turns [px]
 GOAL: Final = np.array([256.0, 256.0, math.pi / 4.0])
 SUCCESS: Final = 0.95  # coverage above which an episode is over
 MAX_STEPS: Final = 300
@@ -165,16 +167,16 @@ class PushTVectorEnv(BatchEnv):
         for x in (*self.size, *self.shown_size):
             if x < 1:
                 raise InvalidInput("size of a picture", found=x, expected="at least 1 px")
+        com = None if block_cog is None else vector(block_cog, "block_cog", "x [px], y [px]")
+        # Start states turn about the legacy centre, so that they are the same in every world.
+        self._pivot = LEGACY_COM if com is None else com
         super().__init__(
             num_envs,
-            _observation_space(obs_type, self.size),
+            _observation_space(obs_type, self.size, self._pivot),
             spaces.Box(0.0, SIDE, (2,), np.float32),
             max_episode_steps=max_episode_steps,
             **options,
         )
-        com = None if block_cog is None else vector(block_cog, "block_cog", "x [px], y [px]")
-        # Start states turn about the legacy centre, so that they are the same in every world.
-        self._pivot = LEGACY_COM if com is None else com
         usual = usual_parameters(FRICTION_RANGE, ARM * PIXEL)
         self.scene = self._set_world(world, push_t_scene_of(world, com), parameters, usual)
         self._motion = PushMotion(self.scene, num_envs, unit=PIXEL, threads=self.threads)
@@ -211,7 +213,7 @@ class PushTVectorEnv(BatchEnv):
             own = self.seeds[k]
             old = np.random.RandomState(int(rng.integers(2**31)) if own is None else own)
         for _ in range(MAX_REDRAWS):
-            spans = ((50, 450), (50, 450), (100, 400), (100, 400))
+            spans = (AGENT_STARTS, AGENT_STARTS, T_STARTS, T_STARTS)
             if old is not None:
                 places = [int(old.randint(*span)) for span in spans]
                 angle = old.randn() * 2.0 * np.pi - np.pi
@@ -335,15 +337,26 @@ _T: Final = Polygon(OUTLINE)
 _AGENT: Final = Disk(AGENT_RADIUS)
 
 
-def _observation_space(name: ObservationName, size: tuple[int, int]) -> Any:
+def _observation_space(name: ObservationName, size: tuple[int, int], pivot: FloatArray) -> Any:
     agent = spaces.Box(np.zeros(2), np.full(2, SIDE), dtype=np.float64)
     picture = spaces.Box(0, 255, (size[1], size[0], 3), np.uint8)
     if name == "state":
-        high = np.array([SIDE, SIDE, SIDE, SIDE, 2.0 * np.pi])
-        return spaces.Box(np.zeros(5), high, dtype=np.float64)
+        low, high = _places(np.zeros(2), pivot)
+        turn = 2.0 * np.pi
+        return spaces.Box(
+            np.array([0.0, 0.0, *low, 0.0]), np.array([SIDE, SIDE, *high, turn]), dtype=np.float64
+        )
     if name == "environment_state_agent_pos":
-        corners = spaces.Box(np.zeros(16), np.full(16, SIDE), dtype=np.float64)
+        low, high = np.transpose([_places(own, pivot) for own in PIECES.reshape(8, 2)], (1, 0, 2))
+        corners = spaces.Box(low.ravel(), high.ravel(), dtype=np.float64)
         return spaces.Dict({"environment_state": corners, "agent_pos": agent})
     if name == "pixels":
         return picture
     return spaces.Dict({"pixels": picture, "agent_pos": agent})
+
+
+def _places(point: FloatArray, pivot: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return bounds (2,) of a point of the T: the picture, and where it may be at a start."""
+    reach = math.hypot(*(point - pivot))
+    low, high = T_STARTS
+    return np.minimum(0.0, low + pivot - reach), np.maximum(SIDE, high + pivot + reach)

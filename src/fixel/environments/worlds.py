@@ -8,6 +8,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from fixel.calibration.known_pushes import KnownPushes
 from fixel.errors import InvalidInput
 from fixel.model import Body, Ellipsoid, Scene, Support, SupportPoints, Tripod, UniformPressure
 from fixel.model.footprint import cells
@@ -23,6 +24,8 @@ MAX_REDRAWS: Final = 1000  # of a start with overlap
 ARM_RANGE: Final = (0.55, 1.9)
 # Errors of the experiments of a calibration, which are no properties of the world.
 _OF_EXPERIMENTS: Final = ("registration_", "outline_", "start_")
+# Parameters in metres, which no part shares with one of another outline.
+_OF_ONE_PART: Final = ("tripod_", "support_", "ellipsoid_")
 
 
 @final
@@ -47,7 +50,8 @@ class WorldDraws:
     Raises
     ------
     InvalidInput
-        No draw can be simulated with the scene, or a name does not suit it.
+        No draw can be simulated with the scene, a name does not suit it, or the support was
+        calibrated on a part with another outline.
     """
 
     def __init__(self, scene: Scene, parameters: Any, n: int) -> None:
@@ -58,6 +62,7 @@ class WorldDraws:
             for name, x in found.items()
             if not name.startswith(_OF_EXPERIMENTS)
         }
+        _refuse_other_part(scene, belief, draws)
         self.scene = _with_support(scene, draws)
         reasons = infeasible(self.scene, draws) if draws else []
         ready = np.flatnonzero([not reason for reason in reasons])
@@ -95,6 +100,19 @@ def usual_parameters(friction: tuple[float, float], arm: float) -> dict[str, tup
     """Return the ranges of friction and support, about an arm of uniform pressure [m]."""
     low, high = ARM_RANGE
     return {"mu_pusher": friction, "ellipsoid_torque": (low * FORCE * arm, high * FORCE * arm)}
+
+
+def _refuse_other_part(scene: Scene, belief: Belief, names: Iterable[str]) -> None:
+    """Raise for the support of a calibrated part whose outline is not that of the scene's body."""
+    known = getattr(belief.parameters, "known", None)
+    own = [name for name in names if name.startswith(_OF_ONE_PART)]
+    if own and isinstance(known, KnownPushes) and not known.has_outline(scene):
+        raise InvalidInput(
+            f"parameters.{own[0]}",
+            found="values of a part with another outline than the one that is pushed here",
+            expected="a calibration of this part",
+            hint="or ranges by name, such as parameters={'mu_pusher': (0.1, 0.3)}",
+        )
 
 
 def _with_support(scene: Scene, names: Iterable[str]) -> Scene:

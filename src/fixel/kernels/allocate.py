@@ -69,6 +69,8 @@ def empty_workspace(
         element_change=np.zeros((n_element, 18)),
         lanes=np.zeros(LANE_FIELDS * n_element),
         world=np.zeros((n_vertex, 2)),
+        is_placed=np.zeros(n_piece, np.int64),
+        frame=np.zeros((n_body, 4)),
         old_key=np.zeros(n_contact, np.int64),
         old_impulse=np.zeros((n_contact, 2)),
         near=np.zeros((n_pair, 2), np.int64),
@@ -100,9 +102,12 @@ def allocate(model: Model, max_contacts: int) -> tuple[Problem, Workspace]:
         if model.drive_dof[d] >= 0:
             n_dof += 1
     n_pair = 0
-    for i in range(n_piece):
+    others = 0  # pieces of later bodies
+    for i in range(n_piece - 1, -1, -1):
+        if i + 1 < n_piece and model.piece_body[i + 1] != model.piece_body[i]:
+            others = n_piece - i - 1
         if model.piece_body[i] < n_free:
-            n_pair += n_piece - i - 1
+            n_pair += others
     n_pair = min(n_pair, 32 * n_piece)
     n_contact = min(2 * n_pair, max_contacts)
     n_element = model.element_body.size + n_driven

@@ -127,7 +127,9 @@ class Workspace(NamedTuple):
         FloatArray  # (n_element, 18) of impulse and how it depends (8); saved impulse; sweeps
     )
     lanes: FloatArray  # (LANE_FIELDS n_element,) see points.py
-    world: FloatArray  # (n_vertex, 2) vertices in the world
+    world: FloatArray  # (n_vertex, 2) vertices in the world, of pieces that are placed
+    is_placed: IntArray  # (n_piece,) 1 where the vertices of a piece are those of the present pose
+    frame: FloatArray  # (n_body, 4) cosine and sine of the angle, x and y of each body
     old_key: IntArray  # (n_contact,)
     old_impulse: FloatArray  # (n_contact, 2) of the step before; in a solver, saved impulses
     near: IntArray  # (n_pair, 2) pairs of pieces close enough to meet soon

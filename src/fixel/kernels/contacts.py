@@ -14,33 +14,44 @@ from fixel.typing import FloatArray, IntArray
 
 
 @kernel
-def place_body(model: Model, pose: FloatArray, body: int, first: int, work: Workspace) -> int:
-    """Write world coordinates of a body whose pieces start at `first`; returns the next piece."""
-    c = math.cos(pose[body, 2])
-    s = math.sin(pose[body, 2])
-    x = pose[body, 0]
-    y = pose[body, 1]
-    piece = first
-    while piece < model.piece_body.size and model.piece_body[piece] == body:
+def place_bodies(model: Model, pose: FloatArray, n_body: int, work: Workspace) -> None:
+    """Write the circles of the pieces of the first `n_body` bodies; `find_contacts` places the
+    vertices of pieces that may touch."""
+    last = -1
+    for piece in range(model.piece_body.size):
+        body = model.piece_body[piece]
+        if body >= n_body:
+            break
+        frame = work.frame[body]
+        if body != last:
+            frame[0] = math.cos(pose[body, 2])
+            frame[1] = math.sin(pose[body, 2])
+            frame[2] = pose[body, 0]
+            frame[3] = pose[body, 1]
+            last = body
         bx = model.piece_bound[piece, 0]
         by = model.piece_bound[piece, 1]
-        work.extent[piece, 0] = x + c * bx - s * by
-        work.extent[piece, 1] = y + s * bx + c * by
-        for i in range(model.piece_start[piece], model.piece_start[piece + 1]):
-            vx = model.vertex[i, 0]
-            vy = model.vertex[i, 1]
-            work.world[i, 0] = x + c * vx - s * vy
-            work.world[i, 1] = y + s * vx + c * vy
-        piece += 1
-    return piece
+        work.extent[piece, 0] = frame[2] + frame[0] * bx - frame[1] * by
+        work.extent[piece, 1] = frame[3] + frame[1] * bx + frame[0] * by
+        work.is_placed[piece] = 0
 
 
 @kernel
-def place_bodies(model: Model, pose: FloatArray, n_body: int, work: Workspace) -> None:
-    """Write the world coordinates of the first `n_body` bodies."""
-    piece = 0
-    for body in range(n_body):
-        piece = place_body(model, pose, body, piece, work)
+def _place_vertices(model: Model, piece: int, work: Workspace) -> None:
+    """Write the world coordinates of a piece, unless they are those of the present pose."""
+    if work.is_placed[piece] == 1:
+        return
+    work.is_placed[piece] = 1
+    frame = work.frame[model.piece_body[piece]]
+    c = frame[0]
+    s = frame[1]
+    x = frame[2]
+    y = frame[3]
+    for i in range(model.piece_start[piece], model.piece_start[piece + 1]):
+        vx = model.vertex[i, 0]
+        vy = model.vertex[i, 1]
+        work.world[i, 0] = x + c * vx - s * vy
+        work.world[i, 1] = y + s * vx + c * vy
 
 
 @kernel
@@ -132,6 +143,8 @@ def find_contacts(
             continue
         if n + 2 > problem.contact_key.size:
             return -1
+        _place_vertices(model, i, work)
+        _place_vertices(model, j, work)
         found = contact_pair(
             work.world,
             model.edge_real,

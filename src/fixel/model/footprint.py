@@ -18,6 +18,9 @@ from fixel.typing import FloatArray
 
 # Outlines with more corners than this count as smooth curves.
 MAX_CORNERS: Final = 12
+# Polygons with more corners are divided by a grid, since every corner is that of a triangle else.
+MAX_FAN_CORNERS: Final = 128
+COARSER: Final = 1.02  # factor of the pitch of the grid, until it has few enough cells
 # Shapes whose cells are kept, and triangles whose division is.
 MAX_KEPT: Final = 64
 # Points of the outer and of the inner ring under a smooth outline.
@@ -51,6 +54,8 @@ def cells(shape: Shape, n_points: int) -> tuple[FloatArray, FloatArray]:
     """
     if isinstance(shape, Disk):
         points, share = _disk_cells(shape, n_points)
+    elif len(shape.vertices) > MAX_FAN_CORNERS:
+        points, share = _grid_cells(shape, n_points)
     else:
         points, share = _polygon_cells(shape, n_points)
     points.flags.writeable = share.flags.writeable = False
@@ -79,6 +84,29 @@ def _polygon_cells(polygon: Polygon, n_points: int) -> tuple[FloatArray, FloatAr
     share = np.concatenate(areas)
     share /= share.sum()
     found = np.concatenate(points)
+    return found + (polygon.centroid - share @ found), share
+
+
+def _grid_cells(polygon: Polygon, n_points: int) -> tuple[FloatArray, FloatArray]:
+    """Cut a polygon by a square grid about its centroid, with at most `n_points` cells."""
+    outline = shapely.Polygon(polygon.vertices - polygon.centroid)
+    shapely.prepare(outline)
+    far = float(np.hypot(*(polygon.vertices - polygon.centroid).T).max())
+    pitch = (polygon.area / n_points) ** 0.5
+    while True:
+        reach = int(np.ceil(far / pitch))
+        left = pitch * np.arange(-reach, reach)
+        x, y = (axis.reshape(-1) for axis in np.meshgrid(left, left))
+        boxes = shapely.box(x, y, x + pitch, y + pitch)
+        boxes = boxes[shapely.intersects(outline, boxes)]
+        if len(boxes) <= max(n_points, 4):
+            break
+        pitch *= COARSER
+    parts = shapely.intersection(outline, boxes)
+    area = shapely.area(parts)
+    parts, area = parts[area > 0.0], area[area > 0.0]
+    share = area / area.sum()
+    found = shapely.get_coordinates(shapely.centroid(parts))
     return found + (polygon.centroid - share @ found), share
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Final, final
 
@@ -131,9 +131,12 @@ class Estimate:
         first) or `"frozen"`; empty where not assessed.
     reason : str
         Reason of the verdict, as a sentence.
+    noise_value, noise_low, noise_high : float, optional
+        Value and interval from least squares, if noise were the only error; None where the model
+        fits within the noise, and the interval is that one.
     best_fit : float, optional
         Value that predicts best, found by the search. It is not stored with the estimate, nor are
-        the next two: they are for tables and charts.
+        the next three: they are for tables and charts.
     bounds : (float, float), optional
         Bounds of the search.
     before : float, optional
@@ -161,6 +164,9 @@ class Estimate:
     high: float | None = None
     verdict: str = ""
     reason: str = ""
+    noise_value: float | None = None
+    noise_low: float | None = None
+    noise_high: float | None = None
     best_fit: float | None = None
     bounds: tuple[float, float] | None = None
     before: float | None = None
@@ -196,14 +202,34 @@ class Estimate:
         """Whether the parameter has a verdict or an interval."""
         return bool(self.verdict) or self.low is not None or self.high is not None
 
+    @property
+    def noise_alone(self) -> Estimate | None:
+        """Estimate with the value and interval from noise alone; None where it is the same."""
+        if self.noise_value is None:
+            return None
+        found = replace(self, value=self.noise_value, low=self.noise_low, high=self.noise_high)
+        return found.with_noise(None, None, None)
+
+    def with_noise(self, value: float | None, low: float | None, high: float | None) -> Estimate:
+        """Return the estimate with another value and interval from noise alone."""
+        return replace(self, noise_value=value, noise_low=low, noise_high=high)
+
     def stored(self) -> dict[str, Any]:
         """Return the stored fields, as plain values."""
         return {name: getattr(self, name) for name in _STORED}
 
 
+def interval_name(level: float | None) -> str:
+    """Name of intervals with their confidence level, which records of earlier versions lack."""
+    return "interval of unknown level" if level is None else f"{100 * level:g} % interval"
+
+
 # Verdicts of parameters whose value the data leave open.
 UNKNOWN_WORDS: Final = ("not identified", "not excited", "trades off", "at least", "at most")
-_STORED: Final = ("label", "unit", "value", "low", "high", "verdict", "reason")
+_STORED: Final = (
+    *("label", "unit", "value", "low", "high", "verdict", "reason"),
+    *("noise_value", "noise_low", "noise_high"),
+)
 
 
 @final
@@ -262,6 +288,10 @@ class CalibrationRecord(Comparable):
     evaluations : Evaluations, optional
     estimates : tuple of Estimate
         One estimate per unknown.
+    request : mapping, optional
+        All options of the run, as plain values; None if an earlier version stored the calibration.
+    result : mapping, optional
+        Further results of the run, as plain values: profiles, noise, errors before.
     """
 
     name: str
@@ -271,6 +301,8 @@ class CalibrationRecord(Comparable):
     method: Mapping[str, str | float] = field(default_factory=dict)
     evaluations: Evaluations | None = None
     estimates: tuple[Estimate, ...] = ()
+    request: Mapping[str, Any] | None = None
+    result: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         name_of(self.name, "calibration.name")

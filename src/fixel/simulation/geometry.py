@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,13 @@ from fixel.typing import FloatArray, IntArray
 # Sine of the turn below which a corner is straight. With smaller values the edges on both sides of
 # the corner tie by rounding; larger values change the outline.
 STRAIGHT = 1e-11
+
+# Outlines with more corners than this are simplified for contacts.
+MAX_CORNERS: Final = 64
+# How far a simplified outline is from the full one, at most [m]; and the same in sizes of the part.
+MAX_OFFSET: Final = 10e-6
+MAX_RELATIVE_OFFSET: Final = 1e-4
+MAX_KEPT: Final = 64  # simplified outlines that are stored
 
 
 @final
@@ -108,6 +116,63 @@ def pack_shapes(shapes: Iterable[Shape]) -> PackedShapes:
         piece_radius=np.repeat(radii, counts),
         shape_start=_offsets(counts),
     )
+
+
+def contact_outline(shape: Shape) -> Shape:
+    """Simplify an outline of more than `MAX_CORNERS` corners for contacts.
+
+    Parameters
+    ----------
+    shape : Polygon or Disk
+
+    Returns
+    -------
+    Polygon or Disk
+        Polygon on some of the corners, at every point within `outline_tolerance` of the full
+        outline, and vice versa; or the shape itself, where it has few corners or its edges would
+        cross.
+    """
+    if isinstance(shape, Disk) or len(shape.vertices) <= MAX_CORNERS:
+        return shape
+    return _simplified(shape) or shape
+
+
+@functools.lru_cache(MAX_KEPT)
+def _simplified(shape: Polygon) -> Polygon | None:
+    kept = _sparse(shape.vertices, outline_tolerance(shape))
+    if not 3 <= len(kept) < len(shape.vertices):
+        return None
+    try:
+        return Polygon(kept)
+    except InvalidInput:  # both sides of a slit may cross
+        return None
+
+
+def outline_tolerance(shape: Polygon) -> float:
+    """Largest distance of the outline for contacts from that of the shape [m]."""
+    size = float(np.ptp(shape.vertices, axis=0).max())
+    return min(MAX_OFFSET, MAX_RELATIVE_OFFSET * size)
+
+
+def _sparse(vertices: FloatArray, tolerance: float) -> FloatArray:
+    """Choose corners of a closed outline such that each new edge is within a distance of all
+    corners that it replaces; it then is of the whole chain, whose ends it shares.
+
+    From the corner farthest from the mean, each edge is made as long as possible.
+    """
+    away = vertices - vertices.mean(axis=0)
+    first = int(np.argmax((away**2).sum(axis=1)))
+    closed = np.roll(vertices, -first, axis=0)
+    closed = np.concatenate((closed, closed[:1]))
+    kept, end = [0], 1
+    while end < len(closed) - 1:
+        edge = closed[end + 1] - closed[kept[-1]]
+        chain = closed[kept[-1] + 1 : end + 1] - closed[kept[-1]]
+        along = np.clip(chain @ edge / max(float(edge @ edge), np.finfo(float).tiny), 0.0, 1.0)
+        if np.hypot(*(chain - along[:, None] * edge).T).max() > tolerance:
+            kept.append(end)
+        end += 1
+    return closed[kept]
 
 
 def contact_pieces(shape: Shape) -> tuple[Piece, ...]:

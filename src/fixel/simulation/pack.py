@@ -33,7 +33,7 @@ from fixel.model import (
     Tripod,
     support_points,
 )
-from fixel.simulation.geometry import contact_pieces
+from fixel.simulation.geometry import contact_outline, contact_pieces
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.simulation.stepper import AbstractStepper, Adaptive
 from fixel.simulation.vary import Elements, Variation, VariedScene, composed, vary
@@ -224,7 +224,7 @@ class _Same:
 def _pieces(key: _Same, com: tuple[tuple[float, float], ...]) -> Pieces:
     """Return the pieces of shapes with these origins in their own frames, one after another."""
     shapes: tuple[Shape, ...] = key.objects
-    pieces = [contact_pieces(shape) for shape in shapes]
+    pieces = [contact_pieces(contact_outline(shape)) for shape in shapes]
     body = np.repeat(np.arange(len(shapes)), [len(own) for own in pieces])
     corners = [piece for own in pieces for piece, _ in own]
     count = [len(piece) for piece in corners]

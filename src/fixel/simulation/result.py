@@ -16,8 +16,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
 from fixel.kernels import codes
-from fixel.model import BodyTrack, Goal, Parameters, Pose, Scene, Trajectory
+from fixel.model import (
+    Body,
+    BodyTrack,
+    Fixel,
+    Goal,
+    Parameters,
+    Polygon,
+    Pose,
+    Pusher,
+    Scene,
+    Trajectory,
+)
 from fixel.results import Result, Summary
+from fixel.simulation.geometry import contact_outline, outline_tolerance
+from fixel.simulation.solver import Lemke
 from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray, IntArray
 
@@ -156,9 +169,30 @@ class Simulation(Result):
     @property
     def advice(self) -> str:
         """Remedy for an early end; empty when converged."""
-        advice = codes.STATUS_ADVICE[codes.STATUS_NAMES.index(self.status)]
+        status = codes.STATUS_NAMES.index(self.status)
+        if status == codes.MAX_STEPS and self.method.get("solver") == Lemke.name:
+            return f"Lemke's method is for at most {Lemke.MAX_STEPS} steps. Use the solver newton."
+        advice = codes.STATUS_ADVICE[status]
         reason = self.method.get("reason")
         return f"{reason}. {advice}" if reason else advice
+
+    @property
+    def simplified(self) -> list[str]:
+        """Sentences on outlines that were simplified for contacts, and how far; usually none."""
+        if "engine" in self.method:
+            return []
+        scene = self.scene
+        items: list[Body | Pusher | Fixel] = [*scene.bodies, *scene.pushers, *scene.fixels]
+        shapes = {item.name: item.shape for item in items}
+        notes = []
+        for name, full in shapes.items():
+            used = contact_outline(full)
+            if used is not full and isinstance(full, Polygon) and isinstance(used, Polygon):
+                notes.append(
+                    f"outline of {name} for contacts: {len(used.vertices)} of its "
+                    f"{len(full.vertices)} corners, within {1e3 * outline_tolerance(full):.2g} mm"
+                )
+        return notes
 
     @property
     def converged(self) -> bool:
@@ -260,7 +294,7 @@ class Simulation(Result):
                 Table(("body, at the end", *place, "touching"), rows),
                 *([Table(columns, traces)] if traces else []),
             ],
-            [*([self.advice] if self.advice else []), quality],
+            [*([self.advice] if self.advice else []), *self.simplified, quality],
             {
                 "parameters": ", ".join(f"{k} = {v:g}" for k, v in (self.parameters or {}).items()),
                 "solver": str(self.method["solver"]),
@@ -311,6 +345,8 @@ class Simulation(Result):
             "fallbacks": self.fallbacks,
             "method": dict(self.method),
         }
+        if self.simplified:
+            answer["simplified"] = self.simplified
         return answer
 
 

@@ -37,6 +37,7 @@ from fixel.simulation.result import CONTACT_FIELDS, PusherTrace, Simulation
 from fixel.simulation.solver import SOLVERS, AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
+from fixel.simulation.trust import permit
 from fixel.simulation.vary import Variation, composed, inverted
 from fixel.typing import FloatArray
 
@@ -183,6 +184,7 @@ class Simulator:
         plain: bool = False,
     ) -> None:
         self._interval: float | None = None
+        permit(motion)
         if not isinstance(scene, Scene):
             file = scene_file(scene, "a Scene or a scene file")
             motion = motion or file.motion
@@ -352,12 +354,15 @@ def method_of(
 ) -> StepMethod:
     """Convert a method for the kernels."""
     effort = solver.max_sweeps if isinstance(solver, GaussSeidel) else 0
+    max_steps = stepper.max_steps if isinstance(stepper, Adaptive) else MAX_STEPS
+    if isinstance(solver, Lemke):
+        max_steps = min(max_steps, solver.MAX_STEPS)
     return StepMethod(
         motion=motion.kind,
         solver=solver.kind,
         adaptive=int(stepper.adaptive),
         lead=float(stepper.lead),
-        max_steps=stepper.max_steps if isinstance(stepper, Adaptive) else MAX_STEPS,
+        max_steps=max_steps,
         max_contacts=max_contacts,
         effort=effort,
     )

@@ -113,7 +113,8 @@ class Lemke(AbstractSolver):
     """Lexicographic Lemke on the linear form: a reference, for `support_directions` of 4 or more.
 
     It needs no guess, so that a solution does not depend on the previous step. A hundred times
-    slower than `Newton`, the fallback for steps where it ends on a ray; runs in the plain loop.
+    slower than `Newton`, the fallback for steps where it ends on a ray; runs in the plain loop,
+    for at most `MAX_STEPS` steps (some seconds), after which the status is ``max_steps``.
 
     Parameters
     ----------
@@ -134,6 +135,7 @@ class Lemke(AbstractSolver):
     """
 
     name: ClassVar[str] = "lemke"
+    MAX_STEPS: ClassVar[int] = 5_000
     max_pivots: int = 2_000
 
     def __post_init__(self) -> None:
