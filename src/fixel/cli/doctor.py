@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from fixel.cli.options import AsJson
-from fixel.cli.screen import notice, print_answer, seconds
+from fixel.cli.screen import print_answer, seconds
 
 if TYPE_CHECKING:
     from fixel.workflows.diagnostics import Diagnosis
@@ -15,7 +15,7 @@ def doctor(as_json: AsJson = False) -> None:
     """Check this installation and report how to repair it."""
     from fixel.workflows.diagnostics import examine
 
-    found = examine(notice(as_json))
+    found = examine()
     print_answer(as_json, found.summary, lambda: _lines(found))
     if not found.passed:
         raise typer.Exit(1)

@@ -1,10 +1,8 @@
-"""Decorators of the kernels, their flags, and the cache of compiled code.
+"""Decorators of the kernels and their flags.
 
 `entry` compiles a function that Python calls and caches the machine code on disk; all others
 compile helpers, which Python cannot call: without `NUMBA_DISABLE_JIT` it would crash. No fastmath
-anywhere, since it changes results. The name of the cache folder contains a digest of all kernel
-sources, because Numba checks only the file of the entry function and would run the old code of an
-edited callee.
+anywhere, since it changes results. `code_cache` stores machine code.
 
 Helpers are compiled to intermediate code only, which their callers link. Numba compiles each
 function to machine code, in case Python calls it, and optimises callees again at every level above.
@@ -14,14 +12,12 @@ that contains them is optimised once. The first simulation after installation ta
 pass of our own installs a code library of our own before code is generated. docs/decisions/0009
 gives the reasons.
 
-Environment: ``FIXEL_CACHE_DIR`` moves the cache; ``NUMBA_DISABLE_JIT=1`` runs every kernel as
-plain Python.
+Environment: ``NUMBA_DISABLE_JIT=1`` runs every kernel as plain Python.
 """
 
 import gc
-import hashlib
 import math
-import os
+import time
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
@@ -30,6 +26,8 @@ from numba import types
 from numba.core import cgutils, codegen, compiler, compiler_machinery, typed_passes
 from numba.extending import intrinsic
 from numba.np import arrayobj
+
+from fixel.kernels.code_cache import CodeCache, print_once
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -90,6 +88,11 @@ class _TakeIntermediate(_machinery.FunctionPass):  # type: ignore[misc]
         return True
 
 
+COMPILING = "Compiling numerical code (only once for this version); this can take a minute."
+PATIENCE_S = 1.0  # time that this process compiles before it prints a line
+_seconds = 0.0  # time that this process has compiled
+_began: float | None = None  # start of the entry that is compiled now
+
 # Numba creates millions of objects that remain until the entry is compiled. Python's collector
 # would visit them repeatedly, in a tenth of the time.
 _RARELY = (100_000, 50, 1000)  # thresholds of the collector during a compilation
@@ -122,12 +125,23 @@ class EntryCompiler(_compiler.CompilerBase):  # type: ignore[misc]
         self.state.flags = _Flags(self.state.flags)
 
     def compile_extra(self, function: Any) -> Any:
+        # Entries compile their helpers inside this call, which Numba's lock lets no other thread
+        # enter.
+        global _began, _seconds
+        outermost = _began is None
+        if _began is None:
+            _began = time.monotonic()
+        if _seconds + time.monotonic() - _began > PATIENCE_S:
+            print_once(COMPILING)
         thresholds = gc.get_threshold()
         gc.set_threshold(*_RARELY)
         try:
             return super().compile_extra(function)
         finally:
             gc.set_threshold(*thresholds)
+            if outermost:
+                _seconds += time.monotonic() - _began
+                _began = None
 
     def define_pipelines(self) -> list[Any]:
         return [_compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)]
@@ -155,28 +169,6 @@ _ENTRY = dict(_FLAGS)
 if numba.version_info.short in KNOWN_NUMBA:
     _INNER["pipeline_class"] = HelperCompiler
     _ENTRY["pipeline_class"] = EntryCompiler
-
-
-def source_digest() -> str:
-    """Compute the digest of all source files of this package, twelve hexadecimal digits."""
-    folder = os.path.dirname(os.path.abspath(__file__))
-    digest = hashlib.sha256(numba.__version__.encode())
-    for name in sorted(os.listdir(folder)):
-        if name.endswith(".py"):
-            with open(os.path.join(folder, name), "rb") as source:
-                digest.update(source.read())
-    return digest.hexdigest()[:12]
-
-
-def cache_folder() -> str:
-    """Path of the folder with the compiled kernels of exactly these sources."""
-    base = os.environ.get("FIXEL_CACHE_DIR") or os.path.join(
-        os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache"), "fixel"
-    )
-    return os.path.join(base, "kernels-" + source_digest())
-
-
-_CACHE_FOLDER = cache_folder()
 
 
 def _inner(function: Function, **flags: Any) -> Function:
@@ -225,13 +217,10 @@ def spliced_kernel(function: Function) -> Function:
 
 
 def _cached(function: Function, **flags: Any) -> Function:
-    # Numba reads its cache folder only while decorating, so it is set for that time only.
-    before = _config.CACHE_DIR
-    _config.CACHE_DIR = _CACHE_FOLDER
-    try:
-        return cast(Function, _njit(cache=True, **_ENTRY, **flags)(function))
-    finally:
-        _config.CACHE_DIR = before
+    compiled = _njit(**_ENTRY, **flags)(function)
+    if not _config.DISABLE_JIT and function.__closure__ is None:
+        compiled._cache = CodeCache(function)
+    return cast(Function, compiled)
 
 
 def entry(function: Function) -> Function:

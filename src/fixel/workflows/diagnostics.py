@@ -16,7 +16,7 @@ from typing import Any, final
 import numpy as np
 
 from fixel.errors import InvalidInput, os_reason
-from fixel.kernels.jit import cache_folder
+from fixel.kernels.code_cache import cache_folder
 from fixel.simulation import (
     GaussSeidel,
     Lemke,
@@ -28,7 +28,6 @@ from fixel.simulation import (
     simulate_batch,
 )
 from fixel.testing import scenes
-from fixel.typing import Notify
 from fixel.workflows.compilation import cache_size, engine_is_cold, get_ready
 
 PACKAGES = ("numpy", "numba", "scipy", "shapely", "matplotlib", "pyarrow", "av", "pillow")
@@ -77,18 +76,12 @@ class Diagnosis:
         return {"passed": self.passed, "max_residual": worst, **asdict(self)}
 
 
-def examine(notify: Notify | None = None) -> Diagnosis:
-    """Collect versions, cores and the cache of compiled kernels, and run the self-test.
-
-    Parameters
-    ----------
-    notify : callable, optional
-        Called with a sentence before long operations.
-    """
+def examine() -> Diagnosis:
+    """Collect versions, cores and the cache of compiled kernels, and run the self-test."""
     start = time.perf_counter()
     warm = not engine_is_cold()
-    get_ready(scenes.sliding_block(), notify)
-    get_ready(scenes.grasp(support_directions=8), notify, Lemke())
+    get_ready(scenes.sliding_block())
+    get_ready(scenes.grasp(support_directions=8), Lemke())
     checks = [_cache_check(), _film_check(), _bench_check(), *self_test()]
     cache = {"folder": cache_folder(), "bytes": cache_size(), "warm": warm}
     return Diagnosis(versions(), machine(), cache, checks, time.perf_counter() - start)
