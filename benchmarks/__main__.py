@@ -24,7 +24,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "compile": ("processes", "run_compile", "the first simulation ever"),
     "grasp": ("grasp", "run", "one grasp on one core"),
     "steps": ("step_cost", "run", "where the time of a grasp goes"),
-    "corners": ("step_cost", "run_corners", "a step of a disc of 64 corners over a square's"),
+    "corners": ("step_cost", "run_corners", "what many corners cost, over a square"),
     "points": ("step_cost", "run_points", "a grasp on 64 pressure points over a tripod's"),
     "batch": ("batch", "run_grasps", "grasps with random parameters on two cores"),
     "push": ("batch", "run_pushes", "free pushes with random parameters on two cores"),

@@ -169,7 +169,7 @@ def _effects(group: RepeatGroup) -> RunEffects:
                 values[name][row] *= math.exp(way * FRICTION)
             else:
                 values[name][row] = way * CENTRE * arm
-    error = StartError(x=1e-3, y=1e-3, theta=0.02)
+    error = StartError(x=1e-3, y=1e-3, theta=0.02, kind="uniform")
     ends, turned = _ends(group, drawn, values, error)
     change = np.nan_to_num(_off(ends[1::2], ends[0::2]) / (2.0 * FAR * size)).T
     runs = group.runs

@@ -60,7 +60,7 @@ def run(options: RunOptions) -> Reproduction:
         tables={"grasps": rows},
         conclusions=_conclusions(rows),
         settings={
-            "runs": runs, "rollouts": rollouts, "start": START.written(), "seed": SEED,
+            "runs": runs, "rollouts": rollouts, "start": str(START), "seed": SEED,
             "belief": {name: list(pair) for name, pair in BELIEF.items()}, "quick": options.quick,
         },
         figure=partial(grasps_figure, rows),

@@ -9,7 +9,7 @@ its start is known only within 10 mm and 15 degrees?
 import fixel
 from fixel.units import deg, mm
 
-start = fixel.StartError(x=10 * mm, y=10 * mm, theta=15 * deg)
+start = fixel.StartError(x=10 * mm, y=10 * mm, theta=15 * deg, kind="uniform")
 ends = fixel.predict("../scenes/grasp.yaml", start=start, samples=1000)
 seated = fixel.Seated("fixel-1", "fixel-2")
 print(ends.probability(seated))

@@ -9,7 +9,7 @@ far apart, a push cannot be repeated, and no calibration helps.
 import fixel
 from fixel.units import deg, mm
 
-start = fixel.StartError(x=10 * mm, y=10 * mm, theta=15 * deg)
+start = fixel.StartError(x=10 * mm, y=10 * mm, theta=15 * deg, kind="uniform")
 found = fixel.sensitivity("../scenes/grasp.yaml", start, samples=500, indices=True, base=512)
 found
 

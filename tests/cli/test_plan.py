@@ -17,7 +17,7 @@ goal:
 choose:
   free: {angle_deg: 0, length_mm: [25, 40]}
 belief:
-  start: {x_mm: 0.5, y_mm: 0.5, theta_deg: 0.5}
+  start: {x_mm: 0.5, y_mm: 0.5, theta_deg: 0.5, kind: normal}
 """
 
 
@@ -46,9 +46,21 @@ def test_a_goal_file_becomes_a_plan_file(capsys, folder):
     lines = text.splitlines()
     assert lines[0] == "Goal: the part within 5 mm and 6 deg of (31, 0) mm, 0 deg"
     assert "stated success probability" in text
+    assert "Start: 0.5 mm, 0.5 deg standard deviation." in lines
     assert "Warning: No calibration" in text
     assert lines[-1] == f"Next: fixel plan run {folder / 'goal.plan'}"
     assert (folder / "goal.plan").is_file()
+
+
+def test_a_part_that_meets_its_goal_is_left_alone(capsys, folder, tmp_path):
+    goal = folder / "there.yaml"
+    goal.write_text(GOAL.replace("[31, 0, 0]", "[0, 0, 0]"))
+    code, text, _ = fixel(capsys, "plan", goal, "--rollouts", 1000, "--plot", tmp_path)
+    assert code == 0
+    assert "No push, for the part already meets the goal: stated success" in text
+    assert "Next:" not in text
+    assert [file.name for file in sorted(tmp_path.iterdir())] == ["paths.pdf", "paths.png"]
+    assert fixel(capsys, "plan", "run", goal.with_suffix(".plan"))[0] == 2
 
 
 def test_a_plan_is_checked_run_and_written_for_other_robots(capsys, plan, tmp_path):
@@ -89,7 +101,7 @@ def test_a_plan_is_made_again_from_a_seen_pose(capsys, plan, tmp_path):
         (("plan", "run", "made.plan", "--driver", "simulated"), "one stroke along the axis"),
         (("plan", "run", "made.plan", "--driver", "robot"), "--driver"),
         (("plan", "bad.yaml"), "goal.pose.symmetry"),
-        (("plan", "far.yaml", "--rollouts", "1000"), "misses it by"),
+        (("plan", "far.yaml", "--rollouts", "1000"), "at 40 mm, 0 mm, 0 deg: it misses by"),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line(capsys, plan, folder, words, message):

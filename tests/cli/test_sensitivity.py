@@ -124,11 +124,20 @@ def test_presets_and_sizes(file):
         (("--set", "mu_pusher"), InvalidInput),
         (("--set", "mu=1"), InvalidInput),
         (("--vary", "mu_pusher=0.1"), InvalidInput),
-        (("--start-error-mm", "-1"), InvalidInput),
+        (("--start-error-mm", "-1", "--normal"), InvalidInput),
     ],
 )
 def test_refusals(file, words, kind):
     assert isinstance(call(file, *words).exception, kind)
+
+
+def test_a_size_needs_its_meaning(file):
+    problem = call(file, "--start-error-mm", "0.1").exception
+    assert "--uniform (they are half-widths) or --normal" in str(problem)
+    told = json.loads(
+        good(file, "--start-error-mm", "0.1", "--uniform", "--samples", "60", "--json")
+    )
+    assert (told["start_error"]["x_m"], told["start_error"]["kind"]) == (1e-4, "uniform")
 
 
 def test_what_is_not_there(folder):

@@ -41,7 +41,7 @@ def problem(scale=1.0, outline=OUTLINE, pose=(0.0, 0.0, 0.0), goal=(0.03, 0.0, 0
     goal = PoseRegion(np.asarray(goal) * (scale, scale, 1.0), position=0.006 * scale, angle=8 * deg)
     belief = Belief(
         parameters={"mu_pusher": (0.1, 0.4), "tripod_radius": (0.015 * scale, 0.035 * scale)},
-        start=StartError(x=0.001 * scale, y=0.001 * scale, theta=1 * deg),
+        start=StartError(x=0.001 * scale, y=0.001 * scale, theta=1 * deg, kind="uniform"),
     )
     return Scene(part, duration=1.0), goal, choose, belief
 

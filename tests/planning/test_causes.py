@@ -132,7 +132,7 @@ def test_plan_without_failures_and_constant_unknowns():
     assert found.effects[0].share == 0.0
     assert found.effects[0].region is None
     assert found.effects[0].success[0].n == N
-    assert found.sentences == ("Measuring load would not help to choose a plan.",)
+    assert found.sentences == (f"The plan fails in none of {N} scenarios.",)
 
 
 def test_explanation_is_saved_and_loaded(tmp_path):

@@ -6,13 +6,16 @@ import pytest
 import fixel
 from fixel import Belief, FreePushes, InvalidInput, PoseRegion, RigError, RigPushes, StartError
 from fixel.model import Seated
+from fixel.planning.belief import check_centres
+from fixel.planning.pushes import PlanPush
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.units import deg, mm
+from fixel.workflows.planning.execute import run_on_testbed
 
 GOAL = PoseRegion((0.03, 0.01, 0.1), position=3 * mm, angle=3 * deg)
 BELIEF = Belief(
     parameters={"mu_pusher": (0.2, 0.4)},
-    start=StartError(x=0.5 * mm, y=0.5 * mm, theta=0.5 * deg),
+    start=StartError(x=0.5 * mm, y=0.5 * mm, theta=0.5 * deg, kind="uniform"),
     rig=RigError(path=0.2 * mm, heading=0.2 * deg),
 )
 
@@ -54,6 +57,28 @@ def test_without_anything_unknown_success_is_certain():
     assert plan.failures == {}
 
 
+def test_a_plan_states_its_start_error(found):
+    assert "start: +-0.5 mm, +-0.5 deg uniform" in repr(found)
+
+
+@pytest.mark.parametrize(
+    ("centre", "inside"),
+    [
+        ({"friction_centre_x": (-2.0, 2.0)}, False),  # two metres
+        ({"friction_centre_x": 0.05, "friction_centre_y": 0.05}, True),
+        ({"friction_centre_x": 0.051, "friction_centre_y": 0.0}, False),
+        ({"friction_centre_y": (-0.001, 0.06)}, False),
+    ],
+)
+def test_a_centre_of_friction_is_on_the_part(centre, inside):
+    """The square has sides of 100 mm, and its centre of mass is in the middle."""
+    belief = Belief(parameters=centre)
+    if inside:
+        return check_centres(belief, pushed_square())
+    with pytest.raises(InvalidInput, match=r"centre of friction outside.*\[-50, 50\] mm"):
+        fixel.plan(pushed_square(), GOAL, belief=belief, rollouts=4_000, progress=False)
+
+
 def test_continues_from_its_store(found, tmp_path):
     class Stop(Exception):
         pass
@@ -84,8 +109,55 @@ def test_capture_is_certain_where_nothing_is_off(found):
 
 def test_an_unreachable_goal_is_refused_with_the_nearest_end():
     far = PoseRegion((3.0, 0.0, 0.0), position=1 * mm)
-    with pytest.raises(InvalidInput, match="the nearest candidate misses it by"):
+    with pytest.raises(InvalidInput, match=r"the nearest candidate ends at 1\d\d\.?\d* mm, .* deg"):
         fixel.plan(pushed_square(), far, rollouts=1_000, progress=False)
+
+
+def test_the_tolerance_that_an_error_advises_is_enough():
+    """One push of a finger on a part turns it: 30 mm aside without a rotation are out of reach."""
+    pose, choose = (0.02, 0.03, 0.0), FreePushes(length=(5 * mm, 60 * mm))
+    tight = PoseRegion(pose, position=4 * mm, angle=4 * deg)
+    with pytest.raises(InvalidInput, match=r"tolerances .* as wide") as refusal:
+        fixel.plan(pushed_square(), tight, choose, rollouts=4_000, progress=False)
+    factor = float(str(refusal.value).split("tolerances ")[-1].split(" times")[0])
+    assert factor > 1.0
+    wide = PoseRegion(pose, position=factor * 4 * mm, angle=factor * 4 * deg)
+    plan = fixel.plan(pushed_square(), wide, choose, rollouts=4_000, progress=False)
+    assert plan.success.mean == 1.0
+
+
+def test_a_part_that_meets_its_goal_is_left_alone(tmp_path):
+    """Starts within 4 mm along x meet a tolerance of 3 mm in three quarters of the runs."""
+    goal = PoseRegion((0, 0, 0), position=3 * mm)
+    belief = Belief(start=StartError(x=4 * mm, kind="uniform"))
+    plan = fixel.plan(pushed_square(), goal, belief=belief, rollouts=4_000, progress=False)
+    assert plan.pushes == ()
+    assert plan.success.mean == pytest.approx(0.75, abs=0.01)
+    assert repr(plan).startswith("Plan of no push, for the part already meets the goal: stated")
+    assert fixel.load(plan.save(tmp_path / "alone.plan")) == plan
+    assert len(plan.waypoints().rows) == 0
+    assert plan.plot() is not None
+    with pytest.raises(InvalidInput, match="no pushes"):
+        run_on_testbed(tmp_path / "alone.plan", trials=2)
+
+
+@pytest.mark.parametrize("rollouts", [float("nan"), "many", True, None, 999, 4_000.5])
+def test_numbers_of_rollouts_that_are_none(rollouts):
+    with pytest.raises(InvalidInput, match=r"^rollouts: .*a whole number of 1000 or more"):
+        fixel.plan(pushed_square(), GOAL, rollouts=rollouts, progress=False)
+
+
+@pytest.mark.parametrize(
+    ("make", "where"),
+    [
+        (lambda: FreePushes(length=(-5 * mm, 60 * mm)), "choose.length"),
+        (lambda: RigPushes(stroke=(-10 * mm, 60 * mm)), "choose.stroke"),
+        (lambda: PlanPush(0.5, 0.0, -0.01), "push.length"),
+    ],
+)
+def test_pushes_have_no_negative_length(make, where):
+    with pytest.raises(InvalidInput, match=where):
+        make()
 
 
 def test_a_placement_on_the_rig_seats_the_part():

@@ -16,7 +16,7 @@ from fixel.units import deg, mm
 FENCE = Polygon.rectangle(4 * mm, 1.0)
 BELIEF = Belief(
     parameters={"tripod_radius": (10 * mm, 20 * mm), "mu_pusher": (0.0, 0.2)},
-    start=StartError(theta=pi),
+    start=StartError(theta=pi, kind="uniform"),
 )
 TRI1 = Polygon([(0.045, 0.045), (-0.0809, 0.045), (0.045, -0.08087)])
 
@@ -66,7 +66,8 @@ def test_K7_the_shortest_push_that_always_succeeds_is_within_the_bound():
     square = Polygon.rectangle(side, side)
     part = Body("part", square, mass=0.5, support=Tripod(radius=15 * mm, friction=0.3))
     belief = Belief(
-        parameters={"tripod_radius": (10 * mm, 60 * mm)}, start=StartError(theta=10 * deg)
+        parameters={"tripod_radius": (10 * mm, 60 * mm)},
+        start=StartError(theta=10 * deg, kind="uniform"),
     )
     choose = FreePushes(tool=FENCE, clearance=10 * mm, friction=0.0)
     scene = choose.prepared(Scene(part, duration=1.0))

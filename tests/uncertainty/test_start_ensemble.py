@@ -14,7 +14,7 @@ from fixel.uncertainty.outcomes import group_outcomes, sensitivity_of
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import ASME, StartError
 
-SMALL = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5))
+SMALL = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5), kind="uniform")
 
 
 def test_a_rollout_of_a_fan_is_the_simulation_from_there():
@@ -49,7 +49,7 @@ def test_no_room_is_no_outcome_with_a_reason():
     scene = fork()
     far = np.array([[0.0, 0.0, 0.0], [0.034, 0.0, 0.0]])
     ensemble = simulate_starts(
-        scene, StartError(x=1e-4, y=1e-4, theta=0.0), drawn=far, motion=QuasiStatic()
+        scene, StartError(x=1e-4, y=1e-4, kind="uniform"), drawn=far, motion=QuasiStatic()
     )
     assert ensemble.ended.tolist() == [True, False]
     assert "fixel-1" in ensemble.reasons[1] or "no free space" in ensemble.reasons[1]

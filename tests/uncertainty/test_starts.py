@@ -10,7 +10,7 @@ from fixel.uncertainty.starts import ASME, StartError, even_points, preset
 
 
 def test_a_box_is_filled_evenly():
-    error = StartError(x=1e-3, y=2e-3, theta=0.01)
+    error = StartError(x=1e-3, y=2e-3, theta=0.01, kind="uniform")
     found = error.samples(1024, seed=1)
     assert (np.abs(found) <= error.size).all()
     np.testing.assert_allclose(found.mean(axis=0) / error.size, 0.0, atol=2e-3)
@@ -34,15 +34,28 @@ def test_same_seed_same_bits_and_more_samples_begin_alike():
 def test_the_papers_error():
     assert preset("asme") is ASME
     np.testing.assert_allclose(ASME.size, [5e-6, 5e-6, math.radians(0.5)])
-    assert ASME.written() == "within +-5 um and +-0.5 deg"
+    assert str(ASME) == "start: +-5 um, +-0.5 deg uniform"
+
+
+def test_the_kind_is_required_and_printed():
+    """The same sizes have other deviations, by the square root of three; the text names which."""
+    with pytest.raises(InvalidInput, match=r"kind: found none.*half-widths.*standard deviations"):
+        StartError(x=1e-3, y=1e-3)
+    box, normal = (StartError(x=1e-3, y=1e-3, kind=kind) for kind in ("uniform", "normal"))
+    assert (str(box), str(normal)) == ("start: +-1 mm uniform", "start: 1 mm standard deviation")
+    spread = [own.samples(4096)[:, 0].std() for own in (box, normal)]
+    np.testing.assert_allclose(spread, [1e-3 / math.sqrt(3.0), 1e-3], rtol=5e-3)
+    assert str(StartError(y=2e-3, theta=math.radians(1.5), kind="normal")) == (
+        "start: 2 mm (y), 1.5 deg standard deviation"
+    )
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"x": -1.0, "y": 0.0, "theta": 0.0},
-        {"x": 0.0, "y": 0.0, "theta": 0.0},
-        {"x": math.nan, "y": 0.0, "theta": 0.0},
+        {"x": -1.0, "kind": "normal"},
+        {"x": 0.0, "y": 0.0, "theta": 0.0, "kind": "normal"},
+        {"x": math.nan, "kind": "normal"},
         {"x": 1.0, "y": 0.0, "theta": 0.0, "kind": "round"},
     ],
 )
@@ -59,6 +72,6 @@ def test_no_such_preset_or_number():
 
 
 def test_sizes_that_are_not_given_are_zero():
-    np.testing.assert_array_equal(StartError(x=2e-3).size, [2e-3, 0.0, 0.0])
+    np.testing.assert_array_equal(StartError(x=2e-3, kind="uniform").size, [2e-3, 0.0, 0.0])
     with pytest.raises(InvalidInput, match="x, y and theta above zero"):
-        StartError()
+        StartError(kind="uniform")

@@ -105,9 +105,10 @@ def next_(
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Propose which pushes of a part to make next, learning from the other parts of the project.
+    """Propose which pushes of a part to make next.
 
-    Each is the push that reduces the expected error of all candidates most.
+    Each is the push that reduces the expected error of all candidates most. Other parts of the
+    project contribute what parts have in common.
     """
     from fixel.database.project import Project
     from fixel.workflows.next_pushes import plan, report, run

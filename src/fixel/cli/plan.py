@@ -31,6 +31,7 @@ from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
+    from fixel.drawing.chart import AbstractChart
     from fixel.planning.trials import Trials
     from fixel.typing import FloatArray
     from fixel.workflows.acquisition.record import RecordPlan
@@ -53,7 +54,7 @@ class GoalFirst(TyperGroup):
 
 app = typer.Typer(
     cls=GoalFirst,
-    help="Plan pushes that reach a goal despite what is unknown, and check and carry out plans.",
+    help="Plan pushes that reach a goal, and check and run plans.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -119,7 +120,7 @@ def find(
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Plan pushes that reach the goal of a goal file, with a stated success probability.
+    """Plan pushes that reach a goal, with a success probability.
 
     `fixel plan GOAL` is short for `fixel plan find GOAL`.
     """
@@ -163,7 +164,10 @@ def check(
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compute the success probability of a plan under the present calibration; count its trials."""
+    """Compute the success probability of a plan; count its trials.
+
+    The probability is that under the present calibration.
+    """
     from fixel.io.atomic import written_whole
     from fixel.workflows.planning.check import check_plan
     from fixel.workflows.planning.report import waypoints_text
@@ -198,7 +202,7 @@ def held(
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Compare stated with held success in choices among experiments that are left out."""
+    """Compare stated with held success on left-out experiments."""
     from fixel.units import deg, mm
     from fixel.workflows.planning.held_out import held_success_of
 
@@ -226,7 +230,7 @@ def next_(
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
-    """Plan again from a seen pose of the part, with the pushes that are left."""
+    """Plan again from a seen pose, with the pushes that are left."""
     from fixel.workflows.planning.check import next_plan, seen_pose
     from fixel.workflows.planning.stored import ENDING, save_plan
 
@@ -316,7 +320,10 @@ def run(
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
-    """Carry out a plan and add the trial; Ctrl-C, an alarm or another start stops the drive."""
+    """Carry out a plan and add the trial.
+
+    Ctrl-C, an alarm or another start stops the drive.
+    """
     from fixel.workflows.planning.check import present_belief
     from fixel.workflows.planning.execute import run_on_testbed
     from fixel.workflows.planning.stored import load_plan
@@ -352,11 +359,11 @@ def _pictures(found: "FoundPlan", folder: Path) -> list[Path]:
     from fixel.drawing.planning import CaptureChart, PathsChart
 
     folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    for name, chart in (
-        ("paths", PathsChart.of(found.plan)),
-        ("capture", CaptureChart.of(found.plan)),
-    ):
+    files: list[Path] = []
+    charts: dict[str, AbstractChart] = {"paths": PathsChart.of(found.plan)}
+    if found.plan.pushes:
+        charts["capture"] = CaptureChart.of(found.plan)
+    for name, chart in charts.items():
         files += [folder / f"{name}.{end}" for end in ("png", "pdf")]
         draw_chart(chart, *files[-2:])
     return files
@@ -404,5 +411,5 @@ def _lines(
             *(f"Warning: {text}." for text in found.warnings if text not in plan.unseen),
         ],
         [*wrote(files), f"{stored}in {seconds(duration)}"],
-        [f"Next: {command_of('plan', 'run', target, project=folder)}"],
+        [f"Next: {command_of('plan', 'run', target, project=folder)}"] if plan.pushes else [],
     )

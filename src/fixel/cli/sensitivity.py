@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from fixel.cli.options import (
     AnySeed,
@@ -18,7 +18,6 @@ from fixel.cli.options import (
 from fixel.cli.screen import (
     command_line,
     command_of,
-    notice,
     print_answer,
     seconds,
 )
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
     from fixel.uncertainty.starts import StartError
     from fixel.workflows.sensitivity.request import SensitivityRequest
     from fixel.workflows.sensitivity.run import SensitivityAnswer
+
+KINDS_OF_SIZES: Final = "--uniform (they are half-widths) or --normal (standard deviations)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +46,10 @@ class SensitivityOptions:
         None, "Value of a parameter; may be repeated.", "--set", metavar="NAME=VALUE"
     )
     start_error_mm: float | None = option(
-        None, "Half-width of the start error along x and y.  [default: 0.3]"
+        None, "Size of the start error along x and y, with --uniform or --normal.  [default: 0.3]"
     )
     start_error_deg: float | None = option(
-        None, "Half-width of the start error of the angle.  [default: 0.5]"
+        None, "Size of the start error of the angle, with --uniform or --normal.  [default: 0.5]"
     )
     preset: str | None = option(
         None,
@@ -56,8 +57,12 @@ class SensitivityOptions:
         "at RPI).",
         show_default=False,
     )
-    normal: bool = option(
-        False, "Use the start errors as standard deviations, not as half-widths.", "--normal"
+    uniform: bool | None = option(
+        None,
+        "Sizes are half-widths (uniform) or standard deviations (normal). A size needs one of "
+        "them; without any size the default is uniform.",
+        "--uniform/--normal",
+        show_default=False,
     )
     samples: int = option(1000, "Number of perturbed starts of each push.", min=50)
     indices: bool = option(
@@ -97,14 +102,16 @@ class SensitivityOptions:
 
         mm, deg = self.start_error_mm, self.start_error_deg
         if self.preset is not None:
-            if mm is not None or deg is not None or self.normal:
+            if mm is not None or deg is not None or self.uniform is not None:
                 raise InvalidInput(
                     "--preset", found="a preset and a start error", expected="one of them"
                 )
             return preset(self.preset)
+        if self.uniform is None and (mm is not None or deg is not None):
+            raise InvalidInput("the start error", found="sizes alone", expected=KINDS_OF_SIZES)
         place = 1e-3 * (0.3 if mm is None else mm)
         angle = math.radians(0.5 if deg is None else deg)
-        kind: Literal["normal", "uniform"] = "normal" if self.normal else "uniform"
+        kind: Literal["normal", "uniform"] = "normal" if self.uniform is False else "uniform"
         return StartError(x=place, y=place, theta=angle, kind=kind)
 
 
@@ -125,7 +132,7 @@ def sensitivity(
     ),
     as_json: AsJson = False,
 ) -> None:
-    """Report how start errors grow and which pushes have several outcomes, before execution."""
+    """Report how start errors grow, and pushes with several ends."""
     from fixel.database.project import Project
     from fixel.workflows.compilation import get_ready
     from fixel.workflows.figures import write_picture
@@ -138,7 +145,7 @@ def sensitivity(
         request,
         lambda: Project(project),
         command=command_line(),
-        ready=lambda scene: get_ready(scene, notice(as_json)),
+        ready=get_ready,
     )
     files = []
     if plot is not None and answer.kept is not None:

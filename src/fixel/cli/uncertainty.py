@@ -38,7 +38,7 @@ class UncertaintyOptions:
     calibration: int | None = option(
         None,
         "Stored calibration whose parameters, motion model and experiments are used.",
-        metavar="NUMBER",
+        metavar="ID",
         show_default=False,
     )
     fit: list[str] | None = option(
@@ -93,7 +93,7 @@ def uncertainty(
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compute the posterior of parameters and predict the end pose of a repeated push.
+    """Compute a posterior and predict the end of a repeated push.
 
     Priors are uniform within the bounds of the parameters.
     """

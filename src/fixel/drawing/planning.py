@@ -12,6 +12,7 @@ from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, AbstractChart, clean, legend_below, plot_axes, sheet, tint
 from fixel.drawing.top_view import add_arrow, closed_line
 from fixel.drawing.view import unit_for
+from fixel.errors import InvalidInput
 from fixel.model import Body, placed
 from fixel.model.goals import Beyond, Exit, Inside, PoseRegion, Seated, centroids
 from fixel.planning.plan import PushPlan
@@ -57,7 +58,7 @@ class PathsChart(AbstractChart):
         total = len(plan.runs.margin)
         rows = np.linspace(0, total - 1, min(n, total)).astype(np.int64)
         runs = plan.simulate(n)
-        start = plan.start[0] + plan.runs.scenarios.start[rows]
+        start = plan.first_pose + plan.runs.scenarios.start[rows]
         track = np.concatenate((start[:, None], runs.pose), axis=1)
         return cls(
             title=title or f"Plan with a stated success probability of {plan.success.stated:.3f}",
@@ -190,6 +191,8 @@ class CaptureChart(AbstractChart):
     @classmethod
     def of(cls, plan: PushPlan, title: str = "") -> CaptureChart:
         """Simulate the rest of the plan from a grid of poses before each push."""
+        if not plan.pushes:
+            raise InvalidInput("plan", found="no pushes", expected="a plan with pushes")
         chart = PathsChart.of(plan)
         samples = (chart.track.shape[1] - 1) // len(plan.pushes)
         regions = []

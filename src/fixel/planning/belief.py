@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
+import shapely
 
 from fixel.calibration.known_pushes import push_target
 from fixel.errors import InvalidInput
@@ -26,6 +28,8 @@ from fixel.uncertainty.starts import StartError, even_points
 
 # Numbers of the streams of random values, so that no setting changes the values of another.
 _PARAMETERS, _START, _RIG, _RUN, _REST = range(5)
+
+CENTRES: Final = ("friction_centre_x", "friction_centre_y")
 
 Interval = tuple[float, float]
 
@@ -129,7 +133,8 @@ class Belief:
     Examples
     --------
     >>> from fixel.units import mm
-    >>> belief = Belief(parameters={"mu_pusher": (0.2, 0.4)}, start=StartError(x=mm, y=mm))
+    >>> start = StartError(x=mm, y=mm, kind="uniform")
+    >>> belief = Belief(parameters={"mu_pusher": (0.2, 0.4)}, start=start)
     >>> from fixel.testing.scenes import pushed_square
     >>> scenarios = belief.scenarios(pushed_square(), worlds=4, runs=2)
     >>> scenarios.n
@@ -177,6 +182,11 @@ class Belief:
     def has_known_pushes(self) -> bool:
         """Whether it is known which pushes the parameters were calibrated to."""
         return getattr(self.parameters, "known", None) is not None
+
+    @property
+    def start_text(self) -> str:
+        """Error of the start as text."""
+        return "start: no stated error" if self.start is None else str(self.start)
 
     def nominal(self, scene: Scene) -> dict[str, float]:
         """Return the likeliest parameters."""
@@ -310,6 +320,34 @@ def ends(value: Any, name: str) -> Interval:
             expected="a number, or (low, high) with low <= high",
         )
     return low, high
+
+
+def check_centres(belief: Belief, scene: Scene) -> None:
+    """Raise `InvalidInput` for a given centre of friction that is outside the part."""
+    given: Any = belief.parameters
+    if given is None or belief.is_calibrated:
+        return
+    shape = scene.bodies[0].shape
+    hull = shapely.MultiPoint(shape.outline).convex_hull.buffer(1e-9)
+    for own in given if isinstance(given, Sequence) else [given]:
+        spans = {name: ends(own.get(name, 0.0), name) for name in CENTRES}
+        corners = shape.centroid + np.array(list(product(*spans.values())))
+        if hull.covers(shapely.MultiPoint(corners)):
+            continue
+        text = " and ".join(
+            f"{name} in {_millimetres(*span)}" for name, span in spans.items() if name in own
+        )
+        x, y = shape.outline.T - shape.centroid[:, None]
+        raise InvalidInput(
+            "belief.parameters",
+            found=f"{text}, a centre of friction outside the part",
+            expected=f"one on the part: x in {_millimetres(x.min(), x.max())} and y in"
+            f" {_millimetres(y.min(), y.max())} from its centre of mass",
+        )
+
+
+def _millimetres(low: float, high: float) -> str:
+    return f"[{1e3 * low:.4g}, {1e3 * high:.4g}] mm"
 
 
 def _check_sets(sets: Sequence[Any]) -> None:

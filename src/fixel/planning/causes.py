@@ -241,8 +241,10 @@ class Explanation(Result):
     @property
     def sentences(self) -> tuple[str, ...]:
         """Sentences on where the plan fails, and what would help, the most important first."""
+        if self.success == 1.0:
+            return (f"The plan fails in none of {self.n} scenarios.",)
         found = [_where(own) for own in self.effects[:3] if own.region is not None]
-        if not found and self.success < 1.0:
+        if not found:
             found.append("No single unknown explains the failures.")
         return tuple([*found, *self._measurements(), *self._tolerances()])
 
@@ -261,8 +263,6 @@ class Explanation(Result):
         return found
 
     def _tolerances(self) -> list[str]:
-        if self.success == 1.0:
-            return []
         enough = min(0.02, 0.5 * (1.0 - self.success))
         for wide, success in self.tolerance.items():
             if wide > 1.0 and success >= self.success + enough:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,7 +14,7 @@ from fixel.model import Scene
 from fixel.model.fields import instance
 from fixel.model.goal_checks import check_goal
 from fixel.model.goals import Goal
-from fixel.planning.belief import UNKNOWN_UNITS, Belief, Scenarios
+from fixel.planning.belief import UNKNOWN_UNITS, Belief, Scenarios, check_centres
 from fixel.planning.causes import Explanation
 from fixel.planning.pushes import (
     FreePushes,
@@ -26,7 +25,7 @@ from fixel.planning.pushes import (
     scene_of_push,
 )
 from fixel.planning.rollout import FAILURES, PlannedMotions, PlanSimulator, Runs
-from fixel.planning.search import Answers, PlanSearch, Rounds, conduct
+from fixel.planning.search import Answers, PlanSearch, Rounds, conduct, pose_text
 from fixel.planning.success import SuccessProbability
 from fixel.progress import Progress
 from fixel.results import Result, Summary
@@ -66,7 +65,7 @@ class PushPlan(Result):
     belief : Belief
         What is unknown.
     pushes : tuple of PlanPush or RigPush
-        Pushes in sequence.
+        Pushes in sequence; none where a part that already meets the goal is best left alone.
     start : (k, 3) float64
         Planned pose of the part before each push [m, m, rad].
     path : (k, n, 4) float64
@@ -128,6 +127,19 @@ class PushPlan(Result):
     stepper: AbstractStepper | None
     rollouts: int
     seed: int
+
+    @property
+    def first_pose(self) -> FloatArray:
+        """Planned pose (3,) of the part before any push [m, m, rad]."""
+        return self.start[0] if self.pushes else self.end
+
+    @property
+    def count(self) -> str:
+        """Number of pushes as text."""
+        n = len(self.pushes)
+        if n == 0:
+            return "no push, for the part already meets the goal"
+        return f"{n} push{'es' * (n > 1)}"
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
@@ -219,7 +231,7 @@ class PushPlan(Result):
         >>> from fixel.testing.scenes import pushed_square
         >>> from fixel.units import deg, mm
         >>> goal = fixel.PoseRegion((0.02, 0.0, 0.0), position=5 * mm, angle=5 * deg)
-        >>> belief = Belief(start=fixel.StartError(x=0.0, y=8 * mm, theta=0.0))
+        >>> belief = Belief(start=fixel.StartError(y=8 * mm, kind="uniform"))
         >>> plan = fixel.plan(pushed_square(), goal, belief=belief, rollouts=4_000, progress=False)
         >>> plan.explain().effects[0].name
         'start y'
@@ -266,20 +278,19 @@ class PushPlan(Result):
             "success",
             *(Column(c, format=".3f") for c in ("stated", "mean")),
         )
-        notes = [f"fails: {100.0 * share:.1f} % {why}" for why, share in self.failures.items()]
+        notes = [
+            self.belief.start_text,
+            *(f"fails: {100.0 * share:.1f} % {why}" for why, share in self.failures.items()),
+        ]
         if self.success.calibrate_first:
             notes.append("calibrate first: success depends on parameters that are not known")
         if self.belief.misfit:
             notes.insert(0, f"calibration: {self.belief.misfit}")
         if not self.belief.is_calibrated:
             notes.append("not compared with experiments: parameters are given or nominal")
-        x, y, theta = self.end
-        notes.append(
-            f"planned end {1e3 * x:.4g} mm, {1e3 * y:.4g} mm, {math.degrees(theta):.4g} deg"
-        )
+        notes.append(f"planned end {pose_text(self.end)}")
         return Summary(
-            f"Plan of {len(self.pushes)} push{'es' if len(self.pushes) > 1 else ''}:"
-            f" {self.success.sentence}",
+            f"Plan of {self.count}: {self.success.sentence}",
             [numbers, Table(columns, rows)],
             notes,
             {"rollouts": str(self.rollouts), "seed": str(self.seed), "motion": self.motion.name},
@@ -365,9 +376,13 @@ def search_of(
 ) -> PlanSearch:
     """Return the search for a plan, after checks; parameters as for `find_plan`."""
     instance(goal, Goal, "goal", "a goal, such as PoseRegion or Seated")
-    if isinstance(rollouts, bool) or rollouts < MIN_ROLLOUTS:
-        raise InvalidInput("rollouts", found=rollouts, expected=f"{MIN_ROLLOUTS} or more")
+    given: Any = rollouts
+    whole = isinstance(given, int | np.integer) and not isinstance(given, bool)
+    if not whole or given < MIN_ROLLOUTS:
+        expected = f"a whole number of {MIN_ROLLOUTS} or more"
+        raise InvalidInput("rollouts", found=rollouts, expected=expected)
     check_goal(goal, scene)
+    check_centres(belief, scene)
     prepared = choose.prepared(scene)
     return PlanSearch(
         simulator=simulator_of(prepared, goal, choose, belief, motion, stepper, threads),

@@ -47,6 +47,9 @@ class PlanPush:
     angle: float
     length: float
 
+    def __post_init__(self) -> None:
+        non_negative(self.length, "push.length", "m")
+
     def __str__(self) -> str:
         """Return the push as text."""
         return (
@@ -171,7 +174,7 @@ class FreePushes:
         _check_most(self.most)
         instance(self.tool, Shape | None, "choose.tool", "a Polygon or a Disk")
         if self.length is not None:
-            settle(self, length=_range(self.length, "choose.length"))
+            settle(self, length=_range(self.length, "choose.length", lowest=0.0))
         positive(self.speed, "choose.speed", "m/s")
         settle(
             self,
@@ -285,7 +288,7 @@ class RigPushes:
         for name in ("x", "y", "theta"):
             settle(self, **{name: _range(getattr(self, name), f"choose.{name}")})
         if self.stroke is not None:
-            settle(self, stroke=_range(self.stroke, "choose.stroke"))
+            settle(self, stroke=_range(self.stroke, "choose.stroke", lowest=0.0))
         settle(self, retract=non_negative(self.retract, "choose.retract", "m"))
 
     @property
@@ -472,8 +475,9 @@ def _check_most(most: int) -> None:
         raise InvalidInput("choose.most", found=most, expected=f"1 to {MAX_PUSHES} pushes")
 
 
-def _range(given: Sequence[float], where: str) -> Range:
+def _range(given: Sequence[float], where: str, lowest: float = -math.inf) -> Range:
     low, high = (float(x) for x in given)
-    if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-        raise InvalidInput(where, found=f"{low:g} to {high:g}", expected="lower and upper end")
+    if not (math.isfinite(low) and math.isfinite(high) and lowest <= low <= high):
+        expected = "lower and upper end" + (", from 0" if lowest == 0.0 else "")
+        raise InvalidInput(where, found=f"{low:g} to {high:g}", expected=expected)
     return low, high

@@ -105,9 +105,13 @@ class PlanSimulator:
 
     def margins(self, runs: Runs) -> FloatArray:
         """Return the margins (n,) of the goal; far below zero where a run failed."""
-        track = BodyTrack(runs.pose, runs.stalled, runs.force, runs.fixels)
-        margin = np.clip(self.goal.margin(self.scene, track), WORST_MARGIN, -WORST_MARGIN)
+        margin = np.clip(self.unlimited_margins(runs), WORST_MARGIN, -WORST_MARGIN)
         return np.where(runs.failure == CARRIED_OUT, margin, WORST_MARGIN)
+
+    def unlimited_margins(self, runs: Runs) -> FloatArray:
+        """Return the margins (n,) of the goal without limits, for runs that were carried out."""
+        track = BodyTrack(runs.pose, runs.stalled, runs.force, runs.fixels)
+        return np.asarray(self.goal.margin(self.scene, track))
 
     def planned(self, numbers: FloatArray, start: FloatArray | None = None) -> PlannedMotions:
         """Return the motions of plans (m, k, d), each push from the nominal end of the one before.
@@ -120,6 +124,8 @@ class PlanSimulator:
         """
         m, k, _ = numbers.shape
         pose = np.tile(self.scene.bodies[0].pose, (m, 1)) if start is None else np.array(start)
+        if k == 0:
+            return _at_rest(pose)
         begun, paths, poses = [], [], []
         fixels: FloatArray | None = None
         failure, force = np.zeros(m, np.int64), np.zeros(m)
@@ -151,6 +157,8 @@ class PlanSimulator:
         """
         part = self.scene.bodies[0].shape
         n, k = len(which), plans.start.shape[1] - first
+        if k == 0:
+            return _at_rest(plans.nominal.pose[which, -1] + scenarios.start).nominal
         fixels = _summed(plans.fixels, which, scenarios.fixels)
         actual = plans.start[which, first] + scenarios.start
         failure = np.zeros(n, np.int64)
@@ -231,6 +239,13 @@ class PlanSimulator:
         held = touching(self.scene, self.scene.bodies[0], end, fixels).any(axis=1, keepdims=True)
         error = rest_at(scenarios.rest, end[:, 2] - start[:, 2]) + scenarios.drift
         return np.asarray(np.where(held, 0.0, error))
+
+
+def _at_rest(pose: FloatArray) -> PlannedMotions:
+    """Return plans without a push of parts at poses (m, 3)."""
+    m = len(pose)
+    runs = Runs(pose[:, None], np.zeros(m, np.int64), np.zeros(m, bool), np.zeros(m), None)
+    return PlannedMotions(pose[:, None][:, :0], np.zeros((m, 0, 2, 4)), None, runs, runs.stalled)
 
 
 def registration(values: Mapping[str, FloatArray], n: int) -> FloatArray:

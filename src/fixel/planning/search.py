@@ -21,6 +21,7 @@ from fixel.planning.candidates import (
     sequences,
     spread_pushes,
 )
+from fixel.planning.pushes import FreePushes
 from fixel.planning.race import RaceResult, RaceRound, race_rounds
 from fixel.planning.refine import PlanRefinement, can_refine
 from fixel.planning.rollout import CARRIED_OUT, WORST_MARGIN, PlannedMotions, PlanSimulator
@@ -30,6 +31,7 @@ from fixel.typing import FloatArray, IntArray
 
 WORLDS: Final = 64  # parameter draws, each with as many runs in the statement of success
 RACE: Final = (8, 16, 32, 64, 128, 256, 512, 1024)  # scenarios of a plan, rounds of the race
+NEARLY: Final = 9.0  # tolerances off, up to which wider ones are advised by number
 NEAR: Final = 3.0  # tolerances by which the nominal end of a candidate may miss the goal
 ENTRANTS: Final = 1024  # candidates in the race
 REFINED: Final = 4  # plans from which the refinement starts
@@ -211,6 +213,7 @@ class PlanSearch:
         n = min(8192, max(256, 2 ** int(math.log2(max(2, 0.5 * SHARES[0] * self.rollouts)))))
         plans = [
             *self.first,
+            *self._no_push(),
             *plans_of_mechanics(simulator),
             *spread_pushes(simulator.scene, choice, n, self.seed),
         ]
@@ -229,10 +232,17 @@ class PlanSearch:
             margin = nominal_margins(simulator, plans)
             order = np.argsort(-margin, kind="stable")
         if margin[order[0]] < 0.0:
-            raise self._unreachable(float(margin[order[0]]))
+            raise self._unreachable(plans)
         self.done = simulator.rollouts
         near = order[margin[order] > -NEAR][:ENTRANTS]
         return [plans[k] for k in near]
+
+    def _no_push(self) -> Numbers:
+        """Return the plan without a push where the part already meets the goal."""
+        if not isinstance(self.simulator.choice, FreePushes):
+            return []  # the part is placed on a rig first
+        empty = np.zeros((0, len(self.simulator.choice.bounds(self.simulator.scene)[0])))
+        return [empty] if nominal_margins(self.simulator, [empty])[0] >= 0.0 else []
 
     def _race(self, plans: Numbers) -> Rounds[Numbers]:
         """Race plans under common scenarios; return those of the last round, the best first."""
@@ -257,6 +267,7 @@ class PlanSearch:
 
     def _refined(self, plans: Numbers) -> Rounds[Numbers]:
         """Improve plans by CMA-ES side by side, each within its share of the budget."""
+        plans = [plan for plan in plans if len(plan)]
         if not can_refine() or not plans:
             return []
         searches = [
@@ -332,16 +343,25 @@ class PlanSearch:
                 break
         return found
 
-    def _unreachable(self, margin: float) -> InvalidInput:
-        if margin == -np.inf:
-            found = "no push of the candidates can be carried out"
-        else:
-            found = f"the nearest candidate misses it by {-margin:.3g} tolerances"
+    def _unreachable(self, plans: Numbers) -> InvalidInput:
+        """Return the error for a goal that no candidate reaches, with the nearest end."""
+        wider, found = "wider tolerances", "no push of the candidates can be carried out"
+        least = -np.inf
+        for _, planned in grouped(self.simulator, plans):
+            own = planned.nominal
+            good = ~planned.collides & (own.failure == CARRIED_OUT)
+            margin = np.where(good, self.simulator.unlimited_margins(own), -np.inf)
+            k = int(np.argmax(margin))
+            if margin[k] > least:
+                least, end = float(margin[k]), pose_text(own.pose[k, -1])
+                found = f"the nearest candidate ends at {end}: it misses by {-least:.3g} tolerances"
+        if least > -NEARLY:
+            wider = f"tolerances {1.01 - least:.3g} times as wide, which that end meets"
         return InvalidInput(
             "goal",
             found=found,
             expected="a goal that the pushes can reach",
-            hint="allow more or longer pushes, another tool or wider tolerances",
+            hint=f"allow more or longer pushes, another tool or {wider}",
         )
 
     def _show(self, stage: str) -> None:
@@ -391,6 +411,12 @@ def grouped(
         own = np.flatnonzero(lengths == k)
         found.append((own, simulator.planned(np.array([plans[int(j)] for j in own]))))
     return found
+
+
+def pose_text(pose: FloatArray) -> str:
+    """Return a pose (3,) [m, m, rad] as text."""
+    x, y, theta = np.round((1e3 * pose[0], 1e3 * pose[1], np.degrees(pose[2])), 4) + 0.0
+    return f"{x:.6g} mm, {y:.6g} mm, {theta:.6g} deg"
 
 
 def nominal_margins(simulator: PlanSimulator, plans: Sequence[FloatArray]) -> FloatArray:

@@ -112,7 +112,7 @@ class Sensitivity(Result):
     >>> import fixel
     >>> from fixel.testing.scenes import pushed_square
     >>> from fixel.units import mm
-    >>> start = fixel.StartError(x=1 * mm, y=1 * mm, theta=0.0)
+    >>> start = fixel.StartError(x=1 * mm, y=1 * mm, kind="uniform")
     >>> found = fixel.sensitivity(pushed_square(0.5), start, samples=60, progress=False)
     >>> found.flag
     'insensitive'
@@ -190,7 +190,7 @@ class Sensitivity(Result):
             notes.append(f"{len(self.share)} separate outcomes: {shares}")
         if self.failed:
             notes.append(f"{sum(self.failed.values())} starts without an outcome are not included")
-        starts = "" if own.error is None else f" Starts {own.error.written()}."
+        starts = "" if own.error is None else f" S{str(own.error)[1:]}."
         return Summary(
             f"Sensitivity: {self.flag}: {MEANING[self.flag]}.{starts}",
             [spread] if self.indices is None else [spread, self.indices.table()],

@@ -68,7 +68,7 @@ class Prediction(Result):
     >>> import fixel
     >>> from fixel.testing.scenes import pushed_square
     >>> from fixel.units import mm
-    >>> start = fixel.StartError(x=1 * mm, y=1 * mm, theta=0.0)
+    >>> start = fixel.StartError(x=1 * mm, y=1 * mm, kind="uniform")
     >>> ends = fixel.predict(pushed_square(0.5), start=start, samples=40, progress=False)
     >>> ends.pose.shape[0]
     40
@@ -223,7 +223,7 @@ class Prediction(Result):
             (f"{name} [{unit}]", *(factor * x[k] for x in (self.nominal[-1], low, middle, high)))
             for k, (name, unit, factor) in enumerate(units)
         ]
-        starts = "" if self.error is None else f" from starts {self.error.written()}"
+        starts = "" if self.error is None else f", {self.error}"
         notes = (
             [] if not self.failed else [f"{self.failed} runs without an end pose are not included"]
         )

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, Literal, final
+from typing import Final, Literal, cast, final
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from fixel.typing import FloatArray
 
 Kind = Literal["uniform", "normal"]
 KINDS: Final = ("uniform", "normal")
+NO_KIND: Final = cast(Kind, "")  # refused, with both meanings in the error
+MEANINGS: Final = "'uniform' (sizes are half-widths) or 'normal' (sizes are standard deviations)"
 
 MAX_STARTS: Final = 1_000_000
 
@@ -33,23 +35,25 @@ class StartError:
         Size of the angle's error [rad]; 0 if not given.
     kind : str
         ``"uniform"``: sizes are half-widths of a box, as in the ASME paper; ``"normal"``: sizes are
-        standard deviations.
+        standard deviations. There is no default: the same sizes mean different errors.
 
     Examples
     --------
     >>> from fixel.units import deg, mm
-    >>> StartError(x=1 * mm, y=1 * mm, theta=2 * deg).kind
-    'uniform'
+    >>> print(StartError(x=1 * mm, y=1 * mm, theta=2 * deg, kind="uniform"))
+    start: +-1 mm, +-2 deg uniform
     """
 
     x: float = 0.0
     y: float = 0.0
     theta: float = 0.0
-    kind: Kind = "uniform"
+    kind: Kind = NO_KIND
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise unknown_name("start_error.kind", self.kind, KINDS)
+            hint = "the same sizes mean different errors, so there is no default"
+            found = str(self.kind) or "none"
+            raise InvalidInput("start_error.kind", found=found, expected=MEANINGS, hint=hint)
         settle(
             self,
             x=non_negative(self.x, "start_error.x", "m"),
@@ -91,13 +95,15 @@ class StartError:
         # A point on the border of the cube has an infinite normal quantile.
         return np.asarray(self.size * ndtri(np.clip(even, 1e-9, 1.0 - 1e-9)))
 
-    def written(self) -> str:
-        """Return the start error as text."""
-        what = "within" if self.kind == "uniform" else "with standard deviations of"
-        x, y = _length(self.x), _length(self.y)
-        sign = "+-" if self.kind == "uniform" else ""
-        place = x if self.x == self.y else f"{x} (x), {sign}{y} (y)"
-        return f"{what} {sign}{place} and {sign}{math.degrees(self.theta):.3g} deg"
+    def __str__(self) -> str:
+        x, y, theta = _length(self.x), _length(self.y), f"{math.degrees(self.theta):.3g} deg"
+        places = [x] * (self.x > 0.0)
+        if self.x != self.y:
+            places = [f"{x} (x)"] * (self.x > 0.0) + [f"{y} (y)"] * (self.y > 0.0)
+        sizes = [*places, *[theta] * (self.theta > 0.0)]
+        if self.kind == "normal":
+            return f"start: {', '.join(sizes)} standard deviation"
+        return f"start: {', '.join(f'+-{size}' for size in sizes)} uniform"
 
 
 def _length(metres: float) -> str:
@@ -106,7 +112,7 @@ def _length(metres: float) -> str:
 
 # Experimental errors of the ASME paper: +-1 pixel in x and y; 0.5 deg is read from its figure of
 # the same simulations.
-ASME: Final = StartError(x=5e-6, y=5e-6, theta=math.radians(0.5))
+ASME: Final = StartError(x=5e-6, y=5e-6, theta=math.radians(0.5), kind="uniform")
 # Static noise of the stickers' poses in RPI's trials.
 RPI_CAMERA: Final = StartError(x=5e-5, y=5e-5, theta=2e-3, kind="normal")
 

@@ -10,7 +10,7 @@ from fixel.planning.success import SuccessProbability
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.units import deg, mm
 
-START = fixel.StartError(x=1 * mm, y=1 * mm, theta=1 * deg)
+START = fixel.StartError(x=1 * mm, y=1 * mm, theta=1 * deg, kind="uniform")
 
 
 def plan_of(scene, goal, choose, numbers, belief=None) -> PushPlan:

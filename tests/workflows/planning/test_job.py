@@ -17,7 +17,7 @@ GOAL = {
     "fixel": 1,
     "scene": "scene.yaml",
     "goal": {"pose": {"pose_mm_deg": [20, 0, 0], "position_mm": 5, "angle_deg": 5}},
-    "belief": {"start": {"x_mm": 1, "y_mm": 1, "theta_deg": 1}},
+    "belief": {"start": {"x_mm": 1, "y_mm": 1, "theta_deg": 1, "kind": "normal"}},
 }
 
 

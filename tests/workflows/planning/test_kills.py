@@ -15,7 +15,8 @@ from fixel.testing.scenes import pushed_square
 from fixel.units import deg, mm
 goal = fixel.PoseRegion((0.03, 0.01, 0.1), position=3 * mm, angle=3 * deg)
 belief = fixel.Belief(
-    parameters={"mu_pusher": (0.2, 0.4)}, start=fixel.StartError(x=mm, y=mm, theta=deg)
+    parameters={"mu_pusher": (0.2, 0.4)},
+    start=fixel.StartError(x=mm, y=mm, theta=deg, kind="uniform"),
 )
 plan = fixel.plan(
     pushed_square(), goal, belief=belief, rollouts=8_000, store=sys.argv[1], progress=False

@@ -13,7 +13,7 @@ from fixel.uncertainty.starts import ASME, StartError
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.sensitivity.run import sensitivity
 
-SMALL = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5))
+SMALL = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5), kind="uniform")
 QUIET = {"progress": False, "threads": 1}
 
 

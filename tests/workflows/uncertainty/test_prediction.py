@@ -24,7 +24,7 @@ from fixel.workflows.uncertainty.prediction import predict
 
 QUIET = {"progress": False, "threads": 1}
 NOISE_OF_EXAMPLE = Noise(position_m=POSITION_NOISE, angle_rad=ANGLE_NOISE)
-LOOSE = StartError(x=4e-3, y=20e-3, theta=math.radians(8.0))
+LOOSE = StartError(x=4e-3, y=20e-3, theta=math.radians(8.0), kind="uniform")
 
 
 def test_a_scene_file_is_predicted_with_its_own_motion(tmp_path):
@@ -61,7 +61,7 @@ def test_a_prediction_tells_its_ends():
     inside = (found.ends >= low[-1]) & (found.ends <= high[-1])
     assert inside.mean() == pytest.approx(0.8, abs=0.07)
     text = repr(found)
-    assert text.startswith("Prediction: 40 runs from starts within")
+    assert text.startswith("Prediction: 40 runs, start: +-4 mm (x), +-20 mm (y), +-8 deg uniform (")
     assert len(text.splitlines()) <= 25
 
 

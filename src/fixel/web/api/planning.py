@@ -8,6 +8,7 @@ from fastapi import APIRouter
 from pydantic import Field
 
 from fixel.errors import NotStored
+from fixel.uncertainty.starts import Kind
 from fixel.web.context import Context
 from fixel.web.values import Answer, RequestBody, Text
 from fixel.web.views.job_list import PageJob, job_slot, page_job
@@ -39,8 +40,9 @@ class PlanForm(RequestBody):
     fixels: list[Key] = Field([], max_length=20, description="fixels to touch, instead of a pose")
     pushes: int = Field(1, ge=1, le=4, description="largest number of pushes")
     rig: bool = Field(False, description="placement and stroke on one axis, instead of pushes")
-    start_mm: float = Field(0.5, ge=0.0, le=1e3, description="standard deviation of the start")
-    start_deg: float = Field(0.5, ge=0.0, le=180.0, description="standard deviation of its angle")
+    start_mm: float = Field(0.5, ge=0.0, le=1e3, description="size of the error of x and y")
+    start_deg: float = Field(0.5, ge=0.0, le=180.0, description="size of the error of the angle")
+    start_kind: Kind = Field(description="half-widths (uniform) or standard deviations (normal)")
     rollouts: int = Field(40_000, ge=1000, le=10_000_000, description="simulated pushes")
     untrusted: bool = Field(False, description="allow pushes that resemble no experiment")
 

@@ -161,8 +161,8 @@ document.getElementById("goal-form")?.addEventListener("submit", async (event) =
     x_mm: number("x_mm"), y_mm: number("y_mm"), angle_deg: number("angle_deg"),
     position_mm: number("position_mm"), tolerance_deg: number("tolerance_deg"), symmetry: number("symmetry"),
     fixels: [...wanted], pushes: number("pushes"), rig: input("kind").value === "rig",
-    start_mm: number("start_mm"), start_deg: number("start_deg"), rollouts: number("rollouts"),
-    untrusted: input("untrusted").checked,
+    start_mm: number("start_mm"), start_deg: number("start_deg"), start_kind: input("start_kind").value,
+    rollouts: number("rollouts"), untrusted: input("untrusted").checked,
   }, {
     what: "search", every: EVERY, result: () => `${ROOT}/plan?experiment=${encodeURIComponent(input("experiment").value)}`,
   });

@@ -80,6 +80,7 @@ def as_question(wanted: Any) -> dict[str, Any]:
     choose: dict[str, Any] = {"free": {"most": wanted.pushes}}
     if wanted.rig:
         choose = {"rig": {"y_mm": [-30.0, 30.0], "theta_deg": [-45.0, 45.0]}}
-    sizes = {"x_mm": wanted.start_mm, "y_mm": wanted.start_mm, "theta_deg": wanted.start_deg}
-    belief = {"start": sizes} if wanted.start_mm or wanted.start_deg else {}
+    mm, deg, kind = wanted.start_mm, wanted.start_deg, wanted.start_kind
+    start = {"x_mm": mm, "y_mm": mm, "theta_deg": deg, "kind": kind}
+    belief = {"start": start} if mm or deg else {}
     return {"fixel": 1, "goal": goal, "choose": choose, "belief": belief}

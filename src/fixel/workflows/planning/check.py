@@ -60,7 +60,10 @@ class CheckedPlan:
     def sentences(self) -> list[str]:
         """Results of the check, in sentences."""
         plan = self.found.plan
-        lines = [f"Stated when it was made: {plan.success.sentence}."]
+        lines = [
+            f"Stated when it was made: {plan.success.sentence}.",
+            f"{plan.belief.start_text.capitalize()}.",
+        ]
         if self.changed:
             lines.append(f"The calibration has changed: now {self.calibration}.")
         lines.append(f"Under the present calibration: {self.now.sentence}.")

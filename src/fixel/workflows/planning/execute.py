@@ -57,6 +57,7 @@ def run_on_testbed(
     path = Path(path)
     file = load_plan(path)
     plan = file.found.plan
+    _check_pushes(plan)
     rng = np.random.default_rng([seed, 18])
     error = plan.belief.start
     drawn = np.zeros((trials, 3)) if error is None else error.samples(trials, seed)
@@ -216,7 +217,14 @@ def check_start(plan: PushPlan, seen: FloatArray) -> None:
         )
 
 
+def _check_pushes(plan: PushPlan) -> None:
+    if not plan.pushes:
+        hint = "the part already meets the goal, and is best left alone"
+        raise InvalidInput("plan", found="no pushes", expected="a push to carry out", hint=hint)
+
+
 def _straight(plan: PushPlan) -> RigPush:
+    _check_pushes(plan)
     push = plan.pushes[0]
     if not isinstance(push, RigPush) or len(plan.pushes) != 1:
         raise InvalidInput(

@@ -50,16 +50,18 @@ def store_plan(project: Project, found: FoundPlan, command: str, seconds: float)
             "Simulated motions of the part in samples of what is unknown; failures in colour.",
         ),
         Picture(
-            "capture", CaptureChart.of(plan), "",
-            "Success of the rest of the plan from poses before each push, with the poses in"
-            " samples of what is unknown before and after it.",
-        ),
-        Picture(
             "causes", causes, "",
             "Share of the failures that each unknown explains alone, and the success gained by"
             " measuring it before choosing among the best plans.",
         ),
     ]  # fmt: skip
+    if plan.pushes:
+        capture = Picture(
+            "capture", CaptureChart.of(plan), "",
+            "Success of the rest of the plan from poses before each push, with the poses in"
+            " samples of what is unknown before and after it.",
+        )  # fmt: skip
+        pictures.insert(1, capture)
     kept = store_analysis(project, analysis, pictures)
     save_plan(found, kept.folder / FILE)
     with written_whole(kept.folder / GOAL) as path:
@@ -70,12 +72,13 @@ def store_plan(project: Project, found: FoundPlan, command: str, seconds: float)
 def headline_of(found: FoundPlan) -> list[str]:
     """Return the main results of a plan in sentences."""
     plan = found.plan
-    lines = [f"{len(plan.pushes)} push{'es' * (len(plan.pushes) > 1)}, {plan.success.sentence}."]
+    lines = [f"{plan.count.capitalize()}: {plan.success.sentence}."]
     nominal = plan.nominal_success.stated
     lines.append(
         "The plan that is best without any error has a stated success probability of"
         f" {probability_text(nominal)}."
     )
+    lines.append(f"{plan.belief.start_text.capitalize()}.")
     if plan.failures:
         kinds = (f"{100.0 * share:.1f} % {why}" for why, share in plan.failures.items())
         lines.append(f"Failures: {', '.join(kinds)}.")
@@ -131,6 +134,7 @@ def numbers_of(found: FoundPlan) -> dict[str, Any]:
         },
         "nominal_success": {"stated": plan.nominal_success.stated},
         "failures": dict(plan.failures),
+        "start_error": plan.belief.start_text,
         "why": list(plan.explain().sentences),
         "unseen": list(plan.unseen),
         "start_m_rad": plan.start.tolist(),

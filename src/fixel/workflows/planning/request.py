@@ -14,7 +14,7 @@ from fixel.formats.scene_file import load_scene
 from fixel.io.document import read_document
 from fixel.model import Experiment, Scene
 from fixel.model.goal_checks import check_goal
-from fixel.planning.belief import Belief
+from fixel.planning.belief import Belief, check_centres
 from fixel.planning.plan import PushPlan
 from fixel.planning.pushes import FreePushes
 from fixel.progress import ProgressOption
@@ -60,7 +60,7 @@ class PlanRequest:
     @classmethod
     def of_file(cls, path: Path, **options: Any) -> PlanRequest:
         """Return the request for a goal file."""
-        raw = read_document(path)
+        raw = read_document(path, "goal file")
         goal_file_from_dict(raw, path.parent)  # reports its errors
         return cls(goal=raw, folder=str(path.parent), **options)
 
@@ -129,6 +129,7 @@ def inputs_of(project: Project | None, request: PlanRequest) -> PlanInputs:
             experiments = [store.experiment(store.find(request.experiment)), *experiments]
     scene = _scene(request.scene or file.scene, experiments)
     check_goal(file.goal, scene)
+    check_centres(belief, scene)
     return PlanInputs(file, scene, belief, number, tuple(warnings))
 
 

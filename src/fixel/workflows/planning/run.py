@@ -12,6 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from fixel.errors import Interrupted
+from fixel.io.array_bytes import array_of
 from fixel.io.journal import Journal
 from fixel.model import Scene
 from fixel.model.goals import Goal
@@ -22,6 +23,7 @@ from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel, motion_model
 from fixel.simulation.simulate import SceneWithMethod, scene_file
 from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.trust import permit
 from fixel.typing import FloatArray
 
 ROLLOUTS: Final = 160_000
@@ -94,11 +96,13 @@ def plan(
     >>> from fixel.testing.scenes import pushed_square
     >>> from fixel.units import deg, mm
     >>> goal = PoseRegion((0.02, 0.0, 0.0), position=3 * mm, angle=4 * deg)
-    >>> belief = Belief(parameters={"mu_pusher": (0.2, 0.4)}, start=StartError(x=mm, y=mm))
+    >>> start = StartError(x=mm, y=mm, kind="uniform")
+    >>> belief = Belief(parameters={"mu_pusher": (0.2, 0.4)}, start=start)
     >>> found = plan(pushed_square(), goal, belief=belief, rollouts=8_000, progress=False)
     >>> found.success.mean > 0.8
     True
     """
+    permit(motion)
     if isinstance(scene, Scene):
         own = scene
     else:
@@ -139,7 +143,8 @@ class _StoredAnswers(MutableMapping[str, FloatArray]):
         data = self._journal.get(name)
         if data is None:
             raise KeyError(name)
-        return np.load(io.BytesIO(data), allow_pickle=False)  # type: ignore[no-any-return]
+        answer: FloatArray = array_of(data)
+        return answer
 
     def __setitem__(self, name: str, array: FloatArray) -> None:
         stream = io.BytesIO()

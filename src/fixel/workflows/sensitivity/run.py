@@ -28,6 +28,7 @@ from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model, stated_name
 from fixel.simulation.simulate import SceneWithMethod
 from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.trust import permit
 from fixel.uncertainty.indices import indices_of
 from fixel.uncertainty.outcomes import FLAGS, Sensitivity, sensitivity_of
 from fixel.uncertainty.push import push_of
@@ -134,12 +135,13 @@ def sensitivity(
     --------
     >>> from fixel.testing.scenes import micro_push
     >>> from fixel.units import deg, um
-    >>> start = StartError(x=5*um, y=5*um, theta=0.5*deg)
+    >>> start = StartError(x=5*um, y=5*um, theta=0.5*deg, kind="uniform")
     >>> found = sensitivity(micro_push(1), start, samples=60)
     >>> found.flag
     'insensitive'
     """
     instance(start, StartError, "start", "a StartError")
+    permit(motion)
     push = push_of(scene, model, motion)
     ranges = dict(push.intervals if vary is None else vary)
     with show_progress(progress, "simulating starts") as report:

@@ -23,6 +23,7 @@ from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.simulate import SceneWithMethod
 from fixel.simulation.stepper import AbstractStepper
+from fixel.simulation.trust import permit
 from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import LABEL, ModelError, draw_walks, shares_of_way
 from fixel.uncertainty.posterior import Posterior
@@ -103,13 +104,14 @@ def predict(
     >>> from fixel.model import Seated
     >>> from fixel.testing.scenes import grasp
     >>> from fixel.units import deg, mm
-    >>> error = StartError(x=1*mm, y=1*mm, theta=2*deg)
+    >>> error = StartError(x=1*mm, y=1*mm, theta=2*deg, kind="uniform")
     >>> ends = predict(grasp("seated"), {"mu_support": 0.3}, start=error, samples=40)
     >>> ends.probability(Seated("fixel-1"))
     1.00 (0.91 to 1.00, n = 40)
     """
     if isinstance(samples, bool) or not 2 <= samples <= MAX_SAMPLES:
         raise InvalidInput("samples", found=samples, expected=f"2 to {MAX_SAMPLES} runs")
+    permit(motion)
     instance(start, StartError | None, "start", "a StartError")
     instance(run_to_run, RunToRun | None, "run_to_run", "a RunToRun")
     if run_to_run is not None and model_error:
@@ -217,7 +219,7 @@ def _parameters(
             "start",
             found="no start error, no posterior and no model error",
             expected="at least one uncertain input",
-            hint="simulate() computes the one end; or give start=StartError(x=, y=, theta=)",
+            hint="simulate() computes the one end; or give start=StartError(x=, y=, theta=, kind=)",
         )
     push = push_of(scene, model, motion)
     return _SampledPush(push, push.values, push.values, None)

@@ -25,6 +25,7 @@ from fixel.model.selection import ExperimentQuery
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel, motion_model
+from fixel.simulation.trust import permit
 from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import ModelError
 from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
@@ -208,6 +209,7 @@ def posterior(
     >>> bool(low < 0.25 < high)
     True
     """
+    permit(motion)
     own = [experiments] if isinstance(experiments, Experiment) else list(experiments)
     targets = targets_of(own)
     if isinstance(parameters, Calibration):
