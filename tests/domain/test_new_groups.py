@@ -53,6 +53,25 @@ def test_a_cautious_bound_holds_in_nearly_every_group(wrong):
     assert groups >= 7 / 8 - 0.07
 
 
+@pytest.mark.parametrize("n", [3, 6, 12])
+def test_bounds_widen_for_the_number_of_groups_that_taught_them(n):
+    """Over many sets of groups, each with a new group; the quantile of all pushes is too narrow."""
+    rng = np.random.default_rng(n)
+    within, naive, whole = [], [], []
+    for _ in range(300):
+        own = np.concatenate([group_errors(rng, 60, 0.7) for _ in range(n)])
+        found = ConformalBound.fit(IDLE[: len(own)], own, level=LEVEL, rule=TYPICAL,
+                                   units=np.repeat(np.arange(n), 60), model="constant")  # fmt: skip
+        new = group_errors(rng, 400, 0.7)
+        within.append(np.mean(new <= found.bounds(IDLE[:1])))
+        whole.append(np.mean(new <= found.with_rule(CAUTIOUS).bounds(IDLE[:1])) >= LEVEL - 0.02)
+        naive.append(np.mean(new <= np.quantile(own, LEVEL)))
+    assert np.mean(within) == pytest.approx(LEVEL, abs=0.03)
+    assert np.mean(whole) == pytest.approx(LEVEL, abs=0.05)
+    if n == 3:
+        assert np.mean(naive) < LEVEL - 0.03
+
+
 def test_a_guarantee_holds_from_nine_groups_on_and_is_refused_before():
     share, _ = coverage((30,) * 10, 0.7, GUARANTEED)
     assert share >= LEVEL - 0.02

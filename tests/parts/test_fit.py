@@ -8,7 +8,7 @@ from fixel.model import Body, Polygon, Scene, SupportPoints, UniformPressure
 from fixel.model.footprint import support_grid
 from fixel.parts.candidates import push_candidates
 from fixel.parts.fit import fit_part, simulated, slopes
-from fixel.parts.prior import NAMES, SupportPrior
+from fixel.parts.prior import NAMES, SupportPrior, bounds
 from fixel.parts.pushes import PartPushes, paced
 from fixel.simulation import QuasiStatic, simulate
 from fixel.simulation.rollouts import RolloutCase
@@ -48,6 +48,21 @@ def test_a_fit_predicts_pushes_that_it_has_not_seen_better_than_the_prior(pushes
     prior = SupportPrior.unpushed()
     found = fit_part(pushes, np.arange(0, len(pushes), 2), prior, np.full(8, 1e-3))
     assert mean_error(pushes, found) < 0.6 * mean_error(pushes, prior)
+
+
+def test_a_part_that_stands_on_its_middle_is_fitted_inside_the_bounds():
+    """Real plates do: one stood at a bound of -4, and beyond it without."""
+    points = support_grid(TRIANGLE).points
+    away = np.hypot(*(points - TRIANGLE.centroid).T)
+    middle = pushes_of(
+        SupportPoints(points=points, friction=0.3, loads=np.exp(-((away / 0.023) ** 2)))
+    )
+    noise = np.full(len(middle), 0.3e-3)
+    found = fit_part(middle, np.arange(len(middle)), SupportPrior.unpushed(), noise)
+    rim = NAMES.index("pressure_rim")
+    low, high = bounds()
+    assert found.mean[rim] < -4.1
+    assert low[rim] + 0.1 < found.mean[rim] < high[rim]
 
 
 def test_pushes_narrow_the_distribution_and_none_widens_it(pushes):

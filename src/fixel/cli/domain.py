@@ -48,7 +48,7 @@ class DomainOptions:
     calibration: int | None = option(
         None,
         "Stored calibration to start from.",
-        metavar="N",
+        metavar="ID",
         show_default="the newest for several",
     )
     engine: CalibrationEngine = None
@@ -147,7 +147,7 @@ def domain(
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Map the domain in which one parameter set predicts held-out experiments.
+    """Map where one parameter set predicts held-out experiments.
 
     Fits are stored, so other axes, thresholds and nominals need no new fits.
     """
@@ -268,7 +268,7 @@ def growth(
     plot: Path | None = option(None, "Folder for copies of the charts.", metavar="FOLDER"),
     as_json: AsJson = False,
 ) -> None:
-    """Grow the domain of applicability from stored calibrations, as the thesis did.
+    """Grow the domain from stored calibrations, as the thesis did.
 
     Step i adds the experiments x+i, y+i, y-i and theta+i to the nominal one; one set of parameters
     simulates them all, and the largest error counts.

@@ -54,10 +54,15 @@ COLOURS: Final = (TRUSTED, DOUBTFUL, NOT_TRUSTED, NO_DATA)
 
 # How scores of units that were left out as a whole bound the error in a new unit.
 GUARANTEED: Final = "guaranteed"  # a new unit is one more draw; it has a weight at infinity
-TYPICAL: Final = "typical"  # for an average new unit: all units together, each with equal weight
-CAUTIOUS: Final = "cautious"  # for nearly any: the group, or unit, with the largest quantile
+TYPICAL: Final = "typical"  # for the pushes of all new units, whose sizes of errors are drawn
+CAUTIOUS: Final = "cautious"  # for the pushes of a new unit with large errors
 RULES: Final = (GUARANTEED, TYPICAL, CAUTIOUS)
 MIN_UNITS: Final = 2
+MIN_DRAWS: Final = 2000  # of an error and the size of a new unit
+GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0  # its multiples fill the unit interval evenly
+MIN_SIZE: Final = 1e-3  # of the errors of a unit, over those of all
+MAX_LOG: Final = 30.0
+TINY: Final = 1e-300
 
 Labels = Sequence[Hashable]
 
@@ -98,6 +103,7 @@ class ConformalBound:
     _groups: tuple[Hashable, ...]
     _near: _Near
     _unit: IntArray | None = None  # (n,) number of the unit that was left out as a whole
+    _sizes: _Sizes | None = None  # of the errors of these units
     _pushed: PushedContacts | None = None
     _beyond: ConformalBound | None = None
     _part: ConformalBound | None = None
@@ -141,7 +147,8 @@ class ConformalBound:
             groups), and all units have the same weight, whatever their number of experiments.
         rule : str
             Rule for new units. `"guaranteed"` needs 9 units for 90 %. `"typical"` aims at the level
-            for an average new unit, `"cautious"` for nearly any; see `proved_level`.
+            over the pushes of all new units, `"cautious"` in as large a share of new units; both
+            are wider the fewer units, or groups of them, there are. See `proved_level`.
 
         Raises
         ------
@@ -163,7 +170,7 @@ class ConformalBound:
         whole = unit if len(known) == 1 else group
         fold = _folds(group, seed) if unit is None or whole is None else _whole_folds(whole, seed)
         name = model or default_model(len(off))
-        models, score = [], np.empty(len(off))
+        models, seen = [], np.empty(len(off))
         for k in range(FOLDS):
             own = fold == k
             use = np.concatenate((table[~own], more))
@@ -171,9 +178,14 @@ class ConformalBound:
             good = np.isfinite(value)
             models.append(fitted_model(name, use[good], value[good], seed + k))
             if own.any():
-                score[own] = powered(off[own]) - models[-1](table[own])
+                seen[own] = models[-1](table[own])
+        score = powered(off) - seen
         near = _Near.of(np.concatenate((table, more)))
-        made = tuple(models), fold, score, group, known, near, unit
+        sizes = None
+        if unit is not None and whole is not None:
+            level_of = np.array([model(table).mean() for model in models])
+            sizes = _Sizes.of(powered(off), seen, fold, level_of, unit, whole)
+        made = tuple(models), fold, score, group, known, near, unit, sizes
         return cls(level, name, len(off), *made, rule=rule)
 
     @property
@@ -367,21 +379,27 @@ class ConformalBound:
         near = self._near(table)
         for label in dict.fromkeys(labels):
             own = np.flatnonzero(near & np.array([other == label for other in labels], bool))
-            reached = expected[:, own][self._fold] + self._score[:, None]
-            answer[:, own] = self._judged(reached, label, levels)
+            answer[:, own] = self._judged(expected[:, own], label, levels)
         return unpowered(answer)
 
-    def _judged(self, reached: FloatArray, label: Hashable, levels: Sequence[float]) -> FloatArray:
-        """Return quantiles (n_level, m) of values (n, m), which the experiments reach."""
-        if self._unit is None or self.rule != CAUTIOUS:
-            return _weighted(reached, *self._weights(label), levels)
-        whole = self._unit if len(self._groups) < MIN_UNITS else self._group
-        weight = 1.0 / np.bincount(self._unit)[self._unit]
-        found = [
-            _weighted(reached[own], weight[own], 0.0, levels)
-            for own in (whole == k for k in range(int(whole.max()) + 1))
-        ]
-        return np.asarray(np.max(found, axis=0))
+    def _judged(self, expected: FloatArray, label: Hashable, levels: Sequence[float]) -> FloatArray:
+        """Return quantiles (n_level, m) of what is reached if errors exceed the values that models
+        expect (FOLDS, m) as those of the experiments did."""
+        weight, itself = self._weights(label)
+        if self._sizes is None or self.rule == GUARANTEED:
+            reached = expected[self._fold] + self._score[:, None]
+            return _weighted(reached, weight, itself, levels)
+        shape = expected / self._sizes.model[:, None]
+        reached = np.maximum(shape[self._fold] + self._sizes.score[:, None], 0.0)
+        repeated = math.ceil(MIN_DRAWS / self.n)
+        rows = np.repeat(np.argsort(self._sizes.score, kind="stable"), repeated)
+        draw = (np.arange(len(rows)) + 0.5) * GOLDEN % 1.0
+        size = self._sizes.quantile(np.asarray(draw, np.float64), self._sizes.sd)
+        typical = _weighted(reached[rows] * size[:, None], weight[rows], repeated * itself, levels)
+        if self.rule == TYPICAL:
+            return typical
+        large = self._sizes.quantile(np.array(self.level), self._sizes.wide)
+        return np.maximum(typical, large * _weighted(reached, weight, itself, levels))
 
     def _weights(self, label: Hashable) -> tuple[FloatArray, float]:
         """Return the weights (n,) of the scores for a group, and that of the new configuration."""
@@ -481,6 +499,69 @@ def held_out_bounds(
     reasons = bounds.reasons(new, None, asked)
     near = np.array([not reason for reason in reasons], bool)
     return PredictedBounds(bound, expected, near, reasons)
+
+
+class _Sizes(NamedTuple):
+    """Sizes of the errors of units: a new one is one more draw from those of the parts.
+
+    The level of a model that leaves out a part is that of the others, and would count their
+    scatter twice. Models therefore contribute their shape only, in units of their level.
+    """
+
+    score: FloatArray  # (n,) scores of errors in units of the size of their unit
+    model: FloatArray  # (FOLDS,) levels of the models
+    mean: float  # mean logarithm of the sizes
+    sd: float  # scale of the logarithm of a new size
+    wide: float  # the same with the scatter of sizes that are learned from few experiments
+    freedom: float  # degrees of freedom of its Student distribution
+
+    @classmethod
+    def of(
+        cls,
+        power: FloatArray,
+        seen: FloatArray,
+        fold: IntArray,
+        model: FloatArray,
+        unit: IntArray,
+        whole: IntArray,
+    ) -> _Sizes:
+        """Learn from powers of errors (n,) and what models expect, the fold, unit and group (part)
+        of each, and the levels of the models; units of one part are not independent.
+
+        Source: Satterthwaite (1946) for the degrees of freedom of a sum of variances.
+        """
+        good = np.isfinite(power)
+        least = max(MIN_SIZE * float(power[good].mean()), TINY) if good.any() else TINY
+        model = np.maximum(model, least)
+        shape = seen / model[fold]
+        some = np.unique(unit[good])
+        size, part, noise = np.ones(unit.max() + 1), np.zeros(unit.max() + 1, np.int64), 0.0
+        for k in some:
+            own = good & (unit == k)
+            mean = max(power[own].mean(), least)
+            size[k] = mean / max(shape[own].mean(), MIN_SIZE)
+            noise += power[own].var() / mean**2 / own.sum() / len(some)
+        part[unit] = whole
+        log, (_, part) = np.log(size[some]), np.unique(part[some], return_inverse=True)
+        n = np.bincount(part)
+        centre = np.bincount(part, log) / n
+        within = float(np.mean(np.bincount(part, (log - centre[part]) ** 2) / n))
+        between = float(np.var(centre, ddof=1)) if len(n) > 1 else 0.0
+        lower, upper = max(len(n) - 1, 1), max(len(log) - len(n), 1)
+        total = between + within
+        freedom = total**2 / (between**2 / lower + within**2 / upper) if total > 0.0 else lower
+        # A few experiments of a unit do not show its size exactly.
+        more = 1.0 + 1.0 / max(len(n), 1)
+        sd, wide = math.sqrt(more * max(total - noise, 0.0)), math.sqrt(more * total)
+        score = power / size[unit] - shape
+        return cls(score, model, float(centre.mean()), sd, wide, float(freedom))
+
+    def quantile(self, share: FloatArray, sd: float) -> FloatArray:
+        """Return quantiles of the size of a new unit, with a scale of its logarithm."""
+        from scipy.special import stdtrit
+
+        log = self.mean + sd * stdtrit(self.freedom, share)
+        return np.asarray(np.exp(np.minimum(log, MAX_LOG)))
 
 
 class _Near(NamedTuple):

@@ -330,7 +330,7 @@ def n_steps_of(groups: Sequence[ExperimentGroup], index: Index) -> int:
             found=f"no group with all of x1, y1, y-1 and theta1 ({groups[0].name} lacks "
             + ", ".join(place.name for place in lacking) + ")",
             expected="at least one step about the nominal experiment",
-            hint="perform the plan of the thesis: fixel sample --thesis",
+            hint="perform the plan of the thesis: fixel testbed run",
         )  # fmt: skip
     return max(group.reach for group in groups)
 

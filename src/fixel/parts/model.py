@@ -376,20 +376,17 @@ class PartModel(Result):
         parts = [left.part[k] for k in rows.tolist()]
         if len(set(parts)) < MIN_PARTS:
             return {}
-        # Models of typical errors leave out whole parts. The cautious bound is that of the worst
-        # part on its worst surface: two surfaces of one part differ as much as two parts.
-        return {
-            rule: ConformalBound.fit(
-                left.features[rows],
-                left.errors[rows, column],
-                level=self.level,
-                seed=self.seed,
-                groups=parts if rule == TYPICAL else None,
-                units=[left.group[k] for k in rows.tolist()],
-                rule=rule,
-            )
-            for rule in (TYPICAL, CAUTIOUS)
-        }
+        # A new part is one more draw from the parts; two surfaces of one part are not independent.
+        typical = ConformalBound.fit(
+            left.features[rows],
+            left.errors[rows, column],
+            level=self.level,
+            seed=self.seed,
+            groups=parts,
+            units=[left.group[k] for k in rows.tolist()],
+            rule=TYPICAL,
+        )
+        return {TYPICAL: typical, CAUTIOUS: typical.with_rule(CAUTIOUS)}
 
     @cached_property
     def _groups(self) -> dict[tuple[str, str], PartPushes]:
@@ -414,7 +411,6 @@ class PartModel(Result):
             ends = np.array(
                 [own[rule].bounds(features) for own in self._bounds for rule in (TYPICAL, CAUTIOUS)]
             ).T
-            ends[:, 1::2] = np.maximum(ends[:, 1::2], ends[:, ::2])
             far = self._bounds[0][TYPICAL].reasons(features)
         else:
             ends = np.full((len(targets), 4), np.inf)

@@ -29,7 +29,7 @@ UNPUSHED: Final[Mapping[str, Marginal]] = {
     "contact_offset": Marginal(0.0, 0.3e-3, -1e-3, 1e-3),
     "table_bend_xy": Marginal(0.0, 0.6, -2.0, 2.0),
     "table_bend_diagonal": Marginal(0.0, 0.6, -2.0, 2.0),
-    "pressure_rim": Marginal(0.0, 1.5, -4.0, 4.0),
+    "pressure_rim": Marginal(0.0, 1.5, -6.0, 6.0),
     "pressure_corner": Marginal(0.0, 1.0, -3.0, 3.0),
     "pressure_xy": Marginal(0.0, 1.0, -3.0, 3.0),
     "pressure_diagonal": Marginal(0.0, 1.0, -3.0, 3.0, symmetric=True),

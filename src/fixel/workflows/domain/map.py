@@ -19,6 +19,7 @@ from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel
+from fixel.simulation.trust import permit
 from fixel.typing import FloatArray, ProgressCallback
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.domain.evidence import DomainEvidence, apart_of, evidence_of, gathered_from
@@ -133,6 +134,7 @@ def map_domain(
     """
     if threshold is not None and relative is not None:
         raise InvalidInput("relative", found="threshold too", expected="one of them")
+    permit(motion)
     targets = targets_of(experiments)
     model = calibration_model(fit, targets, motion)
     asked = DomainRequest(

@@ -126,7 +126,7 @@ def explore(
     wanted = RolloutQueue()
     grower.ask(wanted)
     studies.ask(wanted)
-    get_ready(samples.targets[0].case.scene, notify)
+    get_ready(samples.targets[0].case.scene)
     tell(f"Simulating {len(wanted)} times.")
     comparer = Comparer(
         samples.targets,
