@@ -19,8 +19,7 @@ __all__ = ["ExperimentSelection", "collected", "draw_sample", "select_experiment
 def prepare(project, chosen, request):
     """Prepare the job of a request on selected experiments; return its folder."""
     request.check()
-    plan = CalibrationPlan(request=request, targets=chosen.targets)
-    plan.rehearse()
+    plan = CalibrationPlan(request=request, targets=chosen.targets).rehearse()
     folder = stored_run.job_folder(project.folder, plan)
     stored_run.prepare_folder(plan, folder)
     return folder

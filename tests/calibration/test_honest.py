@@ -11,8 +11,8 @@ from fixel.calibration.honest import (
     INSTANTS,
     Honest,
     MixedStudyFit,
+    Probes,
     ShiftModel,
-    _Probes,
     mixed_study,
 )
 from fixel.calibration.noise import Noise
@@ -90,7 +90,8 @@ def test_a_right_model_loses_nothing():
     assert 0.8 < found.misfit.ratio < 1.3
     assert found.honest is None
     assert found.misfit.sentences == ()
-    assert {ask.kind for ask in asked} == {"noise", "frames"}  # and costs no simulation more
+    # Its start is the planned one: no noise of the start, and no simulation more.
+    assert {ask.kind for ask in asked} == {"noise", "frames"}
 
 
 def test_the_noise_that_is_read_off_is_that_of_the_bench():
@@ -129,6 +130,8 @@ def test_disagreement_of_the_fits_widens_and_few_experiments_do_too():
     mixed = MixedStudyFit(np.array([0.3]), np.array([0.03]), np.array([9.0]), 9, 700)
     apart = Honest.of(mixed, [np.array([0.26]), np.array([0.34])])
     assert apart.sd == pytest.approx(0.05)
+    unknown = Honest.of(mixed, [np.array([0.26]), np.array([0.34])], known_noise=False)
+    assert unknown.sd == pytest.approx(np.sqrt(0.03**2 + 2 * 0.04**2))
     few = Honest.of(mixed._replace(effective=np.array([1.2])), [mixed.value])
     assert few.freedom == 1.5
     normal = Honest.of(mixed._replace(effective=np.array([1e9])), [mixed.value])
@@ -180,7 +183,7 @@ def test_shifts_are_of_what_is_searched_and_of_where_the_object_rests():
 def test_a_probe_without_a_simulation_has_no_slope():
     comparer, found, _ = _fitted("one")
     shifted = ShiftModel(comparer)
-    probes = _Probes(shifted, 0, ["mu_pusher"], found.point, np.zeros(1))
+    probes = Probes(shifted, 0, ["mu_pusher"], found.point, np.zeros(1))
     rows = np.random.default_rng(0).normal(size=(len(probes.points), 3, 4))
     whole, _ = probes.slopes(rows, comparer.space.scale, np.ones(1))
     rows[1] = rows[2] = np.inf  # both sides of the first unknown

@@ -82,3 +82,26 @@ def test_experiments_that_fit_far_worse_are_named():
 def test_of_one_experiment_the_variation_between_experiments_cannot_be_seen():
     found = misfit_of(_residuals(5.0, n=1), ["a"], NOISE)
     assert "only one experiment" in found.sentences[1]
+
+
+def test_residuals_are_compared_with_the_noise_of_the_start_as_well():
+    """Ten errors of starts, each common to 300 frames and growing along the way."""
+    rng = np.random.default_rng(3)
+    growth = np.linspace(1.0, 3.0, 300)[:, None] * NOISE.standard_deviations
+    residuals = [one + growth * rng.standard_normal(3) for one in _residuals(1.0, n=10)]
+    keys = list("abcdefghij")
+    assert misfit_of(residuals, keys, NOISE).ratio > 1.5
+    found = misfit_of(residuals, keys, NOISE, [growth] * 10)
+    assert found.ratio == pytest.approx(1.0, abs=0.3)
+    assert found.sentences == ()
+    wrong = misfit_of([10.0 * one for one in residuals], keys, NOISE, [growth] * 10)
+    assert wrong.warned
+    assert "(as stated, with noise of the start poses)" in wrong.sentences[0]
+
+
+def test_of_unknown_noise_the_warning_states_that_and_no_ratio():
+    noise = Noise(position_m=1e-4, angle_rad=1e-3, source="residuals")
+    found = misfit_of(_residuals(1.0), list("abcdef"), noise)
+    assert np.isnan(found.ratio)
+    assert found.warned
+    assert found.sentences[0].startswith("noise unknown")

@@ -209,7 +209,7 @@ def test_refusals():
 def _misfitting(sd, **options):
     """Verdicts on three unknowns that noise alone fixes to 0.02, with standard errors of misfit."""
     honest = Honest(np.array([0.35, 0.5, 0.4]), np.full(3, sd), np.full(3, 1e6), 9)
-    told = verdicts(lambda p: (p - [0.3, 0.6, 0.4]) / 0.01, honest=honest, misfits=True, **options)
+    told = verdicts(lambda p: (p - [0.3, 0.6, 0.4]) / 0.01, honest=honest, **options)
     return told, honest
 
 
@@ -245,10 +245,10 @@ def test_an_interval_that_reaches_a_bound_is_open_there():
     assert told[0].high == pytest.approx(0.35 + 1.96 * 0.22, abs=1e-3)
 
 
-def _with_misfit(best, sd, value, honest_sd, misfits=True):
+def _with_misfit(best, sd, value, honest_sd):
     """Verdicts where noise alone puts every unknown at best +- sd, and misfit at others."""
     honest = Honest(np.full(3, value), np.full(3, honest_sd), np.full(3, 1e6), 4)
-    return verdicts(lambda p: (p - best) / sd, honest=honest, misfits=misfits)
+    return verdicts(lambda p: (p - best) / sd, honest=honest)
 
 
 def test_an_interval_that_misfit_makes_wide_does_not_identify():
@@ -259,9 +259,9 @@ def test_an_interval_that_misfit_makes_wide_does_not_identify():
         assert verdict.verdict == "precise, but the model misfits"
         assert verdict.reason.startswith("noise alone gives 0.198 to 0.202")
     assert support.verdict == "effective"
-    # Half as wide it is identified, and so it is where the model hardly misfits.
+    # Half as wide it is identified, and so it is where the model does not misfit.
     assert words(_with_misfit(0.2, 1e-3, 0.204, 0.09 / 1.96)[:2]) == ["identified"] * 2
-    assert words(_with_misfit(0.2, 1e-3, 0.204, 0.181 / 1.96, misfits=False)) == ["identified"] * 3
+    assert words(verdicts(lambda p: (p - 0.204) / (0.181 / 1.96))) == ["identified"] * 3
     # What noise alone leaves wide is not precise.
     assert _with_misfit(0.4, 0.2, 0.4, 0.09)[0].verdict == "not identified"
 
@@ -272,4 +272,4 @@ def test_one_sided_values_of_what_stands_for_something_else_are_effective():
     assert (support.high, support.low) == (None, pytest.approx(0.9 - 1.96 * 0.06, abs=1e-3))
     assert support.verdict == "effective"
     assert pusher.verdict == "at least"  # which has a true value
-    assert _with_misfit(0.9, 0.1, 0.9, 0.06, misfits=False)[2].verdict == "at least"
+    assert verdicts(lambda p: (p - 0.9) / 0.06)[2].verdict == "at least"

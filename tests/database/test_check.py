@@ -63,7 +63,7 @@ def only_trouble(folder):
 def test_nothing_wrong(store, folder):
     found = Project(folder).check()
     assert found.troubles == ()
-    assert (found.engine, found.version) == (store._engine.dialect.name, "0004")
+    assert (found.engine, found.version) == (store._engine.dialect.name, "0005")
     assert (found.counts["experiment"], found.counts["series"], found.counts["flag"]) == (3, 6, 3)
     assert (found.media_files, found.unused_files) == (1, 0)
 
@@ -153,7 +153,7 @@ def test_a_row_without_what_it_names(store, folder):
 
 
 def test_upgrade_says_both_versions(folder):
-    assert Project(folder).upgrade() == ("0004", "0004")
+    assert Project(folder).upgrade() == ("0005", "0005")
 
 
 def test_a_server_makes_its_own_backups(store, folder):

@@ -5,6 +5,7 @@ import contextlib
 import importlib.util
 import os
 import random
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -169,6 +170,40 @@ def add_all_from(store, batch, first):
         store.add_experiment(importing.experiment(batch, k))
 
 
+TESTS = """
+import importlib.util, sys, time
+spec = importlib.util.spec_from_file_location("server", sys.argv[1])
+server = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(server)
+with server.running() as own:
+    print(own.process.pid, own.folder, flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_the_server_ends_with_the_tests_that_use_it(number):
+    if server.binaries() is None:
+        pytest.skip("no PostgreSQL on this machine")
+    arguments = [sys.executable, "-c", TESTS, str(HERE / "server.py")]
+    with subprocess.Popen(
+        arguments, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as tests:
+        pid, folder = line_of(tests).split()
+        os.kill(int(pid), 0)
+        tests.send_signal(number)
+    until = time.monotonic() + 30.0
+    while Path(folder).exists() or is_running(int(pid)):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+
+
+def is_running(pid):
+    """Whether a process runs; one that only waits to be collected does not."""
+    state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True)
+    return state.stdout.strip()[:1] not in ("", "Z")
+
+
 # --- what stands in the way of a file -----------------------------------------------------------
 
 
@@ -300,6 +335,27 @@ def test_a_full_disk(filled):
         assert sum(added.new for added in add_all(store, 0)) == importing.N - len(there)
 
 
+CHECK_ON_A_FULL_DISK = """
+import resource, signal, sys
+from fixel.database.project import Project
+project = Project(sys.argv[1])
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+print(*(one.sentence + "|" + one.hint for one in project.check().troubles), sep="\\n")
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="of systems that limit the sizes of files")
+def test_a_check_on_a_full_disk_does_not_advise_to_replace_the_database(filled, tmp_path):
+    (tmp_path / "fixel.yaml").write_text("name: lab\n")
+    arguments = [sys.executable, "-c", CHECK_ON_A_FULL_DISK, str(tmp_path)]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=60, check=True)
+    (line,) = done.stdout.splitlines()
+    reason, hint = line.split("|")
+    assert reason == f"the disk of sqlite:///{filled} fails or is full: disk I/O error"
+    assert hint == "free disk space or check the disk, then repeat the command"
+
+
 def test_no_database(file):
     file.write_bytes(b"time_s,x_m\n" * 1000)
     before = file.read_bytes()
@@ -329,7 +385,7 @@ def test_a_schema_that_is_newer(store):
         connection.execute(sa.text("UPDATE alembic_version SET version_num = '9999'"))
     for act in (store.check_version, store.upgrade):
         reason, hint = refusal(act)
-        assert "has schema 9999, newer than schema 0004" in reason
+        assert "has schema 9999, newer than schema 0005" in reason
         assert hint == "install the version of fixel that wrote it, or a newer one"
     assert whole(store, 0) == {1}
 
@@ -347,7 +403,7 @@ def test_a_database_without_tables(url, tmp_path):
             reason, hint = refusal(act, *arguments)
             assert reason.endswith("has no tables yet")
             assert hint == "run: fixel db upgrade"
-        assert store.upgrade() == (None, "0004")
+        assert store.upgrade() == (None, "0005")
 
 
 def test_a_database_and_a_user_that_are_not_there(postgres, tmp_path):

@@ -90,6 +90,17 @@ def test_one_version_after_the_other_is_the_same(url, tmp_path):
         assert left_to_do(store) == []
 
 
+@pytest.mark.parametrize("file", [f for f in KEPT if f not in OLD], ids=lambda file: file.stem)
+def test_every_version_has_the_columns_of_its_file(file, tmp_path):
+    def columns(path):
+        look = sa.inspect(sa.create_engine(f"sqlite:///{path}"))
+        return {t: {c["name"] for c in look.get_columns(t)} for t in look.get_table_names()}
+
+    with Store(f"sqlite:///{tmp_path}/made.db", tmp_path) as store:
+        store.upgrade(file.stem.removeprefix("schema-"))
+    assert columns(tmp_path / "made.db") == columns(file)
+
+
 def test_again_changes_nothing(store):
     before = triggers(store)
     assert store.upgrade() == (schema.newest(), schema.newest())

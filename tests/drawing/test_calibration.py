@@ -66,7 +66,7 @@ def rows(**changes):
     return ParametersChart(title="one", rows=[replace(row, **changes)])
 
 
-def profile(**changes):
+def profile(widened=False, **changes):
     values = np.linspace(0.1, 0.5, 9)
     rises = ((values - 0.3) / 0.05) ** 2
     own = ProfileRecord(
@@ -79,7 +79,12 @@ def profile(**changes):
         high=0.4,
         threshold=4.0,
     )
-    return ProfilesChart(title="one", profiles=[replace(own, **changes)])
+    own = replace(own, **changes)
+    estimate = Estimate(label="mu_pusher", unit="-", value=0.3, low=own.low, high=own.high)
+    if widened:
+        estimate = Estimate(label="mu_pusher", unit="-", value=0.7, low=0.1)
+        estimate = estimate.with_noise(0.3, 0.2, 0.4)
+    return ProfilesChart(title="one", profiles=[own], estimates={"mu_pusher": estimate})
 
 
 def seconds(values):
@@ -140,9 +145,10 @@ CHARTS = {
     "no simulation": ErrorsChart(keys=["a", "b"], series={"before": LOST, "after": LOST}, unit="m"),
     "no interval": rows(),
     "an interval": rows(low=0.2, high=0.4, verdict="identified"),
-    "half an interval": rows(high=0.4, best_fit=0.1, verdict="trades off with mu_fixel"),
+    "half an interval": rows(high=0.4, noise_value=0.1, verdict="trades off with mu_fixel"),
     "nothing known": rows(verdict="not identified", label="mu_pusher[surface=plywood]"),
     "profile": profile(),
+    "profile of a model that misfits": profile(widened=True),
     "open profile": profile(low=None, high=None, deviances=np.full(9, 0.1)),
     "failed profile": profile(deviances=np.array([np.inf] * 4 + [0.0] + [np.inf] * 4)),
     "seconds": seconds([1.0, 2.0, 8.0]),
@@ -170,6 +176,21 @@ def test_rows_are_as_wide_as_the_head(chart):
 
     assert len(set(table.head)) == len(table.head)
     assert {len(row) for row in table.rows} <= {len(table.head)}
+
+
+def test_the_profile_shows_the_value_and_interval_of_the_table():
+    axes = profile(widened=True).figure().axes[0]
+    drawn = {patch.get_label(): patch.get_extents().transformed(axes.transData.inverted())
+             for patch in axes.patches}  # fmt: skip
+    left, right = axes.get_xlim()
+    assert [drawn["95 % interval"].x0, drawn["95 % interval"].x1] == pytest.approx([0.1, right])
+    noise = drawn["interval from noise alone"]
+    assert [noise.x0, noise.x1] == pytest.approx([0.2, 0.4])
+    (value,) = [line.get_xdata()[0] for line in axes.lines if line.get_label() == "value"]
+    assert left <= value == 0.7 <= right
+
+    sound = profile().figure().axes[0]
+    assert [patch.get_label() for patch in sound.patches] == ["95 % interval"]
 
 
 @pytest.mark.parametrize("ending", ["pdf", "svg"])
@@ -278,13 +299,14 @@ def test_profiles_keep_curve_and_slice_apart():
     table = profile().table()
 
     assert [row[2] for row in table.rows] == ["profile"] * 9 + ["slice"] * 9
-    assert table.rows[4][3:] == pytest.approx((0.3, 0.0, 4.0, 0.2, 0.4))
+    assert table.rows[4][3:] == pytest.approx((0.3, 0.0, 4.0, 0.2, 0.4, 0.2, 0.4))
 
 
 def test_a_far_scan_does_not_squeeze_a_profile():
     values = np.array([0.25, 0.28, 0.30, 0.32, 0.35, 50.0])
     rises = np.array([16.0, 4.0, 0.0, 4.0, 11.0, 1e6])
-    left, right = profile(values=values, deviances=rises).figure().axes[0].get_xlim()
+    chart = profile(values=values, deviances=rises, low=0.28, high=0.32)
+    left, right = chart.figure().axes[0].get_xlim()
 
     assert 0.24 < left < 0.28
     assert 0.32 < right < 0.5

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -120,6 +121,23 @@ def test_everything_is_described(bench):
             assert entry["summary"], (method, path)
             assert entry["tags"], (method, path)
             assert "4XX" in entry["responses"], (method, path)
+
+
+def descriptions(document):
+    """All texts of one line in a document."""
+    rows = document.values() if isinstance(document, dict) else document
+    own = [document.get("description")] if isinstance(document, dict) else []
+    yield from (text for text in own if isinstance(text, str) and "\n" not in text)
+    for row in rows:
+        if isinstance(row, dict | list):
+            yield from descriptions(row)
+
+
+def test_no_description_repeats_its_words(bench):
+    described = bench.client().get("/api/v1/openapi.json").json()
+    texts = list(descriptions(described))
+    assert len(texts) > 500
+    assert [text for text in texts if re.search(r"\b(\w+(?: \w+)*)\W+\1\b", text)] == []
 
 
 def test_the_guide_names_every_operation(bench):

@@ -9,7 +9,6 @@ from fixel.formats import SceneFile, load_scene, save_scene
 from fixel.simulation import Adaptive, StewartTrinkle
 from fixel.simulation.stepper import stepper_of
 from fixel.testing import scenes
-from fixel.workflows import compilation
 from fixel.workflows.simulation import Outputs, simulate_file
 
 
@@ -96,15 +95,3 @@ def test_plain_and_compiled_loops_give_the_same(scene):
     plain = simulate_file(load_scene(scene), plain=True)
 
     assert compiled.final == plain.final
-
-
-def test_compiling_is_announced_only_when_the_cache_is_cold(scene, monkeypatch):
-    said: list[str] = []
-    monkeypatch.setattr(compilation, "cache_folder", lambda: str(scene.parent / "no-such-folder"))
-    simulate_file(load_scene(scene), notify=said.append)
-    assert said == [compilation.COMPILING]
-
-    (scene.parent / "no-such-folder").mkdir()
-    (scene.parent / "no-such-folder" / "batch.rollout_batch-1.nbc").touch()
-    simulate_file(load_scene(scene), notify=said.append)
-    assert len(said) == 1

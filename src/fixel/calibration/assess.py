@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 
 from fixel.calibration.cost import NormalPrior
-from fixel.calibration.honest import Honest, MixedStudyFit, ShiftModel, mixed_study
+from fixel.calibration.honest import Honest, ShiftModel, mixed_study
 from fixel.calibration.least_squares import LeastSquares, LeastSquaresFit
 from fixel.calibration.misfit import Misfit, misfit_of, noise_from_differences
 from fixel.calibration.noise import (
@@ -24,6 +24,7 @@ from fixel.calibration.noise import (
 )
 from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.profile import ProfileLikelihood, Profiles
+from fixel.calibration.start_noise import StartSensitivity, start_dispersion, start_study
 from fixel.calibration.study import box_of, run_study
 from fixel.calibration.target import repetitions
 from fixel.calibration.verdict import judge
@@ -201,7 +202,6 @@ def assessment_steps(
         solutions=solutions,
         dispersion=dispersion,
         honest=fitted.honest,
-        misfits=fitted.misfit is not None and fitted.misfit.warned,
     )
     return Assessment(estimates, found, noise, dispersion, fitted.misfit)
 
@@ -217,7 +217,7 @@ class BestFit(NamedTuple):
         That residuals are divided by.
     dispersion : Dispersion
     misfit : Misfit, optional
-        None where the noise of the measurements is not known.
+        Misfit at the point; None if the point could not be simulated.
     honest : Honest, optional
         Estimate that allows for misfit; None where there is too little of it to matter.
     fit : LeastSquaresFit, optional
@@ -243,27 +243,26 @@ def fit_steps(
     own = distinct(comparer, members)
     chosen = Frames(comparer, own)
     known = noise or noise_from_repeated(comparer, own)
-    targets = [comparer.targets[m] for m in own.tolist()]
-    ends = isinstance(comparer.error, EndPose)
-    camera = None if ends else noise or noise_from_differences(targets)
-    scatter = None if ends else known or camera
+    camera = noise or noise_from_differences([comparer.targets[m] for m in own.tolist()])
     noise = known or (yield from _left(point))
+    scatter = known or camera or noise  # the last is of the residuals: the noise is unknown
     # The search minimised its own error; the likeliest point lies near by.
-    # Where misfit can be told from noise, it is judged by exact fits.
-    options = LeastSquares() if scatter else _coarse(noise, chosen.count)
-    best = yield from _least_squares(chosen, point, noise, options)
-    misfit = chosen.misfit(best.residual, noise, scatter)
+    best = yield from _least_squares(chosen, point, noise)
+    starts = yield from _starts(comparer, own, best.point, camera)
+    misfit = chosen.misfit(best.residual, noise, scatter, starts)
     honest = None
     if misfit is not None and misfit.noted:
-        white = camera or misfit.noise
-        mixed = yield from _mixed(ShiftModel(comparer), own.tolist(), best.point, white)
-        again = yield from _least_squares(chosen, mixed.value, noise, options)
+        mixed = yield from _simulated(
+            mixed_study(ShiftModel(comparer), own.tolist(), best.point, camera or scatter),
+            "fit with shifts of each experiment",
+        )
+        again = yield from _least_squares(chosen, mixed.value, noise)
         fits = [best.point, again.point]
         if again.deviance < best.deviance:
             best = again
-            misfit = chosen.misfit(best.residual, noise, scatter)
+            misfit = chosen.misfit(best.residual, noise, scatter, starts)
         if misfit is not None and misfit.noted:
-            honest = Honest.of(mixed, fits)
+            honest = Honest.of(mixed, fits, known_noise=not math.isnan(misfit.ratio))
     count = len(best.point)
     dispersion = chosen.dispersion(noise, best.residual, count)
     fit: LeastSquaresFit | None = best
@@ -274,47 +273,43 @@ def fit_steps(
         ratio = noise.standard_deviations / left.standard_deviations
         residual = (best.residual.reshape(-1, 3) * ratio).ravel()
         noise, dispersion = left, chosen.dispersion(left, residual, count)
+    if starts and camera is not None:
+        least = start_dispersion(starts, chosen.frames, noise, camera)
+        dispersion = replace(dispersion, value=max(dispersion.value, least))
     return BestFit(best.point, noise, dispersion, misfit, honest, fit)
 
 
-def _coarse(noise: Noise, count: int) -> LeastSquares:
-    """Return a fit that ends where nothing is left to gain that the noise would let anybody see.
-
-    What is significant is some four times the deviance of one independent measurement, or that of
-    one measurement alone if the noise is known; a hundredth of it is not.
-    """
-    return LeastSquares(
-        differences="one-sided",
-        secant=True,
-        trials=3,
-        enough=0.02,
-        tolerance=min(1e-4, 0.02 * noise.correlation / max(1, count)),
-    )
-
-
 def _least_squares(
-    chosen: Frames, point: FloatArray, noise: Noise, options: LeastSquares
+    chosen: Frames, point: FloatArray, noise: Noise
 ) -> AssessmentSteps[LeastSquaresFit]:
-    search = options.start(box_of(chosen.space.started_at(point)))
+    search = LeastSquares().start(box_of(chosen.space.started_at(point)))
     while not search.done:
         told = yield AssessmentRequest("frames", search.ask(), "best fit")
         search.tell(chosen.scaled(told, noise))
     return search.fits[0]
 
 
-def _mixed(
-    shifted: ShiftModel, members: Sequence[int], point: FloatArray, noise: Noise
-) -> AssessmentSteps[MixedStudyFit]:
-    study = mixed_study(shifted, members, point, noise)
+def _starts(
+    comparer: Comparer, members: IntArray, point: FloatArray, camera: Noise | None
+) -> AssessmentSteps[list[StartSensitivity]]:
+    """Return the sensitivities to measured start poses; empty without any, or of unknown noise."""
+    own = members.tolist()
+    if camera is None or not any(comparer.targets[m].starts_measured for m in own):
+        return []
+    study = start_study(ShiftModel(comparer), own, point, camera)
+    found = yield from _simulated(study, "noise of the start")
+    return [one.at_end for one in found] if isinstance(comparer.error, EndPose) else found
+
+
+def _simulated(study: Generator[FloatArray, FloatArray, T], note: str) -> AssessmentSteps[T]:
+    """Run a study that needs simulations with shifts of each experiment."""
     try:
         rows = next(study)
         while True:
-            rows = study.send(
-                (yield AssessmentRequest("shifted", rows, "fit with shifts of each experiment"))
-            )
+            rows = study.send((yield AssessmentRequest("shifted", rows, note)))
     except StopIteration as end:
-        mixed: MixedStudyFit = end.value
-        return mixed
+        found: T = end.value
+        return found
 
 
 def answer(comparer: Comparer, members: IntArray, kind: str, points: FloatArray) -> FloatArray:
@@ -427,23 +422,40 @@ class Frames:
         """Space of the parameters that are fitted."""
         return self.comparer.space
 
-    def misfit(self, at_best: FloatArray, noise: Noise, scatter: Noise | None) -> Misfit | None:
-        """Compare residuals (m,) at the best with the measurements' scatter; None without either.
+    @property
+    def frames(self) -> list[int]:
+        """Number of frames that count of each experiment."""
+        return [int(n) for n in self._seen.sum(axis=1)]
+
+    def misfit(
+        self,
+        at_best: FloatArray,
+        noise: Noise,
+        scatter: Noise,
+        starts: Sequence[StartSensitivity] = (),
+    ) -> Misfit | None:
+        """Compare residuals (m,) at the best with the measurements' scatter; None without any.
 
         Parameters
         ----------
         at_best : (m,) array
-            In standard deviations of `noise`.
+            Residuals in standard deviations of `noise`.
         noise : Noise
-        scatter : Noise, optional
-            Of the measurements.
+        scatter : Noise
+            Scatter of the measurements.
+        starts : sequence of StartSensitivity, optional
+            Sensitivity of each experiment to its start pose, if its noise is known.
         """
-        if scatter is None or at_best.size == 0 or not np.isfinite(at_best).all():
+        if at_best.size == 0 or not np.isfinite(at_best).all():
             return None
         table = at_best.reshape(-1, 3) * noise.standard_deviations
-        parts = np.split(table, np.cumsum(self._seen.sum(axis=1))[:-1])
+        parts = np.split(table, np.cumsum(self.frames)[:-1])
         keys = [self.comparer.targets[m].key for m in self._members.tolist()]
-        return misfit_of(parts, keys, scatter)
+        seen = [np.flatnonzero(row) for row in self._seen]
+        by_start = (
+            [one.deviations(own) for one, own in zip(starts, seen, strict=True)] if starts else []
+        )
+        return misfit_of(parts, keys, scatter, by_start)
 
     @property
     def count(self) -> int:

@@ -8,7 +8,8 @@ all experiments share. The interval is that of the mixed fit, with the variance
     max(model-based, jackknife over experiments) + mean of (mixed - least squares)^2
 
 over the two descents of least squares, from the search's best and from the mixed fit, and Student's
-t with the effective number of experiments.
+t with the effective number of experiments. If the noise of the measurements is unknown, the sum of
+both differences replaces their mean, since nothing shows how wrong the model is.
 
 Source: Hausman (1978) for the difference of two estimators; `clusters` and `mixed` have
 theirs. Measured on simulated laboratories: `python -m benchmarks misfit`.
@@ -17,8 +18,9 @@ theirs. Measured on simulated laboratories: `python -m benchmarks misfit`.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -100,10 +102,16 @@ class Honest(NamedTuple):
     clusters: int
 
     @classmethod
-    def of(cls, mixed: MixedStudyFit, fits: Sequence[FloatArray]) -> Honest:
-        """Combine a mixed fit with the ends (n_free,) of least squares."""
+    def of(
+        cls, mixed: MixedStudyFit, fits: Sequence[FloatArray], *, known_noise: bool = True
+    ) -> Honest:
+        """Combine a mixed fit with the ends (n_free,) of least squares.
+
+        The squared differences are averaged if the noise is known, else summed.
+        """
         freedom = np.maximum(mixed.effective - 1.0, MIN_FREEDOM)
-        gap = np.mean((mixed.value - np.array(fits)) ** 2, axis=0)
+        squares = (mixed.value - np.array(fits)) ** 2
+        gap = squares.mean(axis=0) if known_noise else squares.sum(axis=0)
         sd = np.sqrt(mixed.sd**2 + gap)
         return cls(mixed.value, sd, freedom, mixed.clusters)
 
@@ -183,15 +191,11 @@ def mixed_study(
     bounds = NoiseBounds(np.full(q + 3, -SPAN), np.full(q + 3, SPAN))
     for _ in range(ROUNDS):
         probes = [
-            _Probes(shifted, m, names, theta, one * unit)
+            Probes(shifted, m, names, theta, one * unit)
             for m, one in zip(members, own, strict=True)
         ]
-        count = [len(one.points) for one in probes]
-        which = np.repeat(np.asarray(members, np.float64), count)
-        points = np.concatenate([one.points for one in probes])
-        told = yield np.column_stack((which, points))
-        parts = np.split(told.reshape(-1, 3, INSTANTS), np.cumsum(count)[:-1])
-        evaluations += len(points)
+        parts = yield from probe_rollouts(probes)
+        evaluations += sum(map(len, parts))
         y = np.zeros((n, 3, INSTANTS))
         common, single = np.zeros((n, 3, INSTANTS, p)), np.zeros((n, 3, INSTANTS, q))
         share = np.zeros((n, INSTANTS))
@@ -230,8 +234,23 @@ def mixed_study(
     )
 
 
-class _Probes:
-    """Points about one experiment's own, for central differences."""
+class Probes:
+    """Points about one experiment's own, for central differences.
+
+    Parameters
+    ----------
+    shifted : ShiftModel
+    member : int
+        Number of the experiment.
+    names : sequence of str
+        Shifts that are varied, besides the free parameters.
+    theta : (n_free,) array
+        Free parameters.
+    shift : (q,) array
+        Shifts about which the points lie.
+    steps : mapping from name to float, optional
+        Steps of shifts that differ from those of `SHIFTS`.
+    """
 
     def __init__(
         self,
@@ -240,8 +259,10 @@ class _Probes:
         names: Sequence[str],
         theta: FloatArray,
         shift: FloatArray,
+        steps: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         space, own = shifted.space, shifted.columns[member]
+        self.member = member
         low, high = space.low, space.high
         base = np.array(space.nominal)
         base[shifted.free] = theta
@@ -254,9 +275,9 @@ class _Probes:
         moved = {*own.values()} & {*shifted.free, *(c for c in self._shifts if c is not None)}
         points, self._moves = [base], {}
         for column in sorted(moved):
-            step = _step(space.free[column])
+            step = steps.get(space.free[column].name) or _step(space.free[column])
             ends = [min(base[column] + step, high[column]), max(base[column] - step, low[column])]
-            self._moves[column] = (len(points), ends[0] - ends[1])
+            self._moves[column] = len(points)
             for end in ends:
                 point = base.copy()
                 point[column] = end
@@ -266,17 +287,29 @@ class _Probes:
     def slopes(
         self, rows: FloatArray, scale: FloatArray, unit: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(3, m, p) change a scale of each parameter, (3, m, q) a unit of each shift; zero where a
-        simulation failed."""
+        """(3, m, p) change a scale of each parameter, (3, m, q) a unit of each shift.
+
+        Where the simulation on one side failed, such as of bodies that overlap, the difference is
+        one-sided; it is zero where both failed.
+        """
         nothing, table = np.zeros(rows.shape[1:]), {}
-        for column, (at, span) in self._moves.items():
-            known = np.isfinite(rows[at : at + 2]).all()
-            table[column] = (rows[at] - rows[at + 1]) / span if known else nothing
+        for column, at in self._moves.items():
+            known = [k for k in (at, 0, at + 1) if np.isfinite(rows[k]).all()]
+            span = self.points[known[0], column] - self.points[known[-1], column] if known else 0.0
+            table[column] = (rows[known[0]] - rows[known[-1]]) / span if span else nothing
         common = [table.get(c, nothing) * s for c, s in zip(self._free, scale, strict=True)]
         single = [
             nothing if c is None else table[c] * u for c, u in zip(self._shifts, unit, strict=True)
         ]
         return np.stack(common, -1), np.stack(single, -1)
+
+
+def probe_rollouts(probes: Sequence[Probes]) -> Generator[FloatArray, FloatArray, list[FloatArray]]:
+    """Yield the rows of all probes for `ShiftModel.differences`; return the answers of each."""
+    count = [len(one.points) for one in probes]
+    which = np.repeat([float(one.member) for one in probes], count)
+    told = yield np.column_stack((which, np.concatenate([one.points for one in probes])))
+    return np.split(told.reshape(-1, 3, INSTANTS), np.cumsum(count)[:-1])
 
 
 def _with_shifts(space: ParameterSpace) -> ParameterSpace:

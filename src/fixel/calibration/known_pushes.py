@@ -135,6 +135,10 @@ class KnownPushes(Comparable):
     def __len__(self) -> int:
         return len(self.travel)
 
+    def has_outline(self, scene: Scene) -> bool:
+        """Return whether an experiment has a part with the outline of a scene's body."""
+        return bool(self._same_outline(scene).any())
+
     def texts(self, target: Target) -> tuple[str, ...]:
         """Return sentences on what is new about a push; none for one of the experiments."""
         return () if target.key in self.keys else texts_of(self.unseen(target))

@@ -42,13 +42,17 @@ class Misfit(NamedTuple):
     position_m, angle_rad : float
         Root mean square of the residuals.
     noise : Noise
-        Noise that they are compared with.
+        Noise that they are compared with; if its source is the residuals, the noise of the
+        measurements is unknown.
     worst : tuple of str
         Experiments with more than `OUTLYING` times the median squared residual, the worst first.
     share : float
         Their share of all squared residuals, in units of the noise.
     experiments : int
         Number of experiments.
+    position_ratio, angle_ratio : float
+        Root mean square of the residuals over their own noise, which includes that of the start
+        pose if it is known.
     """
 
     position_m: float
@@ -57,37 +61,50 @@ class Misfit(NamedTuple):
     worst: tuple[str, ...] = ()
     share: float = 0.0
     experiments: int = 0
+    position_ratio: float = math.nan
+    angle_ratio: float = math.nan
 
     @property
     def ratio(self) -> float:
-        """Ratio of residual to noise, the larger of those of position and angle."""
-        return max(self.position_m / self.noise.position_m, self.angle_rad / self.noise.angle_rad)
+        """Ratio of residual to noise, the larger of those of position and angle; nan if the noise
+        is unknown."""
+        if self.noise.source == "residuals":
+            return math.nan
+        return max(self.position_ratio, self.angle_ratio)
 
     @property
     def noted(self) -> bool:
-        """Whether intervals must allow for the misfit."""
-        return self.ratio >= NOTED
+        """Whether intervals must allow for misfit: there is one, or the noise is unknown."""
+        return not self.ratio < NOTED
 
     @property
     def warned(self) -> bool:
-        """Whether results must begin with a warning of the misfit."""
-        return self.ratio >= WARNED
+        """Whether results must begin with a warning."""
+        return not self.ratio < WARNED
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """Warning in sentences, with the size first; empty without a misfit."""
         if not self.noted:
             return ()
-        sizes = (self.position_m, self.noise.position_m, 1e3, "mm")
-        if self.angle_rad / self.noise.angle_rad > self.position_m / self.noise.position_m:
-            sizes = (self.angle_rad, self.noise.angle_rad, 1e3, "mrad")
-        residual, noise, factor, unit = sizes
+        residual, camera, unit = 1e3 * self.position_m, 1e3 * self.noise.position_m, "mm"
+        if self.angle_ratio > self.position_ratio:
+            residual, camera, unit = 1e3 * self.angle_rad, 1e3 * self.noise.angle_rad, "mrad"
+        noise = residual / self.ratio
+        start = ", with noise of the start poses" if noise > 1.001 * camera else ""
         first = (
             f"{'model misfit' if self.warned else 'slight model misfit'}: residuals of "
-            f"{factor * residual:.2g} {unit} are {shown_ratio(self.ratio)} times the noise of "
-            f"{factor * noise:.2g} {unit} ({_HOW[self.noise.source]}). Intervals include it as "
-            "far as these experiments show it; an error common to all of them cannot be "
-            "detected."
+            f"{residual:.2g} {unit} are {shown_ratio(self.ratio)} times the noise of "
+            f"{noise:.2g} {unit} ({_HOW[self.noise.source]}{start})."
+        )
+        if math.isnan(self.ratio):
+            first = (
+                "noise unknown: the poses were smoothed, have no noise, or are too few. State the "
+                "noise if you know it. Without it, misfit cannot be measured."
+            )
+        first += (
+            " Intervals include it as far as these experiments show it; an error common to all of "
+            "them cannot be detected."
         )
         more = []
         if self.experiments == 1:
@@ -106,7 +123,9 @@ class Misfit(NamedTuple):
 
 
 def shown_ratio(ratio: float) -> str:
-    """Return residual over noise for people: two digits, or a whole number."""
+    """Return residual over noise in words: two digits, or a whole number."""
+    if math.isnan(ratio):
+        return "an unknown number of"
     return f"{ratio:.2g}" if ratio < 10.0 else f"{ratio:.0f}"
 
 
@@ -128,11 +147,32 @@ def noise_from_differences(targets: Sequence[Target]) -> Noise | None:
     )
 
 
-def misfit_of(residuals: Sequence[FloatArray], keys: Sequence[str], noise: Noise) -> Misfit:
-    """Return the misfit of residuals (n_frame, 3) of experiments."""
+def misfit_of(
+    residuals: Sequence[FloatArray],
+    keys: Sequence[str],
+    noise: Noise,
+    by_start: Sequence[FloatArray] = (),
+) -> Misfit:
+    """Return the misfit of residuals of experiments.
+
+    Parameters
+    ----------
+    residuals : sequence of (n_frame, 3) arrays
+        Residuals of x, y, theta [m, m, rad], one array per experiment.
+    keys : sequence of str
+        Names of the experiments.
+    noise : Noise
+        Noise of the measurements.
+    by_start : sequence of (n_frame, 3) arrays, optional
+        Standard deviations that noise of the start pose adds to each residual [m, m, rad].
+    """
     table = np.concatenate(residuals)
     squares = np.mean(table**2, axis=0)
-    sizes = [float(np.mean((one / noise.standard_deviations) ** 2)) for one in residuals]
+    white = noise.standard_deviations**2
+    variances = [white + own**2 for own in by_start] or [white] * len(residuals)
+    scaled = [one**2 / own for one, own in zip(residuals, variances, strict=True)]
+    ratios = np.mean(np.concatenate(scaled), axis=0)
+    sizes = [float(np.mean(one)) for one in scaled]
     middle, total = float(np.median(sizes)), sum(sizes)
     order = sorted(range(len(sizes)), key=lambda k: -sizes[k])
     worst = [k for k in order if sizes[k] > OUTLYING * middle]
@@ -143,6 +183,8 @@ def misfit_of(residuals: Sequence[FloatArray], keys: Sequence[str], noise: Noise
         worst=tuple(keys[k] for k in worst),
         share=sum(sizes[k] for k in worst) / total if total > 0.0 else 0.0,
         experiments=len(sizes),
+        position_ratio=math.sqrt(ratios[:2].mean()),
+        angle_ratio=math.sqrt(ratios[2]),
     )
 
 

@@ -106,19 +106,15 @@ def calibrate_each(
 ) -> Study[list[Trace]]:
     """Calibrate every member alone; all searches advance together, so that batches are large.
 
-    The result of a member does not depend on the others. A search ends with the batch in which it
-    reaches `max_evaluations`. Pattern searches return to points of their last polls: such points
-    count as evaluations, but are not simulated again.
+    The result of a member does not depend on the others. A search ends after `max_evaluations`.
+    Pattern searches return to points of their last polls: such points count as evaluations, but
+    are not simulated again.
     """
-    logs = [_Log(optimiser.start(box, seed, feasible)) for _ in members]
+    logs = [_Log(optimiser.start(box, seed, feasible), max_evaluations) for _ in members]
     while True:
-        running = [
-            (m, log)
-            for m, log in zip(members, logs, strict=True)
-            if not log.search.done and log.search.evaluations < max_evaluations
-        ]
+        running = [(m, log) for m, log in zip(members, logs, strict=True) if not log.done]
         if not running:
-            return [log.trace(made(log.search.evaluations)) for log in logs]
+            return [log.trace() for log in logs]
         new = [log.ask_new() for _, log in running]
         which = np.repeat([m for m, _ in running], [len(points) for points in new])
         answer = Evaluation(np.zeros(0), [])
@@ -139,6 +135,7 @@ def calibrate_joint(
     seed: int = 0,
     feasible: Feasible | None = None,
     stop: Callable[[], str] = str,
+    max_evaluations: float = math.inf,
 ) -> Study[tuple[Trace, Search]]:
     """Calibrate one parameter set for all members, by minimisation of their combined error.
 
@@ -148,10 +145,12 @@ def calibrate_joint(
         Function of errors (k, n_member) -> (k,): their sum, mean or largest.
     stop : callable
         Returns the reason to end the search early, empty to continue; called after every batch.
+    max_evaluations : float
+        Number of evaluations after which the search ends.
     """
-    log = _Log(optimiser.start(box, seed, feasible))
-    while not log.search.done:
-        points = log.search.ask()
+    log = _Log(optimiser.start(box, seed, feasible), max_evaluations)
+    while not log.done:
+        points = log.ask()
         errors, reasons = yield from at_points(members, points)
         log.tell(points, combine(errors), reasons)
         if reason := stop():
@@ -173,10 +172,11 @@ def at_points(members: Sequence[int], points: FloatArray) -> Study[tuple[FloatAr
 
 
 class _Log:
-    """Search with all its evaluations."""
+    """Search with all its evaluations, at most a given number."""
 
-    def __init__(self, search: Search) -> None:
+    def __init__(self, search: Search, max_evaluations: float) -> None:
         self.search = search
+        self._left = max_evaluations
         self._points: list[FloatArray] = []
         self._errors: list[FloatArray] = []
         self._reasons: list[str] = []
@@ -185,16 +185,26 @@ class _Log:
         self._recent: deque[dict[bytes, float]] = deque(maxlen=RECENT)
         self._known: list[float | None] = []  # of each point of the present request
 
+    @property
+    def done(self) -> bool:
+        """Whether the search has ended, or has no evaluations left."""
+        return self.search.done or self._left <= 0
+
+    def ask(self) -> FloatArray:
+        """Return the requested points, or the first of them if too few evaluations are left."""
+        points = self.search.ask()
+        return points if len(points) <= self._left else points[: int(self._left)]
+
     def ask_new(self) -> FloatArray:
         """Return the requested points that were not in recent requests."""
-        points = self.search.ask()
+        points = self.ask()
         keys = map(bytes, points)
         self._known = [next((r[key] for r in self._recent if key in r), None) for key in keys]
         return points[[error is None for error in self._known]]
 
     def tell_new(self, errors: FloatArray, reasons: list[str]) -> None:
         """Take the errors and reasons of the points of `ask_new`."""
-        points, new = self.search.ask(), zip(errors.tolist(), reasons, strict=True)
+        points, new = self.ask(), zip(errors.tolist(), reasons, strict=True)
         every = [next(new) if error is None else (error, "") for error in self._known]
         pairs = zip(map(bytes, points), every, strict=True)
         self._recent.append({key: error for key, (error, why) in pairs if not why})
@@ -202,15 +212,19 @@ class _Log:
 
     def tell(self, points: FloatArray, errors: FloatArray, reasons: list[str]) -> None:
         if self.search.has_iterations:
-            self._owners.append(self.search.owners())
-        self.search.tell(errors)
+            self._owners.append(self.search.owners()[: len(points)])
+        if len(points) == len(self.search.ask()):
+            self.search.tell(errors)
+        self._left -= len(points)
         self._points.append(points)
         self._errors.append(errors)
         self._reasons += reasons
 
     def trace(self, ended: str = "") -> Trace:
-        best = self.search.best
         n = self.search.box.n
+        best = better_of(self.search.best, self._points, self._errors)
+        if self._left <= 0:
+            ended = made(sum(map(len, self._errors)))
         sizes = [len(own) for own in self._owners]
         owners = np.concatenate([np.zeros(0, np.int64), *self._owners])
         return Trace(
@@ -223,6 +237,15 @@ class _Log:
             np.repeat(np.arange(len(sizes)), sizes),
             owners if owners.any() else owners[:0],
         )
+
+
+def better_of(best: Best, points: Sequence[FloatArray], errors: Sequence[FloatArray]) -> Best:
+    """Return the best of a search, or a better point of a last batch that it did not receive."""
+    if not errors:
+        return best
+    k = int(np.argmin(errors[-1]))
+    last = Best(points[-1][k], float(errors[-1][k]))
+    return last if last.error < best.error else best
 
 
 # --- several experiments ------------------------------------------------------------------------

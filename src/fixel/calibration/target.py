@@ -15,6 +15,7 @@ from fixel.typing import BoolArray, FloatArray
 
 ANGLE_SCALE: Final = 35.0  # [mm/rad], length that the thesis's E counts an angle as
 ON_CLOCK: Final = 1e-9  # [s]; ends of `effective` are rounded like frames, but not by the same sum
+SAME_POSE: Final = 1e-9  # [m or rad]; no camera measures a planned pose so well
 
 
 class Target(NamedTuple):
@@ -24,6 +25,7 @@ class Target(NamedTuple):
     conditions: Mapping[str, str | float]  # and "experiment", the key
     case: RolloutCase  # scene, and measured instants on the clock of the scene
     pose: FloatArray  # (n_sample, 3) measured poses at these
+    starts_measured: bool = False  # whether the scene begins at the first measured pose
 
 
 def target_of(experiment: Experiment) -> Target:
@@ -51,6 +53,7 @@ def target_of(experiment: Experiment) -> Target:
         {**experiment.conditions, "experiment": experiment.key},
         RolloutCase(scene, time[after]),
         pose[after],
+        np.allclose(scene.bodies[0].pose, experiment.trajectory.pose[0], rtol=0.0, atol=SAME_POSE),
     )
 
 

@@ -2,8 +2,9 @@
 
 The first rule that applies decides. An interval is *closed* on a side where the profile crosses
 the threshold inside the bounds; on an open side its *width* ends at the bound. *Narrow* is a width
-of at most `NARROW` of the range. If the model misfits, the interval is that of `honest`, which
-allows for the misfit; it is *safe* if it would also be narrow at `UNSURE` times the width.
+of at most `NARROW` of the range. If the model misfits, or the noise is unknown, the interval is
+that of `honest`, which allows for misfit; it is *safe* if it would also be narrow at `UNSURE`
+times the width.
 
 ================================================================ =======================
 rule                                                             verdict
@@ -14,7 +15,7 @@ another value explains the data as well, and the interval over   not identified
 both is not narrow
 a prior was given, and the interval is hardly narrower           not identified
 narrow, but the parameter stands for a property of               effective
-the object that the model lacks, and the model misfits
+the object that the model lacks, and the model may misfit
 closed on both sides, and safe                                   identified
 closed and narrow as far as noise goes, but not when misfit is   precise, but the model
 allowed for                                                      misfits
@@ -98,7 +99,6 @@ class _ParameterCase(NamedTuple):
     others: tuple[float, ...]  # values outside the interval that fit as well
     rough: bool  # whether roughness of the deviance exceeds the noise
     centre: float | None = None  # centre of the interval that allows for misfit
-    misfits: bool = False  # whether the misfit requires a warning
 
     @property
     def value(self) -> float:
@@ -143,7 +143,7 @@ class _ParameterCase(NamedTuple):
 
     @property
     def safe(self) -> bool:
-        return self.width * (UNSURE if self.misfits else 1.0) <= NARROW * self.range
+        return self.width * (1.0 if self.centre is None else UNSURE) <= NARROW * self.range
 
     @property
     def bound(self) -> float | None:
@@ -167,7 +167,6 @@ def judge(
     solutions: Sequence[FloatArray] = (),
     dispersion: Dispersion | None = None,
     honest: Honest | None = None,
-    misfits: bool = False,
 ) -> tuple[Estimate, ...]:
     """Return a verdict for each free unknown; frozen ones have none.
 
@@ -185,9 +184,7 @@ def judge(
     dispersion : Dispersion, optional
         Dispersion that the prior was weighted with: `NormalPrior.weighted`.
     honest : Honest, optional
-        Estimate that allows for misfit, if there is any.
-    misfits : bool
-        Whether the misfit requires a warning.
+        Estimate that allows for misfit, if the model misfits or the noise is unknown.
     """
     if not 0.0 < level < 1.0:
         raise InvalidInput("level", found=level, expected="a number between 0 and 1")
@@ -208,7 +205,7 @@ def judge(
             reason = "the best point could not be evaluated"
             verdicts.append(_without_interval(unknown, profiles, j, "not identified", reason))
         else:
-            case = _case(space, profiles, j, level, solutions, honest)._replace(misfits=misfits)
+            case = _case(space, profiles, j, level, solutions, honest)
             verdicts.append(_judged(case, _prior_width(unknown, profiles, dispersion)))
     return tuple(verdicts)
 
@@ -292,7 +289,11 @@ def _judged(case: _ParameterCase, prior_width: float | None) -> Estimate:
             case, "not identified", "its interval is that of the prior; the data add no information"
         )
     stands_for = info_of(case.unknown.name).stands_for
-    if case.misfits and stands_for and (case.precise or (case.narrow and case.open_sides < 2)):
+    if (
+        case.centre is not None
+        and stands_for
+        and (case.precise or (case.narrow and case.open_sides < 2))
+    ):
         return _of(case, "effective", f"it stands for {stands_for}, which the model does not have")
     if case.safe and case.open_sides == 0:
         return _of(case, "identified", _extent(case))

@@ -24,7 +24,7 @@ from fixel.cli.options import (
     require_one_of,
     with_options,
 )
-from fixel.cli.screen import command_line, command_of, notice, notify, print_answer
+from fixel.cli.screen import command_line, command_of, notify, print_answer
 from fixel.errors import Interrupted, InvalidInput, NotStored
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ def calibrate(
     plot: PictureFolder = None,
     as_json: AsJson = False,
 ) -> None:
-    """Estimate parameters from experiments, with a verdict on each.
+    """Estimate parameters from experiments, with verdicts.
 
     Finished evaluations are stored: repeat the command after an interruption to continue.
     """
@@ -207,7 +207,7 @@ def calibrate(
         job = _prepare(project, mode, chosen, arguments)
         print_answer(as_json, lambda: {"job": str(job)}, lambda: _prepared(job))
         return
-    get_ready(chosen.targets[0].case.scene, notice(as_json))  # before the clock runs
+    get_ready(chosen.targets[0].case.scene)  # before the clock runs
     require_folder(plot)
     where = {"store": project, "workers": workers or 0, "site": site}
     done = _calibrations(mode, chosen, arguments | where)
@@ -225,12 +225,15 @@ def calibrate(
 
 def calibrations(
     number: Annotated[
-        int | None, typer.Argument(help="Id of a calibration to show; all are listed without it.")
+        int | None,
+        typer.Argument(
+            help="Id of a calibration to show; all are listed without it.", metavar="ID"
+        ),
     ] = None,
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
-    """List the stored calibrations of a project, or show the estimates of one."""
+    """List stored calibrations, or show the estimates of one."""
     from fixel.database.project import Project
     from fixel.workflows.calibration.project import list_calibrations, stored_calibration
 
@@ -288,8 +291,7 @@ def _prepare(
     from fixel.workflows.calibration.plan import CalibrationPlan
     from fixel.workflows.calibration.stored_run import job_folder, prepare_folder
 
-    plan = CalibrationPlan.of(mode, chosen, **arguments)
-    plan.rehearse()
+    plan = CalibrationPlan.of(mode, chosen, **arguments).rehearse()
     job = job_folder(project.folder, plan)
     prepare_folder(plan, job)
     return job

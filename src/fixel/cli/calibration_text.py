@@ -12,6 +12,7 @@ import numpy as np
 from fixel.calibration.misfit import WARNED
 from fixel.calibration.objective import Robust
 from fixel.cli.screen import compare_command, seconds, table
+from fixel.model.records import Estimate, interval_name
 from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.commands import PRESSURE, enlarged_command
 from fixel.workflows.calibration.result import FitKind, ParameterSet, length_of, outliers
@@ -20,7 +21,7 @@ MAX_ROWS = 20
 ENDS = ("at least", "at most")
 MAX_OUTLIERS = 5
 BEST_FIT = (
-    "Quote the values; use the best fit for predictions. With a wrong model, the parameters that "
+    "Quote the values. Simulations use the best fit, {}: with a wrong model, the parameters that "
     "predict best differ from the true ones."
 )
 
@@ -28,11 +29,7 @@ BEST_FIT = (
 def lines_of(done: Calibrations, folder: Path, pictures: list[Path]) -> list[str]:
     """Return the lines to print."""
     outcome = done.outcome
-    lines = []
-    if done.left_out:
-        lines.append(
-            f"skipped {len(done.left_out)} experiments that cannot be compared with a simulation"
-        )
+    lines = [*done.skipped]
     if done.request.sample_of is not None:
         lines.append(
             f"a random sample of {len(outcome.keys)} of {done.request.sample_of} experiments"
@@ -124,13 +121,16 @@ def _together_lines(done: Calibrations, one: Any) -> list[str]:
     if len(one.solutions) > 1:
         lines.append(f"{len(one.solutions)} distinct parameter sets fit almost equally well")
     free = done.request.space.free
-    pairs = zip(free, one.values(done.request.space.labels).tolist(), one.point, strict=True)
-    rows = [_row(u, value, best, one) for u, value, best in pairs]
-    head = ("parameter", "value", "unit", "interval", "verdict", "best fit")
+    pairs = zip(free, one.values(done.request.space.labels).tolist(), strict=True)
+    rows = [row for u, value in pairs for row in _rows_of(u, value, one)]
+    head = ("parameter", "value", "unit", interval_name(done.request.level), "verdict")
     lines += table(head, rows) if one.estimates else table(head[:3], [row[:3] for row in rows])
     lines += [f"  {e.label}: {e.reason}" for e in one.estimates if e.reason]
     if one.misfit and one.estimates:
-        lines.append(BEST_FIT)
+        fitted = zip(free, one.point.tolist(), strict=True)
+        lines.append(
+            BEST_FIT.format(", ".join(f"{u.label} {_shown(u.unit, x):.4g}" for u, x in fitted))
+        )
     larger = enlarged_command(done.command, done.request) if one.misfit_ratio >= WARNED else ""
     if not larger:
         return lines
@@ -162,18 +162,27 @@ def _outlier_lines(done: Calibrations, one: ParameterSet) -> list[str]:
     return lines
 
 
-def _row(unknown: Any, value: float, best: float, one: Any) -> tuple[str, ...]:
-    """Build a row with the value to quote, its interval, and the value that predicts best."""
-    estimate = next((e for e in one.estimates if e.label == unknown.label), None)
-    interval, verdict = "", ""
-    if estimate is not None:
-        ends = [estimate.low, estimate.high]
-        written = ["" if x is None else f"{_shown(unknown.unit, x):.4g}" for x in ends]
-        interval = f"{written[0]} .. {written[1]}" if any(written) else "none"
-        verdict = " ".join([estimate.verdict, *_known_end(estimate.verdict, written)])
+def _rows_of(unknown: Any, value: float, one: Any) -> list[tuple[str, ...]]:
+    """Build a row with the value and its interval, and below it those from noise alone."""
     unit = {"m": "mm", "rad": "deg"}.get(unknown.unit, unknown.unit)
-    shown, fitted = (f"{_shown(unknown.unit, x):.4g}" for x in (value, float(best)))
-    return (unknown.label, shown, unit, interval, verdict, fitted)
+    shown = f"{_shown(unknown.unit, value):.4g}"
+    estimate = next((e for e in one.estimates if e.label == unknown.label), None)
+    if estimate is None:
+        return [(unknown.label, shown, unit, "", "")]
+    interval, written = _interval(estimate)
+    verdict = " ".join([estimate.verdict, *_known_end(estimate.verdict, written)])
+    rows: list[tuple[str, ...]] = [(unknown.label, shown, unit, interval, verdict)]
+    if (narrow := estimate.noise_alone) is not None:
+        value = _shown(unknown.unit, narrow.value)
+        rows.append(("  noise alone", f"{value:.4g}", unit, _interval(narrow)[0], ""))
+    return rows
+
+
+def _interval(estimate: Estimate) -> tuple[str, list[str]]:
+    """Return an interval as text, and its two ends, which are empty where it is open."""
+    ends = (estimate.low, estimate.high)
+    written = ["" if x is None else f"{_shown(estimate.unit, x):.4g}" for x in ends]
+    return f"{written[0]} .. {written[1]}" if any(written) else "none", written
 
 
 def _known_end(verdict: str, written: list[str]) -> list[str]:

@@ -7,6 +7,7 @@ import os
 import sys
 from contextlib import suppress
 from pathlib import Path
+from string import hexdigits
 from typing import Any
 from uuid import uuid4
 
@@ -127,5 +128,7 @@ def lost(path: Path, how: str) -> StoreRefused:
 
 
 def media_path(digest: str, media: Path) -> Path:
-    """Path of the media file with a checksum."""
+    """Path of the media file with a checksum; raise `StoreRefused` for what is none."""
+    if len(digest) != 64 or set(digest) - set(hexdigits):
+        raise lost(media / digest[:2], f"is named {digest[:80]!r}, which is no checksum")
     return media / digest[:2] / digest

@@ -179,7 +179,7 @@ def _chunks(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iter
                         path, f"more data in {info.filename} than its header states", "its size"
                     )
                 yield data
-    except (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, NotImplementedError) as problem:
+    except (EOFError, OSError, zipfile.BadZipFile, zlib.error, RuntimeError) as problem:
         raise _refused(path, f"{info.filename} damaged: {problem}", "a complete bundle") from None
 
 

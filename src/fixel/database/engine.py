@@ -149,7 +149,8 @@ def translated(engine: sa.Engine) -> Iterator[None]:
         yield
     except exc.DBAPIError as problem:
         raise StoreRefused(*_reason(place, str(problem.orig))) from problem
-    except sqlite3.Error as problem:  # from direct calls of the driver
+    # From direct calls of the driver, also where a damaged page has a message that is no text.
+    except (sqlite3.Error, UnicodeDecodeError) as problem:
         raise StoreRefused(*_reason(place, str(problem))) from problem
 
 
@@ -181,7 +182,7 @@ def _reason(place: str, said: str) -> tuple[str, str | None]:
         ),
         "disk i/o": (
             f"the disk of {place} fails or is full: {said}",
-            "free disk space or check the disk, then: fixel db check",
+            "free disk space or check the disk, then repeat the command",
         ),
         "not a database": (
             f"{place} is not a SQLite database",

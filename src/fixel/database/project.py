@@ -131,6 +131,7 @@ class Project:
                 found=first["msg"].lower(),
                 expected="the key name and, for a server, database",
             ) from None
+        _check_inside(path, self.settings.database)
 
     @classmethod
     def create(cls, folder: str | os.PathLike[str], *, database: str | None = None) -> Project:
@@ -443,6 +444,23 @@ def _server(url: str, media: Path | None) -> tuple[Path, ProjectSettings]:
     folder = Path(file).parent if media is None else Path(media).parent
     name = url.rpartition("/")[2].partition("?")[0] or "project"
     return folder, ProjectSettings(name=name[:MAX_NAME], database=url)
+
+
+def _check_inside(path: Path, database: str | None) -> None:
+    """Raise `InvalidInput` for settings that name a file outside the folder of the project.
+
+    The folder may come from elsewhere, and opening a file of SQLite creates it.
+    """
+    if database is None or not database.lower().startswith("sqlite"):
+        return
+    file = Path(database.partition(":///")[2].partition("?")[0])
+    if "\0" in database or not file.resolve().is_relative_to(path.parent.resolve()):
+        raise InvalidInput(
+            f"{path}: database",
+            found=database,
+            expected="the URL of a server, or a file in the folder of the project",
+            hint=f"to use this file, set {VARIABLE} to its URL",
+        )
 
 
 def _named(place: str) -> Any:

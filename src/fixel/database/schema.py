@@ -109,6 +109,13 @@ def freeze(table: str) -> None:
         _freeze_in_postgresql(table, frozen)
 
 
+def unfreeze(table: str) -> None:
+    """Remove the triggers of `freeze` from a table whose columns a migration has changed."""
+    on = "" if op.get_bind().dialect.name == "sqlite" else f' ON "{table}"'
+    for kind in ("frozen", "kept"):
+        op.execute(f'DROP TRIGGER "{table}_{kind}"{on}')
+
+
 def _freeze_in_sqlite(table: str, frozen: str) -> None:
     refuse = f"BEGIN SELECT RAISE(ABORT, '{FROZEN}'); END"
     op.execute(f'CREATE TRIGGER "{table}_frozen" BEFORE UPDATE OF {frozen} ON "{table}" {refuse}')

@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar, final
+from typing import Any, Concatenate, Final, NamedTuple, ParamSpec, TypeVar, final
 
 import numpy as np
 import sqlalchemy as sa
@@ -30,22 +30,31 @@ from fixel.model.selection import ExperimentQuery
 
 MAX_NAMES: Final = 20_000  # number of experiments that a mistyped name is compared with
 T = TypeVar("T")
+P = ParamSpec("P")
+# Exceptions of parsers and records for invalid content.
+_DAMAGE: Final = (
+    *(ArithmeticError, AttributeError, LookupError, RecursionError, StopIteration),
+    *(TypeError, ValueError),
+)
 
 
 def _damage_named(
     what: str,
-) -> Callable[[Callable[[Store, int], T]], Callable[[Store, int], T]]:
-    """Decorate a reader so that a malformed record raises `StoreRefused` with its id."""
+) -> Callable[[Callable[Concatenate[Store, P], T]], Callable[Concatenate[Store, P], T]]:
+    """Decorate a reader so that a malformed record raises `StoreRefused`, with its id if known."""
 
-    def of(read: Callable[[Store, int], T]) -> Callable[[Store, int], T]:
+    def of(read: Callable[Concatenate[Store, P], T]) -> Callable[Concatenate[Store, P], T]:
         @functools.wraps(read)
-        def read_or_refuse(store: Store, number: int) -> T:
+        def read_or_refuse(store: Store, /, *given: P.args, **options: P.kwargs) -> T:
             try:
-                return read(store, number)
-            except (ValueError, TypeError, KeyError, AttributeError, StopIteration) as problem:
+                return read(store, *given, **options)
+            except NotStored:
+                raise
+            except _DAMAGE as problem:
                 said = " ".join(str(problem).split())[:200] or type(problem).__name__
+                number = f" {given[0]}" if given and isinstance(given[0], int) else ""
                 raise StoreRefused(
-                    f"{what} {number} is damaged: {said}",
+                    f"{what}{number} is damaged: {said}",
                     hint="list all errors: fixel db check",
                 ) from problem
 
@@ -447,6 +456,8 @@ class Store:
                     "max_error_mm2": record.max_error_mm2,
                     "reasons": reasons,
                     "estimates": rows.estimates_row(record.estimates),
+                    "request": record.request,
+                    "result": record.result,
                     **rows.provenance_row(record.provenance),
                 },
             )
@@ -476,11 +487,17 @@ class Store:
             record = _calibrations(connection, table.c.id == calibration_id)[calibration_id]
             series = arrays.read_all(connection, "calibration", calibration_id, self.media)
         reasons = [row.reasons.get(str(k), "") for k in range(row.n_evaluation)]
-        return replace(record, evaluations=rows.evaluations_of(series, reasons))
+        return replace(
+            record,
+            evaluations=rows.evaluations_of(series, reasons),
+            request=row.request,
+            result=row.result,
+        )
 
+    @_damage_named("a calibration")
     def calibration_summaries(self) -> dict[int, CalibrationRecord]:
-        """Load all calibrations by id, oldest first, without their evaluations: two queries and no
-        file access, even for a thousand calibrations."""
+        """Load all calibrations by id, oldest first, without evaluations, request and result: two
+        queries and no file access, even for a thousand calibrations."""
         with reading(self._engine) as connection:
             return _calibrations(connection, tables.calibration.c.deleted_at_utc.is_(None))
 
@@ -578,10 +595,11 @@ class Store:
 def _calibrations(
     connection: sa.Connection, *where: sa.ColumnElement[bool]
 ) -> dict[int, CalibrationRecord]:
-    """Load calibrations by id, oldest first, without their evaluations."""
+    """Load calibrations by id, oldest first, without their evaluations, request and result."""
     table, member, sets = tables.calibration, tables.calibration_member, tables.system_parameters
+    shown = [c for c in table.c if c.name not in ("request", "result")]
     wanted = (
-        sa.select(table, *(c for c in sets.c if c.name not in ("id", "content_sha256")))
+        sa.select(*shown, *(c for c in sets.c if c.name not in ("id", "content_sha256")))
         .join(sets, sets.c.id == table.c.system_parameters_id)
         .where(*where)
         .order_by(table.c.id)

@@ -175,6 +175,9 @@ calibration = sa.Table(
     sa.Column("reasons", sa.JSON, nullable=False),  # JSON: failed evaluation's number -> reason
     sa.Column("estimates", sa.JSON(none_as_null=True)),  # JSON list, one item per parameter
     *_provenance(),
+    # Both are empty in calibrations stored by earlier versions.
+    sa.Column("request", sa.JSON(none_as_null=True)),  # JSON: all options of the run
+    sa.Column("result", sa.JSON(none_as_null=True)),  # JSON: profiles, noise, errors before, ...
 )
 
 calibration_member = sa.Table(

@@ -22,7 +22,7 @@ from fixel.drawing.chart import (
     sheet,
     shorten,
 )
-from fixel.model.records import Estimate, ProfileRecord
+from fixel.model.records import Estimate, ProfileRecord, interval_name
 from fixel.table import Table
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 ROW: Final = 0.42  # [inch], height of the row of a parameter
 COLUMNS: Final = 4  # maximum number of profiles side by side
+NOISE_ALONE: Final = "interval from noise alone"
 # Profiles are drawn up to this multiple of the threshold.
 SHOWN: Final = 3.0
 
@@ -52,18 +53,17 @@ class ParametersChart(AbstractChart):
     ----------
     title : str
     rows : sequence of Estimate
-        Estimates with the bounds of the search and the values before; with a best fit only where
-        that is another value.
+        Estimates with the bounds of the search and the values before.
     others : mapping from name to values
         Other sets: a value for each row. At most three are drawn.
-    level : float
-        Confidence level of the intervals.
+    level : float, optional
+        Confidence level of the intervals; None if it is unknown.
     """
 
     title: str
     rows: Sequence[Estimate]
     others: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    level: float = 0.95
+    level: float | None = 0.95
 
     def figure(self) -> Figure:
         n = len(self.rows)
@@ -92,12 +92,11 @@ class ParametersChart(AbstractChart):
 
         entries: list[Any] = [Line2D([], [], label="value", **_dot(palette.BODY, "o"))]
         if any(row.is_assessed for row in self.rows):
-            label = f"{100 * self.level:g} % interval; an arrow: unbounded by the data"
+            label = f"{interval_name(self.level)}; an arrow: unbounded by the data"
             entries.append(Line2D([], [], color=palette.BODY, linewidth=3.0, alpha=0.4,
                                   label=label))  # fmt: skip
-        if any(row.best_fit is not None for row in self.rows):
-            entries.append(Line2D([], [], label="best fit for prediction, if different",
-                                  **_dot(palette.BODY, "o", hollow=True)))  # fmt: skip
+        if any(row.noise_alone for row in self.rows):
+            entries.append(Line2D([], [], color=palette.BODY, linewidth=1.2, label=NOISE_ALONE))
         entries.append(
             Line2D([], [], linestyle="none", marker="|", markersize=7, color=palette.INK,
                    label="before")
@@ -110,11 +109,12 @@ class ParametersChart(AbstractChart):
 
     def table(self) -> Table:
         columns = ("parameter", "unit", "bound_low", "bound_high", "before", "value",
-                   "interval_low", "interval_high", "best_fit", "verdict",
-                   *self.others)  # fmt: skip
+                   "interval_low", "interval_high", "noise_value", "noise_low", "noise_high",
+                   "verdict", *self.others)  # fmt: skip
         rows = [
             (row.label, row.unit, *_bounds(row), row.before, row.value, row.low, row.high,
-             row.best_fit, row.verdict, *(own[k] for own in self.others.values()))
+             row.noise_value, row.noise_low, row.noise_high, row.verdict,
+             *(own[k] for own in self.others.values()))
             for k, row in enumerate(self.rows)
         ]  # fmt: skip
         return Table(columns, rows)
@@ -151,6 +151,10 @@ def _draw_row(axes: Axes, k: int, row: Estimate, others: Sequence[float]) -> Non
     axes.text(1.0, k + 0.16, f"{unit.text(high)} {unit.name}".rstrip(), ha="right", **small)
     if row.is_assessed:
         colour = _colour(row.verdict)
+        if (narrow := row.noise_alone) is not None:
+            at = [share(low if narrow.low is None else narrow.low),
+                  share(high if narrow.high is None else narrow.high)]  # fmt: skip
+            axes.plot(at, [k + 0.13, k + 0.13], color=colour, linewidth=1.2, zorder=4)
         ends = [0.0 if row.low is None else share(row.low)]
         ends.append(1.0 if row.high is None else share(row.high))
         axes.plot(ends, [k, k], color=colour, alpha=0.4, linewidth=5.0, solid_capstyle="butt",
@@ -165,8 +169,6 @@ def _draw_row(axes: Axes, k: int, row: Estimate, others: Sequence[float]) -> Non
         axes.plot([share(value)], [k], zorder=6, **dot)
     colour = _colour(row.verdict) if row.is_assessed else palette.BODY
     axes.plot([share(row.value)], [k], zorder=5, **_dot(colour, "o"))
-    if row.best_fit is not None:
-        axes.plot([share(row.best_fit)], [k], zorder=4, **_dot(colour, "o", hollow=True))
 
 
 def _colour(verdict: str) -> str:
@@ -210,30 +212,26 @@ class ProfilesChart(AbstractChart):
     ----------
     title : str
     profiles : sequence of ProfileRecord
-    level : float
-        Confidence level of the intervals.
-    misfits : bool
-        Whether the model has a misfit: reported intervals are then wider than those drawn.
+    estimates : mapping from label to Estimate
+        Values and intervals to draw.
+    level : float, optional
+        Confidence level of the intervals; None if it is unknown.
     """
 
     title: str
     profiles: Sequence[ProfileRecord]
-    level: float = 0.95
-    misfits: bool = False
-
-    @property
-    def _interval(self) -> str:
-        return f"{100 * self.level:g} % interval" + (", without misfit" if self.misfits else "")
+    estimates: Mapping[str, Estimate]
+    level: float | None = 0.95
 
     def figure(self) -> Figure:
         n = len(self.profiles)
         columns = min(n, COLUMNS) if n != 5 else 3
         rows = -(-n // columns)
         width = WIDE if columns > 2 else palette.COLUMN * columns
-        figure = sheet(width, 0.55 + 1.75 * rows, self.title)
+        figure = sheet(width, (0.55 if columns > 2 else 0.75) + 1.75 * rows, self.title)
         grid = figure.subplots(rows, columns, squeeze=False)
         for axes, profile in zip(grid.flat, self.profiles, strict=False):
-            _draw_profile(axes, profile, self._interval)
+            _draw_profile(axes, profile, self.estimates[profile.label], interval_name(self.level))
         for axes in grid.flat[n:]:
             axes.axis("off")
         for row in grid:
@@ -243,9 +241,19 @@ class ProfilesChart(AbstractChart):
 
     def table(self) -> Table:
         columns = ("parameter", "unit", "curve", "value", "rise", "threshold",
-                   "interval_low", "interval_high")  # fmt: skip
+                   "interval_low", "interval_high", "noise_low", "noise_high")  # fmt: skip
         rows = [
-            (p.label, p.unit, name, value, rise, p.threshold, p.low, p.high)
+            (
+                p.label,
+                p.unit,
+                name,
+                value,
+                rise,
+                p.threshold,
+                *_ends(self.estimates[p.label]),
+                p.low,
+                p.high,
+            )
             for p in self.profiles
             for name, values, rises in (
                 ("profile", p.values, p.deviances),
@@ -256,15 +264,22 @@ class ProfilesChart(AbstractChart):
         return Table(columns, rows)
 
 
-def _draw_profile(axes: Axes, profile: ProfileRecord, interval: str) -> None:
+def _ends(estimate: Estimate) -> tuple[float | None, float | None]:
+    return estimate.low, estimate.high
+
+
+def _draw_profile(axes: Axes, profile: ProfileRecord, estimate: Estimate, interval: str) -> None:
     unit = display_unit(profile.unit)
-    left, right = _range(profile)
-    ends = (
-        left if profile.low is None else profile.low,
-        right if profile.high is None else profile.high,
-    )
-    axes.axvspan(*(unit.factor * np.array(ends)), color=palette.TRAIL, alpha=0.25, linewidth=0.0,
-                 label=interval)  # fmt: skip
+    left, right = _range(profile, estimate)
+    bands = [(estimate, palette.TRAIL, interval)]
+    if (narrow := estimate.noise_alone) is not None:
+        bands.append((narrow, palette.BODY, NOISE_ALONE))
+    for one, colour, name in bands:
+        ends = (left if one.low is None else one.low, right if one.high is None else one.high)
+        axes.axvspan(*(unit.factor * np.array(ends)), color=colour, alpha=0.25, linewidth=0.0,
+                     label=name)  # fmt: skip
+    if estimate.is_known:
+        axes.axvline(unit.factor * estimate.value, color=palette.INK, linewidth=1.0, label="value")
     axes.axhline(1.0, color=palette.INK, linewidth=0.7, linestyle=(0, (1, 1)), label="threshold")
     for values, rises, style in (
         (profile.slice_values, profile.slice_deviances, _SLICE),
@@ -272,8 +287,6 @@ def _draw_profile(axes: Axes, profile: ProfileRecord, interval: str) -> None:
     ):
         known = np.isfinite(rises)
         axes.plot(unit.factor * values[known], rises[known] / profile.threshold, **style)
-    axes.plot([unit.factor * profile.best], [0.0], marker="o", markersize=4.0, color=palette.BODY,
-              zorder=4, clip_on=False)  # fmt: skip
     axes.set_xlim(unit.factor * left, unit.factor * right)
     axes.set_ylim(0.0, SHOWN)
     axes.set_xlabel(unit.on(profile.label))
@@ -296,8 +309,16 @@ _PROFILE: Final[Style] = {
 }
 
 
-def _range(profile: ProfileRecord) -> tuple[float, float]:
-    """Range of values to show: where the profile is low, and one more value on either side."""
+def _range(profile: ProfileRecord, estimate: Estimate) -> tuple[float, float]:
+    """Range of values to show: where the profile is low, and the estimate with its interval."""
+    left, right = _low_range(profile)
+    known = [x for x in (estimate.value, *_ends(estimate)) if x is not None]
+    margin = 0.04 * (max(right, *known) - min(left, *known))
+    return min(left, min(known) - margin), max(right, max(known) + margin)
+
+
+def _low_range(profile: ProfileRecord) -> tuple[float, float]:
+    """Range where the profile is low, and one more value on either side."""
     near = np.flatnonzero(profile.deviances <= SHOWN * profile.threshold)
     if not len(near):
         return float(profile.values[0]), float(profile.values[-1])

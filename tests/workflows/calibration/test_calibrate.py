@@ -214,6 +214,25 @@ def test_limits_are_totals_and_repeat(pushes):
     assert fixel.calibrate(pushes[:2], BOUNDS, budget=1e-6, **options).status == "budget"
 
 
+@pytest.mark.parametrize("optimiser", ["least-squares", "pattern-search", "nelder-mead", "cma-es"])
+@pytest.mark.parametrize("function", [fixel.calibrate, fixel.calibrate_each])
+@pytest.mark.parametrize("limit", [1, 10])
+def test_a_limit_of_evaluations_is_exact(pushes, optimiser, function, limit):
+    if (optimiser, function) == ("least-squares", fixel.calibrate_each):
+        pytest.skip("least squares is for several experiments")
+    found = function(
+        pushes[:2], BOUNDS, optimiser=optimiser, starts=2, max_evaluations=limit, verdicts=False,
+        motion="quasistatic", progress=False, threads=1,
+    )  # fmt: skip
+    for fit in [found] if isinstance(found, fixel.Calibration) else found:
+        trace = fit.found.trace
+        assert fit.evaluations == len(trace.points) == limit
+        assert fit.status == "budget"
+        best = int(np.argmin(trace.errors))
+        assert trace.error == trace.errors[best]
+        assert trace.point.tolist() == trace.points[best].tolist()
+
+
 def test_a_store_continues_and_refuses_another_call(pushes, tmp_path):
     store = tmp_path / "fit"
     whole = fixel.calibrate(pushes[:2], BOUNDS, **QUIET)

@@ -77,8 +77,14 @@ def test_one_value_inside_its_interval_wherever_one_looks(found):
     chart = next(
         p.chart for p in pictures_of(CalibrationReportData(done)) if p.name == "parameters"
     )
-    report = {row[0]: row[1] for row in parameters_section(one, []).tables[0].rows}
+    profiles = next(
+        p.chart for p in pictures_of(CalibrationReportData(done)) if p.name == "profiles"
+    )
+    rows = parameters_section(one, []).tables[0].rows
+    report = {row[0]: row[1] for row in rows}
+    noise = {a[0]: b[1] for a, b in pairwise(rows) if b[0] == "noise alone"}
     lines = lines_of(done, project.folder, [])
+    printed = repr(done.joint).splitlines()
     for row, drawn in zip(told.parameters, chart.rows, strict=True):
         low = -math.inf if row.low is None else row.low
         high = math.inf if row.high is None else row.high
@@ -89,6 +95,16 @@ def test_one_value_inside_its_interval_wherever_one_looks(found):
         table = next(line for line in lines if line.startswith(row.label))
         assert table.split()[1] == f"{factor * row.value:.4g}"
         assert f"{row.label}={row.value:.4g}" in next(x for x in lines if x.startswith("Next: "))
+        # What noise alone would state is a labelled line below, and what the profile shows.
+        curve = next(c for c in profiles.profiles if c.label == row.label)
+        assert profiles.estimates[row.label].value == row.value
+        assert (row.noise_low, row.noise_high) == (curve.low, curve.high)
+        assert abs(row.noise_value - curve.best) <= 0.02 * (row.bounds[1] - row.bounds[0])
+        assert noise[row.label] == f"{factor * row.noise_value:.4g}"
+        below = lines[lines.index(table) + 1].split()
+        assert below[:3] == ["noise", "alone", f"{factor * row.noise_value:.4g}"]
+        at = next(k for k, text in enumerate(printed) if text.startswith(f"  {row.label}"))
+        assert printed[at + 1].startswith("    noise alone")
         assert summary["best_fit"][row.label] == row.best_fit == one.record.parameters[row.label]
     assert any(row.value != row.best_fit for row in told.parameters)
 

@@ -13,11 +13,13 @@ from fixel.model import Flag
 from fixel.model.records import Estimate
 from fixel.vision.frame import Frame
 from fixel.workflows.demo import camera_demo
-from fixel.workflows.demo.camera_demo import run_camera_tour, within_interval
+from fixel.workflows.demo.camera_demo import estimate_table, run_camera_tour, within_interval
 
 
 def estimate(value: float, low: float | None, high: float | None) -> Estimate:
-    return Estimate(label="mu_pusher", unit="", value=value, low=low, high=high)
+    return Estimate(
+        label="mu_pusher", unit="", value=value, low=low, high=high, verdict="identified"
+    )
 
 
 @pytest.mark.parametrize(
@@ -32,7 +34,17 @@ def estimate(value: float, low: float | None, high: float | None) -> Estimate:
 def test_an_interval_without_an_end_holds_everything_on_that_side(
     low: float | None, high: float | None, true: float, expected: bool
 ) -> None:
-    assert within_interval(estimate(0.3, low, high), estimate(true, None, None)) is expected
+    assert within_interval(estimate(0.3, low, high), true) is expected
+
+
+def test_the_table_compares_both_estimates_with_the_truth() -> None:
+    pairs = ((estimate(0.3, 0.2, 0.4), estimate(0.21, 0.2, 0.22)),) * 2
+    table = estimate_table(pairs, (0.25, None))
+    (_, truth, film, exact, agree), (_, none, *_) = table.rows
+    assert (truth, none, agree) == ("0.25", "none", "yes")
+    assert film == "0.3 (0.2 to 0.4), identified: right"
+    assert exact == "0.21 (0.2 to 0.22), identified: WRONG"
+    assert not any("right" in cell or "WRONG" in cell for cell in table.rows[1])
 
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
@@ -46,12 +58,15 @@ def test_the_film_gives_the_parameters_that_true_poses_give(tmp_path: Path) -> N
     assert tour.lost == 0
     assert tour.errors.position < 1.5e-4
     assert tour.errors.angle < math.radians(0.15)
-    assert all(within_interval(*pair) for pair in tour.estimates)
-    assert any(tracked.verdict == "identified" for tracked, _ in tour.estimates)
+    assert all(within_interval(tracked, true.value) for tracked, true in tour.estimates)
+    assert tour.truths[0] is not None
+    for pair, truth in zip(tour.estimates, tour.truths, strict=True):
+        for one in pair:
+            assert one.verdict != "identified" or truth is None or within_interval(one, truth)
     assert "side_by_side" in tour.report.page.read_text(encoding="utf-8")
 
 
-def test_the_first_sentence_comes_before_the_engine_is_compiled(
+def test_the_first_sentence_comes_before_anything_is_simulated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[str] = []
@@ -59,9 +74,8 @@ def test_the_first_sentence_comes_before_the_engine_is_compiled(
     def simulated(*_: object) -> None:
         raise RuntimeError(said[-1])
 
-    monkeypatch.setattr(camera_demo, "engine_is_cold", lambda: True)
     monkeypatch.setattr(camera_demo.SimulatedTestbed, "run", simulated)
-    with pytest.raises(RuntimeError, match=r"simulating 1 pushes; the simulator is compiled first"):
+    with pytest.raises(RuntimeError, match="simulating 1 pushes"):
         run_camera_tour(tmp_path / "tour", pushes=(0,), notify=said.append)
 
 

@@ -116,6 +116,14 @@ def test_the_page_needs_nothing_but_itself(report):
     assert {link[1:] for link in page.links if link.startswith("#")} <= anchors
 
 
+def test_the_first_page_names_command_and_version(report):
+    facts = dict(report.content.facts)
+    assert facts["command"].startswith("fixel calibrate ")
+    assert not any(
+        value.startswith("fixel calibrate") for name, value in facts.items() if "version" in name
+    )
+
+
 def test_names_of_experiments_are_text_and_no_markup(project, report, without_charts):
     assert EVIL not in report.page.read_text(encoding="utf-8")
     _kept(project)

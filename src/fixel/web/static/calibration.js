@@ -7,11 +7,11 @@ import { Plot } from "./plot.js";
 import { digits, rms, shown, verdictOf } from "./quantity.js";
 import { several, shownIn } from "./units.js";
 
-/** @typedef {{label: string, unit: string, value: number, best_fit: number, low: number | null, high: number | null, bounds: [number, number] | null, before: number | null, verdict: string, reason: string}} Row */
+/** @typedef {{label: string, unit: string, value: number, best_fit: number, low: number | null, high: number | null, noise_value: number | null, noise_low: number | null, noise_high: number | null, bounds: [number, number] | null, before: number | null, verdict: string, reason: string}} Row */
 /** @typedef {{id: number, key: string, before: number | null, after: number | null}} Residual */
 /** @typedef {{error: number | null, point: number[], evaluations: number, good: boolean}} Start */
 /** @typedef {{label: string, unit: string, values: number[], rises: (number | null)[], slice_values: number[], slice_rises: (number | null)[], low: number | null, high: number | null, threshold: number}} Curve */
-/** @typedef {{id: number, name: string, unit: string, level: number, parameters: Row[], residuals: Residual[], worst: Residual[], objective: import("./api.js").Packed | null, starts: Start[], curves: Curve[], misfit: string[], noise: string, note: string, ended: string, siblings: {id: number, name: string}[], complete: boolean, command: string, python: string}} Calibration */
+/** @typedef {{id: number, name: string, unit: string, level: number | null, parameters: Row[], residuals: Residual[], worst: Residual[], objective: import("./api.js").Packed | null, starts: Start[], curves: Curve[], misfit: string[], noise: string, note: string, ended: string, siblings: {id: number, name: string}[], complete: boolean, command: string, python: string}} Calibration */
 
 const MOST_BARS = 60;
 const root = at("calibration");
@@ -39,10 +39,8 @@ function parameters() {
   at("rows").replaceChildren(...one.parameters.map((row, k) => {
     const [, unit] = shownIn(row.unit);
     const { sign, kind } = verdictOf(row.verdict);
-    const judged = row.low !== null || row.high !== null;
-    const interval = judged
-      ? `${row.low === null ? "unbounded" : shown(row.low, row.unit)} to ${row.high === null ? "unbounded" : shown(row.high, row.unit)}`
-      : "\u2013";
+    const noise = row.noise_value === null ? null
+      : make("small", { class: "noise-alone" }, `noise alone: ${shown(row.noise_value, row.unit)}, ${interval(row.noise_low, row.noise_high, row.unit)}`);
     const reason = make("p", { id: `reason-${k}`, class: "reason", hidden: true }, row.reason);
     const button = make("button", {
       type: "button", class: `verdict-button tag ${kind}`, "aria-expanded": "false", "aria-controls": `reason-${k}`,
@@ -55,13 +53,20 @@ function parameters() {
       "tr", {},
       make("th", { scope: "row" }, row.label, unit ? make("small", {}, `[${unit}]`) : null),
       make("td", { class: "number" }, make("strong", {}, shown(row.value, row.unit))),
-      make("td", { class: "number interval" }, interval),
+      make("td", { class: "number interval" }, interval(row.low, row.high, row.unit), noise),
       make("td", { class: "span" }, strip(row)),
       make("td", {}, row.verdict ? button : "\u2013", reason),
-      make("td", { class: "number" }, shown(row.best_fit, row.unit)),
     );
   }));
-  at("level").textContent = `${+(100 * one.level).toPrecision(3)} % interval`;
+  const fitted = one.parameters.map((row) => `${row.label} ${shown(row.best_fit, row.unit)} ${shownIn(row.unit)[1]}`.trim());
+  at("best-fit").textContent = `Simulations use the best fit of the search: ${fitted.join(", ")}.`;
+  at("level").textContent = one.level === null ? "interval of unknown level" : `${+(100 * one.level).toPrecision(3)} % interval`;
+}
+
+/** @param {number | null} low @param {number | null} high @param {string} unit */
+function interval(low, high, unit) {
+  if (low === null && high === null) return "\u2013";
+  return `${low === null ? "unbounded" : shown(low, unit)} to ${high === null ? "unbounded" : shown(high, unit)}`;
 }
 
 /** Where in its bounds a value is, and how far its interval goes. @param {Row} row */
@@ -145,26 +150,33 @@ function profiles() {
     const [factor, unit] = shownIn(curve.unit);
     const host = make("div", {});
     const [low, high] = [Math.min(...curve.values), Math.max(...curve.values)];
+    const row = one.parameters.find(({ label }) => label === curve.label);
+    /** @param {number | null | undefined} from @param {number | null | undefined} to */
+    const band = (from, to) => ((from ?? null) === null && (to ?? null) === null ? []
+      : [{ from: factor * (from ?? low), to: factor * (to ?? high), name: "inside" }]);
     requestAnimationFrame(() => new Plot(host).show({
       title: `Profile of ${curve.label}: increase of the objective when it is fixed at other values`,
-      x: { label: curve.label, unit, range: around(curve, factor) },
+      x: { label: curve.label, unit, range: around(curve, row, factor) },
       y: { label: "rise", range: [-0.1 * curve.threshold, 3 * curve.threshold] },
       series: [
         { kind: "line", xs: curve.values.map((v) => factor * v), ys: curve.rises.map((r) => r ?? NaN), name: "best", label: "others fitted" },
         { kind: "line", xs: curve.slice_values.map((v) => factor * v), ys: curve.slice_rises.map((r) => r ?? NaN), name: "slice", label: "others fixed" },
       ],
-      marks: [{ y: curve.threshold, name: "before", label: "threshold" }],
-      bands: curve.low === null && curve.high === null ? [] : [{ from: factor * (curve.low ?? low), to: factor * (curve.high ?? high), name: "inside" }],
+      marks: [
+        { y: curve.threshold, name: "before", label: "threshold" },
+        ...(row ? [{ x: factor * row.value, name: "best", label: "value" }] : []),
+      ],
+      bands: [...band(row?.low, row?.high), ...(row?.noise_value === null ? [] : band(row?.noise_low, row?.noise_high))],
       height: 190,
     }));
     return host;
   }));
 }
 
-/** What of the values is of interest: where the rise can be seen. @param {Curve} curve @param {number} factor @returns {[number, number]} */
-function around(curve, factor) {
+/** Range of values to draw: where the rise can be seen, and the interval. @param {Curve} curve @param {Row | undefined} row @param {number} factor @returns {[number, number]} */
+function around(curve, row, factor) {
   const near = curve.values.filter((_, k) => (curve.rises[k] ?? Infinity) < 4 * curve.threshold);
-  const ends = [...near, curve.low ?? NaN, curve.high ?? NaN].filter(Number.isFinite).map((value) => factor * value);
+  const ends = [...near, curve.low ?? NaN, curve.high ?? NaN, row?.value ?? NaN, row?.low ?? NaN, row?.high ?? NaN].filter(Number.isFinite).map((value) => factor * value);
   const [low, high] = [Math.min(...ends), Math.max(...ends)];
   const margin = 0.35 * (high - low) || 1e-3;
   const every = curve.values.map((value) => factor * value);

@@ -21,7 +21,7 @@ from fixel.web.values import Answer, Array, Finite
 from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.commands import python_of
 from fixel.workflows.calibration.job import NEARLY
-from fixel.workflows.calibration.project import reopened
+from fixel.workflows.calibration.project import stored_run
 from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.result import ParameterSet
 from fixel.workflows.calibration.stored import misfit_of
@@ -77,8 +77,10 @@ class StoredCalibration(Answer):
 
     id: int
     name: str
-    unit: str = Field(description="unit unit of the errors: mm^2 or mm")
-    level: float = Field(description="confidence level of the intervals")
+    unit: str = Field(description="unit of the errors: mm^2 or mm")
+    level: float | None = Field(
+        description="confidence level of the intervals; null if it was not stored"
+    )
     parameters: list[Estimate]
     residuals: list[Residual] = Field(description="errors of the experiments, the largest first")
     worst: list[Residual]
@@ -93,9 +95,7 @@ class StoredCalibration(Answer):
     ended: str
     method: dict[str, str | float]
     siblings: list[Sibling]
-    complete: bool = Field(
-        description="whether the folder of its job exists, with profiles and starts"
-    )
+    complete: bool = Field(description="whether profiles and starts were stored with it")
     command: str
     python: str
 
@@ -107,10 +107,10 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCa
     starts: list[Start] = []
     note = ""
     try:
-        calibration = reopened(project, record)
+        calibration = stored_run(project, calibration_id, record)
         if calibration is not None and calibration_id in calibration.ids:
             one = calibration.outcome.found[calibration.ids.index(calibration_id)]
-            data = CalibrationReportData(calibration)
+            data = CalibrationReportData(calibration, project)
             starts = starts_of(data, one)
             note = one.note if starts or not _lacks_starts(data, one) else EARLIER
     except FixelError as problem:  # what is stored can be shown all the same
@@ -121,7 +121,7 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCa
         id=calibration_id,
         name=record.name,
         unit=record.error_unit,
-        level=0.95 if data is None else data.request.level,
+        level=None if data is None else data.request.level,
         parameters=_estimates(record, data, one),
         residuals=residuals,
         worst=residuals[:WORST],

@@ -66,8 +66,7 @@ class CalibrationOffer(Answer):
         description="number of matching experiments that are skipped because their data have faults"
     )
     unknowns: list[ParameterOption] = Field(
-        description="parameters that can be calibrated, parameters that can be calibrated, the "
-        "usual ones first"
+        description="parameters that can be calibrated, the usual ones first"
     )
     optimisers: list[OptimiserOption]
 
@@ -84,11 +83,11 @@ class SearchedParameter(RequestBody):
 class CalibrationForm(RequestBody):
     """A calibration to begin."""
 
-    filter: FilterText = Field(default="", description="filter filter as on the page Experiments")
+    filter: FilterText = Field(default="", description="filter as on the page Experiments")
     experiments: list[Id] = Field(
         default_factory=list,
         max_length=20_000,
-        description="ids of experiments, ids of experiments, instead of the filter",
+        description="ids of experiments, instead of the filter",
     )
     name: Annotated[
         str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)
@@ -183,7 +182,7 @@ def begin(project: Project, plan: CalibrationPlan) -> Path:
 
     One that was begun before, and stopped, continues.
     """
-    plan.rehearse()
+    plan = plan.rehearse()
     folder = job_folder(project.folder, plan)
     prepare_folder(plan, folder)
     if jobs.status_of(folder).state != "done":

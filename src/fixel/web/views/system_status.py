@@ -21,7 +21,7 @@ from fixel.database.project import Project
 from fixel.errors import JobRefused, NotStored
 from fixel.io.document import plain_numbers
 from fixel.jobs.worker_process import WorkerProcess
-from fixel.kernels.jit import cache_folder
+from fixel.kernels.code_cache import cache_folder
 from fixel.web.values import Answer
 from fixel.workflows import diagnostics
 from fixel.workflows.compilation import cache_size, engine_is_cold

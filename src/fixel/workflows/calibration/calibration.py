@@ -23,7 +23,7 @@ from fixel.calibration.study import MADE, OUT_OF_BUDGET
 from fixel.calibration.target import Target, target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
-from fixel.model.records import Estimate
+from fixel.model.records import Estimate, interval_name
 from fixel.model.space import ParameterSpace, split_label
 from fixel.results import Result, Summary
 from fixel.simulation.engine_names import EngineName
@@ -143,8 +143,8 @@ class Calibration(Result, Mapping[str, float]):
         return self.run.request.noise
 
     @property
-    def level(self) -> float:
-        """Confidence level of the intervals."""
+    def level(self) -> float | None:
+        """Confidence level of the intervals; None if an earlier version stored them without it."""
         return self.run.request.level
 
     @property
@@ -216,11 +216,10 @@ class Calibration(Result, Mapping[str, float]):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences on what is doubtful about the result."""
-        warned = self.found.misfit if self.misfit.model_error else ()
+        slight = self.misfit.ratio < WARNED  # not if the noise is unknown
+        warned = () if slight else self.found.misfit
         note = (self.found.note,) if self.found.note else ()
-        left = self.run.left_out
-        skipped = f"skipped {len(left)} experiments without a scene or measured motion"
-        return (*warned, *note, *([skipped] if left else []))
+        return (*warned, *note, *self.run.skipped)
 
     @cached_property
     def rms_error(self) -> float:
@@ -325,14 +324,19 @@ class Calibration(Result, Mapping[str, float]):
         **conditions
             Conditions, such as `surface="abs"`, for parameters with a value for each of them.
         """
-        space = self.space
+        space, level = self.space, self.level
         own = [self.estimates[label] for label in space.labels]
         value = np.array([e.value for e in own])
         ends = np.array([[np.nan if x is None else x for x in (e.low, e.high)] for e in own])
         half = np.abs(ends - value[:, None])
         closed = np.isfinite(half).any(axis=1)
         sd = np.full(len(own), math.inf)
-        sd[closed] = np.nanmean(half[closed], axis=1) / NormalDist().inv_cdf(0.5 + 0.5 * self.level)
+        if closed.any():
+            if level is None:
+                found = "intervals stored without it"
+                raise InvalidInput("level", found=found, expected="a level", hint="calibrate again")
+            reach = NormalDist().inv_cdf(0.5 + 0.5 * level)
+            sd[closed] = np.nanmean(half[closed], axis=1) / reach
         points = draw_joint(value, space.low, space.high, sd, self.correlation, n, seed)
         return space.columns(points, conditions)
 
@@ -423,14 +427,14 @@ class Calibration(Result, Mapping[str, float]):
     def _summary(self) -> Summary:
         tables = [
             Table(
-                ("parameter", "value", f"{100 * self.level:g} % interval", "best fit", "verdict"),
+                ("parameter", "value", interval_name(self.level), "verdict"),
                 _rows(list(self.estimates.values())),
-                left=5,
+                left=4,
             )
         ]
         unknown = [own for own in self.estimates.values() if own.reason and not own.is_known]
         notes = [f"{own.label}: {own.reason}" for own in unknown]
-        notes += [self._error_note(), *self._misfit_notes()]
+        notes += [self._error_note(), *self._prediction_notes(), *self._misfit_notes()]
         notes += [note for note in self.warnings if note not in self.found.misfit]
         return Summary(self._heading(), tables, notes, self._details())
 
@@ -450,23 +454,34 @@ class Calibration(Result, Mapping[str, float]):
 
     def _error_note(self) -> str:
         unit, errors = self.request.made_error.unit, self.found.errors
-        before = self.run.outcome.nominal[list(self.found.members)]
-        shown = [_length(own, unit) for own in (before, errors)]
+        before = _length(self.run.outcome.nominal[list(self.found.members)], unit)
+        begin = "" if math.isnan(before) else f"{before:.3g} mm before, "
         how = "root mean square" if self.request.error.name != "end-pose" else "end pose"
         if self.request.error.name == "robust":
             how = "robust mean"
         scale = 1e3 * self.request.made_error.angle_scale
         return (
-            f"error: {shown[0]:.3g} mm before, {shown[1]:.3g} mm after calibration"
+            f"error: {begin}{_length(errors, unit):.3g} mm after calibration"
             f" ({how}; 1 rad counts as {scale:g} mm)"
         )
+
+    def _prediction_notes(self) -> list[str]:
+        """Values that predict best, where they visibly differ from those to quote."""
+        fitted = [
+            f"{own.label} {_number(own, own.best_fit)}{_unit_after(own)}"
+            for own in self.estimates.values()
+            if own.best_fit is not None and own.bounds and own.is_known and own.is_assessed
+            if abs(own.best_fit - own.value) > VISIBLE * (own.bounds[1] - own.bounds[0])
+        ]
+        return [f"simulations use the best fit: {', '.join(fitted)}"] if fitted else []
 
     def _misfit_notes(self) -> list[str]:
         if self.found.misfit:
             return [self.misfit.reason]
         if math.isnan(self.misfit.ratio):
             return []
-        return [f"no misfit detected; intervals assume {self.found.noise}"]
+        noise = self.found.noise or "a noise that was not stored"
+        return [f"no misfit detected; intervals assume {noise}"]
 
     def _details(self) -> dict[str, str]:
         from importlib.metadata import version
@@ -477,6 +492,7 @@ class Calibration(Result, Mapping[str, float]):
             "error": f"{request.error.name}, combined by {request.combine}",
             "motion model": request.motion,
             "seed": str(request.seed),
+            "noise": self.found.noise,
             "ended": self.message,
             "fixel": version("fixel"),
             "call": self.call,
@@ -574,6 +590,17 @@ class Calibrations(Result, Sequence[Calibration]):
         kinds = (FitKind.DIRECT, FitKind.STORED)
         return next((self[k] for k in range(len(found)) if found[k].how in kinds), None)
 
+    @property
+    def skipped(self) -> tuple[str, ...]:
+        """Sentences on the experiments that were left out, one for each reason."""
+        reasons: dict[str, list[str]] = {}
+        for key, reason in self.left_out.items():
+            reasons.setdefault(reason.removeprefix(f"{key}: "), []).append(key)
+        return tuple(
+            f"skipped {keys[0]}{f' and {len(keys) - 1} more' if keys[1:] else ''}: {reason}"
+            for reason, keys in reasons.items()
+        )
+
     def draw(self, folder: Path) -> list[Path]:
         """Draw all charts into a folder; return PNG, PDF and CSV of each."""
         paths: list[Path] = import_module(_CHARTS).draw_all(self, folder)
@@ -600,8 +627,9 @@ class Calibrations(Result, Sequence[Calibration]):
 
     @property
     def call(self) -> str:
-        """Python expression of the same run."""
-        return call_of(self.request, self.source)
+        """Python expression of the same run; empty if an earlier version stored the run without
+        its complete request."""
+        return "" if self.request.level is None else call_of(self.request, self.source)
 
     def _summary(self) -> Summary:
         labels = self.request.space.labels
@@ -737,12 +765,11 @@ def _rows(estimates: Sequence[Estimate]) -> list[tuple[str, ...]]:
     width = max(len("value"), *map(len, values))
     rows: list[tuple[str, ...]] = []
     for own, value in zip(estimates, values, strict=True):
-        is_searched = own.is_assessed and own.is_known and own.best_fit is not None
-        fitted = ""
-        if is_searched and own.word != "frozen":
-            fitted = _number(own, own.best_fit or 0.0) + _unit_after(own)
         verdict = own.verdict if own.word != "frozen" else ""
-        rows.append((own.label, value.rjust(width), _shown_interval(own), fitted, verdict or "-"))
+        rows.append((own.label, value.rjust(width), _shown_interval(own), verdict or "-"))
+        if (narrow := own.noise_alone) is not None:
+            shown = _number(narrow, narrow.value) + _unit_after(narrow)
+            rows.append(("  noise alone", shown.rjust(width), _shown_interval(narrow), ""))
     return rows
 
 

@@ -18,7 +18,6 @@ from fixel.drawing.profiles import ParametersChart, ProfilesChart
 from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, placed
-from fixel.model.records import Estimate
 from fixel.simulation import Simulation, simulate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
 SAMPLES: Final = 200  # minimum number of samples of a simulation
 MAX_OTHERS: Final = 3
 MAX_ROWS: Final = 20  # calibrations in a drawing of all
-VISIBLE: Final = 0.005  # share of a range that is visible on paper
 
 
 Pictures = Iterator[Picture]
@@ -77,7 +75,7 @@ def plot_each(fits: Calibrations, ax: Axes | None = None) -> Any:
     named = [title_of(_data(fit), fit.found, "") if len(fit.found.members) > 1
              else fit.keys_of_experiments[0] for fit in many]  # fmt: skip
     rows = [
-        replace(_visible(fit.estimates[unknown.label]), label=f"{unknown.label} {name}")
+        replace(fit.estimates[unknown.label], label=f"{unknown.label} {name}")
         for unknown in fits.request.space.free
         for fit, name in zip(many, named, strict=True)
     ]
@@ -133,8 +131,10 @@ CAPTIONS: Final = {
     "of the object.",
     "parameters": "Values before and after, with their intervals and verdicts, between the bounds"
     " of the search.",
-    "profiles": "Profile likelihoods: increase of the deviance when one parameter is fixed at "
-    "another value. A flat line means that the data do not determine the parameter.",
+    "profiles": "Profile likelihoods: increase of the deviance of least squares when one parameter "
+    "is fixed at another value. A flat line means that the data do not determine the parameter. "
+    "Where the model misfits, value and interval are of a second fit, and the profile shows what "
+    "noise alone would allow.",
     "errors_by_offset": "Error against the start pose of the object.",
     "errors": "Errors of all experiments before and after calibration.",
     "overlay": "Measured and simulated motion, before and after calibration.",
@@ -318,19 +318,10 @@ def _seconds_chart(data: CalibrationReportData, searched: list[ParameterSet]) ->
 def _parameters_chart(data: CalibrationReportData, word: str, one: ParameterSet) -> ParametersChart:
     return ParametersChart(
         title=title_of(data, one, word),
-        rows=[_visible(row) for row in data.estimates(one.estimates, one)],
+        rows=data.estimates(one.estimates, one),
         others={name: point.tolist() for name, point in _other_sets(data, one).items()},
         level=data.request.level,
     )
-
-
-def _visible(row: Estimate) -> Estimate:
-    """Return a row without its best fit, unless that differs visibly from the value to quote."""
-    assert row.bounds is not None
-    assert row.best_fit is not None
-    low, high = row.bounds
-    same = abs(row.best_fit - row.value) <= VISIBLE * (high - low)
-    return replace(row, best_fit=None) if same else row
 
 
 def _other_sets(data: CalibrationReportData, one: ParameterSet) -> dict[str, FloatArray]:
@@ -349,8 +340,8 @@ def _profiles_chart(data: CalibrationReportData, word: str, one: ParameterSet) -
     return ProfilesChart(
         title=title_of(data, one, word),
         profiles=one.profiles,
+        estimates={estimate.label: estimate for estimate in one.estimates},
         level=data.request.level,
-        misfits=bool(one.misfit),
     )
 
 

@@ -39,6 +39,7 @@ from fixel.calibration.study import (
     Trace,
     at_points,
     best_subset,
+    better_of,
     box_of,
     calibrate_each,
     calibrate_joint,
@@ -54,6 +55,7 @@ from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
+from fixel.kernels import codes
 from fixel.model.records import Estimate, ProfileRecord
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.request import CalibrationRequest, read_targets
@@ -334,7 +336,7 @@ def calibrate_alone(request: CalibrationRequest, comparer: Comparer, payload: by
             point=trace.point,
             errors=np.array([trace.error]),
             trace=trace,
-            note=next((reason for reason in trace.reasons if reason), "")
+            note=explained(next((reason for reason in trace.reasons if reason), ""))
             if math.isinf(trace.error)
             else "",
         )
@@ -430,6 +432,7 @@ def _direct(
             request.seed,
             comparer.feasible,
             lambda: state.search_end,
+            request.max_evaluations or math.inf,
         ),
         "all together",
         objective,
@@ -444,7 +447,7 @@ def _direct(
         trace=trace,
         solutions=_distinct_solutions(comparer, trace),
         seconds=time.perf_counter() - begun,
-        note=reasons[0],
+        note=_failure(comparer, members, errors[0], reasons[0]),
     )
 
 
@@ -466,12 +469,14 @@ def _by_squares(
     ended = ""
     divisor = len(members) if request.combine == "sum" else 1
     while not search.done:
-        points = search.ask()
+        wanted = search.ask()
+        points = wanted[: request.max_evaluations and request.max_evaluations - state.evaluations]
         note = "least squares"
         if tried[1:]:
             note += f", best RMS {math.sqrt(best / divisor):.4g} mm"
         table = yield from _rows("residuals", "squares", points, len(members), state, note=note)
-        search.tell(table)
+        if len(points) == len(wanted):
+            search.tell(table)
         tried.append(points)
         errors.append(np.einsum("km,km->k", table, table))
         state.record(points, errors[-1])
@@ -479,7 +484,7 @@ def _by_squares(
         if (ended := state.search_end) and not search.done:
             break
     trace = Trace(
-        search.best.point,
+        better_of(search.best, tried, errors).point,
         best,
         np.concatenate(tried),
         np.concatenate(errors),
@@ -494,7 +499,7 @@ def _by_squares(
         errors=found[0],
         trace=trace,
         seconds=time.perf_counter() - begun,
-        note=reasons[0],
+        note=_failure(comparer, members, found[0], reasons[0]),
     )
 
 
@@ -612,6 +617,7 @@ def assess_points(request: CalibrationRequest, comparer: Comparer, payload: byte
 def _assessing(
     request: CalibrationRequest, comparer: Comparer, one: ParameterSet
 ) -> AssessmentSteps[Assessment]:
+    assert request.level is not None  # of a new calibration; `check` refuses it
     return assessment_steps(
         comparer,
         one.members,
@@ -639,9 +645,17 @@ def _with_estimates(
 
 
 def _with_assessment(comparer: Comparer, one: ParameterSet, found: Assessment) -> ParameterSet:
+    estimates = found.estimates
+    if found.misfit is not None and found.misfit.noted:
+        best = found.profiles.best.point.tolist()
+        noise = {p.unknown: (best[p.unknown], p.low, p.high) for p in found.profiles.profiles}
+        estimates = tuple(
+            own if (own.low, own.high) == noise[k][1:] else own.with_noise(*noise[k])
+            for k, own in enumerate(estimates)
+        )
     return dataclasses.replace(
         one,
-        estimates=(*found.estimates, *_frozen(comparer)),
+        estimates=(*estimates, *_frozen(comparer)),
         profiles=_curves(comparer.space.labels, found.profiles),
         noise=_noise_text(found.noise),
         misfit=() if found.misfit is None else found.misfit.sentences,
@@ -688,6 +702,22 @@ def _noise_text(noise: Noise) -> str:
     return (
         f"noise {1e3 * noise.position_m:.3g} mm, {1e3 * noise.angle_rad:.3g} mrad ({how}{together})"
     )
+
+
+def explained(reason: str) -> str:
+    """Return why a simulation failed, with advice for its status."""
+    status = reason.partition(" at ")[0]
+    if status not in codes.STATUS_NAMES:
+        return reason
+    return f"{reason}. {codes.STATUS_ADVICE[codes.STATUS_NAMES.index(status)]}"
+
+
+def _failure(comparer: Comparer, members: Sequence[int], errors: FloatArray, reason: str) -> str:
+    """Return which experiment has no error with the best parameters, and why."""
+    if not reason:
+        return ""
+    first = members[int(np.argmin(np.isfinite(errors)))]
+    return f"{comparer.targets[first].key}: {explained(reason)}"
 
 
 # --- shared -------------------------------------------------------------------------------------

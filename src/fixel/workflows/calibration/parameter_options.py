@@ -19,6 +19,8 @@ from fixel.model.parameters import KNOWN_PARAMETERS
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.workflows.calibration.request import NamedOptions
 
+# Other unit, name of the SI unit, and bound beyond which values are in another unit.
+_TOO_FAR: Final = {"m": ("_mm", "metres", 1.0), "rad": ("_deg", "radians", math.pi)}
 _UNITS: Final = {"_mm": 1e-3, "_deg": math.pi / 180.0, "_mrad": 1e-3}
 
 
@@ -43,8 +45,23 @@ def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
         )
     low, high = numbers[0], numbers[1]
     unknown = usual_in(name, scenes, (low, high))
+    _check_unit(written, unknown, low, high)
     nominal = numbers[2] if len(numbers) == 3 else unknown.nominal
     return replace(unknown, low=low, high=high, nominal=nominal, scale=None)
+
+
+def _check_unit(written: str, usual: Unknown, low: float, high: float) -> None:
+    """Raise for bounds that are too large in SI units, as millimetres or degrees are."""
+    if usual.unit not in _TOO_FAR:
+        return
+    ending, word, limit = _TOO_FAR[usual.unit]
+    if max(abs(low), abs(high)) > max(limit, 2.0 * abs(usual.low), 2.0 * abs(usual.high)):
+        raise InvalidInput(
+            f"--fit {written}",
+            found=f"{low:g} to {high:g} {usual.unit}",
+            expected=f"bounds in {word}, such as {usual.low:g} to {usual.high:g}",
+            hint=f"write {usual.name}{ending}=LOW:HIGH for other units",
+        )
 
 
 def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:

@@ -22,12 +22,20 @@ from fixel.calibration.usual_parameters import Space, search_space
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of
 from fixel.jobs.work import AbstractEngine, Batch, Chunk, JobProgress, Show, answer_of
-from fixel.model import Experiment
+from fixel.kernels import codes
+from fixel.model import Experiment, Scene
 from fixel.model.space import ParameterSpace
 from fixel.progress import Progress, Reporter
 from fixel.simulation.motion import AbstractMotionModel, stated_name
+from fixel.simulation.trust import permit
 from fixel.workflows.calibration.calibration import Calibrations
-from fixel.workflows.calibration.job import CHUNKS, SearchState, comparer_of, evaluate_here
+from fixel.workflows.calibration.job import (
+    CHUNKS,
+    SearchState,
+    comparer_of,
+    evaluate_here,
+    explained,
+)
 from fixel.workflows.calibration.request import (
     CalibrationRequest,
     Combine,
@@ -43,6 +51,7 @@ from fixel.workflows.calibration.result import (
 )
 
 PREFLIGHT: Final = 16  # experiments that are simulated before any work starts
+JAMMED: Final = codes.STATUS_NAMES[codes.JAMMED]
 SINGLES: Final = "calibration:calibrate_alone"  # chunks that calibrate single experiments
 _BEST: Final = re.compile(r", best RMS (\S+) mm")
 
@@ -88,6 +97,7 @@ class CalibrationPlan:
         **others: Any,
     ) -> Self:
         """Return the plan for arguments of `calibrate`, checked."""
+        permit(motion)
         targets = targets_of(experiments)
         space = search_space(parameters, targets, start)
         kind = _named(error, "error")
@@ -122,20 +132,43 @@ class CalibrationPlan:
             left_out=getattr(experiments, "left_out", {}),
         )
 
-    def rehearse(self, threads: int | None = None) -> None:
-        """Simulate a few experiments, to refuse now what cannot be simulated at all."""
-        spread = np.unique(np.linspace(0, len(self.targets) - 1, PREFLIGHT).astype(int))
-        few = [self.targets[k] for k in spread.tolist()]
-        comparer = comparer_of(self.request, self.targets, threads)
-        start = np.repeat(self.request.space.nominal[None], len(few), axis=0)
-        answer = comparer.errors(spread, start)
+    def rehearse(self, threads: int | None = None) -> Self:
+        """Simulate a few experiments, and all that may jam, with the start values.
+
+        Returns
+        -------
+        CalibrationPlan
+            Without the experiments whose rigid drive jams, which would make the error of one set of
+            parameters for all infinite; they are named in `left_out`.
+
+        Raises
+        ------
+        InvalidInput
+            Nothing can be simulated.
+        """
+        n = len(self.targets)
+        rigid = [k for k, target in enumerate(self.targets) if may_jam(target.case.scene)]
+        spread = np.linspace(0, n - 1, PREFLIGHT).astype(int)
+        some = np.unique(np.concatenate((spread, np.array(rigid, np.int64))))
+        start = np.repeat(self.request.space.nominal[None], len(some), axis=0)
+        answer = comparer_of(self.request, self.targets, threads).errors(some, start)
+        found = zip(some.tolist(), answer.reasons, strict=True)
+        jammed = {k: explained(reason) for k, reason in found if reason.startswith(JAMMED)}
         if np.isinf(answer.error).all():
+            key, reason = self.targets[int(some[0])].key, explained(answer.reasons[0])
             raise InvalidInput(
                 "start",
-                found=f"values with which nothing can be simulated: {answer.reasons[0]}",
+                found=f"values with which nothing can be simulated: {key}: {reason}",
                 expected="values with which an experiment can be simulated",
-                hint="choose another start or other bounds",
+                hint="" if jammed else "choose another start or other bounds",
             )
+        if not jammed or self.request.mode == "each":
+            return self
+        return dataclasses.replace(
+            self,
+            targets=[target for k, target in enumerate(self.targets) if k not in jammed],
+            left_out={**self.left_out, **{self.targets[k].key: why for k, why in jammed.items()}},
+        )
 
     def result(self, outcome: CalibrationResult, **more: Any) -> Calibrations:
         """Return the calibrations for the numbers that were found."""
@@ -230,6 +263,11 @@ def reporting(report: Reporter) -> Show:
         )
 
     return show
+
+
+def may_jam(scene: Scene) -> bool:
+    """Whether a rigid drive could push a body against fixels."""
+    return bool(scene.fixels) and any(p.drive.force_limit is None for p in scene.pushers)
 
 
 def usual_search(

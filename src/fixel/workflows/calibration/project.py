@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections import Counter
@@ -17,9 +18,9 @@ from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, StoreRefused
 from fixel.io.atomic import written_whole
-from fixel.io.damaged_files import readable
+from fixel.io.damaged_files import DAMAGE, readable
 from fixel.io.lock import FileLock
 from fixel.jobs import folder as files
 from fixel.jobs.functions import callable_by_jobs
@@ -28,12 +29,21 @@ from fixel.model.records import CalibrationRecord, Evaluations, Member
 from fixel.model.selection import ExperimentQuery
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.table import Column, Table
-from fixel.workflows import jobs
+from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.request import TARGETS, CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.result import SEARCHED, CalibrationResult, FitKind, ParameterSet
-from fixel.workflows.calibration.stored_run import collect, plan_in
+from fixel.workflows.calibration.result import (
+    RUN,
+    SEARCHED,
+    CalibrationResult,
+    FitKind,
+    ParameterSet,
+    outcome_bytes,
+    set_content,
+    set_of,
+)
+from fixel.workflows.calibration.stored_run import collect, job_of, plan_in
 from fixel.workflows.project.filters import check_known_names
 
 STORE_RESULT: Final = "calibration-result:store_result"  # what follows a job in the background
@@ -227,17 +237,37 @@ def store_result(folder: Path) -> None:
     collected(Project(folder.resolve().parents[1]), folder)
 
 
-def reopened(project: Project, record: CalibrationRecord) -> Calibrations | None:
-    """The calibration that a stored set of parameters came from; none where its job is gone."""
-    folder = project.folder / jobs.JOBS / str(record.method.get("job", ""))
-    if not ((folder / files.RESULT).is_file() and (folder / STORED).is_file()):
-        return None
-    plan = replace(plan_in(folder), command=record.provenance.command)
-    return add_to_project(project, collect(plan, folder))
+def stored_run(project: Project, number: int, record: CalibrationRecord) -> Calibrations | None:
+    """Load all calibrations of the run that a stored calibration came from.
+
+    Parameters
+    ----------
+    project : Project
+    number : int
+        Id of the calibration.
+    record : CalibrationRecord
+
+    Returns
+    -------
+    Calibrations or None
+        None if an earlier version stored it and the folder of its job is gone.
+    """
+    if record.request is None:
+        folder = job_of(project, record)
+        if not ((folder / files.RESULT).is_file() and (folder / STORED).is_file()):
+            return None
+        plan = replace(plan_in(folder), command=record.provenance.command)
+        return add_to_project(project, collect(plan, folder))
+    with project.store() as store:
+        summaries = store.calibration_summaries().items()
+        own = [k for k, other in summaries if other.method.get(RUN) == record.method.get(RUN)]
+        records = {k: store.calibration(k) for k in own if k != number}
+        same = {k: other for k, other in records.items() if other.request == record.request}
+        return _from_records(store, same | {number: record})
 
 
 def stored_calibration(project: Project, number: int) -> Calibration:
-    """Load a stored calibration; from its record alone where its job is gone.
+    """Load a stored calibration.
 
     Parameters
     ----------
@@ -248,19 +278,72 @@ def stored_calibration(project: Project, number: int) -> Calibration:
     Returns
     -------
     Calibration
-        Without profiles where its job is gone.
+        The same as when it was stored. If an earlier version stored it and its job is gone, the
+        level of its intervals, its noise and its profiles are unknown.
     """
     with project.store() as store:
         record = store.calibration(number)
-        run = reopened(project, record)
-        if run is not None and number in run.ids:
-            return run[run.ids.index(number)]
-        members = [store.experiment(member.experiment_id) for member in record.members]
-    return _from_record(number, record, [target_of(own) for own in members])
+        if record.request is None:
+            run = stored_run(project, number, record)
+            if run is not None and number in run.ids:
+                return run[run.ids.index(number)]
+        return _from_records(store, {number: record})[0]
 
 
-def _from_record(number: int, record: CalibrationRecord, targets: Sequence[Target]) -> Calibration:
-    """Return a calibration with what its record has."""
+def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Calibrations:
+    """Return the calibrations of one run with what their records have."""
+    try:
+        found: dict[int, tuple[int, CalibrationRecord]] = {}  # by place in the run, each once
+        for number, record in records.items():
+            found[int((record.result or {}).get("place", 0))] = number, record
+        ids, ordered = zip(*(found[place] for place in sorted(found)), strict=True)
+        members = dict.fromkeys(m.experiment_id for record in ordered for m in record.members)
+        places = {experiment_id: k for k, experiment_id in enumerate(members)}
+        targets = tuple(target_of(store.experiment(experiment_id)) for experiment_id in members)
+        nominal = np.full(len(targets), math.nan)
+        sets = []
+        for record in ordered:
+            own = tuple(places[m.experiment_id] for m in record.members)
+            nominal[list(own)] = _nominal(record)
+            sets.append(replace(_set_of(record), members=own))
+        request, result = _request_of(ordered[0]), ordered[0].result or {}
+        n_free = len(request.space.labels)
+        if any((len(s.errors), len(s.point)) != (len(s.members), n_free) for s in sets):
+            raise ValueError("its result has other experiments or parameters than its request")
+        return Calibrations(
+            request=request,
+            outcome=CalibrationResult(
+                keys=tuple(target.key for target in targets),
+                labels=request.space.labels,
+                nominal=nominal,
+                found=tuple(sets),
+            ),
+            targets=targets,
+            source=str(result.get("source", "")),
+            command=ordered[0].provenance.command,
+            left_out=dict(result.get("left_out", {})),
+            ids=ids,
+        )
+    except DAMAGE as problem:
+        said = " ".join(str(problem).split())[:200]
+        raise StoreRefused(
+            f"calibration {min(records)} is damaged: {said}", hint="list all errors: fixel db check"
+        ) from problem
+
+
+def _nominal(record: CalibrationRecord) -> FloatArray:
+    """Errors (n_member,) before the calibration; NaN where a record has only their mean."""
+    if record.result is not None:
+        known = np.array(record.result["nominal"], np.float64)
+        return np.where(np.isnan(known), math.inf, known)
+    mean = float(record.method.get("nominal_error", math.nan))
+    return np.full(len(record.members), mean if len(record.members) == 1 else math.nan)
+
+
+def _request_of(record: CalibrationRecord) -> CalibrationRequest:
+    """Return the request of a record; of an earlier version, without the level."""
+    if record.request is not None:
+        return CalibrationRequest.model_validate(record.request)
     method = record.method
     searched = json.loads(str(method.get(SEARCHED, "[]")))
     unknowns = [Unknown(**own) for own in searched] or [
@@ -271,45 +354,44 @@ def _from_record(number: int, record: CalibrationRecord, targets: Sequence[Targe
         kind, _, option = name.partition(".")
         if option and kind in options:
             options[kind][option] = value
-    request = CalibrationRequest(
+    return CalibrationRequest(
         name=record.name.partition(":")[0],
         unknowns=unknowns,
-        mode=str(method.get("mode", "joint")),  # type: ignore[arg-type]
         error=NamedOptions(name=str(method.get("error", "mean-square")), options=options["error"]),
         motion=str(method.get("motion", "dynamic")),
-        optimiser=NamedOptions(name=str(method.get("optimiser", "auto"))),
+        optimiser=NamedOptions(
+            name=str(method.get("optimiser", "unknown")), options=options["optimiser"]
+        ),
+        starts=int(method.get("starts", 1)),
         combine=str(method.get("combine", "sum")),  # type: ignore[arg-type]
         seed=record.provenance.seed or 0,
+        level=None,
+        verdicts=bool(record.estimates),
     )
-    labels = request.space.labels
+
+
+def _set_of(record: CalibrationRecord) -> ParameterSet:
+    """Return the parameter set of a record; of an earlier version, without noise and profiles."""
+    if record.result is not None:
+        return set_of(record.result["set"], record.evaluations)
+    method, evaluations = record.method, record.evaluations
     known = {own.label: own.value for own in record.estimates} | dict(record.parameters)
-    evaluations, errors = record.evaluations, np.array(record.errors)
-    point = np.array([known[label] for label in labels])
+    point = np.array([known[label] for label in _request_of(record).space.labels])
     trace = None
     if evaluations is not None:
         best = float(evaluations.error.min(initial=math.inf))
         tried, reasons = (evaluations.values, evaluations.error), list(evaluations.reasons)
         trace = Trace(point, best, *tried, reasons, str(method.get("ended", "")))
-    found = ParameterSet(
+    return ParameterSet(
         how=FitKind(str(method.get("how", FitKind.DIRECT))),
-        members=tuple(range(len(targets))),
+        members=(),
         point=point,
-        errors=errors,
+        errors=np.array(record.errors),
         trace=trace,
         estimates=record.estimates,
         misfit=tuple(str(method.get("misfit", "")).splitlines()),
         misfit_ratio=float(method.get("misfit_ratio", math.nan)),
     )
-    outcome = CalibrationResult(
-        keys=tuple(target.key for target in targets),
-        labels=labels,
-        nominal=np.full(len(targets), float(method.get("nominal_error", math.nan))),
-        found=(found,),
-    )
-    command = record.provenance.command
-    return Calibrations(
-        request=request, outcome=outcome, targets=tuple(targets), command=command, ids=(number,)
-    )[0]
 
 
 def list_calibrations(project: Project) -> Table:
@@ -366,7 +448,26 @@ def _stored_once(
 
 
 def _records(run: Calibrations, experiments: Sequence[int]) -> Iterator[CalibrationRecord]:
-    return (_record(run, one, experiments) for one in run.outcome.found)
+    """Yield the record of each calibration of a run."""
+    request = run.request.model_dump_json()
+    content = request.encode() + outcome_bytes(run.outcome)
+    checksum = hashlib.sha256(content).hexdigest()[:16]
+    for place, one in enumerate(run.outcome.found):
+        own = replace(one, members=tuple(range(len(one.members))))
+        before = run.outcome.nominal[list(one.members)]
+        record = _record(run, one, experiments)
+        yield replace(
+            record,
+            method={**record.method, RUN: checksum},
+            request=json.loads(request),
+            result={
+                "place": place,
+                "set": set_content(own),
+                "nominal": [error if math.isfinite(error) else None for error in before.tolist()],
+                "source": run.source,
+                "left_out": dict(run.left_out),
+            },
+        )
 
 
 def _record(run: Calibrations, one: ParameterSet, experiments: Sequence[int]) -> CalibrationRecord:

@@ -32,10 +32,13 @@ class CalibrationReportData:
     Parameters
     ----------
     calibration : Calibrations
+    project : Project, optional
+        Project that contains the experiments; by default that of the job's folder.
     """
 
-    def __init__(self, calibration: Calibrations) -> None:
+    def __init__(self, calibration: Calibrations, project: Project | None = None) -> None:
         self.calibration = calibration
+        self._project = project
         self.request: CalibrationRequest = calibration.request
         self.outcome: CalibrationResult = calibration.outcome
         self.space: ParameterSpace = calibration.request.space
@@ -83,10 +86,12 @@ class CalibrationReportData:
     @cached_property
     def banners(self) -> list[str]:
         """Banner over charts of each experiment; empty for real ones."""
-        folder = self.calibration.folder
-        if folder is None or not self.calibration.ids:
-            return []
-        with Project(folder.parents[1]).store() as store:
+        folder, project = self.calibration.folder, self._project
+        if project is None and folder is not None and self.calibration.ids:
+            project = Project(folder.parents[1])
+        if project is None:
+            return [""] * len(self.keys)
+        with project.store() as store:
             ids = [store.find(key) for key in self.keys]
             listed = store.experiments(ALL_EXPERIMENTS).rows
             real = {summary.id for summary in listed if summary.is_real}

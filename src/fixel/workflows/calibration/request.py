@@ -82,8 +82,9 @@ class CalibrationRequest(_RequestLevel):
     seed : int
     noise_position, noise_angle : float, optional
         Standard deviations of the measured poses [m, rad]; found out where left out.
-    level : float
-        Of the intervals.
+    level : float, optional
+        Confidence level of the intervals; None only in records of earlier versions, which do not
+        have it.
     verdicts : bool
         Whether to find out what the data determine.
     stored : list of list of float
@@ -95,8 +96,7 @@ class CalibrationRequest(_RequestLevel):
         Number of experiments that those calibrated were drawn from at random; None where all of
         them are.
     max_evaluations : int, optional
-        Evaluations of one set of parameters after which its search ends, with the batch in which
-        the number is reached.
+        Evaluations of one set of parameters after which its search ends.
     """
 
     name: str = "calibration"
@@ -110,7 +110,7 @@ class CalibrationRequest(_RequestLevel):
     seed: int = Field(default=0, ge=0)
     noise_position: float | None = None
     noise_angle: float | None = None
-    level: float = 0.95
+    level: float | None = 0.95
     verdicts: bool = True
     stored: list[list[float]] = []
     budget: float | None = Field(default=None, gt=0.0)
@@ -169,7 +169,7 @@ class CalibrationRequest(_RequestLevel):
             expected = "a name for a folder, without / and without a leading dot"
             raise InvalidInput("name", found=repr(self.name), expected=expected)
         name_of(self.name, "name")
-        if not 0.0 < self.level < 1.0:
+        if self.level is None or not 0.0 < self.level < 1.0:
             raise InvalidInput("level", found=self.level, expected="a number between 0 and 1")
         if self.mode == "stored" and not self.stored:
             raise InvalidInput(
@@ -298,6 +298,7 @@ def target_files(targets: Sequence[Target]) -> dict[str, bytes]:
             "conditions": dict(target.conditions),
             "scene": scene_content(target.case.scene),
             "samples": len(target.pose),
+            "starts_measured": target.starts_measured,
         }
         for target in targets
     ]
@@ -324,6 +325,7 @@ def _read_targets(folder: Path) -> list[Target]:
             entry["conditions"],
             RolloutCase(scene_of(SceneRecord.model_validate(entry["scene"])), time),
             pose,
+            bool(entry.get("starts_measured")),
         )
         for entry, time, pose in zip(
             content, np.split(arrays["time"], ends), np.split(arrays["pose"], ends), strict=True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Final, final
@@ -14,10 +14,11 @@ import numpy as np
 from fixel.calibration.study import Trace
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.model.fields import settle
-from fixel.model.records import Estimate, ProfileRecord
+from fixel.model.records import Estimate, Evaluations, ProfileRecord
 from fixel.typing import FloatArray
 
 SEARCHED: Final = "unknowns"  # in the method of a record: the searched parameters, as JSON
+RUN: Final = "run"  # in the method of a record: checksum that all calibrations of a run share
 
 
 class FitKind(StrEnum):
@@ -253,6 +254,37 @@ def found_of(arrays: dict[str, Any]) -> list[ParameterSet]:
         )
         for k, entry in enumerate(_plain(arrays["found"]))
     ]
+
+
+OF_SEARCH: Final = ("points_0", "tried_0")  # which a record has as its evaluations
+
+
+def set_content(one: ParameterSet) -> dict[str, Any]:
+    """Convert a set of parameters to plain values for a record; infinite numbers become None."""
+    arrays = found_arrays([one])
+    (plain,) = _plain(arrays.pop("found"))
+    finite = {
+        name: np.where(np.isfinite(array), array, np.array(None)).tolist()
+        for name, array in arrays.items()
+        if name not in OF_SEARCH
+    }
+    return {**plain, "arrays": finite}
+
+
+def set_of(content: Mapping[str, Any], evaluations: Evaluations | None) -> ParameterSet:
+    """Load a set of parameters from a record; inverse of `set_content`."""
+    plain = dict(content)
+    arrays: dict[str, Any] = {"found": _text([plain])}
+    for name, values in plain.pop("arrays").items():
+        array = np.array(values, np.float64)
+        counts = name.startswith(("iterations", "starts"))
+        arrays[name] = (
+            array.astype(np.int64) if counts else np.where(np.isnan(array), np.inf, array)
+        )
+    if evaluations is not None:
+        arrays |= dict(zip(OF_SEARCH, (evaluations.values, evaluations.error), strict=True))
+    (one,) = found_of(arrays)
+    return one
 
 
 def _trace(entry: dict[str, Any], arrays: dict[str, Any], k: int) -> Trace:

@@ -114,7 +114,6 @@ def calibrate(
         Whether to compute intervals, profiles and verdicts.
     max_evaluations : int, optional
         Number of simulated parameter sets after which the search ends, in total over interruptions.
-        A search ends with a whole batch, so it may exceed the number.
     motion : str or motion model
         `"dynamic"`, `"quasistatic"` or `"first-order"`.
     seed : int
@@ -290,7 +289,7 @@ def _calibrated(
     if workers and workers < 0:
         raise InvalidInput("workers", found=workers, expected="0 or more")
     plan = CalibrationPlan.of(mode, experiments, parameters, **options)
-    plan.rehearse(threads)
+    plan = plan.rehearse(threads)
     if store is not None or workers or site is not None:
         return _in_store(plan, store, threads, workers, site, progress)
     comparer = comparer_of(plan.request, plan.targets, threads)

@@ -12,9 +12,10 @@ from typing import final
 from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.objective import ANGLE_SCALE, ERRORS, AbstractError, MeanSquare
 from fixel.calibration.target import target_of
-from fixel.database.project import Project
+from fixel.database.project import DATABASE, Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
+from fixel.io.damaged_files import readable
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.parameters import is_parameter
 from fixel.model.records import CalibrationRecord
@@ -25,8 +26,7 @@ from fixel.simulation.motion import motion_model
 from fixel.workflows.calibration.job import REQUEST
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.result import SEARCHED, FitKind
-from fixel.workflows.calibration.stored_run import request_of
-from fixel.workflows.jobs import JOBS
+from fixel.workflows.calibration.stored_run import job_of, request_of
 
 
 @final
@@ -67,6 +67,12 @@ class CalibratedValues:
         scale = float(self.record.method.get("error.angle_scale", ANGLE_SCALE))
         kind = next((kind for kind in ERRORS if kind.name == name), MeanSquare)
         return kind(angle_scale=scale)
+
+    @property
+    def level(self) -> float | None:
+        """Confidence level of the intervals; None if it was not stored."""
+        level: float | None = (self.record.request or {}).get("level")
+        return level
 
     def values(self, conditions: Mapping[str, str | float]) -> dict[str, float]:
         """Return the parameters for an experiment under these conditions, by name [SI].
@@ -205,10 +211,11 @@ def searched_space(
     gone, the usual bounds of their parameters are returned.
     """
     searched = one.record.method.get(SEARCHED)
-    folder = project.folder / JOBS / str(one.record.method.get("job", ""))
+    folder = job_of(project, one.record)
     found = dict(one.record.parameters) | {e.label: e.value for e in one.record.estimates}
     if searched is not None:
-        unknowns = [Unknown(**entry) for entry in json.loads(str(searched))]
+        with readable(project.folder / DATABASE):
+            unknowns = [Unknown(**entry) for entry in json.loads(str(searched))]
         space = ParameterSpace(unknowns=tuple(unknowns))
     elif (folder / "inputs" / REQUEST).is_file():
         space = request_of(folder).space

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import shlex
 import tempfile
 from contextlib import suppress
@@ -17,6 +18,7 @@ from fixel.jobs import folder as files
 from fixel.jobs.site import Site, load_site
 from fixel.jobs.work import StopRequest, run_work
 from fixel.progress import ProgressOption, show_progress
+from fixel.simulation.trust import remember
 from fixel.workflows import jobs
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.job import (
@@ -37,6 +39,10 @@ from fixel.workflows.calibration.result import outcome_of
 if TYPE_CHECKING:
     from os import PathLike
 
+    from fixel.database.project import Project
+    from fixel.model.records import CalibrationRecord
+
+LEFT_OUT: Final = "left_out.json"  # skipped experiments with reasons
 MAKER: Final = "calibration:calibration_work"
 
 
@@ -78,6 +84,15 @@ def job_folder(project: Path, plan: CalibrationPlan) -> Path:
     return project / jobs.JOBS / f"{plan.request.name}-{digest.hexdigest()[:10]}"
 
 
+def job_of(project: Project, record: CalibrationRecord) -> Path:
+    """Return the folder of the job of a calibration; that of all jobs for another folder's name.
+
+    A record may come from elsewhere, so that its name must not lead out of the project.
+    """
+    name = str(record.method.get("job", ""))
+    return project.folder / jobs.JOBS / ("" if name == ".." or Path(name).name != name else name)
+
+
 def prepare_folder(plan: CalibrationPlan, folder: Path) -> None:
     """Make the job of a calibration in a folder, if it is not there.
 
@@ -87,6 +102,7 @@ def prepare_folder(plan: CalibrationPlan, folder: Path) -> None:
         The folder belongs to another calibration; the difference is named.
     """
     if not (folder / "job.json").is_file():
+        remember(plan.request.motion)  # for the processes of the job
         jobs.prepare_job(folder, maker=MAKER, inputs=_inputs(plan))
     elif not files.made_by(folder, MAKER):
         raise InvalidInput("store", found=f"another job in {folder}", expected="a new folder")
@@ -95,7 +111,9 @@ def prepare_folder(plan: CalibrationPlan, folder: Path) -> None:
 
 
 def _inputs(plan: CalibrationPlan) -> dict[str, bytes]:
-    return target_files(plan.targets) | {REQUEST: plan.request.model_dump_json().encode()}
+    skipped = {LEFT_OUT: json.dumps(dict(plan.left_out)).encode()} if plan.left_out else {}
+    request = {REQUEST: plan.request.model_dump_json().encode()}
+    return target_files(plan.targets) | request | skipped
 
 
 def _check_same(plan: CalibrationPlan, folder: Path) -> None:
@@ -187,7 +205,12 @@ def collect(plan: CalibrationPlan, folder: Path) -> Calibrations:
 
 def plan_in(folder: Path) -> CalibrationPlan:
     """Load the plan of a calibration from the folder of its job."""
-    return CalibrationPlan(request=request_of(folder), targets=read_targets(folder / "inputs"))
+    path, left_out = folder / "inputs" / LEFT_OUT, {}
+    if path.is_file():
+        with readable(path, f"delete the folder {folder}"):
+            left_out = {str(k): str(v) for k, v in json.loads(path.read_bytes()).items()}
+    targets = read_targets(folder / "inputs")
+    return CalibrationPlan(request=request_of(folder), targets=targets, left_out=left_out)
 
 
 def request_of(folder: Path) -> CalibrationRequest:

@@ -6,6 +6,7 @@ import json
 import math
 import shlex
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, NamedTuple, final
@@ -31,9 +32,8 @@ from fixel.workflows.analysis import Analysis, store_analysis
 from fixel.workflows.calibration.request import (
     LEAST_SQUARES,
 )
-from fixel.workflows.compilation import engine_is_cold
 from fixel.workflows.demo.emulated_bench import record_film
-from fixel.workflows.demo.laboratory_demo import calibrate_jointly
+from fixel.workflows.demo.laboratory_demo import calibrate_jointly, true_mean
 from fixel.workflows.figures import Picture
 from fixel.workflows.report.write import Report
 
@@ -42,7 +42,7 @@ from fixel.workflows.report.write import Report
 PUSHES: Final = (0, 12, 18)
 SEED: Final = 1
 LEAD: Final = 0.5  # [s] at rest before the drive starts
-TRACKED, TRUE = "tracked", "true-poses"
+SIMULATED, TRACKED, TRUE = "testbed", "tracked", "true-poses"  # datasets
 MARK: Final = "tour.json"  # in the folder: the request, so that the same tour can continue
 RUNS: Final = "runs.json"  # in the folder: drive positions at the end of each recording
 ATTEMPTS: Final = 2  # recordings of a run, until its object is tracked from its start
@@ -66,6 +66,8 @@ class CameraTour:
     runs : tuple of TrackedRun
     estimates : tuple of (Estimate, Estimate)
         Estimate of each parameter from tracked poses, and from true ones.
+    truths : tuple of (float or None)
+        True value of each parameter; None if the laboratory has no such property.
     lost : int
         Frames that the recorder lost because it was too slow.
     frames : int
@@ -79,6 +81,7 @@ class CameraTour:
     project: Path
     runs: tuple[TrackedRun, ...]
     estimates: tuple[tuple[Estimate, Estimate], ...]
+    truths: tuple[float | None, ...]
     frames: int
     lost: int
     drive: dict[str, float]
@@ -158,10 +161,8 @@ def run_camera_tour(
     ]
     with project.store() as store:
         true, tracked = (store.calibration(number).estimates for number in numbers)
-        listing = store.experiments(ExperimentQuery(dataset=TRACKED, include_faulty=True))
-        members = [summary.id for summary in listing.rows]
-    estimates = tuple(zip(tracked, true, strict=True))
-    _keep(project, tuple(runs), estimates, numbers[1], members)
+    estimates, truths = tuple(zip(tracked, true, strict=True)), _truths(project, true)
+    _keep(project, tuple(runs), estimates, truths, numbers[1])
     notify("writing the report")
     at = shlex.quote(str(project.folder))
     report = project.report(
@@ -171,12 +172,21 @@ def run_camera_tour(
         project=project.folder,
         runs=tuple(runs),
         estimates=estimates,
+        truths=truths,
         frames=total,
         lost=lost,
         drive=drive,
         report=report,
         overlays=tuple(sorted(folder.glob("*-overlay.*"))),
     )
+
+
+def _truths(project: Project, estimates: Sequence[Estimate]) -> tuple[float | None, ...]:
+    """Return the true values of estimated parameters; None for properties that do not exist."""
+    with project.store() as store:
+        own = store.experiments(ExperimentQuery(dataset=SIMULATED, include_faulty=True))
+        simulated = [store.experiment(row.id) for row in own.rows]
+    return tuple(true_mean(one.label, simulated) for one in estimates)
 
 
 def _begun(folder: Path, asked: dict[str, object]) -> Project:
@@ -293,12 +303,11 @@ def errors_of(runs: tuple[TrackedRun, ...]) -> TrackingErrors:
     return TrackingErrors(math.sqrt(np.mean(position**2)), math.sqrt(np.mean(angle**2)))
 
 
-def within_interval(tracked: Estimate, true: Estimate) -> bool:
-    """Whether the value from true poses lies in the interval from tracked ones; an interval may be
-    open."""
-    low = -math.inf if tracked.low is None else tracked.low
-    high = math.inf if tracked.high is None else tracked.high
-    return low <= true.value <= high
+def within_interval(estimate: Estimate, value: float) -> bool:
+    """Whether a value lies in the interval of an estimate; an interval may be open."""
+    low = -math.inf if estimate.low is None else estimate.low
+    high = math.inf if estimate.high is None else estimate.high
+    return low <= value <= high
 
 
 def _filmed(
@@ -314,23 +323,16 @@ def _filmed(
     missing = [one.name for one in planned if not _is_film(films / one.name)]
     if not missing:
         return [films / one.name for one in planned]
-    compiling = (
-        "; the simulator is compiled first (only once), which takes about a minute"
-        if engine_is_cold()
-        else ""
-    )
-    notify(f"simulating {len(pushes)} pushes{compiling}")
+    notify(f"simulating {len(pushes)} pushes")
     with project.store() as store:
-        for experiment in SimulatedTestbed(seed=SEED).run(planned):
+        for experiment in SimulatedTestbed(seed=SEED, dataset=SIMULATED).run(planned):
             store.add_experiment(experiment)
     notify(f"filming {len(pushes)} pushes of a simulated laboratory with a virtual camera")
     settings = FilmSettings(seed=SEED, lead=LEAD, frames=frames)
     films.mkdir(exist_ok=True)
     for name in missing:
         shutil.rmtree(films / name, ignore_errors=True)
-        film(
-            [name], films / name, settings, project=project.folder, notify=notify, progress=progress
-        )
+        film([name], films / name, settings, project=project.folder, progress=progress)
     return [films / one.name for one in planned]
 
 
@@ -353,11 +355,16 @@ def _keep(
     project: Project,
     runs: tuple[TrackedRun, ...],
     estimates: tuple[tuple[Estimate, Estimate], ...],
+    truths: tuple[float | None, ...],
     number: int,
-    members: list[int],
 ) -> None:
     errors = errors_of(runs)
-    within = sum(within_interval(*pair) for pair in estimates)
+    within = sum(within_interval(tracked, true.value) for tracked, true in estimates)
+    pairs = zip(estimates, truths, strict=True)
+    known = [(pair, truth) for pair, truth in pairs if truth is not None]
+    right = [sum(within_interval(pair[k], truth) for pair, truth in known) for k in (0, 1)]
+    with project.store() as store:
+        listing = store.experiments(ExperimentQuery(dataset=TRACKED, include_faulty=True))
     analysis = Analysis(
         kind="tracking",
         title="Tracked against true poses",
@@ -368,8 +375,10 @@ def _keep(
             f" {sum(len(run.time) for run in runs)} frames).",
             f"For {within} of {len(estimates)} parameters, the value estimated from true poses is "
             "within the interval estimated from the film.",
+            f"The laboratory is simulated: of {len(known)} parameters with a known true value, "
+            f"{right[0]} intervals from the film and {right[1]} from true poses contain it.",
         ),
-        tables=(_run_table(runs), estimate_table(estimates)),
+        tables=(_run_table(runs), estimate_table(estimates, truths)),
         methods=(
             "The motion of a simulated laboratory was rendered for its camera, recorded and "
             "tracked without use of the true poses.",
@@ -381,7 +390,7 @@ def _keep(
             "parameters": len(estimates),
         },
         calibrations=(number,),
-        experiments=tuple(members),
+        experiments=tuple(summary.id for summary in listing.rows),
         command="fixel demo --camera",
         seed=SEED,
     )
@@ -412,23 +421,32 @@ def _run_table(runs: tuple[TrackedRun, ...]) -> Table:
     return Table(head, rows, title="Difference of tracked and true poses")
 
 
-def estimate_table(estimates: tuple[tuple[Estimate, Estimate], ...]) -> Table:
-    """Table of the values from the film and from true poses."""
+def estimate_table(
+    estimates: tuple[tuple[Estimate, Estimate], ...], truths: tuple[float | None, ...]
+) -> Table:
+    """Table of the values from the film and from true poses, compared with the truth."""
     rows = tuple(
         (
             f"{tracked.label} [{tracked.unit or '-'}]",
-            written_estimate(tracked),
-            written_estimate(true),
-            "yes" if within_interval(tracked, true) else "NO",
+            "none" if truth is None else f"{truth:.4g}",
+            written_estimate(tracked, truth),
+            written_estimate(true, truth),
+            "yes" if within_interval(tracked, true.value) else "NO",
         )
-        for tracked, true in estimates
+        for (tracked, true), truth in zip(estimates, truths, strict=True)
     )
-    head = ("parameter", "from the film", "from true poses", "within")
-    return Table(head, rows, title="Parameters with intervals and verdicts", left=4)
+    head = ("parameter", "truth", "from the film", "from true poses", "agree")
+    return Table(head, rows, title="Parameters with intervals and verdicts", left=5)
 
 
-def written_estimate(estimate: Estimate) -> str:
-    """Format value, interval and verdict: `0.41 (0.38 to 0.44), identified`."""
+def written_estimate(estimate: Estimate, truth: float | None = None) -> str:
+    """Format value, interval and verdict: `0.41 (0.38 to 0.44), identified: right`.
+
+    An estimate is right if its interval contains the true value.
+    """
     ends = (estimate.low, estimate.high)
     low, high = ("open" if end is None else f"{end:.4g}" for end in ends)
-    return f"{estimate.value:.4g} ({low} to {high}), {estimate.verdict}"
+    text = f"{estimate.value:.4g} ({low} to {high}), {estimate.verdict}"
+    if truth is None:
+        return text
+    return f"{text}: {'right' if within_interval(estimate, truth) else 'WRONG'}"

@@ -40,7 +40,7 @@ SEED: Final = 1
 ABOUT: Final = (1, 8, 19)
 # The push whose posterior is sampled, and a push that is predicted from it.
 FROM, PREDICTED = 19, 20
-START_ERROR: Final = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5))
+START_ERROR: Final = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5), kind="uniform")
 
 
 @final
@@ -124,7 +124,7 @@ def _beside_truth(project: Project, number: int) -> Table:
     rows = []
     for estimate in record.estimates:
         unit, factor = displayed(estimate.unit)
-        true = _true_mean(estimate.label, experiments)
+        true = true_mean(estimate.label, experiments)
         low, high = ("open" if x is None else f"{factor * x:.3g}" for x in
                      (estimate.low, estimate.high))  # fmt: skip
         rows.append((
@@ -135,8 +135,8 @@ def _beside_truth(project: Project, number: int) -> Table:
     return Table(head, rows, title="Estimated and true values")
 
 
-def _true_mean(label: str, experiments: Sequence[Experiment]) -> float | None:
-    """Mean true friction; None if the laboratory has no such property."""
+def true_mean(label: str, experiments: Sequence[Experiment]) -> float | None:
+    """Compute the mean true friction; None if the laboratory has no such property."""
     kind = label.removeprefix("mu_")
     if kind not in ("pusher", "fixel", "support"):
         return None

@@ -16,7 +16,7 @@ from fixel.formats import load_scene
 from fixel.io.atomic import written_whole
 from fixel.model import LineDrive, placed
 from fixel.simulation import Simulation
-from fixel.typing import FloatArray, Notify
+from fixel.typing import FloatArray
 from fixel.workflows.simulation import Outputs, simulate_file
 
 EXAMPLE = "grasp"
@@ -55,15 +55,13 @@ def example_text(name: str) -> str:
         return path.read_text(encoding="utf-8")
 
 
-def run_demo(folder: Path, notify: Notify | None = None) -> Demo:
+def run_demo(folder: Path) -> Demo:
     """Simulate the example grasp; write its scene, picture, film and trajectory.
 
     Parameters
     ----------
     folder : Path
         Created if missing; files of the same names are replaced.
-    notify : callable, optional
-        See `simulate_file`.
 
     Raises
     ------
@@ -83,7 +81,7 @@ def run_demo(folder: Path, notify: Notify | None = None) -> Demo:
     )
     with written_whole(scene) as temporary:
         temporary.write_text(example_text(EXAMPLE), encoding="utf-8")
-    simulation = simulate_file(load_scene(scene), outputs, notify=notify)
+    simulation = simulate_file(load_scene(scene), outputs)
     return Demo(simulation, motion_events(simulation), {"scene": scene, **outputs.files})
 
 

@@ -12,12 +12,14 @@ import numpy as np
 
 from fixel.datasets.experiments import Experiments
 from fixel.errors import InvalidInput
+from fixel.kernels import codes
 from fixel.model import Experiment, Parameters
 from fixel.model.records import SimulationRecord
 from fixel.progress import ProgressOption, show_progress
 from fixel.results import Result, Summary
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model
+from fixel.simulation.trust import permit
 from fixel.table import Column, Table
 from fixel.workflows.project.compare import PathComparison, compare_path, compare_run
 
@@ -128,10 +130,21 @@ class Comparison(Result):
         unseen = self._unseen()
         if len(keys) == 1:
             title = f"Comparison of experiment {next(iter(keys))}"
-            return Summary(title, [self._listed()], unseen=unseen)
+            distance = "position: root mean square distance; end, angle: at the last measured pose"
+            return Summary(title, [self._listed()], [distance, *self._failed()], unseen=unseen)
         notes = [f"skipped {len(self.skipped)}: {self.skipped[0]}"] if self.skipped else []
-        notes.append("error: root mean square, angles at 35 mm per radian")
+        notes += ["error: root mean square, angles at 35 mm per radian", *self._failed()]
         return Summary(heading, [self._by_model(), self._worst()], notes, unseen=unseen)
+
+    def _failed(self) -> list[str]:
+        """Return advice for each status of simulations that failed, with the first experiment."""
+        first = {row.run.status: row.run.experiment.key for row in reversed(self.rows)}
+        known = zip(codes.STATUS_NAMES, codes.STATUS_ADVICE, strict=True)
+        return [
+            f"{first[status]}: {status}. {text}"
+            for status, text in known
+            if status in first and text
+        ]
 
     def _unseen(self) -> list[str]:
         """Return what no experiment of a calibration has, with the number of its experiments."""
@@ -167,12 +180,12 @@ class Comparison(Result):
             )
             for row in self.rows
         ]
-        names = ("error", "position, rms", "position, end")
+        names = ("error", "position", "end")
         columns = (
             *map(Column, ("model", "use", "status")),
             *(Column(n, "mm", ".2f") for n in names),
         )
-        return Table((*columns, Column("angle, end", "deg", ".2f")), rows, left=3)
+        return Table((*columns, Column("angle", "deg", ".2f")), rows, left=3)
 
     def _data(self) -> Table:
         """Rows in SI units, apart from the error."""
@@ -242,6 +255,7 @@ def compare(
     >>> len(found.experiments.where("before<3"))
     3
     """
+    permit(motion)
     named = _named(models)
     several = Experiments.of(experiments)
     rows: list[ComparedModel] = []

@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 
 from fixel.calibration.misfit import shown_ratio
-from fixel.model.records import Estimate
+from fixel.database.project import Project
+from fixel.model.records import Estimate, interval_name
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.units import displayed
@@ -28,10 +29,10 @@ MAX_NAMED: Final = 5
 OF_PARAMETERS: Final = ("parameters", "profiles", "starts", "search")
 
 
-def figures_of(calibration: Calibrations, folder: Path) -> list[Figure]:
-    """Draw the charts of a calibration into a folder."""
+def figures_of(calibration: Calibrations, folder: Path, project: Project) -> list[Figure]:
+    """Draw the charts of a calibration that is stored in a project into a folder."""
     found = []
-    for picture in pictures_of(CalibrationReportData(calibration)):
+    for picture in pictures_of(CalibrationReportData(calibration, project)):
         files = write_picture(folder, picture._replace(name=f"calibration_{picture.name}"))
         found.append(Figure(name=files[0].stem, caption=picture.caption, png=files[0]))
     return found
@@ -73,10 +74,10 @@ def errors_section(
 def parameters_section(one: CalibratedValues, figures: list[Figure]) -> Section:
     """Build the section with the values, their intervals and verdicts."""
     estimates = one.record.estimates
-    head = ("parameter", "value", "interval", "unit", "verdict", "best fit")
-    rows = [_row(one, estimate) for estimate in estimates]
+    head = ("parameter", "value", interval_name(one.level), "unit", "verdict")
+    rows = [row for estimate in estimates for row in _rows(estimate)]
     rows += [
-        (name, f"{value:.4g}", "", "SI", "not assessed", f"{value:.4g}")
+        (name, f"{value:.4g}", "", "SI", "not assessed")
         for name, value in one.record.parameters.items()
         if not estimates
     ]
@@ -85,7 +86,11 @@ def parameters_section(one: CalibratedValues, figures: list[Figure]) -> Section:
         title="Estimates of the parameters",
         anchor="parameters",
         lead=sentences(
-            "calibration", "parameters", estimates=estimates, misfit=misfit_of(one.record)
+            "calibration",
+            "parameters",
+            estimates=estimates,
+            misfit=misfit_of(one.record),
+            fitted=_best_fit(one),
         ),
         tables=(Table(head, rows, title="Parameters"),),
         figures=tuple(figure for figure in figures if _of_parameters(figure)),
@@ -208,17 +213,29 @@ def _named(names: list[str]) -> str:
     return ", ".join(names[:MAX_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _row(one: CalibratedValues, estimate: Estimate) -> tuple[str, ...]:
+def _best_fit(one: CalibratedValues) -> str:
+    """Values that the search found, for simulations."""
+    units = {estimate.label: displayed(estimate.unit) for estimate in one.record.estimates}
+    named = [(name, x, *units.get(name, ("", 1.0))) for name, x in one.record.parameters.items()]
+    return ", ".join(
+        f"{name} {factor * x:.4g} {unit}".rstrip(" -") for name, x, unit, factor in named
+    )
+
+
+def _rows(estimate: Estimate) -> list[tuple[str, ...]]:
+    """Row of an estimate, and below it that from noise alone."""
     unit, factor = displayed(estimate.unit)
     ends = [estimate.low, estimate.high]
     low, high = ("open" if x is None else f"{factor * x:.4g}" for x in ends)
     interval = "none" if (low, high) == ("open", "open") else f"{low} to {high}"
     if estimate.verdict == "frozen":
         interval = ""
-    value = f"{factor * estimate.value:.4g}"
-    best = one.record.parameters.get(estimate.label)
-    fitted = "" if best is None else f"{factor * best:.4g}"
-    return (estimate.label, value, interval, unit, estimate.verdict, fitted)
+    rows: list[tuple[str, ...]] = [
+        (estimate.label, f"{factor * estimate.value:.4g}", interval, unit, estimate.verdict)
+    ]
+    if (narrow := estimate.noise_alone) is not None:
+        rows += [("noise alone", *row[1:4], "") for row in _rows(narrow)]
+    return rows
 
 
 def _in_order(figures: list[Figure]) -> tuple[Figure, ...]:

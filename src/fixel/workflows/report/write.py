@@ -21,7 +21,7 @@ from fixel.results import Result
 from fixel.typing import FloatArray, Notify
 from fixel.workflows.analysis import Kind, StoredAnalysis, load_analyses
 from fixel.workflows.calibration.calibration import Calibrations
-from fixel.workflows.calibration.project import reopened
+from fixel.workflows.calibration.project import stored_run
 from fixel.workflows.calibration.stored import CalibratedValues, load_values, misfit_of
 from fixel.workflows.figures import ENDINGS, make_folder
 from fixel.workflows.report.bibliography import bibtex, line, works
@@ -208,9 +208,9 @@ def gather(
         data = data_of(store, ids)
         checksum = store.checksum(ids)
     keys = {summary.id: summary.key for summary in data.summaries}
-    opened = reopened(project, one.record)
+    opened = stored_run(project, one.id, one.record)
     tell("drawing the calibration")
-    figures = figures_of(opened, folder) if opened is not None else []
+    figures = figures_of(opened, folder, project) if opened is not None else []
     analyses = _analyses(project, one)
     tell("collecting the analyses")
     sections = [
@@ -311,7 +311,7 @@ def _facts(
         ("project", project.settings.name),
         ("calibration", f"{one.id}: {one.record.name}"),
         ("created", made.created[:19].replace("T", " ")),
-        ("fixel version", made.command),
+        ("command", made.command),
         ("seed", seed),
         ("experiments", str(len(data.summaries))),
         ("checksum of the data", checksum[:16]),

@@ -1,7 +1,7 @@
-"""Create all tables and their triggers.
+"""Create all tables and their triggers, as they were before the columns of later revisions.
 
-The only revision before the first release. As soon as another one follows, write the tables of
-this one out, since `METADATA` is always that of the newest.
+`METADATA` is always that of the newest revision. A later one that changes more than it adds
+columns to tables must write the tables of this one out.
 """
 
 from alembic import op
@@ -12,8 +12,13 @@ from fixel.database.tables import METADATA
 revision = "0004"
 down_revision = None
 
+LATER = {"calibration": ("request", "result")}  # columns by table
+
 
 def upgrade() -> None:
     METADATA.create_all(op.get_bind())
+    for table, columns in LATER.items():
+        for column in columns:
+            op.drop_column(table, column)
     for table in METADATA.tables:
         freeze(table)
