@@ -265,6 +265,61 @@ def test_whoever_finds_a_drive_moving_stops_it_first(controller):
         assert controller.speed == 0.0
 
 
+# --- other firmware -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("firmware", "axes"),
+    [("GRBL", 4), ("GRBL", 2), ("grblHAL", 3), ("grblHAL", 4), ("FluidNC", 1), ("FluidNC", 2)],
+)
+def test_firmware_of_today_is_driven_with_one_to_four_axes(firmware, axes):
+    with (
+        EmulatedGrbl(homing=True, travel=80.0, firmware=firmware, axes=axes, **FAST) as controller,
+        GrblActuator(controller.port, guard=False) as drive,
+    ):
+        assert drive.settings.fastest == pytest.approx(50.0)
+        assert drive.reach == (0.0, 0.08)
+        drive.home()
+        before = controller.place
+
+        drive.move(by=0.005, speed=0.05)
+
+        assert controller.place == pytest.approx(before + 5.0, abs=0.01)
+
+
+@pytest.mark.parametrize("firmware", emulated_grbl.FIRMWARE)
+def test_a_restart_is_recognised_by_its_greeting(firmware):
+    with (
+        EmulatedGrbl(firmware=firmware, **FAST) as controller,
+        GrblActuator(controller.port, guard=False) as drive,
+    ):
+        drive.move(by=0.05, speed=0.03, wait=False)
+        moves(controller)
+        controller.power_cycle()
+
+        with pytest.raises(DeviceFailed, match="the controller was reset"):
+            drive.wait()
+
+
+def test_an_axis_that_the_controller_lacks_is_refused():
+    with EmulatedGrbl(firmware="FluidNC", axes=1) as controller:
+        drive = GrblActuator(controller.port, axis="Y", guard=False)
+        with pytest.raises(InvalidInput, match="found 'Y', expected an axis of the controller: X"):
+            drive.connect()
+        assert not drive.connected
+
+
+def test_a_report_that_lacks_an_axis_is_passed_over(controller, drive):
+    drive.move(by=0.02, speed=0.03, wait=False)
+    moves(controller)
+    tell, controller._axes = controller._axes, 2
+    time.sleep(0.1)
+    controller._axes = tell
+    drive.wait()
+
+    assert controller.place == pytest.approx(60.0, abs=0.01)
+
+
 # --- the wrong port -------------------------------------------------------------------------------
 
 
@@ -306,6 +361,9 @@ def test_an_emulated_controller_takes_no_file_away(tmp_path, monkeypatch):
         ("<Idle|MPos:1.000,2.000,3.000|FS:0,0>", ("Idle", None), (1.0, 2.0, 3.0)),
         ("<Hold:0|MPos:-1.5,0.0,0.0|Bf:15,128|FS:0,0|WCO:1,2,3>", ("Hold", 0), (-1.5, 0.0, 0.0)),
         ("<Run,MPos:1.0,2.0,3.0,WPos:4.0,5.0,6.0>", ("Run", None), (1.0, 2.0, 3.0)),
+        ("<Idle|MPos:-1.500|FS:0,0>", ("Idle", None), (-1.5,)),
+        ("<Alarm:11|MPos:1.0,2.0|Bf:100,1023|FS:0,0,0|Pn:P>", ("Alarm", 11), (1.0, 2.0)),
+        ("<Idle|MPos:1.0,2.0,3.0,4.0|FS:0,0|WCO:0,0,0,0>", ("Idle", None), (1.0, 2.0, 3.0, 4.0)),
     ],
 )
 def test_status_reports_of_both_versions(line, state, place):
@@ -316,8 +374,10 @@ def test_status_reports_of_both_versions(line, state, place):
 
 
 @pytest.mark.parametrize(
-    "line", ["", "ok", "<Idle", "<Idle|MPos:1.0,2.0|>", "<Idle|MPos:1..0,2,3|>", "[MSG:x]"]
-)
+    "line",
+    ["", "ok", "<Idle", "<Idle|MPos:1.0,,3.0|>", "<Idle|MPos:1..0,2,3|>", "[MSG:x]",
+     "<Idle|MPos:1.0,2.0|FS:0,0|WCO:0,0,0>"],
+)  # fmt: skip
 def test_anything_else_is_no_report(line):
     assert grbl.status_of(line) is None
 
@@ -336,3 +396,94 @@ def test_machine_coordinates_follow_where_the_controller_homes(more, coordinate_
 
     assert settings.coordinate(0.010) == pytest.approx(coordinate_at_10_mm)
     assert settings.position(coordinate_at_10_mm) == pytest.approx(0.010)
+
+
+GRBL_09 = """$13=0 (report inches, bool)
+$22=1 (homing cycle, bool)
+$23=2 (homing dir invert mask:00000010)
+$110=3000.000 (x max rate, mm/min)
+$111=1500.000 (y max rate, mm/min)
+$120=200.000 (x accel, mm/sec^2)
+$121=100.000 (y accel, mm/sec^2)
+$130=150.000 (x max travel, mm)
+$131=90.000 (y max travel, mm)"""
+GRBL_HAL = """[VER:1.1f.20240420:]
+[OPT:VNMZHSL,35,1024,4,0]
+[NEWOPT:ENUMS,RT+,HOME,TC]
+[IP:192.168.5.1]
+$10=511
+$13=0
+$20=0
+$22=79
+$23=3
+$70=11
+$110=3000.000
+$111=1500.000
+$120=200.000
+$121=100.000
+$130=150.000
+$131=90.000
+$300=grblHAL
+$302=192.168.5.1
+$304=255.255.255.0
+$490=
+$535=02:08:dc:2b:eb:ec"""
+FLUID_NC = """[VER:3.7 FluidNC v3.7.8:]
+[OPT:MPHS]
+[MSG:Mode=STA:SSID=lab:Status=Connected:IP=192.168.1.50:MAC=A0-A3-B3-AB-7C-FC]
+/axes/y:
+  steps_per_mm: 80.000000
+  max_rate_mm_per_min: 1500.000000
+  acceleration_mm_per_sec2: 100.000000
+  max_travel_mm: 90.000000
+  soft_limits: true
+  homing:
+    cycle: 1
+    allow_single_axis: true
+    positive_direction: false
+    mpos_mm: 150.000000
+
+  motor0:
+    limit_neg_pin: gpio.39
+    hard_limits: false
+    tmc_2209:
+      addr: 0
+$13=1
+$10=1
+$30=1000"""
+
+
+@pytest.mark.parametrize(
+    ("answer", "at_10_mm", "soft", "inches"),
+    [(GRBL_09, -80.0, False, False), (GRBL_HAL, 10.0, False, False), (FLUID_NC, 160.0, True, True)],
+    ids=["GRBL 0.9", "grblHAL", "FluidNC"],
+)
+def test_settings_are_read_by_name_and_others_may_be_text(answer, at_10_mm, soft, inches):
+    """Answers as the firmware prints them, for the second axis."""
+    settings = grbl.settings_of(answer.splitlines(), "Y")
+
+    assert (settings.fastest, settings.acceleration, settings.travel) == (25.0, 100.0, 90.0)
+    assert settings.homing
+    assert settings.coordinate(0.010) == pytest.approx(at_10_mm)
+    assert (settings.soft_limits, settings.inches) == (soft, inches)
+
+
+def test_homing_that_is_off_in_a_mask_or_a_cycle_is_off():
+    without = GRBL_HAL.replace("$22=79", "$22=78"), FLUID_NC.replace("cycle: 1", "cycle: -1")
+    for answer in without:
+        settings = grbl.settings_of(answer.splitlines(), "Y")
+        assert not settings.homing
+        assert settings.coordinate(0.010) == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(
+    ("damage", "found"),
+    [
+        (("$111=1500.000", "$111=fast"), r"\$111=fast"),
+        (("$131=90.000", "$131=nan"), r"\$131=nan"),
+        (("$121=100.000", ""), r"no setting \$121"),
+    ],
+)
+def test_a_needed_setting_that_is_no_number_is_named(damage, found):
+    with pytest.raises(InvalidInput, match=f"the controller: found {found}, expected a number"):
+        grbl.settings_of(GRBL_HAL.replace(*damage).splitlines(), "Y")

@@ -1,7 +1,9 @@
-"""Status reports, settings and move commands of GRBL controllers, versions 0.9 and 1.1."""
+"""Status reports, settings and move commands of GRBL 0.9 and 1.1, grblHAL and FluidNC."""
 
 from __future__ import annotations
 
+import contextlib
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,8 +14,11 @@ from fixel.errors import InvalidInput
 BAUD: Final = 115200
 BUFFER: Final = 127  # bytes that may be under way; the controller's buffer has 128
 STATUS, HOLD, RESUME, RESET = b"?", b"!", b"~", b"\x18"
+GREETINGS: Final = ("Grbl ", "GrblHAL ")  # after a reset; FluidNC begins like GRBL
 AXES: Final = "XYZ"
 INCH: Final = 25.4  # [mm]
+SWITCHES: Final = {"true": "1", "false": "0"}  # of FluidNC
+EXPECTED: Final = "a number; GRBL 0.9 or later, grblHAL or FluidNC"
 
 ALARMS: Final[Mapping[int, str]] = {
     1: "a limit switch was hit; the position is lost",
@@ -53,7 +58,8 @@ class GrblStatus(NamedTuple):
     part : int, optional
         `Hold:0` has come to rest, `Hold:1` not yet; missing in version 0.9.
     machine, work, offset : tuple of float, optional
-        Coordinates as reported; which are present depends on the controller's settings.
+        Coordinates as reported, one for each axis of the controller; which are present depends on
+        its settings.
     """
 
     state: str
@@ -63,9 +69,9 @@ class GrblStatus(NamedTuple):
     offset: tuple[float, ...] | None
 
     @property
-    def placed(self) -> bool:
-        """Whether the report contains the position of the drive."""
-        return self.machine is not None or self.work is not None
+    def n_axis(self) -> int:
+        """Number of axes whose position the report contains."""
+        return len(self.machine or self.work or ())
 
 
 def status_of(line: str) -> GrblStatus | None:
@@ -76,10 +82,11 @@ def status_of(line: str) -> GrblStatus | None:
     values: dict[str, tuple[float, ...]] = {}
     try:
         for name, numbers in _FIELD.findall(found[3]):
-            values[name] = tuple(float(number) for number in numbers.split(",") if number)
+            # Version 0.9 separates fields by commas as well.
+            values[name] = tuple(float(number) for number in numbers.rstrip(",").split(","))
     except ValueError:
         return None
-    if any(len(place) < len(AXES) for place in values.values()):
+    if len({len(place) for place in values.values()}) > 1:
         return None
     part = int(found[2]) if found[2] else None
     return GrblStatus(found[1], part, values.get("MPos"), values.get("WPos"), values.get("WCO"))
@@ -136,41 +143,64 @@ class AxisSettings:
         return self.direction * (coordinate - self.zero) * 1e-3
 
 
+def has_named_settings(lines: list[str]) -> bool:
+    """Whether the answer to `$I` is that of FluidNC, whose axes have names instead of numbers."""
+    return any("FluidNC" in line for line in lines)
+
+
 def settings_of(lines: list[str], axis: str) -> AxisSettings:
-    """Parse the answers to `$$` and `$I`.
+    """Parse the answers to `$I` and `$$`, and to `$/axes/x` of FluidNC.
 
     With homing, machine coordinates range from `-travel` to 0 (unless the controller was built to
-    count from the switch), and the switch is assumed at the withdrawn end. Without homing, they
-    count from the place of the drive when the controller was switched on.
+    count from the switch), and the switch is assumed at the withdrawn end. FluidNC has the
+    coordinate there in its configuration. Without homing, they count from the place of the drive
+    when the controller was switched on.
+
+    Raises
+    ------
+    InvalidInput
+        A setting of the axis is missing, or no number.
     """
-    values: dict[int, float] = {}
-    for line in lines:
-        found = re.match(r"\$(\d+)\s*=\s*([-\d.]+)", line)
-        if found:
-            values[int(found[1])] = float(found[2])
-    number = AXES.index(axis)
-    missing = [n for n in (110 + number, 120 + number, 130 + number) if n not in values]
-    if missing:
-        raise InvalidInput(
-            "the controller", found=f"no setting ${missing[0]}", expected="GRBL 0.9 or later"
-        )
-    travel = abs(values[130 + number])
-    homing = bool(values.get(22, 0))
-    at_low_end = bool(int(values.get(23, 0)) >> number & 1)
+    values = _texts_of(lines)
+
+    def number(*names: str, default: float | None = None) -> float:
+        name = next((name for name in names if name in values), "")
+        if not name and default is not None:
+            return default
+        with contextlib.suppress(ValueError):
+            if math.isfinite(value := float(values.get(name, ""))):
+                return value
+        found = f"{name}={values[name]}" if name else f"no setting {names[0]}"
+        raise InvalidInput("the controller", found=found, expected=EXPECTED)
+
+    k = AXES.index(axis)
+    travel = abs(number(f"${130 + k}", "max_travel_mm"))
+    # A mask in grblHAL, whose first bit is homing as such.
+    homing = int(number("$22", default=0.0)) & 1 == 1 or number("cycle", default=0.0) > 0.0
+    at_low_end = int(number("$23", default=0.0)) >> k & 1 == 1
     options = next((line for line in lines if line.startswith("[OPT:")), "")
     counts_from_switch = "Z" in options.split(",")[0]
     zero = -travel if homing and at_low_end and not counts_from_switch else 0.0
-    direction = -1 if homing and not at_low_end else 1
+    if homing and "positive_direction" in values:
+        at_low_end, zero = number("positive_direction") == 0.0, number("mpos_mm")
     return AxisSettings(
-        fastest=values[110 + number] / 60.0,
-        acceleration=values[120 + number],
+        fastest=number(f"${110 + k}", "max_rate_mm_per_min") / 60.0,
+        acceleration=number(f"${120 + k}", "acceleration_mm_per_sec2"),
         travel=travel,
         homing=homing,
-        soft_limits=bool(values.get(20, 0)),
-        inches=bool(values.get(13, 0)),
+        soft_limits=number("$20", "soft_limits", default=0.0) != 0.0,
+        inches=number("$13", default=0.0) != 0.0,
         zero=zero,
-        direction=direction,
+        direction=-1 if homing and not at_low_end else 1,
     )
+
+
+def _texts_of(lines: list[str]) -> dict[str, str]:
+    """Return settings by name as text: `$110=500.000 (x max rate)`, `max_rate_mm_per_min: 500`."""
+    found = (re.match(r"(\$\d+)\s*=\s*(\S*)|(\w+):\s*(\S*)", line.strip()) for line in lines)
+    pairs = [(own[1] or own[3], own[2] or own[4] or "") for own in found if own]
+    # Names of the axis come before those of its motors.
+    return {name: SWITCHES.get(text, text) for name, text in reversed(pairs)}
 
 
 def move_line(axis: str, coordinate: float, speed: float) -> str:

@@ -206,7 +206,7 @@ class GrblLink:
             self._accept(why)
         elif (number := grbl.number_after(line, "ALARM:")) is not None:
             self.trouble = f"alarm of the controller: {grbl.ALARMS.get(number, f'{number}')}"
-        elif line.startswith("Grbl "):
+        elif line.startswith(grbl.GREETINGS):
             self.resets += 1
             self._unanswered.clear()
             self.trouble = self.trouble or "the controller was reset"
@@ -215,9 +215,8 @@ class GrblLink:
         self.changed.notify_all()
 
     def _damaged(self, status: GrblStatus) -> bool:
-        """Whether a report lacks the position that the previous one had."""
-        before = self.status
-        return before is not None and before.placed and not status.placed
+        """Whether a report lacks the position of an axis that the previous one had."""
+        return self.status is not None and 0 < self.status.n_axis != status.n_axis
 
     def _miss_answers(self) -> None:
         """Report a lost answer: a controller at rest answered every line unless one was damaged."""

@@ -27,7 +27,7 @@ SHORT: Final = 0.5  # [s] at rest before the target after which the move has fai
 
 @final
 class GrblActuator(AbstractActuator):
-    """One axis of a GRBL controller, version 0.9 or 1.1, or of a compatible one.
+    """One axis of a GRBL controller, version 0.9 or 1.1, or of grblHAL or FluidNC.
 
     A move is sent in pieces, at most as many as the drive needs for `dead_man` seconds: if this
     program dies or hangs, the drive runs out of pieces and comes to rest. A guard
@@ -125,10 +125,19 @@ class GrblActuator(AbstractActuator):
 
     def _read_settings(self) -> None:
         link = self._open
-        if link.fresh_status().state not in ("Idle", "Alarm"):
+        status = link.fresh_status()
+        if 0 < status.n_axis <= grbl.AXES.index(self.axis):
+            axes = grbl.AXES[: status.n_axis]
+            raise InvalidInput(
+                "axis", found=repr(self.axis), expected=f"an axis of the controller: {axes}"
+            )
+        if status.state not in ("Idle", "Alarm"):
             # The program that started the move is gone: the port was free.
             self.stop()
-        lines = link.command("$I") + link.command("$$")
+        lines = link.command("$I")
+        if grbl.has_named_settings(lines):
+            lines += link.command(f"$/axes/{self.axis.lower()}")
+        lines += link.command("$$")
         self._settings = settings = grbl.settings_of(lines, self.axis)
         low, high = self._wanted_reach
         if settings.homing or settings.soft_limits:

@@ -1,4 +1,4 @@
-"""Emulated GRBL 1.1 controller: one axis that moves in real time, on a pseudo-terminal.
+"""Emulated GRBL controller: one axis that moves in real time, on a pseudo-terminal.
 
     python -m fixel.testbed.emulators.grbl --link /tmp/grbl
 
@@ -34,6 +34,31 @@ NO_SPACE: Final = b" \t"
 WORDS: Final = re.compile(r"([A-Z])([-+]?\d*\.?\d*)")
 
 
+class Firmware(NamedTuple):
+    """Answers in which one firmware differs from another."""
+
+    greeting: str
+    version: tuple[str, ...]  # answer to `$I`
+    more: tuple[str, ...] = ()  # settings besides those of the axes
+    named: bool = False  # whether `$/axes/x` has the settings of the axis, not `$$`
+
+
+FIRMWARE: Final = {
+    "GRBL": Firmware("Grbl 1.1h ['$' for help]", ("[VER:1.1h.20190825:]", "[OPT:V,15,128]")),
+    "grblHAL": Firmware(
+        "GrblHAL 1.1f ['$' or '$HELP' for help]",
+        ("[VER:1.1f.20240420:]", "[OPT:VNMSL,35,1024,3,0]", "[FIRMWARE:grblHAL]"),
+        ("$70=", "$300=grblHAL", "$302=192.168.5.1", "$304=255.255.255.0", "$535=02:08:dc:2b:eb"),
+    ),
+    "FluidNC": Firmware(
+        "Grbl 3.7 [FluidNC v3.7.8 (wifi) '$' for help]",
+        ("[VER:3.7 FluidNC v3.7.8:]", "[OPT:MPHS]", "[MSG:Machine: emulated]"),
+        ("$30=1000",),
+        named=True,
+    ),
+}
+
+
 class GrblEvent(NamedTuple):
     """Event of the emulated controller.
 
@@ -54,7 +79,7 @@ class GrblEvent(NamedTuple):
 
 @final
 class EmulatedGrbl:
-    """Emulated controller with one axis, X.
+    """Emulated controller whose axis X has a drive.
 
     Parameters
     ----------
@@ -72,6 +97,10 @@ class EmulatedGrbl:
         Whether it reports inches.
     rate : float
         Emulated seconds per real second: 10 is ten times as fast.
+    firmware : str
+        Name in `FIRMWARE`.
+    axes : int
+        Number of axes that it reports.
 
     Attributes
     ----------
@@ -96,6 +125,8 @@ class EmulatedGrbl:
         homing: bool = False,
         inches: bool = False,
         rate: float = 1.0,
+        firmware: str = "GRBL",
+        axes: int = 3,
     ) -> None:
         if sys.platform == "win32":
             raise InvalidInput(
@@ -116,6 +147,7 @@ class EmulatedGrbl:
         self.garble = 0  # fault: number of following bytes to damage
         self.refuse = 0  # fault: number of following lines to reject
         self._rate = rate
+        self._firmware, self._axes = FIRMWARE[firmware], axes
         self._travel, self._end = travel, start  # the withdrawn end is at 0, where the switch is
         self._homing = homing
         self._settings = {
@@ -138,7 +170,7 @@ class EmulatedGrbl:
         self._ended = False
         self._errands: deque[Callable[[], object]] = deque()
         self.trace: list[tuple[float, float]] = []
-        self._say("", "Grbl 1.1h ['$' for help]", *self._lock_words())
+        self._say("", self._firmware.greeting, *self._lock_words())
         self._thread = threading.Thread(target=self._run, name="emulated-grbl", daemon=True)
         self._thread.start()
 
@@ -309,12 +341,30 @@ class EmulatedGrbl:
         if self.state not in ("Idle", "Alarm"):
             return "error:8"
         if line == "$$":
-            self._say(*(f"${number}={value:g}" for number, value in self._settings.items()))
+            self._say(*self._numbered_settings(), *self._firmware.more)
         elif line == "$I":
-            self._say("[VER:1.1h.20190825:]", "[OPT:V,15,128]")
+            self._say(*self._firmware.version)
+        elif line == "$/AXES/X" and self._firmware.named:
+            self._say(*self._named_settings())
         else:
             return "error:3"
         return "ok"
+
+    def _numbered_settings(self) -> list[str]:
+        few = (10, 13) if self._firmware.named else self._settings
+        return [f"${number}={self._settings[number]:g}" for number in few]
+
+    def _named_settings(self) -> list[str]:
+        """Return the part of FluidNC's configuration that describes the axis."""
+        of = self._settings
+        return [
+            "/axes/x:", "  steps_per_mm: 80.000000", f"  max_rate_mm_per_min: {of[110]:f}",
+            f"  acceleration_mm_per_sec2: {of[120]:f}", f"  max_travel_mm: {of[130]:f}",
+            f"  soft_limits: {'true' if of[20] else 'false'}", "  homing:",
+            f"    cycle: {of[22]:.0f}", "    positive_direction: true",
+            f"    mpos_mm: {-PULL_OFF:f}", "", "  motor0:", "    limit_neg_pin: NO_PIN",
+            "    pulloff_mm: 1.000000",
+        ]  # fmt: skip
 
     def _motion(self, line: str) -> str:
         if self.state == "Alarm":
@@ -446,19 +496,19 @@ class EmulatedGrbl:
 
     def _reset(self, *, cold: bool = False) -> None:
         self._event("reset")
-        if self._speed > 0.0 or self.state == "Home":
+        if cold:  # it has no memory of a move, and sends no alarm
+            self.state = "Alarm" if self._homing else "Idle"
+            self._speed, self._shift = 0.0, -self._end
+        elif self._speed > 0.0 or self.state == "Home":
             self._alarm(6 if self.state == "Home" else 3)
         elif self.state != "Alarm":
             self.state = "Idle"
-        if cold:
-            self.state = "Alarm" if self._homing else "Idle"
-            self._shift = -self._end
         self._blocks.clear()
         self._waiting.clear()
         self._partial.clear()
         self._planned, self._critical = self._end, False
         self._feed, self._relative, self._units = 0.0, False, 1.0
-        self._say("", "Grbl 1.1h ['$' for help]", *self._lock_words())
+        self._say("", self._firmware.greeting, *self._lock_words())
 
     # --- output -------------------------------------------------------------------------------
 
@@ -471,9 +521,10 @@ class EmulatedGrbl:
             state += ":0" if self._speed == 0.0 else ":1"
         unit = 25.4 if self._settings[13] else 1.0
         place = f"{self._coordinate() / unit:.{4 if unit > 1.0 else 3}f}"
+        place += (self._axes - 1) * ",0.000"
         room = PLANNER - len(self._blocks)
         speed = round(60.0 * self._speed)
-        self._say(f"<{state}|MPos:{place},0.000,0.000|Bf:{room},{BUFFER}|FS:{speed},0>")
+        self._say(f"<{state}|MPos:{place}|Bf:{room},{BUFFER}|FS:{speed},0>")
 
     def _say(self, *lines: str) -> None:
         if self.mute or self._master < 0:
