@@ -16,11 +16,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from tools.source import Module, circles, imports, reached, read_modules
+from tools.doors import CAPABILITIES, n_lines, statements
+from tools.source import Module, circles, imports, reached, read_modules, references, upward
 from tools.texts import read_texts
 
 PACKAGE = Path(__file__).parents[1] / "src" / "fixel"
 LIMITS = Path(__file__).with_name("limits.toml")
+PROJECT = Path(__file__).parents[1] / "pyproject.toml"
 
 Modules = Mapping[str, Module]
 
@@ -99,6 +101,11 @@ def measure(modules: Modules) -> dict[str, Figure]:
         "web_mirrors": _listed("web classes named ...In or ...Out", _mirrors(modules)),
         "progress_aliases": _listed("aliases of a progress callback", _progress_aliases(modules)),
         "circles": _listed("circles of imports", map(" <-> ".join, circles(edges))),
+        "upward_references": _listed(
+            "references to a higher floor, by imports or strings",
+            upward(references(modules), read_floors()),
+        ),
+        **dict(_doors(modules)),
         "rollout_loop": _longest("lines of the loop of a rollout", _rollout_loop(modules)),
         "longest_function": _longest(
             "lines of the longest function, kernels and migrations left out", _functions(modules)
@@ -119,6 +126,30 @@ def measure(modules: Modules) -> dict[str, Figure]:
         "calibrate_modules": _listed("modules reached by `fixel calibrate`", _names(campaign)),
         "calibrate_lines": Figure("lines of these modules", sum(m.n_lines for m in campaign)),
     }
+
+
+def _doors(modules: Modules) -> Iterator[tuple[str, Figure]]:
+    """Two figures of each capability, of which the package under test may have none."""
+    for name, capability in CAPABILITIES.items():
+        if capability.function.rpartition(".")[0] in modules:
+            places = tuple(statements(capability, modules))
+            n_options = len(capability.options(modules))
+            around, numerics = n_lines(capability, modules)
+            yield (
+                f"{name}_statements",
+                Figure("statements of an option", round(len(places) / n_options, 1), places),
+            )
+            yield (
+                f"{name}_around",
+                Figure("lines around a line of numerics", round(around / numerics, 2)),
+            )
+
+
+def read_floors() -> list[str]:
+    """Load the floors that the import contract names, the highest first."""
+    settings = tomllib.loads(PROJECT.read_text(encoding="utf-8"))
+    floors: list[str] = settings["tool"]["importlinter"]["contracts"][0]["layers"]
+    return floors
 
 
 def _listed(meaning: str, places: Iterator[str] | list[str]) -> Figure:

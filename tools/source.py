@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -117,6 +118,74 @@ def imports(modules: Mapping[str, Module]) -> dict[str, set[str]]:
                     targets.add(whole if whole in modules else base)
         found[name] = {target for target in targets if target in modules} - {name}
     return found
+
+
+def references(modules: Mapping[str, Module]) -> dict[str, set[str]]:
+    """Find which modules each module imports or names in a string, such as ``"fixel.a:b"``.
+
+    Docstrings do not count.
+
+    Returns
+    -------
+    dict
+        Dotted name -> dotted names of the modules it imports or names.
+    """
+    found = imports(modules)
+    for name, module in modules.items():
+        docstrings = {id(_docstring_node(node)) for _, node, _ in module.docstrings}
+        for node in module.nodes:
+            if not isinstance(node, ast.Constant) or id(node) in docstrings:
+                continue
+            if isinstance(node.value, str):
+                found[name] |= _named(node.value, modules) - {name}
+    return found
+
+
+def _docstring_node(node: Definition | ast.Module) -> ast.expr | None:
+    """Node of the docstring of a documented node."""
+    first = node.body[0]
+    return first.value if isinstance(first, ast.Expr) else None
+
+
+def _named(text: str, modules: Mapping[str, Module]) -> set[str]:
+    """Longest dotted names of modules in a text, those of the whole package left out."""
+    found = set()
+    for name in re.findall(r"\bfixel(?:\.\w+)+", text):
+        while name not in modules:
+            name = name.rpartition(".")[0]
+        found.add(name)
+    return found - {"fixel"}
+
+
+def upward(
+    edges: Mapping[str, set[str]], layers: Sequence[str], package: str = "fixel"
+) -> list[str]:
+    """Find references from a floor to a higher one.
+
+    Parameters
+    ----------
+    edges : mapping
+        Dotted name -> dotted names of the modules it refers to.
+    layers : sequence of str
+        Floors, the highest first; rooms of one floor are separated by ``|``.
+
+    Returns
+    -------
+    list of str
+        ``module -> module`` of each.
+    """
+    floors = {
+        f"{package}.{room.strip()}": -height
+        for height, layer in enumerate(layers)
+        for room in layer.split("|")
+    }
+    room_of = {name: ".".join(name.split(".")[:2]) for name in edges}
+    return [
+        f"{name} -> {target}"
+        for name in sorted(edges)
+        for target in sorted(edges[name])
+        if room_of[name] in floors and floors[room_of[name]] < floors.get(room_of[target], -99)
+    ]
 
 
 def _absolute(module: Module, node: ast.ImportFrom) -> str:

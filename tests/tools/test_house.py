@@ -1,8 +1,9 @@
 """The figures of `make house`: counted right, and never larger than they were."""
 
 import pytest
+from tools.doors import Capability, n_lines, statements
 from tools.house import PACKAGE, measure, read_limits, tighten
-from tools.source import circles, imports, reached, read_modules
+from tools.source import circles, imports, reached, read_modules, references, upward
 
 FILES = {
     "__init__.py": "",
@@ -47,6 +48,49 @@ def test_imports_are_found_wherever_they_stand(modules):
     assert edges["fixel.model.scene"] == {"fixel.model.body"}  # under TYPE_CHECKING
     assert edges["fixel.model.body"] == {"fixel.model.scene"}  # inside a function
     assert edges["fixel.model"] == {"fixel.model.scene"}
+
+
+def test_strings_that_name_a_higher_floor_are_references(modules):
+    (modules["fixel.model"].file.parent / "hidden.py").write_text(
+        '"""Not a reference: fixel.web.api.app."""\n'
+        'HOME = "fixel.web.api.app:draw"\nBELOW = "fixel.kernels.rollout"\nPACKAGE = "fixel"\n'
+    )
+    package = modules["fixel"].file.parent
+    edges = references(read_modules(package))
+    assert edges["fixel.model.hidden"] == {"fixel.web.api.app", "fixel.kernels.rollout"}
+    assert upward(edges, ["cli | web", "workflows", "model", "kernels"]) == [
+        "fixel.model.hidden -> fixel.web.api.app"
+    ]
+
+
+def test_statements_of_an_option_are_counted_at_every_door(tmp_path):
+    files = {
+        "__init__.py": "",
+        "workflows/map.py": (
+            "def run(data, *, level=0.9, name=''):\n"
+            "    '''Map.\n\n    Parameters\n    ----------\n    level : float\n    '''\n"
+            "    return draw(level=level)\n"
+        ),
+        "web/map.js": "form.level = 1;\nlevels = 2;\n",
+        "cli/map.py": "FLAG = '--level'\nTEXT = 'the level'\n",
+        "cli/other.py": "level: float = 1\n",
+        "map/core.py": "level = 1\n" * 11,
+    }
+    for name, text in files.items():
+        file = tmp_path / "fixel" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    capability = Capability("fixel.workflows.map.run", "map", "map")
+    modules = read_modules(tmp_path / "fixel")
+    assert capability.options(modules) == ("level",)  # "name" has other meanings
+    assert statements(capability, modules) == [
+        "fixel/cli/map.py:1 level (key)",
+        "fixel/workflows/map.py:1 level (declared)",
+        "fixel/workflows/map.py:8 level (passed on)",
+        "fixel/workflows/map.py:1 level (docstring)",
+        "fixel/web/map.js:1 level (js)",
+    ]
+    assert n_lines(capability, modules) == (10, 11)
 
 
 def test_circles_and_reach(modules):
