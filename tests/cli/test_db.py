@@ -47,7 +47,7 @@ def test_upgrade_that_has_nothing_to_do(folder):
     code, out = call("upgrade", folder)
     assert code == 0
     assert out.splitlines() == [
-        "The database already has schema 0004.",
+        "The database already has schema 0005.",
         "",
         f"Next: fixel db check '{folder}'",
     ]
@@ -57,7 +57,7 @@ def test_upgrade_of_an_empty_database(folder):
     for file in folder.glob("experiments.db*"):
         file.unlink()
     code, out = call("upgrade", folder, "--json")
-    assert (code, json.loads(out)) == (0, {"before": None, "after": "0004"})
+    assert (code, json.loads(out)) == (0, {"before": None, "after": "0005"})
 
 
 def test_the_current_folder_is_the_default(folder, monkeypatch):
@@ -71,7 +71,7 @@ def test_check(folder):
     code, out = call("check", folder)
     assert code == 0
     assert out.splitlines() == [
-        "sqlite, schema 0004",
+        "sqlite, schema 0005",
         "table       rows",
         "experiment     3",
         "series         3",

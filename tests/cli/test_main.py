@@ -1,5 +1,7 @@
+import itertools
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 import typer
@@ -18,6 +20,30 @@ def test_help_lists_every_command() -> None:
     assert result.exit_code == 0
     for command in COMMANDS:
         assert command in result.output
+
+
+def groups(command: Any, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Return the words of the command itself and of all groups below it."""
+    if not hasattr(command, "commands"):
+        return []
+    below = [groups(one, (*path, name)) for name, one in command.commands.items()]
+    return [path, *itertools.chain(*below)]
+
+
+@pytest.mark.parametrize(
+    "words", groups(typer.main.get_command(main.app)), ids=lambda words: " ".join(words) or "fixel"
+)
+def test_summaries_of_commands_are_whole_at_80_columns(
+    words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    result = CliRunner().invoke(main.app, [*words, "--help"])
+
+    usage, *lines = result.output.strip().splitlines()
+    assert usage.startswith("Usage:")
+    assert len(lines) > 3
+    assert max(map(len, lines)) <= 80
+    assert [line for line in lines if line.rstrip().endswith("...")] == []
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -38,6 +38,31 @@ def call(capsys, *arguments: object) -> tuple[int, str, str]:
     return code, said.out, said.err
 
 
+@pytest.mark.parametrize("words", [("simulate",), ("plan", "find"), ("sample",)])
+def test_a_table_is_one_sentence_with_the_next_command(tmp_path, capsys, words):
+    table = tmp_path / "my lab.csv"
+    rows = "".join(f"{k},{k},0,0\n" for k in range(5000))
+    table.write_text('"time_s","x_mm","y_mm","theta_deg"\n' + rows, encoding="utf-8")
+
+    code, out, err = call(capsys, *words, table)
+
+    assert (code, out) == (2, "")
+    assert "found a table, expected a" in err
+    assert f"fixel import '{table}'" in err
+    assert len(err) < 300 + len(str(table)) * 2
+
+
+def test_a_long_text_is_not_printed_whole(tmp_path, capsys):
+    notes = tmp_path / "notes.yaml"
+    notes.write_text("All that happened in the lab. " * 2000, encoding="utf-8")
+
+    code, _, err = call(capsys, "simulate", notes)
+
+    assert code == 2
+    assert "found 'All that happened" in err
+    assert len(err) < 700
+
+
 def test_json_has_the_keys_of_the_contract(scene, capsys):
     code, out, err = call(capsys, "simulate", scene, "--json")
     answer = json.loads(out)

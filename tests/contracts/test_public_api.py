@@ -34,6 +34,7 @@ from fixel.units import deg, mm
 PUBLIC = [*(name for name in fixel.__all__ if name != "__version__"), "filter"]
 HEAVY = "{'numpy','numba','scipy','pydantic','matplotlib','pandas','sqlalchemy','pyarrow','rich'}"
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
+START = fixel.StartError(x=1 * mm, y=1 * mm, theta=1 * deg, kind="uniform")
 QUIET: dict[str, Any] = {"progress": False}
 
 
@@ -73,14 +74,12 @@ CASES = {
         functools.partial(fixel.orienting_plan, angle_error=5 * deg),
     ),
     "Sensitivity": Case(
-        lambda: (pushed_square(0.5), fixel.StartError(x=1 * mm, y=1 * mm, theta=1 * deg)),
+        lambda: (pushed_square(0.5), START),
         functools.partial(fixel.sensitivity, samples=60, **QUIET),
     ),
     "Prediction": Case(
         lambda: (pushed_square(0.5), {"mu_support": 0.3}),
-        lambda scene, model: fixel.predict(
-            scene, model, start=fixel.StartError(x=1 * mm, y=1 * mm, theta=0.0), samples=40, **QUIET
-        ),
+        lambda scene, model: fixel.predict(scene, model, start=START, samples=40, **QUIET),
     ),
     "Posterior": Case(
         lambda: (example_pushes(1, duration=0.3), SPACE),

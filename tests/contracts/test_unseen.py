@@ -83,7 +83,7 @@ def answers(fit):
     posterior = fixel.posterior(plain[2:5], SPACE, model_error=False, samples=20, **QUIET)
 
     def predicted(model):
-        start = fixel.StartError(x=1e-4, y=1e-4, theta=0.0)
+        start = fixel.StartError(x=1e-4, y=1e-4, kind="uniform")
         return lambda push: fixel.predict(push, model, start=start, samples=4, **QUIET)
 
     return {

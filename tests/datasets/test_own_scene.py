@@ -98,6 +98,46 @@ def test_a_turn_of_143_degrees_in_a_tenth_of_a_second_is_refused(tmp_path):
     assert experiment.trajectory.pose[-1, 2] == pytest.approx(math.radians(2.5 * 19))
 
 
+@pytest.mark.parametrize("title", ["theta", "theta_deg"])
+def test_a_stated_unit_that_makes_a_part_spin_is_refused(tmp_path, title):
+    """21.7 degrees in 20 s, read as radians: 1243 degrees, though at 1.1 rad/s only."""
+    rows = "".join(f"{0.1 * k:g},{k / 10:g},0,{-21.7 * k / 200:g}\n" for k in range(201))
+    source = table_file(tmp_path / "run.csv", f"time_s,x_mm,y_mm,{title}\n" + rows)
+
+    with pytest.raises(InvalidInput) as refused:
+        CSV.read(source, angle_unit="rad")
+    assert refused.value.found == "an object that turns 1243 degrees"
+    assert "likely in degrees: set angle_unit=deg" in refused.value.hint
+
+    (experiment,) = CSV.read(source, angle_unit="deg").experiments()
+    assert experiment.trajectory.pose[-1, 2] == pytest.approx(math.radians(-21.7))
+
+
+def test_a_part_that_turns_several_times_is_read_if_header_and_option_agree(tmp_path):
+    rows = "".join(f"{0.1 * k:g},{k},0,{0.9 * k:g}\n" for k in range(30))
+    source = table_file(tmp_path / "run.csv", "time_s,x_mm,y_mm,theta_rad\n" + rows)
+    with pytest.raises(InvalidInput, match="if it is in radians, end its title with _rad"):
+        CSV.read(source)
+
+    (experiment,) = CSV.read(source, angle_unit="rad").experiments()
+
+    assert experiment.trajectory.pose[-1, 2] == pytest.approx(0.9 * 29)
+    assert "doubtful-angles" in {flag.name for flag in experiment.flags}
+
+
+def test_two_turns_in_degrees_or_wrapped_radians_need_no_second_statement(tmp_path):
+    turned = [0.03 * k for k in range(420)]  # two turns at 0.3 rad/s
+    wrapped = [math.remainder(angle, 2.0 * math.pi) for angle in turned]
+    for title, angles in (("theta_deg", map(math.degrees, turned)), ("theta_rad", wrapped)):
+        rows = "".join(f"{0.1 * k:g},{k},0,{angle:.9g}\n" for k, angle in enumerate(angles))
+        source = table_file(tmp_path / "run.csv", f"time_s,x_mm,y_mm,{title}\n" + rows)
+
+        (experiment,) = CSV.read(source).experiments()
+
+        assert experiment.trajectory.pose[-1, 2] == pytest.approx(turned[-1])
+        assert "doubtful-angles" not in {flag.name for flag in experiment.flags}
+
+
 def test_right_units_of_many_pushes_are_accepted(tmp_path):
     for mu in (0.02, 0.15, 0.6):
         for offset in (-0.035, 0.002, 0.03):

@@ -80,6 +80,16 @@ def test_the_inradii_differ_as_the_zones_do():
     assert inradius[1] - inradius[0] == pytest.approx(0.020, abs=1e-3)
 
 
+@pytest.mark.parametrize("shape", ["square", "pentagon"])
+def test_tripods_turn_as_hard_as_uniform_pressure(shape):
+    """The thesis prints no radius; ours is the mean distance of the outline's points."""
+    (body,) = nominal(shape).bodies
+    x, y = np.meshgrid(*[np.linspace(-0.1, 0.1, 801)] * 2)
+    inside = shapely.contains_xy(shapely.Polygon(body.shape.outline), x, y)
+
+    assert body.support.radius == pytest.approx(np.hypot(x, y)[inside].mean(), abs=1e-4)
+
+
 @pytest.mark.parametrize(("shape", "near"), [("square", 0.125), ("pentagon", 0.145)])
 def test_pegs_stand_in_their_zone(shape, near):
     zone = shapely.box(near, -0.105, near + 0.210, 0.105)

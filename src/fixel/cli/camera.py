@@ -26,7 +26,7 @@ from fixel.errors import InvalidInput
 THESIS_HEIGHTS = (0.0, 25.4)  # [mm] plate, upper face of the object
 
 app = typer.Typer(
-    help="Calibrate, import, place and check a camera; print boards and tags.",
+    help="Calibrate, place and check a camera; print boards and tags.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -118,7 +118,7 @@ def import_(
         metavar="WxH",
     ),
     which: str = option(
-        "", "Camera to read from a Kalibr file with several cameras.", metavar="cam0"
+        "", "Camera to read from a Kalibr file with several cameras, such as cam0.", metavar="NAME"
     ),
     unit: str = option("mm", "Unit of lengths in a MATLAB file: mm, cm or m."),
     as_json: AsJson = False,
@@ -181,7 +181,10 @@ def place(
     plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compute the pose of a camera above the plate, and the accuracy of positions on it."""
+    """Compute the pose of a camera above the plate.
+
+    It also reports the accuracy of positions on the plate.
+    """
     from fixel.workflows.acquisition.camera.calibrate import place as run
 
     target = out or camera.with_name(f"{camera.stem}-placed.yaml")
@@ -223,7 +226,7 @@ def check(
     plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
-    """Report the accuracy of positions on the plate, and whether the camera has moved."""
+    """Report whether a camera has moved, and its accuracy."""
     from fixel.workflows.acquisition.camera.check import check as run
 
     found = run(camera, video=video, heights=_heights(height_mm), plot=plot)
@@ -294,7 +297,10 @@ def tags(
     paper: Paper = "a4",
     as_json: AsJson = False,
 ) -> None:
-    """Write tags to print, true to scale: all tags of a rig, or a range of numbers."""
+    """Write tags to print, true to scale.
+
+    Write all tags of a rig, or a range of numbers.
+    """
     from fixel.workflows.acquisition.camera.prints import print_rig_tags, print_tags
 
     if (rig is None) == (ids is None):

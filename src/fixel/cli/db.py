@@ -26,7 +26,10 @@ app = typer.Typer(
 def upgrade(
     place: ProjectPlace = None, folder: ProjectFolder = Path(), as_json: AsJson = False
 ) -> None:
-    """Upgrade the tables to the schema of this version; do nothing if they have it."""
+    """Upgrade the tables to the schema of this version.
+
+    Nothing changes if they have it.
+    """
     from fixel.database.project import Project
 
     project = project_at(place, folder)
@@ -85,7 +88,7 @@ def diagram(
     ],
     as_json: AsJson = False,
 ) -> None:
-    """Draw the tables and their references as an entity relationship diagram."""
+    """Draw the tables as an entity relationship diagram."""
     from fixel.workflows.project import maintenance
 
     names = maintenance.diagram(file)

@@ -43,8 +43,10 @@ def demo(
         "--camera",
     ),
 ) -> None:
-    """Simulate and film a grasp, then calibrate simulated experiments and report the accuracy of
-    the simulator."""
+    """Simulate and film a grasp, then assess the simulator.
+
+    For the second part, simulated experiments are calibrated.
+    """
     if camera:
         from fixel.workflows.demo.camera_demo import run_camera_tour
 
@@ -57,7 +59,7 @@ def demo(
         return typer.echo("\n".join(_camera_lines(tour)))
     from fixel.workflows.demo.scene_demo import run_demo
 
-    result = run_demo(out, notify=notify)
+    result = run_demo(out)
     typer.echo("\n".join(_scene_lines(result)))
     if not result.simulation.converged:
         raise typer.Exit(NOT_SOLVED)
@@ -80,7 +82,7 @@ def _camera_lines(tour: "CameraTour") -> list[str]:
         f" {1e3 * errors.position:.3f} mm and {degrees(errors.angle):.3f} deg from the true"
         " ones (RMS).",
         "",
-        *estimate_table(tour.estimates).lines(),
+        *estimate_table(tour.estimates, tour.truths).lines(),
         "",
         *(f"  overlay    {path}" for path in tour.overlays if path.suffix == ".png"),
         "",

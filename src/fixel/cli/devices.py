@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fixel.workflows.acquisition.tactile import TactileCheck
 
 tactile = typer.Typer(
-    help="Check and watch the tactile board, which reads the contact sensors of the fixels.",
+    help="Check and watch the board of the fixels' contact sensors.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -58,7 +58,10 @@ def check(
     ] = 15.0,
     as_json: AsJson = False,
 ) -> None:
-    """Request many readings of the board; exit code 1 if one is missing, late or damaged."""
+    """Request many readings of the board and check each.
+
+    The exit code is 1 if one is missing, late or damaged.
+    """
     from fixel.workflows.acquisition.tactile import check_tactile
 
     found = check_tactile(
@@ -109,7 +112,10 @@ def watch(
     ),
     as_json: AsJson = False,
 ) -> None:
-    """Show the readings of the board live; with --json, one line per reading."""
+    """Show the readings of the board live.
+
+    With --json, it prints one line per reading.
+    """
     from fixel.workflows.acquisition.tactile import watch_tactile
 
     thresholds = None if threshold is None else (threshold,) * 3
@@ -164,7 +170,7 @@ def _as_json(reading: "TactileReading") -> str:
 
 
 actuator = typer.Typer(
-    help="Home, move and stop the drive of the pusher: a GRBL controller or an operator.",
+    help="Home, move and stop the drive of the pusher.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -235,7 +241,7 @@ def move(
 
 @actuator.command("stop")
 def stop(port: DrivePort = None, as_json: AsJson = False) -> None:
-    """Stop at once every drive that your programs move, or only the one at a port.
+    """Stop every drive of your programs, or only that at a port.
 
     The position is lost: home the drive before you move it again.
     """

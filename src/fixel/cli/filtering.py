@@ -79,7 +79,7 @@ def filter_(
     options: FilterOptions,
     as_json: AsJson = False,
 ) -> None:
-    """Estimate pose and friction frame by frame with a particle filter."""
+    """Estimate pose and friction with a particle filter."""
     from fixel.database.project import Project
     from fixel.filtering.particle_filter import ParticleFilter
     from fixel.workflows.filtering import filter_experiment

@@ -27,10 +27,21 @@ ProjectPlace = Annotated[
     Path | None,
     typer.Argument(help="Same as --project.", metavar="[PROJECT]", show_default=False),
 ]
+
+
+def _permitted(name: str | None) -> str | None:
+    """Permit the program that the user names as an engine."""
+    from fixel.simulation.trust import permit
+
+    permit(name)
+    return name
+
+
 Engine = Annotated[
     str | None,
     typer.Option(
         "--engine",
+        callback=_permitted,
         metavar="NAME",
         help="Simulate by another engine: mujoco, drake, pymunk, box2d, or the path of a "
         "program; with choices as in mujoco:step=0.001.",
@@ -41,6 +52,7 @@ CalibrationEngine = Annotated[
     str | None,
     typer.Option(
         "--engine",
+        callback=_permitted,
         metavar="NAME",
         help="Use the newest calibration by this engine, such as mujoco.",
         show_default=False,

@@ -96,7 +96,7 @@ def overlay(
     options: OverlayOptions,
     as_json: AsJson = False,
 ) -> None:
-    """Show the planned poses of the parts on the live picture, and their errors."""
+    """Show planned poses on the live picture, and their errors."""
     from fixel.drawing.chart import refuse_ending
     from fixel.formats.rig_file import rig_of
     from fixel.io.atomic import refuse_unwritable

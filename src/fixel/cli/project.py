@@ -54,7 +54,7 @@ def new(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Create a project: a folder with settings, a database and media."""
+    """Create a project folder with settings, database and media."""
     from fixel.database.project import Project
 
     name = Project.create(folder, database=database).settings.name
@@ -89,7 +89,7 @@ def import_(
     dry_run: bool = option(False, "Print how the source is read; import nothing.", "--dry-run"),
     as_json: AsJson = False,
 ) -> None:
-    """Import recorded experiments; those stored already are skipped."""
+    """Import recorded experiments, and skip stored ones."""
     from fixel.database.project import Project
     from fixel.datasets import plan_import
     from fixel.workflows.project.importing import write_template
@@ -318,7 +318,7 @@ def export(
     seed: int = option(0, "Seed of the random number generator, with --to."),
     as_json: AsJson = False,
 ) -> None:
-    """Export the experiments of a project, or a scene as a model for another engine."""
+    """Export experiments, or a scene as a model for an engine."""
     from fixel.database.project import Project
 
     *places, target = paths
@@ -415,7 +415,7 @@ def data(
     sha256: str | None = option(None, "Expected SHA-256 checksum.", "--sha256", metavar="DIGITS"),
     as_json: AsJson = False,
 ) -> None:
-    """List the public datasets that fixel can import; with a URL, download a file."""
+    """List public datasets; with a URL, download a file."""
     from fixel.workflows.project.download import datasets, fetch
 
     if url is None:

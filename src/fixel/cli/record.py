@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 app = typer.Typer(
-    help="Record an experiment: frames, each with a reading of the contact sensors.",
+    help="Record frames, each with a reading of the contact sensors.",
     invoke_without_command=True,
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -121,7 +121,7 @@ class RecordOptions:
 @app.callback()
 @with_options
 def record(*, context: typer.Context, options: RecordOptions, as_json: AsJson = False) -> None:
-    """Record an experiment: frames, each with a reading of the contact sensors."""
+    """Record frames, each with a reading of the contact sensors."""
     if context.invoked_subcommand is not None:
         return
     from fixel.workflows.acquisition.record import record as record_experiment
@@ -137,13 +137,16 @@ def record(*, context: typer.Context, options: RecordOptions, as_json: AsJson = 
 
 @app.command()
 def check(folder: Folder, as_json: AsJson = False) -> None:
-    """Check every frame of a recording against its row, and report missing frames."""
+    """Check every frame of a recording, and report missing ones."""
     _check(folder, as_json, repair=False)
 
 
 @app.command()
 def repair(folder: Folder, as_json: AsJson = False) -> None:
-    """Remove incomplete frames at the end of an interrupted recording, and mark it as ended."""
+    """Remove incomplete last frames of an interrupted recording.
+
+    The recording is then marked as ended.
+    """
     _check(folder, as_json, repair=True)
 
 

@@ -52,7 +52,7 @@ def replay(
     as_json: AsJson = False,
     plot: Path | None = option(None, "Draw measured and simulated motion: .png, .svg or .pdf."),
 ) -> None:
-    """Replay recorded pushes and report the errors of the simulation."""
+    """Replay recorded pushes and report the simulation's errors."""
     from fixel.replay import ReplayRequest, replay_dataset
     from fixel.replay.base import columns_and_values, names_and_numbers
 

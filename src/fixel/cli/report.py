@@ -28,7 +28,7 @@ def report(
     title: str = option("", "Title of the report.", metavar="TEXT"),
     as_json: AsJson = False,
 ) -> None:
-    """Write a report on a calibration: data, errors, verdicts, domain and limits.
+    """Write a report on a calibration, with errors and verdicts.
 
     The page needs no network. Next to it: every figure as PDF, and a bibliography.
     """

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fixel.cli.options import AsJson, argument, option, with_options
-from fixel.cli.screen import command_of, notice, paragraphs, print_answer, shortened, wrote
+from fixel.cli.screen import command_of, paragraphs, print_answer, shortened, wrote
 from fixel.errors import InvalidInput
 from fixel.table import Table
 
@@ -46,14 +46,7 @@ def sample(
         raise InvalidInput(
             "--eight-push", found="a plan file and --eight-push", expected="one of them"
         )
-    answer = sample_plan(
-        plan,
-        eight_push=eight_push,
-        output=output,
-        plot=plot,
-        simulate=simulate,
-        notify=notice(as_json),
-    )
+    answer = sample_plan(plan, eight_push=eight_push, output=output, plot=plot, simulate=simulate)
     print_answer(as_json, answer.summary, lambda: _lines(answer, plan, eight_push))
 
 

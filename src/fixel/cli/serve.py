@@ -29,7 +29,10 @@ def serve(
     open_: bool = option(True, "Open the link in a browser.", "--open/--no-open"),
     as_json: AsJson = False,
 ) -> None:
-    """Show a project in a browser: experiments, simulations, calibrations, domains."""
+    """Show a project in a browser.
+
+    Pages list experiments, simulations, calibrations and domains.
+    """
     if host not in LOOPBACK and not allow_others:
         raise InvalidInput(
             "--host",

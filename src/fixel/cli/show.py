@@ -18,7 +18,6 @@ from fixel.cli.options import (
 )
 from fixel.cli.screen import (
     command_of,
-    notice,
     origin_of,
     paragraphs,
     print_answer,
@@ -38,7 +37,12 @@ if TYPE_CHECKING:
 MAX_ROWS = 20
 
 Key = Annotated[
-    str, typer.Argument(help="Experiment: its id, its name, or DATASET/NAME.", show_default=False)
+    str,
+    typer.Argument(
+        help="Experiment: its id, its name, or DATASET/NAME.",
+        metavar="EXPERIMENT",
+        show_default=False,
+    ),
 ]
 
 
@@ -50,7 +54,7 @@ def show(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show an experiment: scene, measurements, faults of the data and provenance."""
+    """Show an experiment: scene, data, faults and provenance."""
     from fixel.database.project import Project
     from fixel.io.atomic import written_whole
     from fixel.workflows.project.compare import summary
@@ -94,7 +98,7 @@ def compare(
     as_json: AsJson = False,
     save: bool = option(False, "Store the simulation.", "--save"),
 ) -> None:
-    """Simulate an experiment and report the error against the measurement."""
+    """Simulate an experiment and compare it with its measurement."""
     from fixel.database.project import Project
     from fixel.simulation.motion import motion_model
     from fixel.workflows.calibration.stored import parameters_of, unseen_by
@@ -115,7 +119,7 @@ def compare(
         if calibration is not None:
             parameters, model = parameters_of(store, calibration, experiment, parameters, model)
         unseen = [] if calibration is None else unseen_by(store, calibration, experiment)
-        _compile(experiment, as_json)
+        _compile(experiment)
         found = compare_experiments(experiment, {"given": parameters}, motion=model, progress=False)
         answer = found.rows[0].run
         assert isinstance(answer, RunComparison)
@@ -309,12 +313,12 @@ def _parameters(settings: list[str]) -> "Parameters":
     return Parameters(values)
 
 
-def _compile(experiment: "Experiment", as_json: bool) -> None:
-    """Compile before the clock runs; print a notice on a terminal, or without `--json`."""
+def _compile(experiment: "Experiment") -> None:
+    """Compile before the clock runs."""
     if experiment.scene is not None:
         from fixel.workflows.compilation import get_ready
 
-        get_ready(experiment.scene, notice(as_json))
+        get_ready(experiment.scene)
 
 
 def _draw(answer: "PathComparison", plot: Path) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from fixel.cli.options import AsJson, Engine, engine_or_motion, option, required, with_options
-from fixel.cli.screen import command_of, notice, paragraphs, print_answer, seconds, wrote
+from fixel.cli.screen import command_of, paragraphs, print_answer, seconds, wrote
 
 if TYPE_CHECKING:
     from fixel.simulation import Simulation
@@ -78,7 +78,6 @@ def simulate(
         stepper=stepper_of(step, None if tolerance is None else 1e-3 * tolerance),
         solver=solver,
         plain=plain,
-        notify=notice(as_json),
     )
     files = {name: str(path) for name, path in outputs.files.items()}
     print_answer(

@@ -16,7 +16,7 @@ from fixel.cli.options import (
     with_options,
 )
 from fixel.cli.project import print_imported
-from fixel.cli.screen import command_of, notice, print_answer, progress_bar, shortened, wrote
+from fixel.cli.screen import command_of, print_answer, progress_bar, shortened, wrote
 from fixel.table import Column, Table
 
 if TYPE_CHECKING:
@@ -44,7 +44,10 @@ def run_plan(
     threads: int | None = option(None, "Number of threads; all cores by default.", min=1),
     as_json: AsJson = False,
 ) -> None:
-    """Perform a plan on the simulated testbed, with noise, ripple and an uneven plate."""
+    """Perform a plan on the simulated testbed, with noise.
+
+    The drive has ripple, and the plate is uneven.
+    """
     from fixel.database.project import Project
     from fixel.workflows.project.importing import run_testbed
 
@@ -102,7 +105,10 @@ def film(
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
-    """Render simulated experiments as recordings with known true poses, to test tracking."""
+    """Render simulated experiments as recordings, to test tracking.
+
+    Their true poses are known.
+    """
     from fixel.workflows.acquisition import film as films
 
     settings = films.FilmSettings(
@@ -123,7 +129,6 @@ def film(
         project=folder,
         limit=limit,
         video=video,
-        notify=notice(as_json),
         progress=None if as_json else progress_bar("Filming"),
     )
     print_answer(as_json, lambda: {"films": list(map(_content, made))}, lambda: _lines(made))

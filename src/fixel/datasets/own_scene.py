@@ -63,7 +63,7 @@ def with_scene(
     object_name : str, optional
         Body of the scene whose motion was measured; required if there are several.
     sure_of_angles : bool
-        Whether the user gave the unit of the angles, so that it is not checked.
+        Whether header and user state the same unit of the angles, so that it is not checked.
 
     Returns
     -------
@@ -93,6 +93,12 @@ def with_scene(
         driven, more, sentence = _driven(pusher, body.shape, track, experiment.pusher)
         pushers, flags = (driven,), (*flags, *more)
         sentences.append(sentence)
+        if scene.fixels and driven.drive.force_limit is None:
+            sentences.append(
+                f"{pusher.name!r} has no limit of force: it jams when a part is seated against the"
+                " fixels. Describe a drive that stalls in the scene, such as"
+                " drive=LineDrive(speed=0.01, force_limit=30)."
+            )
     elif any(pusher.is_template for pusher in pushers):
         raise InvalidInput(
             source,
@@ -181,7 +187,7 @@ def _loaded(path: Path, experiment: Experiment) -> Scene:
 
     With the poses of the file, from another run or with noise, the two might overlap.
     """
-    record = scene_record(read_document(path))
+    record = scene_record(read_document(path, "scene file"))
     if experiment.pusher is not None:
         for pusher in record.pushers:
             pusher.pose = None

@@ -14,6 +14,7 @@ from fixel.typing import FloatArray
 WORDS: Final = {"deg": "degrees", "rad": "radians"}
 
 FASTEST_TURN: Final = 6.0  # [rad/s], a turn per second; pushed parts turn at up to about 2
+MAX_TURN: Final = 4.0 * math.pi  # [rad] of values as in the file; more is rather in degrees
 WINDOW: Final = 0.1  # [s] for rates of turning, long enough to average noise of the angle
 FASTEST: Final = 5.0  # [m/s]
 WIDEST: Final = 5.0  # [m] of motion of a part on a plate
@@ -45,8 +46,8 @@ def refuse_implausible(
     Raises
     ------
     InvalidInput
-        The object moves or turns faster, or moves farther, than is possible on a plate; or the tip
-        would slide along it far less with the other unit.
+        The object moves or turns faster, or moves farther, than is possible on a plate; radians
+        make it turn more than twice; or the tip would slide along it far less with the other unit.
     """
     glance = np.linspace(track.time[0], track.time[-1], GLANCES)
     _refuse_lengths(track, source)
@@ -63,6 +64,8 @@ def refuse_implausible(
             unit,
             other,
         )
+    if unit == "rad" and (turn := float(np.ptp(track.pose[:, 2]))) > MAX_TURN:
+        _refuse(where, f"an object that turns {math.degrees(turn):.4g} degrees", unit, other)
     if tip is None:
         return
     here, there = rescaled(track, 1.0), rescaled(track, factor)
@@ -89,10 +92,11 @@ def _refuse(where: str, found: str, unit: str, other: str) -> None:
 
 
 def hint_of(other: str, unit: str) -> str:
-    """Hint with the options that set the unit of angles to one or the other."""
+    """Hint with the likely unit of angles, and the two statements that confirm the other one."""
     return (
-        f"set angle_unit={other} if the column is in {WORDS[other]}, angle_unit={unit} if it is in"
-        f" {WORDS[unit]}: with --option, or in Python units={{'angle': '{other}'}}"
+        f"it is likely in {WORDS[other]}: set angle_unit={other} with --option, or in Python"
+        f" units={{'angle': '{other}'}}; if it is in {WORDS[unit]}, end its title with _{unit} and"
+        f" set angle_unit={unit}"
     )
 
 

@@ -164,8 +164,8 @@ def plan_table(
         try:
             if part.torn:
                 raise next(iter(part.torn.values()))
-            experiment, understood = _experiment(key, part, options, provenance, chosen)
-            experiment, more = _on_plate(experiment, scene, options)
+            experiment, understood, sure = _experiment(key, part, options, provenance, chosen)
+            experiment, more = _on_plate(experiment, scene, options.get("object_name"), sure)
         except InvalidInput as problem:
             if value is None:
                 raise
@@ -214,13 +214,12 @@ def _parts(table: CsvRows, split_by: str | None) -> Iterator[tuple[str | None, C
 
 
 def _on_plate(
-    experiment: Experiment, scene: SceneChoice | None, options: Mapping[str, str]
+    experiment: Experiment, scene: SceneChoice | None, name: str | None, sure_of_angles: bool
 ) -> tuple[Experiment, tuple[str, ...]]:
     """Complete an experiment with a scene, if there is one."""
     if scene is None:
         return experiment, ("Without a scene, it can be shown but not simulated.",)
-    sure = "angle_unit" in options
-    return with_scene(experiment, scene, options.get("object_name"), sure_of_angles=sure)
+    return with_scene(experiment, scene, name, sure_of_angles=sure_of_angles)
 
 
 def _common(sentences: Sequence[tuple[str, ...]], split_by: str) -> tuple[str, ...]:
@@ -263,6 +262,7 @@ class _TableReading:
     roles: dict[str, _TableColumn]
     others: list[_TableColumn]
     options: Mapping[str, str]
+    sure_of_angles: bool = False  # whether the header and the user state the same unit
     guesses: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
@@ -283,7 +283,8 @@ def _experiment(
     options: Mapping[str, str],
     provenance: Provenance,
     chosen: Mapping[str, str],
-) -> tuple[Experiment, tuple[str, ...]]:
+) -> tuple[Experiment, tuple[str, ...], bool]:
+    """Return the experiment of a table, how it was understood, and whether angles are certain."""
     reading = _columns(table, options, chosen)
     _refuse_incomplete(reading)
     _refuse_contradictions(reading)
@@ -296,8 +297,12 @@ def _experiment(
     if "pusher_x" in reading.roles:
         pusher, more = _poses(reading, time, "pusher_")
         flags = (*flags, *more)
-    if "angle_unit" not in options:
+    try:
         _check_units(reading, trajectory, pusher)
+    except InvalidInput as doubt:
+        if not reading.sure_of_angles or "angle_unit" not in (doubt.hint or ""):
+            raise
+        flags = (*flags, remark("doubtful-angles", f"{doubt.found}, in the stated unit"))
     channels, conditions = _channels(reading, time), _conditions(reading)
     if reading.guesses:
         flags = (*flags, remark("guessed-units", " ".join(reading.guesses)))
@@ -314,7 +319,7 @@ def _experiment(
         conditions=conditions,
         flags=flags,
     )
-    return experiment, _understood(reading, experiment, time)
+    return experiment, _understood(reading, experiment, time), reading.sure_of_angles
 
 
 def _stem(path: Path) -> str:
@@ -435,6 +440,9 @@ def _settle_unit(reading: _TableReading, role: str) -> None:
     given = reading.options.get(f"{kind}_unit")
     # The header decides, except for angles: their unit is the one most often wrong in headers.
     if column.unit is not None and (given is None or kind != "angle"):
+        return
+    if given is not None and column.unit == UNITS[given]:
+        reading.sure_of_angles = True
         return
     lack = f"the unknown unit {column.unknown!r}" if column.unknown else "no unit"
     if column.unit is not None:

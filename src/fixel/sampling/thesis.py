@@ -1,8 +1,10 @@
 """Sampling scheme of the thesis: two shapes, ten layouts, 21 configurations, 420 experiments.
 
-Source: RPI thesis (2011), sections 1.3 and 5.3. Its sizes and steps are used where they are
-legible. The coordinates of the pegs are ours, since the thesis only draws them. Ambiguous
-passages are read as follows:
+Source: RPI thesis (2011), sections 1.3, 4.2 and 5.3. Its sizes and steps are used where they are
+legible. Mass and side of the square, head and radius of the fixels are those of the laboratory's
+public files (2dgad). Ours are the coordinates of the pegs, which the thesis only draws, the
+frictions, and the tripod radii: mean distances from the centre, as under uniform pressure.
+Ambiguous passages are read as follows:
 
 - The pentagon's "107.5 mm" is the length of a side. Then its inradius exceeds the square's by the
   20 mm by which its fixel zone starts later.

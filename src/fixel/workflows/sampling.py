@@ -11,7 +11,6 @@ from fixel.errors import InvalidInput
 from fixel.formats.plan_file import load_plan, plan_text
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.sampling import Plan, PlanProblem, eight_push_plan, rehearse, thesis_plan
-from fixel.typing import Notify
 from fixel.workflows.compilation import get_ready
 
 PLAN_ENDINGS = (".yaml", ".yml")
@@ -67,7 +66,6 @@ def sample(
     plot: Path | None = None,
     simulate: bool = False,
     eight_push: bool = False,
-    notify: Notify | None = None,
 ) -> SampleAnswer:
     """Load a plan and check it; save and draw it if requested.
 
@@ -83,8 +81,6 @@ def sample(
         Whether to use the ASME paper's plan instead of the thesis's, if no file is given.
     simulate : bool
         Whether to simulate every experiment, to check that the object touches a fixel.
-    notify : callable, optional
-        Called with a sentence before long operations.
 
     Raises
     ------
@@ -99,7 +95,7 @@ def sample(
         plan = eight_push_plan() if eight_push else thesis_plan()
     problems = plan.check()
     if simulate and plan.experiments:
-        get_ready(plan.experiments[0].scene, notify)
+        get_ready(plan.experiments[0].scene)
         problems = tuple(sorted([*problems, *rehearse(plan).problems]))
     if output is not None:
         with written_whole(output) as unfinished:

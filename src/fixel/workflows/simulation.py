@@ -16,7 +16,6 @@ from fixel.simulation import AbstractStepper, Newton, Simulation, simulate
 from fixel.simulation.motion import named_part
 from fixel.simulation.simulate import check_method
 from fixel.simulation.solver import SOLVERS
-from fixel.typing import Notify
 from fixel.workflows.compilation import get_ready
 
 
@@ -65,7 +64,6 @@ def simulate_file(
     stepper: AbstractStepper | None = None,
     solver: str | None = None,
     plain: bool = False,
-    notify: Notify | None = None,
 ) -> Simulation:
     """Simulate a scene file by `fixel.simulate`, and write the requested files.
 
@@ -77,8 +75,6 @@ def simulate_file(
         Files to write; a failed simulation is written and drawn, too.
     motion, stepper, solver, plain : optional
         Method, as for `simulate`; that of the file by default.
-    notify : callable, optional
-        Called with a sentence before long operations.
 
     Raises
     ------
@@ -89,7 +85,7 @@ def simulate_file(
     part = named_part(solver or Newton.name, SOLVERS, "solver")
     check_method(file.scene, part)
     outputs.check()
-    get_ready(file.scene, notify, part, plain)
+    get_ready(file.scene, part, plain)
     simulation = simulate(file, motion=motion, stepper=stepper, solver=part, plain=plain)
     outputs.write(simulation)
     return simulation

@@ -21,7 +21,7 @@ from fixel.io.atomic import written_whole
 from fixel.model import Trajectory
 from fixel.model.chance import stream
 from fixel.testbed.imperfections import tactile_channel, touching
-from fixel.typing import BoolArray, FloatArray, Notify, ProgressCallback
+from fixel.typing import BoolArray, FloatArray, ProgressCallback
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
 from fixel.vision.render import (
@@ -128,7 +128,6 @@ def film(
     project: Path = Path(),
     limit: int | None = None,
     video: Path | None = None,
-    notify: Notify | None = None,
     progress: ProgressCallback | None = None,
 ) -> list[FilmResult]:
     """Render films of scenes, plans and experiments.
@@ -145,8 +144,6 @@ def film(
         Maximum number of experiments per plan.
     video : Path, optional
         Video file to write too, which a camera source can play; only for a single film.
-    notify : callable, optional
-        Called with a sentence before long operations.
     progress : callable, optional
         Called as `progress(done, total)` after every frame of a film.
 
@@ -166,7 +163,7 @@ def film(
     if count > 1:
         out.mkdir(parents=True)
     filmed = []
-    for subject in _prepared(items, notify):
+    for subject in _prepared(items):
         folder = out / subject.name if count > 1 else out
         filmed.append(_render(subject, folder, rig, looks, settings, video, progress))
     return filmed
@@ -186,11 +183,11 @@ def _looks(name: str, rig: Rig) -> CameraEffects:
     return looks
 
 
-def _prepared(items: Iterator[FilmScene], notify: Notify | None) -> Iterator[FilmScene]:
+def _prepared(items: Iterator[FilmScene]) -> Iterator[FilmScene]:
     """Prepare the compiled code of the simulation, then yield the scenes."""
     from fixel.testing.scenes import sliding_block
 
-    get_ready(sliding_block(), notify)
+    get_ready(sliding_block())
     yield from items
 
 
