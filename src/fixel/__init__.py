@@ -6,6 +6,8 @@ The public names are imported when first used, so that `import fixel` and `fixel
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from fixel.offers import register_all
+
 if TYPE_CHECKING:
     from fixel.calibration.noise import Noise as Noise
     from fixel.calibration.usual_parameters import known_parameters as known_parameters
@@ -117,6 +119,8 @@ if TYPE_CHECKING:
     from fixel.workflows.uncertainty.run import posterior as posterior
 
     __version__: str
+
+register_all()
 
 # Public names by module. A new one also joins the imports above, which type checkers read.
 _NAMES = {

@@ -8,12 +8,12 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from html import escape
-from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 from fixel.errors import InvalidInput, MissingExtra
+from fixel.registry import offered, offers
 from fixel.table import Table, Value
 
 MAX_LINES: Final = 25
@@ -116,14 +116,13 @@ class Result:
     """Result of a public function: prints, draws, converts and saves itself.
 
     A subclass is a frozen dataclass with `repr=False, eq=False`. It defines `_summary`, and
-    `_data` if its data are more than the first table of the summary. `_drawings` names its
-    drawing functions, `"module:function"` for each kind of plot, with the usual kind first; they
-    are called as `function(result, ax=ax, **options)` and return Matplotlib axes;
-    `fixel.drawing.chart.plot_axes` does that for functions that make whole figures.
+    `_data` if its data are more than the first table of the summary. Its plots are registered in
+    `fixel.offers`, with the usual kind first; they are called as `function(result, ax=ax,
+    **options)` and return Matplotlib axes; `fixel.drawing.chart.plot_axes` does that for
+    functions that make whole figures.
     """
 
     __slots__ = ()
-    _drawings: ClassVar[Mapping[str, str]] = {}
 
     def _summary(self) -> Summary:
         raise NotImplementedError
@@ -203,13 +202,13 @@ class Result:
         InvalidInput
             The result has no such kind of plot.
         """
-        kinds = list(self._drawings)
+        plots = f"plots of {type(self).__name__}"
+        kinds = list(offers(plots))
         chosen = next(iter(kinds), "") if kind is None else kind
-        if chosen not in self._drawings:
+        if chosen not in kinds:
             expected = " or ".join(repr(own) for own in kinds) or "no plot of this result"
             raise InvalidInput("kind", found=repr(kind), expected=expected)
-        module, name = self._drawings[chosen].split(":")
-        return getattr(import_module(module), name)(self, ax=ax, **options)
+        return offered(plots, chosen)(self, ax=ax, **options)
 
     def save(self, path: str | Path) -> Path:
         """Save the result to a file, which `fixel.load` reads.
@@ -229,7 +228,7 @@ class Result:
         InvalidInput
             The file cannot be written.
         """
-        saved: Path = import_module("fixel.io").save(self, path)
+        saved: Path = offered("methods", "save")(self, path)
         return saved
 
 

@@ -24,6 +24,7 @@ from matplotlib import pyplot
 
 import fixel
 from fixel.model import PlannedExperiment
+from fixel.registry import offers
 from fixel.results import MAX_COLUMNS, MAX_HTML, MAX_LINES, Result
 from fixel.simulation import StewartTrinkle
 from fixel.testbed.simulated import SimulatedTestbed
@@ -243,7 +244,7 @@ def test_pandas_is_named_where_it_is_missing(name: str, monkeypatch: pytest.Monk
 def test_plot_returns_axes_and_changes_no_setting(name: str) -> None:
     before = dict(mpl.rcParams)
 
-    if not result_of(name)._drawings:
+    if not offers(f"plots of {type(result_of(name)).__name__}"):
         with pytest.raises(fixel.InvalidInput, match="no plot"):
             result_of(name).plot()
         return

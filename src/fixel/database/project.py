@@ -16,7 +16,6 @@ import time
 from collections.abc import Iterable, Mapping, Sequence, Sized
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, final
@@ -35,6 +34,7 @@ from fixel.model.fields import instance
 from fixel.model.records import CalibrationRecord, SimulationRecord
 from fixel.model.selection import KnownNames, parse_filter, refuse_unknown
 from fixel.progress import ProgressOption, show_progress
+from fixel.registry import offered, offers
 from fixel.results import Result, Summary
 from fixel.table import Table
 from fixel.typing import ProgressCallback
@@ -196,9 +196,8 @@ class Project:
         InvalidInput
             Something that cannot be stored, or a result of experiments that are not stored.
         """
-        stored_by = getattr(what, "_stored_by", None)
-        if stored_by is not None:
-            return _named(stored_by)(self, what)
+        if type(what).__name__ in offers("stores"):
+            return offered("stores", type(what).__name__)(self, what)
         several = [what] if isinstance(what, Experiment) else what
         if isinstance(what, Result) and not isinstance(several, Iterable):
             raise InvalidInput(
@@ -274,13 +273,13 @@ class Project:
     @property
     def analyses(self) -> Sequence[Any]:
         """Stored analyses, such as domain maps, newest first."""
-        found: Sequence[Any] = _named("fixel.workflows.analysis:load_analyses")(self)
+        found: Sequence[Any] = offered("project", "analyses")(self)
         return found
 
     @property
     def jobs(self) -> Sequence[Any]:
         """Status of the jobs of the project."""
-        found: Sequence[Any] = _named("fixel.workflows.jobs:jobs_in")(self.folder)
+        found: Sequence[Any] = offered("project", "jobs")(self.folder)
         return found
 
     def calibrate(
@@ -301,7 +300,7 @@ class Project:
             Options of `fixel.calibrate`.
         """
         chosen = self.experiments(experiments) if isinstance(experiments, str) else experiments
-        return self.add(_named("fixel:calibrate")(chosen, parameters, **options))
+        return self.add(offered("project", "calibrate")(chosen, parameters, **options))
 
     def map_domain(self, filter: str = "", fit: Any = None, **options: Any) -> Any:
         """Map where a calibration can be trusted, as `fixel domain` does, and store the map.
@@ -319,7 +318,7 @@ class Project:
         -------
         DomainMap
         """
-        return _named("fixel.workflows.lab:map_domain")(self, filter, fit, **options)
+        return offered("project", "map_domain")(self, filter, fit, **options)
 
     def posterior(self, filter: str = "", fit: Any = None, **options: Any) -> Any:
         """Sample a posterior, as `fixel uncertainty` does, and store it with its predictions.
@@ -337,7 +336,7 @@ class Project:
         -------
         Posterior
         """
-        return _named("fixel.workflows.lab:posterior")(self, filter, fit, **options)
+        return offered("project", "posterior")(self, filter, fit, **options)
 
     # --- files ----------------------------------------------------------------------------------
 
@@ -351,7 +350,7 @@ class Project:
         **options
             Options of `fixel.report`.
         """
-        return _named("fixel:report")(self, path, **options)
+        return offered("project", "report")(self, path, **options)
 
     def export(self, path: str | os.PathLike[str], **options: Any) -> Any:
         """Write experiments for other programs with `fixel.export`.
@@ -363,19 +362,19 @@ class Project:
         **options
             Options of `fixel.export`.
         """
-        return _named("fixel:export")(self, path, **options)
+        return offered("project", "export")(self, path, **options)
 
     def check(self) -> Any:
         """Read everything that is stored, and return what is wrong with it."""
-        return _named("fixel.workflows.project.maintenance:check")(self)
+        return offered("project", "check")(self)
 
     def backup(self, path: str | os.PathLike[str]) -> Any:
         """Copy the database to a file, while other programs may use it."""
-        return _named("fixel.workflows.project.maintenance:backup")(self, Path(path))
+        return offered("project", "backup")(self, Path(path))
 
     def upgrade(self) -> Any:
         """Upgrade the tables of the database to this version of fixel."""
-        return _named("fixel.workflows.project.maintenance:upgrade")(self)
+        return offered("project", "upgrade")(self)
 
     def __repr__(self) -> str:
         return self._summary().text()
@@ -461,12 +460,6 @@ def _check_inside(path: Path, database: str | None) -> None:
             expected="the URL of a server, or a file in the folder of the project",
             hint=f"to use this file, set {VARIABLE} to its URL",
         )
-
-
-def _named(place: str) -> Any:
-    """Return a function of a floor above, by its module and name."""
-    module, name = place.split(":")
-    return getattr(import_module(module), name)
 
 
 def add_experiments(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from importlib import import_module
 from math import degrees
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, final, overload
+from typing import Any, NamedTuple, final, overload
 
 import numpy as np
 
@@ -79,8 +79,6 @@ class Experiments(Result, Sequence[Experiment]):
     notes: tuple[str, ...] = ()
     skipped: tuple[str, ...] = ()
     simulations: Mapping[str, SimulationRecord] = field(default_factory=dict)
-
-    _drawings: ClassVar[Mapping[str, str]] = {"paths": "fixel.drawing.experiment:plot_paths"}
 
     @classmethod
     def of(

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -92,12 +92,6 @@ class DomainMap(Result):
     >>> trust.at(pushes[0]).nearby
     3
     """
-
-    _drawings: ClassVar[Mapping[str, str]] = {
-        "map": "fixel.drawing.domain:draw_map",
-        "size": "fixel.drawing.domain:draw_size",
-    }
-    _stored_by: ClassVar[str] = "fixel.workflows.domain.run:store_map"
 
     evidence: HeldOutErrors
     cells: Cells

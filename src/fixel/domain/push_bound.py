@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Final, NamedTuple, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -160,8 +160,6 @@ class ErrorBound(Result):
     >>> bound.at(pushes[0].scene).verdict
     'bounded'
     """
-
-    _drawings: ClassVar[Mapping[str, str]] = {"bounds": "fixel.drawing.domain:draw_bounds"}
 
     keys: tuple[str, ...]
     features: FloatArray

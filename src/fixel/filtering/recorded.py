@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Final, final
+from typing import Final, final
 
 import numpy as np
 
@@ -82,9 +81,6 @@ class FilterRun(Result):
     >>> run.pose.shape == (len(run.time), 3)
     True
     """
-
-    _drawings: ClassVar[Mapping[str, str]] = {"run": "fixel.drawing.filtering:plot_filter"}
-    _stored_by: ClassVar[str] = "fixel.workflows.filtering:store_run"
 
     experiment: Experiment
     options: ParticleFilter

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from fixel.errors import FixelError, InvalidInput, os_reason
 from fixel.io.array_bytes import KINDS, RATIO, SMALL, array_of
 from fixel.io.atomic import written_whole
+from fixel.registry import offers
 
 FORMAT: Final = 1
 _PLAIN: Final = (type(None), bool, int, str)
@@ -42,73 +43,6 @@ MAX_DEPTH: Final = 100  # levels of nesting in JSON
 _ARRAY_KINDS: Final = {np.float64: "fiu", np.int64: "iu", np.bool_: "b", np.str_: "U"}
 _TEXTS: Final = re.compile(rb'"(?:[^"\\]|\\.)*"')
 _BRACKETS: Final = re.compile(rb"[\[\]{}]")
-# Classes that results consist of, by module. None of them opens a file or starts a process.
-CLASSES: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "fixel.calibration.known_pushes": "KnownPushes",
-        "fixel.calibration.noise": "Noise",
-        "fixel.calibration.study": "Trace",
-        "fixel.calibration.target": "Target",
-        "fixel.datasets.experiments": "ExperimentEntry Experiments",
-        "fixel.domain.cells": "CellAxis Cells",
-        "fixel.domain.claim": "Claim",
-        "fixel.domain.domain": "DomainMap",
-        "fixel.domain.evidence": "HeldOutErrors",
-        "fixel.domain.push_bound": "ErrorBound LeftOutErrors",
-        "fixel.domain.surface": "Surface",
-        "fixel.filtering.misfit": "FilterMisfit",
-        "fixel.filtering.particle_filter": "ParticleFilter",
-        "fixel.filtering.prior": "UniformPrior",
-        "fixel.filtering.recorded": "FilterRun",
-        "fixel.model.bodies": "Body Fixel LineDrive PathDrive Pusher Spring",
-        "fixel.model.experiment": "Channel Experiment Flag Provenance",
-        "fixel.model.goals": "AllOf AnyOf Beyond Contact Exit ForceAbove Inside PoseRegion Seated",
-        "fixel.model.parameters": "Parameters",
-        "fixel.model.plane": "FrictionMap Plane",
-        "fixel.model.probability": "Probability",
-        "fixel.model.records": "CalibrationRecord Estimate Evaluations FilterParameters"
-        " FilterRecord Member ProfileRecord SimulationRecord",
-        "fixel.model.scene": "PairFriction Scene",
-        "fixel.model.selection": "ExperimentDetails ExperimentRow",
-        "fixel.model.shape": "Disk Polygon",
-        "fixel.model.space": "Parameter ParameterSpace Unknown",
-        "fixel.model.support": "Ellipsoid NoSupport SupportPoints Tripod UniformPressure",
-        "fixel.model.trajectory": "Pose Trajectory",
-        "fixel.parts.left_out": "LeftOutEnds",
-        "fixel.parts.model": "PartModel",
-        "fixel.parts.next_pushes": "NextPushes",
-        "fixel.parts.prior": "PartValues",
-        "fixel.planning.belief": "Belief RigError Scenarios",
-        "fixel.planning.causes": "Explanation FailureRegion UnknownEffect",
-        "fixel.planning.orienting": "OrientingPlan PushFunction",
-        "fixel.planning.plan": "PlanRuns PushPlan",
-        "fixel.planning.pushes": "FreePushes PlanPush RigPush RigPushes",
-        "fixel.planning.race": "RaceResult RaceRound",
-        "fixel.planning.success": "SuccessProbability",
-        "fixel.planning.trials": "PlanTrial Trials",
-        "fixel.simulation.motion": "Dynamic FirstOrder OtherEngine QuasiStatic",
-        "fixel.simulation.result": "BatchResult PusherTrace PusherTrajectory Simulation",
-        "fixel.simulation.rollouts": "RolloutCase",
-        "fixel.simulation.solver": "GaussSeidel Lemke Newton",
-        "fixel.simulation.stepper": "Adaptive Midpoint StewartTrinkle",
-        "fixel.uncertainty.discrepancy": "ModelError",
-        "fixel.uncertainty.indices": "Factor Indices",
-        "fixel.uncertainty.outcomes": "PoseSpread Sensitivity",
-        "fixel.uncertainty.posterior": "Mode Posterior",
-        "fixel.uncertainty.prediction": "Prediction",
-        "fixel.uncertainty.run_to_run": "RunToRun",
-        "fixel.uncertainty.starts": "StartError",
-        "fixel.workflows.calibration.calibration": "Calibration Calibrations",
-        "fixel.workflows.calibration.request": "CalibrationRequest NamedOptions",
-        "fixel.workflows.calibration.result": "CalibrationResult ParameterSet",
-        "fixel.workflows.calibration.stored": "CalibratedValues",
-        "fixel.workflows.planning.held_out": "HeldSuccess",
-        "fixel.workflows.planning.request": "FoundPlan PlanRequest",
-        "fixel.workflows.planning.stored": "PlanFile",
-        "fixel.workflows.project.compare": "PathComparison RunComparison",
-        "fixel.workflows.project.comparison": "ComparedModel Comparison",
-    }
-)
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -302,7 +236,7 @@ def _known() -> Mapping[str, tuple[str, str]]:
     """Return module and name of the classes that a file may contain, by their paths in files."""
     public = set(sys.modules["fixel"].__all__)
     found = {}
-    for module, names in CLASSES.items():
+    for module, names in offers("saved classes").items():
         for name in names.split():
             found[f"{module}:{name}"] = module, name
             if name in public:

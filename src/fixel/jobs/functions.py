@@ -1,33 +1,25 @@
 """Registry of the functions that files of a job may name.
 
 A folder may come from elsewhere, so a name in it reaches only functions that are marked with
-`callable_by_jobs`, in the modules listed here. Stored names do not contain module paths, so
-modules can be moved.
+`callable_by_jobs`, in the modules listed in `fixel.offers`. Stored names do not contain module
+paths, so modules can be moved.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from fixel.errors import InvalidInput
+from fixel.registry import offered, offers
 
 ChunkFunction = Callable[[Path, bytes], bytes]
 F = TypeVar("F", bound=Callable[..., Any])
 
 THREADS: Final = "FIXEL_THREADS"  # environment variable with the number of cores of a worker
 
-_MODULES: Final = {
-    "calibration": "fixel.workflows.calibration.job",
-    "calibration-result": "fixel.workflows.calibration.project",
-    "domain": "fixel.workflows.domain.job",
-    "next": "fixel.workflows.next_pushes.job",
-    "plan": "fixel.workflows.planning.job",
-    "toy": "fixel.testing.toy_work",
-}
 _ALLOWED: set[tuple[str, str]] = set()  # module and name
 
 
@@ -52,14 +44,14 @@ def named_function(name: str) -> Any:
         There is no such kind of job or function, or it is not meant for jobs.
     """
     kind, _, attribute = name.partition(":")
-    if kind not in _MODULES:
+    if kind not in offers("jobs"):
         raise InvalidInput(
             "function of a job",
             found=name,
-            expected=f"KIND:FUNCTION, where KIND is one of {', '.join(_MODULES)}",
+            expected=f"KIND:FUNCTION, where KIND is one of {', '.join(offers('jobs'))}",
             hint="a job of an older version of fixel cannot be resumed; start it again",
         )
-    module = import_module(_MODULES[kind])
+    module = offered("jobs", kind)
     if (module.__name__, attribute) not in _ALLOWED:
         raise InvalidInput(
             "function of a job",

@@ -5,10 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from math import degrees
 from types import MappingProxyType
-from typing import Any, ClassVar, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from fixel.errors import InvalidInput
 from fixel.model.fields import Comparable, frozen, instance, name_of, optional_positive, settle
 from fixel.model.scene import Scene
 from fixel.model.trajectory import Trajectory
+from fixel.registry import offered
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
@@ -215,11 +215,6 @@ class Experiment(Comparable, Result):
     flags: tuple[Flag, ...] = ()
     video: str = ""
 
-    _drawings: ClassVar[Mapping[str, str]] = {
-        "motion": "fixel.drawing.experiment:plot_experiment",
-        "path": "fixel.drawing.experiment:plot_path",
-    }
-
     def __post_init__(self) -> None:
         name_of(self.dataset, "experiment.dataset")
         where = f"experiment {self.dataset}/{name_of(self.name, 'experiment.name')}"
@@ -302,8 +297,7 @@ class Experiment(Comparable, Result):
         InvalidInput
             The experiment has no scene, or no measured motion.
         """
-        comparison = import_module("fixel.workflows.project.comparison")
-        found = comparison.compare(self, {"model": model}, progress=False, **options)
+        found = offered("methods", "compare")(self, {"model": model}, progress=False, **options)
         return found.rows[0].run.simulation
 
     def _summary(self) -> Summary:
@@ -327,7 +321,7 @@ class Experiment(Comparable, Result):
         return Summary(heading, [table], notes)
 
     def _repr_html_(self) -> str:
-        picture = import_module("fixel.drawing.thumbnail").thumbnail(self)
+        picture = offered("methods", "thumbnail")(self)
         return f'{self._summary().html()}<div style="width:18em">{picture}</div>'
 
     def _data(self) -> Table:

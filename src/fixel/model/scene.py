@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from fnmatch import fnmatchcase
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, final
 
@@ -24,6 +23,7 @@ from fixel.model.fields import (
 )
 from fixel.model.overlap import boxes, overlap_depth, pairs_of_boxes
 from fixel.model.plane import Plane
+from fixel.registry import offered
 from fixel.typing import BoolArray
 
 T = TypeVar("T")
@@ -200,8 +200,8 @@ class Scene(Comparable):
         InvalidInput
             The scene is a template, or the file cannot be written.
         """
-        formats = import_module("fixel.formats")
-        formats.save_scene(formats.SceneFile(scene=self.complete()), path)
+        file = offered("methods", "scene_file")(scene=self.complete())
+        offered("methods", "save_scene")(file, path)
         return Path(path)
 
     def complete(self, duration: float | None = None) -> Scene:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar, Final, NamedTuple, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -106,8 +106,6 @@ class PartModel(Result):
     >>> [len(own.pushes) for own in (model, mine)]
     [0, 3]
     """
-
-    _drawings: ClassVar[Mapping[str, str]] = {"errors": "fixel.drawing.parts:draw_errors"}
 
     experiments: tuple[Experiment, ...]
     part: str

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Final, final
+from typing import Final, final
 
 import numpy as np
 
@@ -77,8 +77,6 @@ class NextPushes(Result):
     >>> bool((found.shrinking < 1.0).all())
     True
     """
-
-    _drawings: ClassVar[Mapping[str, str]] = {"pushes": "fixel.drawing.parts:draw_next"}
 
     order: tuple[int, ...]
     names: tuple[str, ...]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import ClassVar, Final, NamedTuple, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -127,11 +127,6 @@ class Explanation(Result):
     Measuring mu_pusher would not help to choose a plan.
     A tolerance 1.25 times as wide would raise success to 0.88.
     """
-
-    _drawings: ClassVar = {
-        "causes": "fixel.drawing.planning_statistics:draw_causes",
-        "success": "fixel.drawing.planning_statistics:draw_success_against",
-    }
 
     success: float
     n: int

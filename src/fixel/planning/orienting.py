@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import degrees, pi, tau
-from typing import ClassVar, Final, final
+from typing import Final, final
 
 import numpy as np
 import shapely
@@ -128,7 +128,6 @@ class OrientingPlan(Result):
     symmetry: int
     function: PushFunction
     outline: FloatArray
-    _drawings: ClassVar[Mapping[str, str]] = {"angles": "fixel.drawing.orienting:draw_orienting"}
 
     @property
     def pushes(self) -> int:

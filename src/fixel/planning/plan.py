@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, ClassVar, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -102,11 +102,6 @@ class PushPlan(Result):
     >>> len(plan.pushes)
     1
     """
-
-    _drawings: ClassVar[Mapping[str, str]] = {
-        "paths": "fixel.drawing.planning:draw_paths",
-        "capture": "fixel.drawing.planning:draw_capture_regions",
-    }
 
     scene: Scene
     goal: Goal

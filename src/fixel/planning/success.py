@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -163,8 +163,6 @@ class SuccessProbability(Result):
     >>> round(found.stated, 2)
     0.5
     """
-
-    _drawings: ClassVar = {"draws": "fixel.drawing.planning_statistics:draw_success"}
 
     mean: float
     low: float

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
-from typing import ClassVar, Final, final
+from typing import Final, final
 
 import numpy as np
 from scipy.special import betainc, betaincinv, betaln
@@ -113,8 +113,6 @@ class Trials(Result):
       observed  0.375        0.09 to 0.76 with 95 % confidence
       updated   0.400        0.17 to 0.66, with a prior of 2 trials
     """
-
-    _drawings: ClassVar = {"evidence": "fixel.drawing.planning_statistics:draw_trials"}
 
     plan: str
     stated: float

@@ -6,10 +6,9 @@ import difflib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from math import degrees
 from pathlib import Path
-from typing import Any, ClassVar, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +27,7 @@ from fixel.model import (
     Scene,
     Trajectory,
 )
+from fixel.registry import offered
 from fixel.results import Result, Summary
 from fixel.simulation.geometry import contact_outline, outline_tolerance
 from fixel.simulation.solver import Lemke
@@ -147,8 +147,6 @@ class Simulation(Result):
     [('part', 'finger')]
     """
 
-    _drawings: ClassVar[Mapping[str, str]] = {"motion": "fixel.drawing.picture:plot_simulation"}
-
     scene: Scene
     parameters: Parameters | None
     method: Mapping[str, Any]
@@ -254,7 +252,7 @@ class Simulation(Result):
         InvalidInput
             The file name has another ending, or the file cannot be written.
         """
-        import_module("fixel.drawing").animate_simulation(self, path, progress=progress)
+        offered("methods", "animate")(self, path, progress=progress)
         return Path(path)
 
     def _summary(self) -> Summary:
@@ -433,8 +431,6 @@ class BatchResult(Result):
     >>> runs[2].parameters["mu_pusher"]
     array([0.3])
     """
-
-    _drawings: ClassVar[Mapping[str, str]] = {"ends": "fixel.drawing.runs:plot_ends"}
 
     scene: Scene
     parameters: Mapping[str, FloatArray] = field(default_factory=dict)

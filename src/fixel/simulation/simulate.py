@@ -30,6 +30,7 @@ from fixel.kernels.arrays import (
 )
 from fixel.model import Parameters, PathDrive, Scene
 from fixel.model.fields import instance
+from fixel.registry import offered
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack
 from fixel.simulation.plain import rollout_in_python
@@ -313,7 +314,7 @@ class Simulator:
 def scene_file(file: SceneWithMethod | str | PathLike[str], expected: str) -> SceneWithMethod:
     """Return a scene file, loaded if its path is given; raise for other types."""
     if isinstance(file, str | PathLike):
-        loaded: SceneWithMethod = import_module("fixel.formats").load_scene(file)
+        loaded: SceneWithMethod = offered("methods", "load_scene")(file)
         return loaded
     instance(file, SceneWithMethod, "scene", expected)
     return file

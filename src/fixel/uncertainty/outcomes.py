@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,13 +117,6 @@ class Sensitivity(Result):
     >>> found.flag
     'insensitive'
     """
-
-    _drawings: ClassVar[Mapping[str, str]] = {
-        "ends": "fixel.drawing.sensitivity:draw_sensitivity",
-        "indices": "fixel.drawing.sensitivity:draw_indices",
-    }
-
-    _stored_by: ClassVar[str] = "fixel.workflows.sensitivity.run:store_sensitivity"
 
     prediction: Prediction
     before: PoseSpread

@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import Any, ClassVar, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -142,11 +142,6 @@ class Posterior(Result):
     >>> found.points.shape[1]
     1
     """
-
-    _drawings: ClassVar[Mapping[str, str]] = {
-        "parameters": "fixel.drawing.uncertainty:draw_posterior",
-    }
-    _stored_by: ClassVar[str] = "fixel.workflows.uncertainty.report:store_posterior"
 
     labels: tuple[str, ...]
     units: tuple[str, ...]

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, ClassVar, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -73,11 +73,6 @@ class Prediction(Result):
     >>> ends.pose.shape[0]
     40
     """
-
-    _drawings: ClassVar[Mapping[str, str]] = {
-        "ends": "fixel.drawing.sensitivity:draw_ends",
-        "bands": "fixel.drawing.uncertainty:draw_bands",
-    }
 
     scene: Scene
     error: StartError | None

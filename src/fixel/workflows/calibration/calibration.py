@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from statistics import NormalDist
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, final, overload
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final, overload
 
 import numpy as np
 
@@ -89,17 +89,8 @@ class Calibration(Result, Mapping[str, float]):
     'finished'
     """
 
-    _stored_by: ClassVar[str] = "fixel.workflows.calibration.project:add_to_project"
-
     run: Calibrations
     number: int = 0
-
-    _drawings: ClassVar[Mapping[str, str]] = {
-        "parameters": f"{_CHARTS}:plot_parameters",
-        "profiles": f"{_CHARTS}:plot_profiles",
-        "search": f"{_CHARTS}:plot_search",
-        "errors": f"{_CHARTS}:plot_errors",
-    }
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
@@ -549,8 +540,6 @@ class Calibrations(Result, Sequence[Calibration]):
     0.25
     """
 
-    _stored_by: ClassVar[str] = "fixel.workflows.calibration.project:add_to_project"
-
     request: CalibrationRequest
     outcome: CalibrationResult
     targets: Sequence[Target]
@@ -560,8 +549,6 @@ class Calibrations(Result, Sequence[Calibration]):
     folder: Path | None = field(default=None, compare=False)
     ids: Sequence[int] = field(default=(), compare=False)
     interrupted: bool = False
-
-    _drawings: ClassVar[Mapping[str, str]] = {"parameters": f"{_CHARTS}:plot_each"}
 
     @overload
     def __getitem__(self, k: int) -> Calibration: ...

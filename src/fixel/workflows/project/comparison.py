@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import degrees
-from typing import Any, ClassVar, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -74,11 +74,6 @@ class Comparison(Result):
 
     rows: tuple[ComparedModel, ...]
     skipped: tuple[str, ...] = ()
-
-    _drawings: ClassVar[Mapping[str, str]] = {
-        "errors": "fixel.drawing.comparison:plot_errors",
-        "motion": "fixel.drawing.comparison:plot_motion",
-    }
 
     @property
     def models(self) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.model.fields import instance
+from fixel.registry import offers
 from fixel.results import Result
 from fixel.workflows.report.content import Content, Figure, Section
 
@@ -64,7 +65,7 @@ def results_content(results: Sequence[Result], folder: Path, title: str = "") ->
 
 def _figures(result: Result, name: str, folder: Path) -> tuple[Figure, ...]:
     """Draw the usual plot of a result, if it has one."""
-    if not result._drawings:
+    if not offers(f"plots of {type(result).__name__}"):
         return ()
     from matplotlib import pyplot
 

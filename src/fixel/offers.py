@@ -1,0 +1,172 @@
+"""What upper floors offer to lower ones; the registry holds it once `fixel` is imported."""
+
+from collections.abc import Mapping
+from typing import Final
+
+from fixel.registry import register
+
+# Plots by class of the result; the usual one first.
+PLOTS: Final[Mapping[str, Mapping[str, str]]] = {
+    "Calibration": {
+        "parameters": "fixel.workflows.calibration.charts:plot_parameters",
+        "profiles": "fixel.workflows.calibration.charts:plot_profiles",
+        "search": "fixel.workflows.calibration.charts:plot_search",
+        "errors": "fixel.workflows.calibration.charts:plot_errors",
+    },
+    "Calibrations": {"parameters": "fixel.workflows.calibration.charts:plot_each"},
+    "Comparison": {
+        "errors": "fixel.drawing.comparison:plot_errors",
+        "motion": "fixel.drawing.comparison:plot_motion",
+    },
+    "DomainMap": {
+        "map": "fixel.drawing.domain:draw_map",
+        "size": "fixel.drawing.domain:draw_size",
+    },
+    "ErrorBound": {"bounds": "fixel.drawing.domain:draw_bounds"},
+    "Experiment": {
+        "motion": "fixel.drawing.experiment:plot_experiment",
+        "path": "fixel.drawing.experiment:plot_path",
+    },
+    "Experiments": {"paths": "fixel.drawing.experiment:plot_paths"},
+    "Explanation": {
+        "causes": "fixel.drawing.planning_statistics:draw_causes",
+        "success": "fixel.drawing.planning_statistics:draw_success_against",
+    },
+    "FilterRun": {"run": "fixel.drawing.filtering:plot_filter"},
+    "BatchResult": {"ends": "fixel.drawing.runs:plot_ends"},
+    "NextPushes": {"pushes": "fixel.drawing.parts:draw_next"},
+    "OrientingPlan": {"angles": "fixel.drawing.orienting:draw_orienting"},
+    "PartModel": {"errors": "fixel.drawing.parts:draw_errors"},
+    "Posterior": {"parameters": "fixel.drawing.uncertainty:draw_posterior"},
+    "Prediction": {
+        "ends": "fixel.drawing.sensitivity:draw_ends",
+        "bands": "fixel.drawing.uncertainty:draw_bands",
+    },
+    "PushPlan": {
+        "paths": "fixel.drawing.planning:draw_paths",
+        "capture": "fixel.drawing.planning:draw_capture_regions",
+    },
+    "Sensitivity": {
+        "ends": "fixel.drawing.sensitivity:draw_sensitivity",
+        "indices": "fixel.drawing.sensitivity:draw_indices",
+    },
+    "Simulation": {"motion": "fixel.drawing.picture:plot_simulation"},
+    "SuccessProbability": {"draws": "fixel.drawing.planning_statistics:draw_success"},
+    "Trials": {"evidence": "fixel.drawing.planning_statistics:draw_trials"},
+}
+
+OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
+    **{f"plots of {result}": plots for result, plots in PLOTS.items()},
+    # How a project stores a result, by the class of the result.
+    "stores": {
+        "Calibration": "fixel.workflows.calibration.project:add_to_project",
+        "Calibrations": "fixel.workflows.calibration.project:add_to_project",
+        "DomainMap": "fixel.workflows.domain.run:store_map",
+        "FilterRun": "fixel.workflows.filtering:store_run",
+        "Posterior": "fixel.workflows.uncertainty.report:store_posterior",
+        "Sensitivity": "fixel.workflows.sensitivity.run:store_sensitivity",
+    },
+    # What methods of a project call.
+    "project": {
+        "analyses": "fixel.workflows.analysis:load_analyses",
+        "backup": "fixel.workflows.project.maintenance:backup",
+        "calibrate": "fixel.workflows.calibration.run:calibrate",
+        "check": "fixel.workflows.project.maintenance:check",
+        "export": "fixel.workflows.project.export:export",
+        "jobs": "fixel.workflows.jobs:jobs_in",
+        "map_domain": "fixel.workflows.lab:map_domain",
+        "posterior": "fixel.workflows.lab:posterior",
+        "report": "fixel.workflows.report.write:report",
+        "upgrade": "fixel.workflows.project.maintenance:upgrade",
+    },
+    # What methods of scenes, experiments and results call.
+    "methods": {
+        "animate": "fixel.drawing:animate_simulation",
+        "compare": "fixel.workflows.project.comparison:compare",
+        "load_scene": "fixel.formats:load_scene",
+        "save": "fixel.io:save",
+        "scene_file": "fixel.formats:SceneFile",
+        "save_scene": "fixel.formats:save_scene",
+        "thumbnail": "fixel.drawing.thumbnail:thumbnail",
+    },
+    # Modules with functions that files of a job may name.
+    "jobs": {
+        "calibration": "fixel.workflows.calibration.job",
+        "calibration-result": "fixel.workflows.calibration.project",
+        "domain": "fixel.workflows.domain.job",
+        "next": "fixel.workflows.next_pushes.job",
+        "plan": "fixel.workflows.planning.job",
+        "toy": "fixel.testing.toy_work",
+    },
+    # Classes that saved results may contain. None of them opens a file or starts a process.
+    "saved classes": {
+        "fixel.calibration.known_pushes": "KnownPushes",
+        "fixel.calibration.noise": "Noise",
+        "fixel.calibration.study": "Trace",
+        "fixel.calibration.target": "Target",
+        "fixel.datasets.experiments": "ExperimentEntry Experiments",
+        "fixel.domain.cells": "CellAxis Cells",
+        "fixel.domain.claim": "Claim",
+        "fixel.domain.domain": "DomainMap",
+        "fixel.domain.evidence": "HeldOutErrors",
+        "fixel.domain.push_bound": "ErrorBound LeftOutErrors",
+        "fixel.domain.surface": "Surface",
+        "fixel.filtering.misfit": "FilterMisfit",
+        "fixel.filtering.particle_filter": "ParticleFilter",
+        "fixel.filtering.prior": "UniformPrior",
+        "fixel.filtering.recorded": "FilterRun",
+        "fixel.model.bodies": "Body Fixel LineDrive PathDrive Pusher Spring",
+        "fixel.model.experiment": "Channel Experiment Flag Provenance",
+        "fixel.model.goals": "AllOf AnyOf Beyond Contact Exit ForceAbove Inside PoseRegion Seated",
+        "fixel.model.parameters": "Parameters",
+        "fixel.model.plane": "FrictionMap Plane",
+        "fixel.model.probability": "Probability",
+        "fixel.model.records": "CalibrationRecord Estimate Evaluations FilterParameters"
+        " FilterRecord Member ProfileRecord SimulationRecord",
+        "fixel.model.scene": "PairFriction Scene",
+        "fixel.model.selection": "ExperimentDetails ExperimentRow",
+        "fixel.model.shape": "Disk Polygon",
+        "fixel.model.space": "Parameter ParameterSpace Unknown",
+        "fixel.model.support": "Ellipsoid NoSupport SupportPoints Tripod UniformPressure",
+        "fixel.model.trajectory": "Pose Trajectory",
+        "fixel.parts.left_out": "LeftOutEnds",
+        "fixel.parts.model": "PartModel",
+        "fixel.parts.next_pushes": "NextPushes",
+        "fixel.parts.prior": "PartValues",
+        "fixel.planning.belief": "Belief RigError Scenarios",
+        "fixel.planning.causes": "Explanation FailureRegion UnknownEffect",
+        "fixel.planning.orienting": "OrientingPlan PushFunction",
+        "fixel.planning.plan": "PlanRuns PushPlan",
+        "fixel.planning.pushes": "FreePushes PlanPush RigPush RigPushes",
+        "fixel.planning.race": "RaceResult RaceRound",
+        "fixel.planning.success": "SuccessProbability",
+        "fixel.planning.trials": "PlanTrial Trials",
+        "fixel.simulation.motion": "Dynamic FirstOrder OtherEngine QuasiStatic",
+        "fixel.simulation.result": "BatchResult PusherTrace PusherTrajectory Simulation",
+        "fixel.simulation.rollouts": "RolloutCase",
+        "fixel.simulation.solver": "GaussSeidel Lemke Newton",
+        "fixel.simulation.stepper": "Adaptive Midpoint StewartTrinkle",
+        "fixel.uncertainty.discrepancy": "ModelError",
+        "fixel.uncertainty.indices": "Factor Indices",
+        "fixel.uncertainty.outcomes": "PoseSpread Sensitivity",
+        "fixel.uncertainty.posterior": "Mode Posterior",
+        "fixel.uncertainty.prediction": "Prediction",
+        "fixel.uncertainty.run_to_run": "RunToRun",
+        "fixel.uncertainty.starts": "StartError",
+        "fixel.workflows.calibration.calibration": "Calibration Calibrations",
+        "fixel.workflows.calibration.request": "CalibrationRequest NamedOptions",
+        "fixel.workflows.calibration.result": "CalibrationResult ParameterSet",
+        "fixel.workflows.calibration.stored": "CalibratedValues",
+        "fixel.workflows.planning.held_out": "HeldSuccess",
+        "fixel.workflows.planning.request": "FoundPlan PlanRequest",
+        "fixel.workflows.planning.stored": "PlanFile",
+        "fixel.workflows.project.compare": "PathComparison RunComparison",
+        "fixel.workflows.project.comparison": "ComparedModel Comparison",
+    },
+}
+
+
+def register_all() -> None:
+    """Fill the registry; nothing is imported yet."""
+    for kind, own in OFFERS.items():
+        register(kind, own)
