@@ -17,11 +17,12 @@ from tests.jobs.helpers import (
 from tests.jobs.kinds import THESIS, assert_as_undisturbed, toy_job
 
 from fixel.errors import InvalidInput, JobRefused
+from fixel.io.journal import Journal
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
 from fixel.jobs.folder import RunSettings
 from fixel.testing.toy_work import MAKER
-from fixel.workflows.jobs import prepare_job
+from fixel.workflows.jobs import prepare_job, status_of
 
 OPTIONS = {"rounds": 3, "chunks": 6}
 
@@ -158,6 +159,25 @@ def test_a_damaged_journal_costs_what_is_damaged(tmp_path):
     assert any("damaged in 1 places" in sentence for sentence in said)
     assert (folder / files.RESULT).read_bytes() == before
     assert blocks_written(folder) == 19  # the damaged one, and it once more
+
+
+def test_a_process_that_dies_while_it_drops_answers_has_ended_its_job(tmp_path, monkeypatch):
+    """Otherwise the job would be resumed without the answers that its result came from."""
+    folder = toy_job(tmp_path / "job", **OPTIONS)
+    drop = Journal.drop
+
+    def drop_and_die(journal, larger_than):
+        drop(journal, larger_than)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Journal, "drop", drop_and_die)
+    monkeypatch.setattr("fixel.jobs.coordinator.LARGE", 0)
+    with pytest.raises(KeyboardInterrupt):
+        coordinate(folder)
+    assert names_in(folder) == []
+    status = status_of(folder)
+    assert (status.state, status.done, status.kept) == ("done", 18, 0)
+    assert (folder / files.RESULT).is_file()
 
 
 def test_a_work_that_raises_is_a_failed_job_with_a_reason(tmp_path):

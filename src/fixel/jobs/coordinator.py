@@ -27,7 +27,7 @@ from fixel.jobs.stamp import stamp
 from fixel.jobs.work import AbstractEngine, JobProgress, Show, StopRequest, run_work
 from fixel.typing import Notify
 
-LARGE: Final = 1 << 16  # [byte] answers that the journal loses when the result is written
+LARGE: Final = 1 << 16  # [byte] larger answers are dropped from the journal once the job is done
 MIN_PAUSE_S: Final = 1.0  # [s] shortest time between two writes of state.json
 
 
@@ -71,8 +71,6 @@ def coordinate(
             result = _run(folder, job, run, journal, state, local)
             state.enter("collecting")
             _write_result(folder, result)
-            with suppress(FixelError):  # of a full disk: the result is written
-                journal.drop(LARGE)
             state.enter("done")
         except StopRequest:
             state.enter("cancelled")
@@ -88,6 +86,9 @@ def coordinate(
             files.log(folder, traceback.format_exc())
             state.enter("failed", f"{type(problem).__name__}: {problem}")
             raise
+        if state.status.state == "done":  # otherwise a resumed job would compute them again
+            with suppress(FixelError):  # of a full disk
+                journal.drop(LARGE)
         return state.status
 
 
