@@ -27,14 +27,11 @@ from fixel.database.engine import reading
 from fixel.database.project import DATABASE, MEDIA
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
+from fixel.io.damaged_files import INVALID_CONTENT
 from fixel.model.records import Estimate
 
 CHUNK: Final = 1 << 20  # [bytes]
 _MEMBER = re.compile(rf"{re.escape(DATABASE)}|{MEDIA}/(?P<ab>[0-9a-f]{{2}})/(?P=ab)[0-9a-f]{{62}}")
-_UNREADABLE = (
-    *(ValueError, TypeError, LookupError, AttributeError, StopIteration, RecursionError),
-    sa.exc.SQLAlchemyError,
-)
 _OLD_MANIFEST = "manifest.json"  # of bundles that fixel wrote before the first release
 
 
@@ -92,7 +89,7 @@ def damage_refused(path: Path) -> Iterator[None]:
         yield
     except StoreRefused as problem:
         raise _refused(path, problem.reason, "complete records of a project") from None
-    except _UNREADABLE as problem:
+    except (*INVALID_CONTENT, sa.exc.SQLAlchemyError) as problem:
         found = " ".join(str(problem).split())[:200] or type(problem).__name__
         raise _refused(path, found, "complete records of a project") from None
 

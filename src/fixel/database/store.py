@@ -18,6 +18,7 @@ from fixel.database.engine import open_engine, reading, set_journal, writing
 from fixel.database.marks import Note
 from fixel.database.query import LIVE
 from fixel.errors import InvalidInput, NotStored, StoreRefused, closest, os_reason
+from fixel.io.damaged_files import INVALID_CONTENT
 from fixel.model import Experiment, Flag
 from fixel.model.records import (
     CalibrationRecord,
@@ -31,11 +32,6 @@ from fixel.model.selection import ExperimentQuery
 MAX_NAMES: Final = 20_000  # number of experiments that a mistyped name is compared with
 T = TypeVar("T")
 P = ParamSpec("P")
-# Exceptions of parsers and records for invalid content.
-_DAMAGE: Final = (
-    *(ArithmeticError, AttributeError, LookupError, RecursionError, StopIteration),
-    *(TypeError, ValueError),
-)
 
 
 def _damage_named(
@@ -50,7 +46,7 @@ def _damage_named(
                 return read(store, *given, **options)
             except NotStored:
                 raise
-            except _DAMAGE as problem:
+            except INVALID_CONTENT as problem:
                 said = " ".join(str(problem).split())[:200] or type(problem).__name__
                 number = f" {given[0]}" if given and isinstance(given[0], int) else ""
                 raise StoreRefused(

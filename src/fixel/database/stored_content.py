@@ -11,10 +11,10 @@ import sqlalchemy as sa
 
 from fixel.database import arrays, rows, tables
 from fixel.errors import FixelError, StoreRefused
+from fixel.io.damaged_files import INVALID_CONTENT
 
 RESTORE: Final = "replace experiments.db with a backup, which fixel db backup wrote"
 ADVICE: Final = "copy the experiments into a new project with: fixel export"
-UNREADABLE: Final = (ValueError, TypeError, KeyError, AttributeError, StopIteration)
 CHANGED: Final = "has changed: its checksum differs"
 
 
@@ -121,7 +121,7 @@ def content_troubles(connection: sa.Connection, media: Path) -> Iterator[Trouble
                 sentence = check(connection, row, media)
             except StoreRefused:
                 continue  # a file that is missing or has changed, which is reported with its series
-            except (FixelError, sa.exc.NoResultFound, *UNREADABLE) as problem:
+            except (FixelError, sa.exc.NoResultFound, *INVALID_CONTENT) as problem:
                 sentence = f"cannot be read: {_short(problem)}"
             if sentence is not None:
                 yield Trouble(f"{table.name} {number}", sentence, RESTORE)

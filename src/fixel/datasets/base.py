@@ -15,20 +15,13 @@ import numpy as np
 
 from fixel.datasets.files import Problems
 from fixel.errors import DatasetMissing, FixelError, InvalidInput
+from fixel.io.damaged_files import INVALID_CONTENT
 from fixel.model import Experiment, Flag, Provenance, Scene, Trajectory
 from fixel.model.records import SimulationRecord
 from fixel.typing import FloatArray
 
 # Exceptions that a reader may raise on a file that violates its format.
-_TRIPPED = (
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    OSError,
-    RecursionError,
-    TypeError,
-    ValueError,
-)
+_TRIPPED = (*INVALID_CONTENT, OSError)
 
 
 @final

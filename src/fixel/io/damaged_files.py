@@ -10,25 +10,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, TypeVar
 
-from fixel.errors import FixelError, StoreRefused
+from fixel.errors import FixelError, StoreRefused, machine_failure
 
 A = TypeVar("A")
 T = TypeVar("T")
 
-# Exceptions of parsers, archives and records for invalid content.
-DAMAGE: Final = (
-    ArithmeticError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    struct.error,
-    zipfile.BadZipFile,
-    zlib.error,
+# Exceptions of parsers and records for invalid content. Errors of files and locks are others.
+INVALID_CONTENT: Final = (
+    *(ArithmeticError, AttributeError, LookupError, RecursionError, StopIteration),
+    *(TypeError, ValueError),
+)
+# Exceptions while a file is read: of its content, its archive, or the file itself.
+_DAMAGE: Final = (
+    *(*INVALID_CONTENT, EOFError, MemoryError, OSError, RuntimeError),
+    *(struct.error, zipfile.BadZipFile, zlib.error),
 )
 
 
@@ -45,13 +40,16 @@ def readable(path: Path, hint: str = "") -> Iterator[None]:
     Raises
     ------
     StoreRefused
-        The file is missing, truncated or of another kind.
+        The file is missing, truncated or of another kind, or the machine failed.
     """
     try:
         yield
     except FixelError:
         raise
-    except DAMAGE as problem:
+    except _DAMAGE as problem:
+        failure = machine_failure(problem) if isinstance(problem, OSError) else None
+        if failure is not None:  # the file may be whole: no advice to delete it
+            raise failure from problem
         raise StoreRefused(
             f"{path} cannot be read: it is damaged, truncated or not a file of fixel",
             hint=hint or f"restore it from a copy, or delete the folder {path.parent}",

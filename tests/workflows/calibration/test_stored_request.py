@@ -12,8 +12,10 @@ from tests.fixtures import project_of
 
 import fixel
 from fixel.cli.main import run as run_command
+from fixel.database.arrays import lost
 from fixel.database.bundle import export_bundle, import_bundle
 from fixel.database.project import Project
+from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
 from fixel.model.records import CalibrationRecord
 from fixel.model.space import Unknown
@@ -222,6 +224,16 @@ def test_a_damaged_record_is_a_sentence(project, fit, damage):
         number = store.add_calibration(broken)
     with pytest.raises(StoreRefused, match=f"calibration {number} is damaged"):
         stored_calibration(project, number)
+
+
+def test_a_lost_file_of_an_experiment_is_no_damage_of_the_calibration(project, fit, monkeypatch):
+    def lose(store, experiment_id):
+        raise lost(project.folder / "media" / "1f", "is missing")
+
+    monkeypatch.setattr(Store, "experiment", lose)
+    with pytest.raises(StoreRefused, match="1f is missing") as refusal:
+        stored_calibration(project, fit.run.ids[0])
+    assert "damaged" not in str(refusal.value)
 
 
 def test_records_are_equal_only_with_the_same_request(project, fit):

@@ -18,9 +18,9 @@ from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.errors import InvalidInput, StoreRefused
+from fixel.errors import InvalidInput, NotStored, StoreRefused
 from fixel.io.atomic import written_whole
-from fixel.io.damaged_files import DAMAGE, readable
+from fixel.io.damaged_files import INVALID_CONTENT, readable
 from fixel.io.lock import FileLock
 from fixel.jobs import folder as files
 from fixel.jobs.functions import callable_by_jobs
@@ -324,7 +324,9 @@ def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Cal
             left_out=dict(result.get("left_out", {})),
             ids=ids,
         )
-    except DAMAGE as problem:
+    except NotStored:
+        raise
+    except INVALID_CONTENT as problem:
         said = " ".join(str(problem).split())[:200]
         raise StoreRefused(
             f"calibration {min(records)} is damaged: {said}", hint="list all errors: fixel db check"
