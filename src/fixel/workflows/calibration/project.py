@@ -18,7 +18,7 @@ from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.errors import InvalidInput, NotStored, StoreRefused
+from fixel.errors import InvalidInput, StoreRefused
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import INVALID_CONTENT, readable
 from fixel.io.lock import FileLock
@@ -324,8 +324,6 @@ def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Cal
             left_out=dict(result.get("left_out", {})),
             ids=ids,
         )
-    except NotStored:
-        raise
     except INVALID_CONTENT as problem:
         said = " ".join(str(problem).split())[:200]
         raise StoreRefused(
