@@ -12,7 +12,7 @@ import pytest
 from tests.web.conftest import laboratory, trusted_laboratory  # noqa: F401
 
 from fixel.database.project import Project
-from fixel.errors import FixelError
+from fixel.errors import FixelError, StoreRefused
 from fixel.model import Channel, Experiment, Provenance, Trajectory
 
 FROZEN = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger'"
@@ -212,6 +212,16 @@ def test_media(folder):
         assert len(found(folder)) == 1
     file.unlink()
     assert "is missing" in found(folder)[0].sentence
+
+
+@pytest.mark.parametrize(
+    "value", ["n_frame = 'many'", "end_x_m = 'left'", "name = x'ff'", "conditions = '['"]
+)
+def test_a_spoiled_row_of_the_table_is_named(folder, value):
+    behind(folder, f"UPDATE experiment SET {value} WHERE id = 4")
+    with pytest.raises(StoreRefused, match="fixel db check") as refused:
+        str(Project(folder).experiments())
+    assert value.startswith("name") or "experiment 4 is damaged" in str(refused.value)
 
 
 def test_what_is_spoiled_is_named_where_it_is_touched(folder):

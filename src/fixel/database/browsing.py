@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import sqlalchemy as sa
+from pydantic import TypeAdapter
 
 from fixel.database.query import (
     AFTER,
@@ -21,6 +23,8 @@ from fixel.database.query import (
     sources,
 )
 from fixel.database.tables import experiment, flag, note
+from fixel.errors import StoreRefused
+from fixel.io.damaged_files import INVALID_CONTENT
 from fixel.model import Flag
 from fixel.model.selection import ExperimentDetails, ExperimentQuery, ExperimentRow
 
@@ -51,6 +55,7 @@ _ROW: Final = [
     sa.cast(experiment.c.conditions, sa.Text) if name == "conditions_json" else experiment.c[name]
     for name in ExperimentRow._fields
 ]
+_CHECK: Final = TypeAdapter(ExperimentRow)
 _DETAILS: Final = [
     experiment.c.content_sha256,
     experiment.c.deleted_at_utc,
@@ -58,6 +63,15 @@ _DETAILS: Final = [
     AFTER.c.error_mm2.label("after_mm2"),
     experiment.c.scene.is_not(None).label("has_scene"),
 ]
+
+
+def _checked(values: Sequence[Any]) -> ExperimentRow:
+    """Return a row; raise `StoreRefused` if a value is not of its column's type."""
+    with suppress(*INVALID_CONTENT):
+        row = _CHECK.validate_python(values, strict=True)
+        if isinstance(row.conditions, dict):
+            return row
+    raise StoreRefused(f"experiment {values[0]} is damaged", hint="list all errors: fixel db check")
 
 
 def browse(
@@ -80,7 +94,7 @@ def browse(
         .offset(query.offset)
     )
     found = list(connection.execute(wanted))
-    rows = [ExperimentRow._make(row[: len(_ROW)]) for row in found]
+    rows = [_checked(row[: len(_ROW)]) for row in found]
     more = []
     if details:
         ids = [row.id for row in rows]
