@@ -104,7 +104,7 @@ if TYPE_CHECKING:
     from fixel.workflows.domain.bound import error_bound as error_bound
     from fixel.workflows.domain.map import map_domain as map_domain
     from fixel.workflows.experiments import read_experiments as read_experiments
-    from fixel.workflows.filtering import filter as filter
+    from fixel.workflows.filtering.run import filter as filter
     from fixel.workflows.model_export.run import export_model as export_model
     from fixel.workflows.parts import part_model as part_model
     from fixel.workflows.planning.run import plan as plan
@@ -158,7 +158,7 @@ _NAMES = {
     "fixel.workflows.domain.bound": "error_bound",
     "fixel.workflows.domain.map": "map_domain",
     "fixel.workflows.experiments": "read_experiments",
-    "fixel.workflows.filtering": "filter",
+    "fixel.workflows.filtering.run": "filter",
     "fixel.workflows.model_export.run": "export_model",
     "fixel.workflows.parts": "part_model",
     "fixel.workflows.planning.run": "plan",

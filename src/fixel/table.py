@@ -168,7 +168,8 @@ class Table:
 
     def text(self) -> dict[str, Any]:
         """Return title, head and rows as texts for people, as JSON can hold them."""
-        return {"title": self.title, "head": list(self.head), "rows": [list(c) for c in self.cells]}
+        rows = [list(cells) for cells in self.cells]
+        return {"title": self.title, "head": list(self.head), "rows": rows, "left": self.left}
 
 
 def _plain(value: Any) -> Value:

@@ -32,10 +32,8 @@ def test_the_option_of_an_argument(words, where, named):
 
 def test_hints_name_options_too():
     folds = InvalidInput("experiments", found=1, expected="2", hint="use fewer folds: folds=2")
-    deaf = InvalidInput("tactile", found=1, expected="2", hint="filter without: tactile=False")
 
     assert in_options(folds, app, ["domain"]).hint == "use fewer folds: --folds 2"
-    assert in_options(deaf, app, ["filter", "push"]).hint == "filter without: --no-tactile"
     assert in_options(folds, app, ["simulate"]) is folds
 
 

@@ -54,8 +54,8 @@ def test_the_answer_for_people(folder, tmp_path):
     picture = tmp_path / "run.png"
     out = good(folder, "push", "--occlude", "1:2", "--plot", picture)
 
-    assert out.startswith("testbed/push: SIMULATED by")
     for words in (
+        "testbed/push: SIMULATED by",
         "frames from 0 to 3 s, hidden from 1 to 2 s, with tactile readings",
         "while seen",
         "while hidden",
@@ -69,7 +69,7 @@ def test_the_answer_for_people(folder, tmp_path):
     ):
         assert words in out
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert out.splitlines()[-1].startswith("Next: fixel compare testbed/push --project")
+    assert out.splitlines()[-1].startswith("Next: fixel compare testbed/push --")
 
 
 def test_doubts_come_first_and_calibrations_stand_beside(folder):
@@ -146,7 +146,8 @@ def test_the_next_command_works_until_there_is_a_picture(folder, tmp_path, monke
         (["push", "--particles", "1"], "at least 2"),
         (["push", "--prior", "mu_pushr=0.1:1"], "did you mean 'mu_pusher'"),
         (["push", "--prior", "mu_pusher"], "--prior mu_pusher"),
-        (["push", "--seed", "-1"], "at least 0"),
+        (["push", "--seed", "-1"], "--seed: found -1, expected at least 0"),
+        (["push", "--occlude", "x:1"], "--occlude: found 'x', expected a number"),
         (["push", "--plot", "a.bmp"], "a picture file"),
     ],
 )

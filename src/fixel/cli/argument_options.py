@@ -1,11 +1,11 @@
 """Translation of Python arguments in an `InvalidInput` to options of the command."""
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Final
 
 import typer
 
+from fixel.capability.capability import named
 from fixel.errors import InvalidInput
 
 # Options of each argument; the first that the running command has replaces it.
@@ -19,10 +19,8 @@ OPTIONS: Final[Mapping[str, tuple[str, ...]]] = {
 } | {
     "cells": ("--step",),
     "facets": ("--by",),
-    "filter.n_particles": ("--particles",),
     "noise": ("--noise-mm",),
     "overrides": ("--set",),
-    "tactile": ("--no-tactile",),
     "threshold": ("--threshold-mm", "--threshold"),
 }
 
@@ -39,25 +37,8 @@ def in_options(error: InvalidInput, program: typer.Typer, words: Sequence[str]) 
         Words of the command line behind the name of the program.
     """
     options = _options(program, words)
-    where, space, rest = error.where.partition(" ")
-    own = _option(where, options)
-    hint = error.hint
-    if hint:
-        hint = re.sub(r"\b([a-z_]+)=(False)?", lambda found: _setting(found, options), hint)
-    if (own, hint) == (where, error.hint):
-        return error
-    return InvalidInput(
-        f"{own}{space}{rest}", found=error.found, expected=error.expected, hint=hint
-    )
-
-
-def _option(argument: str, options: set[str]) -> str:
-    return next((o for o in OPTIONS.get(argument, ()) if o in options), argument)
-
-
-def _setting(found: re.Match[str], options: set[str]) -> str:
-    own = _option(found[1], options)
-    return found[0] if own == found[1] else own if found[2] else f"{own} "
+    chosen = {name: (o for o in own if o in options) for name, own in OPTIONS.items()}
+    return named(error, {k: first for k, own in chosen.items() if (first := next(own, ""))})
 
 
 def _options(program: typer.Typer, words: Sequence[str]) -> set[str]:

@@ -29,7 +29,6 @@ from fixel.cli import (
     devices,
     doctor,
     domain,
-    filtering,
     jobs,
     next_pushes,
     overlay,
@@ -49,6 +48,7 @@ from fixel.cli import (
     uncertainty,
 )
 from fixel.cli.argument_options import in_options
+from fixel.cli.capability import typer_command
 from fixel.errors import (
     DatasetMissing,
     FixelError,
@@ -57,6 +57,7 @@ from fixel.errors import (
     SolveFailed,
     machine_failure,
 )
+from fixel.workflows.capabilities import CAPABILITIES
 
 # Base class of Typer's errors for wrong options; it has no public name of its own.
 ClickException = cast(type[Exception], typer.BadParameter.mro()[2])
@@ -80,7 +81,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
         "list": project.list_,
         "show": show.show,
         "compare": show.compare,
-        "filter": filtering.filter_,
+        "filter": typer_command(CAPABILITIES["filter"]),
         "export": project.export,
     },
     "Calibrate and assess": {

@@ -15,7 +15,6 @@ from fixel.table import Table
 
 if TYPE_CHECKING:
     from fixel.jobs.work import JobProgress
-    from fixel.model import Experiment
     from fixel.typing import ProgressCallback
 
 BAR = 30  # [characters]
@@ -85,22 +84,14 @@ def compare_command(
     key: str, values: Mapping[str, float], motion: str, folder: Path = Path()
 ) -> str:
     """Return the command that compares an experiment with its simulation."""
-    from fixel.simulation.engine_names import motion_words
+    from fixel.simulation.engine_names import compare_words
 
-    settings = [word for k, v in values.items() for word in ("--set", f"{k}={v:.4g}")]
-    chosen = [] if motion == "dynamic" else motion_words(motion)
-    return command_of("compare", key, *settings, *chosen, project=folder)
+    return command_of(*compare_words(key, values, motion), project=folder)
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:
     """Format the lines of a table of texts; the first `left` columns are left-aligned."""
     return Table(head, rows, left=left).lines()
-
-
-def origin_of(experiment: "Experiment") -> str:
-    """Return the name of an experiment, and whether it is real."""
-    what = "real" if experiment.real else f"SIMULATED by {experiment.simulated_by}"
-    return f"{experiment.key}: {what}"
 
 
 def seconds(duration: float) -> str:

@@ -18,7 +18,6 @@ from fixel.cli.options import (
 )
 from fixel.cli.screen import (
     command_of,
-    origin_of,
     paragraphs,
     print_answer,
     project_words,
@@ -28,6 +27,7 @@ from fixel.cli.screen import (
 from fixel.cli.simulation import NOT_SOLVED, MotionChoice
 from fixel.errors import InvalidInput
 from fixel.table import Column, Table
+from fixel.workflows.sentences import origin_of
 
 if TYPE_CHECKING:
     from fixel.database.store import Store

@@ -92,6 +92,12 @@ def motion_words(motion: str) -> list[str]:
     return ["--engine" if is_engine(motion) else "--motion", motion]
 
 
+def compare_words(key: str, values: Mapping[str, float], motion: str) -> list[str]:
+    """Return the words of the command that compares an experiment with its simulation."""
+    settings = [word for k, v in values.items() for word in ("--set", f"{k}={v:.4g}")]
+    return ["compare", key, *settings, *([] if motion == "dynamic" else motion_words(motion))]
+
+
 def installed_engines() -> list[str]:
     """Return the names of the engines whose packages are installed."""
     known = [name for name, own in ENGINES.items() if find_spec(own.imported) is not None]

@@ -27,7 +27,9 @@ from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.workflows.figures import ENDINGS, Picture, make_folder, write_picture
 
-Kind = Literal["tracking", "growth", "domain", "sensitivity", "uncertainty", "next", "plan"]
+Kind = Literal[
+    "tracking", "filter", "growth", "domain", "sensitivity", "uncertainty", "next", "plan"
+]
 
 ANALYSES: Final = "analyses"
 CONTENT: Final = "analysis.json"
@@ -42,6 +44,7 @@ class _TextTable(_StoredFigure):
     title: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    left: int = 1
 
 
 def _table_from_text(value: Any) -> Any:
@@ -49,7 +52,7 @@ def _table_from_text(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     text = _TextTable.model_validate(value)
-    return Table(text.head, text.rows, title=text.title)
+    return Table(text.head, text.rows, title=text.title, left=text.left)
 
 
 # Stored as texts for people: title, head with units, rows.
@@ -80,6 +83,8 @@ class Analysis(_StoredFigure):
         Warnings that a reader must know before relying on the results, in plain words.
     tables : tuple of Table
     pictures : tuple of AnalysisFigure
+    notes : tuple of str
+        Further sentences, such as the effort.
     methods : tuple of str
         Sentences for the methods section of a paper.
     references : tuple of str
@@ -104,6 +109,7 @@ class Analysis(_StoredFigure):
     warnings: tuple[str, ...] = ()
     tables: tuple[StoredTable, ...] = ()
     pictures: tuple[AnalysisFigure, ...] = ()
+    notes: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
     references: tuple[str, ...] = ()
     numbers: dict[str, Any] = {}
@@ -114,6 +120,21 @@ class Analysis(_StoredFigure):
     created: str = ""
     seed: int | None = None
     seconds: float = 0.0
+
+    def lines(self) -> list[str]:
+        """Return the text for people: warnings, since they limit the rest, results, tables."""
+        lines = [*(f"Warning: {sentence}" for sentence in self.warnings), *self.headline]
+        for table in self.tables:
+            lines += ["", *([table.title] if table.title else []), *table.lines()]
+        return [*lines, *(["", *self.notes] if self.notes else [])]
+
+
+class AnalysisReport(NamedTuple):
+    """Analysis with the figures and arrays that are stored with it."""
+
+    analysis: Analysis
+    pictures: Sequence[Picture] = ()
+    arrays: Mapping[str, Any] = {}
 
 
 class StoredAnalysis(NamedTuple):

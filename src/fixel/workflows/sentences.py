@@ -9,7 +9,10 @@ from __future__ import annotations
 import math
 import re
 from functools import cache
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from fixel.model import Experiment
 
 _BEGINNING: Final = re.compile(r"(?m)^\s*- ")
 NOTHING: Final = 1e-7  # [mm or deg] smaller values are shown as zero
@@ -62,3 +65,9 @@ def rounded(value: float, digits: int = 3) -> str:
     """Format a length [mm], an angle [deg] or a share for people to read; values below any
     measurement, such as rounding errors of simulations, are zero."""
     return f"{value if abs(value) >= NOTHING else 0.0:.{digits}g}"
+
+
+def origin_of(experiment: Experiment) -> str:
+    """Return the name of an experiment, and whether it is real."""
+    what = "real" if experiment.real else f"SIMULATED by {experiment.simulated_by}"
+    return f"{experiment.key}: {what}"

@@ -1,0 +1,1 @@
+"""Capabilities: functions whose signatures state the options of commands, requests and pages."""

@@ -1,0 +1,236 @@
+"""A capability: one function, and the requests that repeat a call of it."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from fixel.capability.options import FACTORS, Option, is_group, members, options_of
+from fixel.errors import InvalidInput, unknown_name
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
+
+_PHRASES: Final = {
+    "greater_than_equal": "at least {ge:g}",
+    "greater_than": "more than {gt:g}",
+    "int_parsing": "an integer",
+    "float_parsing": "a number",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capability:
+    """A function on a project whose arguments are the options of every door.
+
+    Parameters
+    ----------
+    name : str
+        Name of the command.
+    function : callable
+        `(project, subject, *, ...) -> result`; its module imports nothing heavy.
+    of : callable
+        Public function whose arguments are options too.
+    leave_out : tuple of str
+        Arguments of `of` that only Python has.
+    presentation : callable
+        Returns the module that reports results: `report_of(result)`, an analysis with figures and
+        arrays; `content(analysis, folder, files)`, the content of `--json`;
+        `next_words(result, again, drawn)`, the words of the next command; and `draw(result, path)`
+        where `draws`.
+    draws : bool
+        Whether `--plot` draws one file; by default it copies the figures to a folder.
+    in_project : callable, optional
+        Whether a request needs a project; always by default.
+    """
+
+    name: str
+    function: Callable[..., Any]
+    of: Callable[..., Any]
+    leave_out: tuple[str, ...] = ()
+    presentation: Callable[[], ModuleType]
+    draws: bool = False
+    in_project: Callable[[Any], bool] = lambda request: True
+
+    @cached_property
+    def options(self) -> dict[str, Option]:
+        """Options by name; the first is the subject, which is typed without a flag."""
+        subject, *own = options_of(self.function, leave_out=("project", "progress"))
+        known = ("progress", *self.leave_out, *(one.name for one in (subject, *own)))
+        every = (subject, *options_of(self.of, leave_out=known), *own)
+        return {one.name: one for one in every}
+
+    @cached_property
+    def shown(self) -> dict[str, Option]:
+        """Options as doors show them, with the fields of groups."""
+        return {o.name: o for option in self.options.values() for o in members(option)}
+
+    @property
+    def subject(self) -> str:
+        """Name of the option that is typed without a flag."""
+        return next(iter(self.options))
+
+    # --- requests -------------------------------------------------------------------------------
+
+    @cached_property
+    def model(self) -> type[BaseModel]:
+        """Class of the requests, which checks them and converts them to JSON and back."""
+        from pydantic import ConfigDict, Field, create_model
+
+        def checked(option: Option) -> Any:
+            limits = Field(ge=option.door.least, gt=option.door.above)
+            return Annotated[option.plain, limits], ... if option.required else option.default
+
+        config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+        fields: Any = {name: checked(option) for name, option in self.options.items()}
+        return create_model(f"{self.name.capitalize()}Request", __config__=config, **fields)
+
+    def request(self, values: Mapping[str, Any]) -> BaseModel:
+        """Return the checked request of values in SI units.
+
+        Raises
+        ------
+        InvalidInput
+            A value that is not allowed, or an unknown name.
+        """
+        from pydantic import ValidationError
+
+        try:
+            return self.model(**values)
+        except ValidationError as problem:
+            raise self._refusal(problem) from None
+
+    def from_json(self, text: str | bytes) -> BaseModel:
+        """Return the request that a text in JSON states; inverse of `model_dump_json`."""
+        from pydantic import ValidationError
+
+        try:
+            return self.model.model_validate_json(text, strict=True)
+        except ValidationError as problem:
+            raise self._refusal(problem) from None
+
+    def from_texts(self, texts: Mapping[str, Sequence[str]]) -> BaseModel:
+        """Return the request of texts by the name of the shown option; none for the default."""
+        values: dict[str, Any] = {}
+        for name, option in self.shown.items():
+            if given := texts.get(name):
+                group, _, own = name.partition(".")
+                holder = values.setdefault(group, {}) if own else values
+                holder[own or name] = option.parsed(given)
+        return self.request(values)
+
+    def texts(self, request: BaseModel) -> dict[str, list[str]]:
+        """Return texts of all shown options; inverse of `from_texts`."""
+        found = {}
+        for name, option in self.shown.items():
+            group, _, own = name.partition(".")
+            value = getattr(request, group)
+            found[name] = option.texts(getattr(value, own, None) if own else value)
+        return found
+
+    def question(self, request: BaseModel) -> dict[str, Any]:
+        """Return the request as plain content, without options that change no result."""
+        effort = {name for name, option in self.options.items() if option.door.effort}
+        return request.model_dump(mode="json", exclude=effort)
+
+    def words(self, request: BaseModel) -> list[str]:
+        """Return the words of the command that repeats a request."""
+        usual = {name: option.texts(option.default) for name, option in self.shown.items()}
+        words: list[str] = []
+        for name, texts in self.texts(request).items():
+            option = self.shown[name]
+            if name == self.subject:
+                words += texts
+            elif texts == usual[name]:
+                continue
+            elif option.kind is bool:
+                words.append(option.flags[0].split("/")[texts == ["no"]])
+            else:
+                words += [word for text in texts for word in (option.flag, text)]
+        return [self.name, *words]
+
+    def command(self, request: BaseModel, folder: Path = Path()) -> str:
+        """Return the shell command that repeats a request on the project in a folder."""
+        project = [] if folder == Path() else ["--project", str(folder)]
+        return shlex.join(["fixel", *self.words(request), *project])
+
+    def call(self, request: BaseModel) -> str:
+        """Return the Python expression that repeats a request in a project."""
+        words = [repr(self.name)]
+        for name, value in request.model_dump().items():
+            if value != self.options[name].default:
+                words.append(f"{name}={value!r}")
+        return f"project.run({', '.join(words)})"
+
+    def arguments(self, request: BaseModel) -> dict[str, Any]:
+        """Return the arguments of the function, with the objects of groups."""
+        values = {name: getattr(request, name) for name in self.options}
+        groups = {name for name, option in self.options.items() if is_group(option.kind)}
+        return {k: v.build() if v and k in groups else v for k, v in values.items()}
+
+    # --- errors ---------------------------------------------------------------------------------
+
+    def flags(self) -> dict[str, str]:
+        """Return the flag of each argument, for errors of the command."""
+        own = {name: option.flag for name, option in self.shown.items() if name != self.subject}
+        return {name.partition(".")[0]: flag for name, flag in reversed(own.items())} | own
+
+    def labels(self) -> dict[str, str]:
+        """Return the label of each argument, for errors of the page."""
+        own = {name: option.label for name, option in self.shown.items()}
+        return {name.partition(".")[0]: label for name, label in reversed(own.items())} | own
+
+    def _refusal(self, problem: ValidationError) -> InvalidInput:
+        first = problem.errors(include_url=False)[0]
+        kind, (name, *rest) = first["type"], map(str, first["loc"])
+        if kind == "json_invalid" or name not in self.options:
+            return unknown_name(f"option of {self.name}", name, tuple(self.options))
+        own = f"{name}.{rest[0]}" if rest else name
+        where = own if own in self.shown else " ".join([name, *rest[:1]])
+        if kind == "missing":
+            pair = ("only one of them", "both, or neither") if rest else ("none", "a value")
+            return InvalidInput(where, found=pair[0], expected=pair[1])
+        found, option = first["input"], self.shown.get(where)
+        factor = FACTORS.get(option.door.unit, 1.0) if option else 1.0
+        if isinstance(found, float) and factor != 1.0:
+            found = f"{found / factor:.6g} {option.door.unit}" if option else found
+        phrase = _PHRASES.get(kind, first["msg"].removeprefix("Input should be "))
+        return InvalidInput(
+            where,
+            found=repr(found) if isinstance(found, str) and factor == 1.0 else found,
+            expected=phrase.format(**first.get("ctx", {})).replace("valid ", ""),
+        )
+
+
+def named(error: InvalidInput, names: Mapping[str, str]) -> InvalidInput:
+    """Return an error with the names of a door instead of those of arguments.
+
+    Parameters
+    ----------
+    error : InvalidInput
+        Its `where` begins with an argument (`nominal side`), its hint may set one (`folds=2`).
+    names : mapping of str to str
+        Name of each argument at the door.
+    """
+    where, space, rest = error.where.partition(" ")
+    own, hint = names.get(where, where), error.hint
+    if hint:
+        hint = re.sub(r"\b([a-z_]+)=(False)?", lambda found: _setting(found, names), hint)
+    if (own, hint) == (where, error.hint):
+        return error
+    return InvalidInput(
+        f"{own}{space}{rest}", found=error.found, expected=error.expected, hint=hint
+    )
+
+
+def _setting(found: re.Match[str], names: Mapping[str, str]) -> str:
+    own = names.get(found[1])
+    if own is None:
+        return found[0]
+    return f"--no-{own[2:]}" if found[2] and own.startswith("--") else f"{own} "

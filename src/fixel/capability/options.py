@@ -1,0 +1,295 @@
+"""Options of a function, as its signature and its docstring state them."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, is_dataclass
+from types import NoneType, UnionType
+from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
+
+from fixel.errors import InvalidInput
+
+# SI units in one unit that a door shows; the product is the value of the option.
+FACTORS: Final[Mapping[str, float]] = {"mm": 1e-3, "mrad": 1e-3, "deg": math.pi / 180.0}
+NONE: Final = "none"  # text of None in a mapping
+_METAVARS: Final = {int: "INTEGER", float: "FLOAT", str: "TEXT"}
+_YES: Final = ("yes", "no")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Door:
+    """Annotation of an option for what its name and its type do not state.
+
+    Parameters
+    ----------
+    flag : str
+        Flag of a command, `--uniform/--normal` for a bool; by default from name and unit.
+    alias : str
+        Second flag with the same meaning.
+    metavar : str
+        Form of the value, such as `NAME=LOW:HIGH`.
+    unit : str
+        Unit at commands and pages; the value itself is in SI units.
+    plain : type, optional
+        Type in a request, for a parameter that also accepts objects in Python.
+    least, above : float, optional
+        Smallest value, or the bound that a value must exceed, in SI units.
+    effort : bool
+        Whether the option changes the effort, but no result.
+    program : bool
+        Whether the value may name a program, which the command line permits to run.
+    """
+
+    flag: str = ""
+    alias: str = ""
+    metavar: str = ""
+    unit: str = ""
+    plain: Any = None
+    least: float | None = None
+    above: float | None = None
+    effort: bool = False
+    program: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Option:
+    """Option of a capability.
+
+    Attributes
+    ----------
+    name : str
+        Name of the argument; `group.field` for a field of a dataclass.
+    plain : type
+        Annotated type in a request.
+    default : object
+    meaning : str
+        Sentences of the docstring.
+    required : bool
+    """
+
+    name: str
+    plain: Any
+    default: Any
+    meaning: str
+    required: bool = False
+    door: Door = field(init=False)
+    kind: Any = field(init=False)  # the type without annotations and None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "door", door_of(self.plain))
+        object.__setattr__(self, "kind", _bare(self.plain))
+
+    @property
+    def many(self) -> bool:
+        """Whether the option may be repeated."""
+        return get_origin(self.kind) in (dict, Mapping) or get_args(self.kind)[1:] == (...,)
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """Flags of the command, the usual one first."""
+        group, unit = self.name.partition(".")[0], self.door.unit
+        usual = f"--{group.replace('_', '-')}{f'-{unit}' if unit else ''}"
+        if self.kind is bool:
+            usual = f"{usual}/--no-{usual[2:]}"
+        return tuple(flag for flag in (self.door.flag or usual, self.door.alias) if flag)
+
+    @property
+    def flag(self) -> str:
+        """Name of the option in errors of the command."""
+        return self.flags[0].partition("/")[0]
+
+    @property
+    def label(self) -> str:
+        """Name of the option on a page, with its unit."""
+        words = self.name.partition(".")[0].replace("_", " ")
+        return f"{words} [{self.door.unit}]" if self.door.unit else words
+
+    @property
+    def metavar(self) -> str:
+        """Form of the value."""
+        return self.door.metavar or _metavar(self.kind)
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """Texts of all values, where there are few."""
+        return _YES if self.kind is bool else get_args(self.kind) if _is_choice(self.kind) else ()
+
+    def parsed(self, texts: Sequence[str]) -> Any:
+        """Return the value that texts state, with numbers still as texts.
+
+        Raises
+        ------
+        InvalidInput
+            The texts do not have the form of the option.
+        """
+        if self.many:
+            pairs = [_parsed(self, self.name, _item(self.kind), text) for text in texts]
+            return dict(pairs) if get_origin(self.kind) in (dict, Mapping) else tuple(pairs)
+        if len(texts) > 1:
+            raise InvalidInput(self.name, found=" and ".join(texts), expected="one value")
+        if self.door.unit:
+            return FACTORS[self.door.unit] * _number(self.name, texts[0])
+        return _parsed(self, self.name, self.kind, texts[0])
+
+    def texts(self, value: Any) -> list[str]:
+        """Return the texts that state a value; inverse of `parsed`."""
+        if value is None:
+            return []
+        if self.many:
+            items = value.items() if isinstance(value, Mapping) else value
+            return [_text(_item(self.kind), item) for item in items]
+        if self.door.unit:
+            return [repr(_preimage(value, FACTORS[self.door.unit]))]
+        return [_text(self.kind, value)]
+
+
+def options_of(function: Callable[..., Any], *, leave_out: Sequence[str] = ()) -> list[Option]:
+    """Read the options of a function: its parameters, and the fields of those that are groups.
+
+    Parameters
+    ----------
+    function : callable
+        Function with annotations and a docstring in NumPy layout.
+    leave_out : sequence of str
+        Parameters that are no options.
+    """
+    said, found = meanings(function.__doc__), []
+    for name, own in inspect.signature(function).parameters.items():
+        if name in leave_out or own.kind is own.VAR_KEYWORD:
+            continue
+        hint = own.annotation
+        hint = eval(hint, function.__globals__) if isinstance(hint, str) else hint
+        required = own.default is inspect.Parameter.empty
+        plain = door_of(hint).plain or hint
+        if plain is not hint:
+            plain = Annotated[(plain, *hint.__metadata__)]
+        default = None if required else own.default
+        found.append(Option(name=name, plain=plain, default=default, meaning=said.get(name, ""),
+                            required=required))  # fmt: skip
+    return found
+
+
+def members(option: Option) -> list[Option]:
+    """Return the options that doors show: the fields of a group, or the option itself."""
+    if not is_group(option.kind):
+        return [option]
+    said = meanings(option.kind.__doc__)
+    hints = inspect.get_annotations(option.kind, eval_str=True)
+    return [
+        Option(name=f"{option.name}.{name}", plain=hint, default=None, meaning=said[name])
+        for name, hint in hints.items()
+    ]
+
+
+def meanings(docstring: str | None) -> dict[str, str]:
+    """Return the meaning of each parameter or attribute in a docstring of NumPy layout."""
+    text = inspect.cleandoc(docstring or "")
+    section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w+\n-+$|\Z)", text, re.M | re.S)
+    body = f"{section[1]}\n" if section else ""
+    entries = re.findall(r"^(\S.*?) : .*\n((?:[ ]+.*\n?|\n)*)", body, re.M)
+    return {
+        name: " ".join(text.replace("`", "").split())
+        for names, text in entries
+        for name in names.split(", ")
+    }
+
+
+def is_group(kind: Any) -> bool:
+    """Whether a type is a dataclass, whose fields are options of their own."""
+    return is_dataclass(kind)
+
+
+def door_of(hint: Any) -> Door:
+    """Return the `Door` of an annotation."""
+    own = (one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Door))
+    return next(own, Door())
+
+
+def _bare(hint: Any) -> Any:
+    while True:
+        if get_origin(hint) is Annotated:
+            hint = hint.__origin__
+        elif get_origin(hint) in (Union, UnionType):
+            hint = next(one for one in get_args(hint) if one is not NoneType)
+        else:
+            return hint
+
+
+def _is_choice(kind: Any) -> bool:
+    return get_origin(kind) is Literal
+
+
+def _item(kind: Any) -> Any:
+    """Type of one of the values of an option that may be repeated."""
+    inner = get_args(kind)
+    return kind if get_origin(kind) in (dict, Mapping) else inner[0]
+
+
+def _metavar(kind: Any) -> str:
+    inner = get_args(kind)
+    if get_origin(kind) in (dict, Mapping):
+        return f"NAME={_metavar(_bare(inner[1])).replace('FLOAT', 'VALUE')}"
+    if get_origin(kind) is tuple:
+        return _metavar(inner[0]) if inner[1:] == (...,) else "LOW:HIGH"
+    return "|".join(inner) if _is_choice(kind) else _METAVARS.get(kind, "TEXT")
+
+
+def _parsed(option: Option, where: str, kind: Any, text: str) -> Any:
+    """Split one text by the form of its type; the check of the request converts its numbers."""
+    inner = get_args(kind)
+    if get_origin(kind) in (dict, Mapping):
+        name, equals, rest = (part.strip() for part in text.partition("="))
+        if not (name and equals):
+            raise InvalidInput(f"{where} {text}", found=repr(text), expected=option.metavar)
+        optional = NoneType in get_args(inner[1])
+        if optional and rest.lower() == NONE:
+            return name, None
+        return name, _parsed(option, f"{where} {name}", _bare(inner[1]), rest)
+    if get_origin(kind) is tuple:
+        ends = text.split(":")
+        if len(ends) != len(inner):
+            expected = "two numbers with a colon, such as 2:4"
+            raise InvalidInput(where, found=repr(text), expected=expected)
+        return tuple(_number(where, end) for end in ends)
+    if kind is float:
+        return _number(where, text)
+    if kind is int and re.fullmatch(r"[-+]?\d+", text.strip()):
+        return int(text)
+    if kind is bool:
+        return text == _YES[0] if text in _YES else text
+    return text
+
+
+def _number(where: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidInput(where, found=repr(text), expected="a number") from None
+
+
+def _text(kind: Any, value: Any) -> str:
+    if get_origin(kind) in (dict, Mapping):
+        name, own = value
+        return f"{name}={NONE if own is None else _text(_bare(get_args(kind)[1]), own)}"
+    if get_origin(kind) is tuple:
+        return ":".join(map(repr, value))
+    if kind is bool:
+        return _YES[0] if value else _YES[1]
+    return repr(float(value)) if kind is float else str(value)
+
+
+def _preimage(value: float, factor: float) -> float:
+    """Return the shortest number whose product with a factor is the value, or the nearest."""
+    near = value / factor
+    tried = [near, *_neighbours(near, math.inf), *_neighbours(near, -math.inf)]
+    exact = [number for number in tried if factor * number == value]
+    return min(exact, key=lambda number: len(repr(number)), default=near)
+
+
+def _neighbours(number: float, towards: float) -> Iterator[float]:
+    for _ in range(3):
+        number = math.nextafter(number, towards)
+        yield number

@@ -1,0 +1,1 @@
+"""Estimation of poses and parameters frame by frame: run and report."""

@@ -1,0 +1,295 @@
+"""Report of a filter run, and its record in the project."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
+from math import degrees
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fixel.database.project import Project
+from fixel.drawing.filtering import draw_filter
+from fixel.filtering.particle_filter import ParticleFilter
+from fixel.filtering.recorded import FilterRun
+from fixel.io.atomic import written_whole
+from fixel.model import Provenance
+from fixel.model.records import FilterParameters, FilterRecord
+from fixel.table import Column, Table
+from fixel.typing import FloatArray
+from fixel.workflows.analysis import Analysis, AnalysisReport
+from fixel.workflows.filtering.run import FilterAnswer
+from fixel.workflows.sentences import origin_of
+
+NAME: Final = "particle"  # name of the settings in the project
+# Suffixes of the columns stored for every parameter.
+ENDINGS: Final = ("", "_q05", "_q50", "_q95")
+BELIEF_FAR: Final = 3.0  # times the camera's noise: a belief beyond it is worth a line
+NOISE_FAR: Final = 1.5  # times the belief: ellipsoids are too small beyond it
+
+
+def report_of(answer: FilterAnswer) -> AnalysisReport:
+    """Return headline, warnings, tables and numbers of a run."""
+    found, lost = answer.estimates, int(answer.estimates.recovered.sum())
+    times = 1e3 * found.busy[1:]
+    notes = [
+        f"{found.options.n_particles} particles, {sorted(times)[len(times) // 2]:.3g} ms per "
+        f"frame (at most {times.max():.3g} ms): {found.real_time_factor:.3g} times real time"
+    ]
+    notes += [f"lost the object in {lost} frames and was restarted there"] if lost else []
+    notes += [] if answer.run_id is None else [f"stored as filter run {answer.run_id}"]
+    return AnalysisReport(
+        Analysis(
+            kind="filter",
+            title=f"Filter run of {found.experiment.key}",
+            question={"experiment": found.experiment.key},
+            headline=(origin_of(found.experiment), _input(found), *_modes(found)),
+            warnings=(*_misfit(found), *_noise(found)),
+            tables=tuple(table for table in _tables(answer) if table.rows),
+            notes=tuple(notes),
+            numbers=_numbers(answer),
+            calibrations=tuple(answer.calibrations),
+            experiments=(answer.experiment_id,),
+            seconds=float(found.busy.sum()),
+        )
+    )
+
+
+def content(analysis: Analysis, folder: Path | None, files: list[Path]) -> dict[str, Any]:
+    """Return the content of `--json`."""
+    return analysis.numbers | {"files": {"plot": str(files[0])} if files else {}}
+
+
+def draw(answer: FilterAnswer, path: Path) -> None:
+    """Draw a run into a file."""
+    with written_whole(path) as unfinished:
+        draw_filter(answer.estimates.experiment, answer.estimates, unfinished)
+
+
+def next_words(answer: FilterAnswer, again: Sequence[str], drawn: bool) -> list[str]:
+    """Return the words of the command that most users need next."""
+    experiment, found = answer.estimates.experiment, answer.estimates
+    if not drawn:
+        return [*again, "--plot", f"{experiment.name.replace('/', '-')}-filter.png"]
+    if found.occlusion is None:
+        start, end = found.time[0], found.time[-1]
+        third = (end - start) / 3.0
+        return [*again, "--occlude", f"{start + third:.3g}:{end - third:.3g}"]
+    values = dict(zip(found.prior.names, found.mean[-1], strict=True))
+    excited = [name for name, known in found.excited.items() if known]
+    settings = [word for name in excited for word in ("--set", f"{name}={values[name]:.3g}")]
+    return ["compare", experiment.key, *settings]
+
+
+def _numbers(answer: FilterAnswer) -> dict[str, Any]:
+    """Return all results as plain values, for `--json`."""
+    found, experiment = answer.estimates, answer.estimates.experiment
+    return {
+        "experiment": experiment.key,
+        "experiment_id": answer.experiment_id,
+        "filter_run_id": answer.run_id,
+        "real": experiment.real,
+        "particles": found.options.n_particles,
+        "seed": found.seed,
+        "frames": len(found.time),
+        "from_s": float(found.time[0]),
+        "to_s": float(found.time[-1]),
+        "occlusion_s": None if found.occlusion is None else list(found.occlusion),
+        "uses_tactile": found.uses_tactile,
+        "seen": _named(found.rms(hidden=False)),
+        "hidden": _named(found.rms(hidden=True)),
+        "parameters": found.parameters,
+        "contact_mode": {
+            "measured": experiment.contact_mode,
+            "estimated": found.contact_mode,
+            "touch_probability": found.touch[-1].tolist(),
+        },
+        "misfit": {
+            "residual_m": found.misfit.residual_m,
+            "residual_rad": found.misfit.residual_rad,
+            "noise_m": found.misfit.noise_m,
+            "noise_rad": found.misfit.noise_rad,
+            "ratio": found.misfit.ratio,
+            "warns": found.misfit.warns,
+        },
+        "mean_surprise": _mean(found.surprise[1:][found.seen[1:]]),
+        "calibrations": _compared(answer),
+        "recovered_frames": int(found.recovered.sum()),
+        "failed_particles": int(found.failed.sum()),
+        "mean_ess": float(found.ess.mean()),
+        "frame_ms": {
+            "median": 1e3 * float(np.median(found.busy[1:])),
+            "max": 1e3 * float(found.busy.max()),
+        },
+        "real_time_factor": found.real_time_factor,
+    }
+
+
+def _compared(answer: FilterAnswer) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return value, interval and verdict by calibration id and parameter."""
+    names = answer.estimates.prior.names
+    return {
+        str(number): {
+            one.label: {
+                "value": one.value,
+                "low": one.low,
+                "high": one.high,
+                "verdict": one.verdict,
+            }
+            for one in record.estimates
+            if one.label in names
+        }
+        for number, record in answer.calibrations.items()
+    }
+
+
+def _mean(values: FloatArray) -> float | None:
+    return float(np.mean(values)) if len(values) else None
+
+
+def _named(errors: tuple[float, float] | None) -> dict[str, float] | None:
+    return None if errors is None else {"position_rms_m": errors[0], "angle_rms_rad": errors[1]}
+
+
+def _misfit(found: FilterRun) -> list[str]:
+    """Return how far the intervals of the result can be trusted."""
+    misfit = found.misfit
+    if misfit.ratio is None or not misfit.warns:
+        return []
+    lines = [
+        f"model misfit: residuals of {1e3 * misfit.residual_m:.2g} mm and"
+        f" {degrees(misfit.residual_rad):.2g} deg are {misfit.ratio:.2g} times the noise of"
+        f" {1e3 * misfit.noise_m:.2g} mm and {degrees(misfit.noise_rad):.2g} deg"
+        " (second differences of the measured poses).",
+        "The model is wrong by more than the noise explains, so the values below are effective "
+        "values.",
+    ]
+    believed = found.options.position_deviation / max(misfit.noise_m, 1e-12)
+    if believed > BELIEF_FAR:
+        lines.append(
+            f"The filter assumes {believed:.2g} times the estimated camera noise; its intervals "
+            "include the misfit only in this way."
+        )
+    return lines
+
+
+def _noise(found: FilterRun) -> list[str]:
+    misfit, options = found.misfit, found.options
+    ratio = max(
+        misfit.noise_m / options.position_deviation, misfit.noise_rad / options.angle_deviation
+    )
+    if ratio < NOISE_FAR:
+        return []
+    return [
+        f"The camera noise is {ratio:.2g} times the value that the filter assumes, so its "
+        "intervals are too narrow. Set position_deviation and angle_deviation of ParticleFilter "
+        "in Python."
+    ]
+
+
+def _input(found: FilterRun) -> str:
+    hidden = "never hidden"
+    if found.occlusion is not None:
+        hidden = "hidden from {:g} to {:g} s".format(*found.occlusion)
+    felt = "with tactile readings" if found.uses_tactile else "without tactile readings"
+    first, last = found.time[0], found.time[-1]
+    return f"{len(found.time)} frames from {first:.4g} to {last:.4g} s, {hidden}, {felt}"
+
+
+def _modes(found: FilterRun) -> list[str]:
+    if found.touch.shape[1] == 0:
+        return []
+    measured, estimated = found.experiment.contact_mode, found.contact_mode
+    verdict = "" if not measured else ", the same" if measured == estimated else ", different"
+    what = "measured" if found.experiment.real else "recorded"
+    return [f"contact mode, {what} {measured or 'unknown'}, estimated {estimated}{verdict}"]
+
+
+def _tables(answer: FilterAnswer) -> Iterator[Table]:
+    found = answer.estimates
+    errors = {"while seen": found.rms(hidden=False), "while hidden": found.rms(hidden=True)}
+    rows: list[tuple[Any, ...]]
+    rows = [(k, 1e3 * pair[0], degrees(pair[1])) for k, pair in errors.items() if pair is not None]
+    yield Table(
+        ("error, rms", Column("position", "mm", ".3f"), Column("angle", "deg", ".3f")), rows
+    )
+    rows = []
+    for name, mean, (low, _, high) in zip(
+        found.prior.names, found.mean[-1], found.quantiles[-1], strict=True
+    ):
+        remark = "" if found.excited[name] else "not excited: about the same as the prior"
+        if found.at_bound[name]:
+            remark = "at the bound of its prior: use a wider one with --prior"
+        label, factor = _label_and_factor(name)
+        rows.append((label, *(float(factor * value) for value in (mean, low, high)), remark))
+    numbers = (Column(name, format=".3g") for name in ("mean", "5 %", "95 %"))
+    yield Table(("at the end", *numbers, ""), rows)
+    rows = []
+    for number, parameters in _compared(answer).items():
+        for name, one in parameters.items():
+            label, factor = _label_and_factor(name)
+            ends = ("open" if x is None else f"{factor * x:.3g}" for x in (one["low"], one["high"]))
+            verdict = one["verdict"] or "not assessed"
+            rows.append((f"calibration {number}", label, factor * one["value"], *ends, verdict))
+    columns = ("of this experiment", "", Column("value", format=".3g"), "low", "high", "verdict")
+    yield Table(columns, rows)
+
+
+def _label_and_factor(name: str) -> tuple[str, float]:
+    """Name of a parameter with its unit for display, and the factor to that unit."""
+    return (f"{name} [mm]", 1e3) if name == "tripod_radius" else (name, 1.0)
+
+
+# --- record in the project ----------------------------------------------------------------------
+
+
+def store_run(project: Project, found: FilterRun, command: str = "") -> int:
+    """Store a run of the filter and its settings in a project; return the id of the run.
+
+    Raises
+    ------
+    NotStored
+        The project has no such experiment.
+    """
+    with project.store() as store:
+        experiment_id = store.find(found.experiment.key)
+        settings = store.add_filter_parameters(_settings(found, command))
+        return store.add_filter_run(_record(found, experiment_id, settings, command))
+
+
+def _record(found: FilterRun, experiment_id: int, settings_id: int, command: str) -> FilterRecord:
+    values = np.concatenate((found.mean[:, :, None], found.quantiles), axis=2)
+    return FilterRecord(
+        experiment_id=experiment_id,
+        filter_parameters_id=settings_id,
+        provenance=_provenance(found, command),
+        trajectory=found.trajectory,
+        uses_tactile=found.uses_tactile,
+        occlusion=found.occlusion,
+        contact_mode=found.contact_mode,
+        estimate_names=tuple(n + ending for n in found.prior.names for ending in ENDINGS),
+        estimates=values.reshape(len(values), -1),
+    )
+
+
+def _settings(found: FilterRun, command: str) -> FilterParameters:
+    numbers = {
+        name: float(value)
+        for name in ParticleFilter.__dataclass_fields__
+        if name != "threads" and isinstance(value := getattr(found.options, name), int | float)
+    }
+    prior = found.prior
+    for name, low, high in zip(prior.names, prior.low, prior.high, strict=True):
+        numbers |= {f"{name}_low": float(low), f"{name}_high": float(high)}
+    return FilterParameters(
+        name=f"{NAME}, {found.options.motion.name}",
+        is_particle_filter=True,
+        provenance=_provenance(found, command),
+        values=numbers,
+    )
+
+
+def _provenance(found: FilterRun, command: str) -> Provenance:
+    return Provenance(version=version("fixel"), command=command, seed=found.seed)
