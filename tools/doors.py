@@ -65,7 +65,7 @@ CAPABILITIES: Final[Mapping[str, Capability]] = {
         r"planning|/plan(_view|\.js|\.html)|cli/plan|goal_file",
         "planning",
     ),
-    "filtering": Capability("fixel.workflows.filtering.filter", "filtering", "filtering"),
+    "filtering": Capability("fixel.workflows.filtering.run.filter", "filtering", "filtering"),
 }
 
 

@@ -25,7 +25,7 @@ from fixel.workflows.analysis import load_analyses
 from fixel.workflows.capabilities import CAPABILITIES, run
 
 EVERY = pytest.mark.parametrize("capability", CAPABILITIES.values(), ids=[*CAPABILITIES])
-HEAVY = {"numpy", "numba", "scipy", "pydantic", "matplotlib", "sqlalchemy", "pyarrow", "rich"}
+HEAVY = {"numpy", "numba", "scipy", "matplotlib", "sqlalchemy", "pyarrow", "rich"}
 NAMES = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
 FINITE = st.floats(-1e6, 1e6, allow_subnormal=False)
 # A short run of each.
