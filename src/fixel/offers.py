@@ -62,7 +62,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "Calibration": "fixel.workflows.calibration.project:add_to_project",
         "Calibrations": "fixel.workflows.calibration.project:add_to_project",
         "DomainMap": "fixel.workflows.domain.run:store_map",
-        "FilterRun": "fixel.workflows.filtering.report:store_run",
+        "FilterRun": "fixel.workflows.filtering.record:store_run",
         "Posterior": "fixel.workflows.uncertainty.report:store_posterior",
         "Sensitivity": "fixel.workflows.sensitivity.run:store_sensitivity",
     },

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from fixel.filtering.particle_filter import ParticleFilter
     from fixel.filtering.recorded import FilterRun
     from fixel.model import Experiment
-    from fixel.model.records import CalibrationRecord
     from fixel.progress import ProgressOption
+    from fixel.workflows.filtering.record import FilterAnswer
 
 
 def filter(
@@ -108,25 +108,6 @@ def filter(
         )
 
 
-class FilterAnswer(NamedTuple):
-    """Run of the filter on an experiment of a project.
-
-    Attributes
-    ----------
-    experiment_id : int
-    estimates : FilterRun
-    run_id : int or None
-        Id of the run in the project; None if it was not stored.
-    calibrations : dict from int to CalibrationRecord
-        Calibrations of the project with the experiment as a member, by id.
-    """
-
-    experiment_id: int
-    estimates: FilterRun
-    run_id: int | None
-    calibrations: Mapping[int, CalibrationRecord]
-
-
 def filter_stored(
     project: Project,
     experiment: Annotated[str, Door(metavar="EXPERIMENT")],
@@ -156,7 +137,7 @@ def filter_stored(
     InvalidInput
         The experiment cannot be filtered, or the occlusion is outside of it.
     """
-    from fixel.workflows.filtering.report import store_run
+    from fixel.workflows.filtering.record import FilterAnswer, store_run
 
     with project.store() as store:
         number = store.find(experiment)
