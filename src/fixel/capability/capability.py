@@ -160,14 +160,6 @@ class Capability:
         project = [] if folder == Path() else ["--project", str(folder)]
         return shlex.join(["fixel", *self.words(request), *project])
 
-    def call(self, request: BaseModel) -> str:
-        """Return the Python expression that repeats a request in a project."""
-        words = [repr(self.name)]
-        for name, value in request.model_dump().items():
-            if value != self.options[name].default:
-                words.append(f"{name}={value!r}")
-        return f"project.run({', '.join(words)})"
-
     def arguments(self, request: BaseModel) -> dict[str, Any]:
         """Return the arguments of the function, with the objects of groups."""
         values = {name: getattr(request, name) for name in self.options}
