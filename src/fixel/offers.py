@@ -1,4 +1,7 @@
-"""What upper floors offer to lower ones; the registry holds it once `fixel` is imported."""
+"""Table of the plots, stores and functions that upper floors offer to lower ones.
+
+`register_all` copies it to `fixel.registry` when `fixel` is imported.
+"""
 
 from collections.abc import Mapping
 from typing import Final

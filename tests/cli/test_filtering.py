@@ -70,6 +70,7 @@ def test_the_answer_for_people(folder, tmp_path):
         assert words in out
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert out.splitlines()[-1].startswith("Next: fixel compare testbed/push --")
+    assert f"--project {shlex.quote(str(folder))}" in out.splitlines()[-1]
 
 
 def test_doubts_come_first_and_calibrations_stand_beside(folder):

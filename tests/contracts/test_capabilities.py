@@ -128,6 +128,9 @@ def test_refusals_have_the_name_of_the_door(capability):
     assert (flag, label) == (number.flag, number.label)
     with pytest.raises(InvalidInput, match="nonsense"):
         capability.from_json(json.dumps({capability.subject: "push", "nonsense": 1}))
+    for text in ("", "{", "[]", "1", "null"):
+        with pytest.raises(InvalidInput, match="an object in JSON"):
+            capability.from_json(text)
 
 
 def test_hints_have_the_name_of_the_door():

@@ -46,8 +46,6 @@ class Capability:
         where `draws`.
     draws : bool
         Whether `--plot` draws one file; by default it copies the figures to a folder.
-    in_project : callable, optional
-        Whether a request needs a project; always by default.
     """
 
     name: str
@@ -56,7 +54,6 @@ class Capability:
     leave_out: tuple[str, ...] = ()
     presentation: Callable[[], ModuleType]
     draws: bool = False
-    in_project: Callable[[Any], bool] = lambda request: True
 
     @cached_property
     def options(self) -> dict[str, Option]:
@@ -150,7 +147,7 @@ class Capability:
             elif texts == usual[name]:
                 continue
             elif option.kind is bool:
-                words.append(option.flags[0].split("/")[texts == ["no"]])
+                words.append(option.flag_words.split("/")[texts == ["no"]])
             else:
                 words += [word for text in texts for word in (option.flag, text)]
         return [self.name, *words]
@@ -180,8 +177,11 @@ class Capability:
 
     def _refusal(self, problem: ValidationError) -> InvalidInput:
         first = problem.errors(include_url=False)[0]
-        kind, (name, *rest) = first["type"], map(str, first["loc"])
-        if kind == "json_invalid" or name not in self.options:
+        kind = first["type"]
+        if not first["loc"]:  # of a text that is no JSON, or no object
+            return InvalidInput("request", found=first["msg"], expected="an object in JSON")
+        name, *rest = map(str, first["loc"])
+        if name not in self.options:
             return unknown_name(f"option of {self.name}", name, tuple(self.options))
         own = f"{name}.{rest[0]}" if rest else name
         where = own if own in self.shown else " ".join([name, *rest[:1]])

@@ -27,8 +27,6 @@ class Door:
     ----------
     flag : str
         Flag of a command, `--uniform/--normal` for a bool; by default from name and unit.
-    alias : str
-        Second flag with the same meaning.
     metavar : str
         Form of the value, such as `NAME=LOW:HIGH`.
     unit : str
@@ -39,19 +37,15 @@ class Door:
         Smallest value, or the bound that a value must exceed, in SI units.
     effort : bool
         Whether the option changes the effort, but no result.
-    program : bool
-        Whether the value may name a program, which the command line permits to run.
     """
 
     flag: str = ""
-    alias: str = ""
     metavar: str = ""
     unit: str = ""
     plain: Any = None
     least: float | None = None
     above: float | None = None
     effort: bool = False
-    program: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,18 +82,18 @@ class Option:
         return get_origin(self.kind) in (dict, Mapping) or get_args(self.kind)[1:] == (...,)
 
     @property
-    def flags(self) -> tuple[str, ...]:
-        """Flags of the command, the usual one first."""
+    def flag_words(self) -> str:
+        """Flag of the command as Typer reads it, `--this/--no-this` for a bool."""
         group, unit = self.name.partition(".")[0], self.door.unit
         usual = f"--{group.replace('_', '-')}{f'-{unit}' if unit else ''}"
         if self.kind is bool:
             usual = f"{usual}/--no-{usual[2:]}"
-        return tuple(flag for flag in (self.door.flag or usual, self.door.alias) if flag)
+        return self.door.flag or usual
 
     @property
     def flag(self) -> str:
         """Name of the option in errors of the command."""
-        return self.flags[0].partition("/")[0]
+        return self.flag_words.partition("/")[0]
 
     @property
     def label(self) -> str:

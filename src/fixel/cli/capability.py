@@ -57,11 +57,13 @@ def _parameter(capability: Capability, option: Option) -> Parameter:
             return _keyword(name, Annotated[str, argument], Parameter.empty)
         return _keyword(name, Annotated[list[str] | None, argument], None)
     if option.kind is bool:
-        flag = typer.Option(*option.flags, show_default=option.default is not None, help=said)
+        flag = typer.Option(option.flag_words, show_default=option.default is not None, help=said)
         return _keyword(name, Annotated[bool | None, flag], option.default)
     usual = option.texts(option.default)
-    info = typer.Option(*option.flags, metavar=option.metavar, show_default=bool(usual), help=said)
-    if option.many or len(option.flags) > 1:
+    info = typer.Option(
+        option.flag_words, metavar=option.metavar, show_default=bool(usual), help=said
+    )
+    if option.many:
         return _keyword(name, Annotated[list[str] | None, info], usual or None)
     return _keyword(name, Annotated[str | None, info], usual[0] if usual else None)
 
@@ -83,10 +85,8 @@ def _run(
 ) -> None:
     from fixel.workflows.capabilities import run
 
-    texts = texts_of(capability, given)
-    request = capability.from_texts(texts)
+    request = capability.from_texts(texts_of(capability, given))
     (require_picture if capability.draws else require_folder)(plot)
-    _permit(capability, texts)
     done = run(capability, request, folder, plot=plot)
     analysis, present = done.analysis, capability.presentation()
     next_words = present.next_words(done.result, capability.words(request), plot is not None)
@@ -102,13 +102,3 @@ def _run(
             f"Next: {command_of(*next_words, project=folder)}",
         ],
     )
-
-
-def _permit(capability: Capability, texts: dict[str, list[str]]) -> None:
-    """Permit the programs that the user names."""
-    from fixel.simulation.trust import permit
-
-    for name, option in capability.shown.items():
-        if option.door.program:
-            for text in texts[name]:
-                permit(text)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 CAPABILITIES: Final[Mapping[str, Capability]] = {one.name: one for one in (FILTER,)}
 
 
-class Done(NamedTuple):
+class StoredAnswer(NamedTuple):
     """Result of a capability with its report.
 
     Attributes
@@ -45,7 +45,7 @@ def run(
     *,
     plot: Path | None = None,
     progress: ProgressOption = None,
-) -> Done:
+) -> StoredAnswer:
     """Run a request on the project in a folder, and store its analysis with the whole request.
 
     Parameters
@@ -63,7 +63,7 @@ def run(
     from fixel.workflows.analysis import store_analysis
     from fixel.workflows.figures import write_picture
 
-    project = Project(folder) if capability.in_project(request) else None
+    project = Project(folder)
     result = capability.function(project, **capability.arguments(request), progress=progress)
     present = capability.presentation()
     report = present.report_of(result)
@@ -76,7 +76,7 @@ def run(
         }
     )
     kept = None
-    if project is not None and getattr(request, "save", True):
+    if getattr(request, "save", True):
         kept = store_analysis(project, analysis, report.pictures, report.arrays)
         analysis = kept.analysis
     files: list[Path] = []
@@ -87,4 +87,4 @@ def run(
         files = kept.copy_pictures(plot)
     elif plot is not None:
         files = [path for picture in report.pictures for path in write_picture(plot, picture)]
-    return Done(result, analysis, None if kept is None else kept.folder, files)
+    return StoredAnswer(result, analysis, None if kept is None else kept.folder, files)
