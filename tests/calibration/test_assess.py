@@ -42,26 +42,34 @@ def _space():
     )
 
 
-@pytest.fixture(scope="module")
-def rotating():
-    """A square that turns at the head before it meets the fixels."""
+def _rotating(seed):
+    """Return what a square determines that turns at the head before it meets the fixels."""
     target = target_of(_experiment(2))
     comparer = Comparer([target], _space(), motion=QuasiStatic())
     # The laboratory moves with inertia, which shifts mu_pusher by more than its interval: the model
     # is right only of quasi-static motion seen by a camera.
     truth = {name: np.array([value]) for name, value in TRUTH.items()}
     exact = comparer.ensemble.simulate(np.array([0]), truth).pose[0]
-    noise = np.random.default_rng(3).normal(size=exact.shape) * [5e-5, 5e-5, 2e-3]
+    noise = np.random.default_rng(seed).normal(size=exact.shape) * [5e-5, 5e-5, 2e-3]
     comparer = Comparer([target._replace(pose=exact + noise)], _space(), motion=QuasiStatic())
     return assess(comparer, [0], comparer.space.nominal, noise=CAMERA)
 
 
-def test_a_turning_square_determines_the_pusher_and_the_tripod(rotating):
-    found = {verdict.label: verdict for verdict in rotating.estimates}
-    for label in ("mu_pusher", "tripod_radius"):
-        assert found[label].verdict == "identified"
-        assert found[label].low <= TRUTH[label] <= found[label].high
-        assert found[label].high - found[label].low < 0.1 * TRUTH[label]
+@pytest.fixture(scope="module")
+def rotating():
+    return _rotating(3)
+
+
+def test_a_turning_square_determines_the_pusher_and_the_tripod():
+    """Of ten intervals of 95 %, two or more miss the truth once in eleven times; three, in 87."""
+    held = 0
+    for seed in range(3, 8):
+        found = {verdict.label: verdict for verdict in _rotating(seed).estimates}
+        for label in ("mu_pusher", "tripod_radius"):
+            assert found[label].verdict == "identified"
+            assert found[label].high - found[label].low < 0.1 * TRUTH[label]
+            held += found[label].low <= TRUTH[label] <= found[label].high
+    assert held >= 8
 
 
 def test_friction_of_the_plane_is_not_identified_in_quasi_static_motion(rotating):

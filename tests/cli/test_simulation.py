@@ -146,7 +146,7 @@ def test_people_are_told_what_to_do_about_a_jam(scene, capsys):
 
     assert code == 3
     assert "jammed, stopped at" in out
-    assert "Give the pusher a force_limit" in out
+    assert "If it has no force_limit, set one" in out
     assert out.rstrip().endswith("--set pushers.actuator.drive.force_limit=34.3")
 
 

@@ -37,10 +37,13 @@ def _slot(width, friction, mouth=0.0, depth=0.1):
 @pytest.mark.parametrize("offset", [0.006, 0.009])
 def test_K11_a_peg_jams_only_where_the_cones_of_both_contacts_see_each_other(friction, offset):
     """A push along x at an offset e from the middle, without friction of the probe, jams a peg in
-    the slot only up to an insertion of 2 mu e; for every e, that is mu w at most."""
+    the slot only up to an insertion of 2 mu e; for every e, that is mu w at most.
+
+    It slides on by a tenth of that until the clearance is taken up and both sides touch.
+    """
     width, length = 0.02, 0.06
     limit = 2.0 * friction * offset
-    for inside, jams in ((0.9 * limit, True), (1.05 * limit, False)):
+    for inside, jams in ((0.85 * limit, True), (1.05 * limit, False)):
         peg = Body(
             "peg", Polygon.rectangle(length, width), mass=0.1, pose=(inside - length / 2, 0, 0),
             support=Ellipsoid(force=0.01, torque=1e-4),

@@ -79,7 +79,11 @@ HALVINGS = 8  # how often less was given back
 # Until the rows are written: radius of either outline, zero for a corner, infinite for an edge.
 ROUND_A = 5
 ROUND_B = 6
-N_PLACE = 9
+# Distances along its edge from the foot of a vertex to the edge's start and end, which shrink and
+# grow with the tangential velocity; infinite for other contacts.
+TO_START = 9
+TO_END = 10
+N_PLACE = 11
 
 
 class Problem(NamedTuple):
@@ -124,14 +128,17 @@ class Workspace(NamedTuple):
         FloatArray  # (n_contact, 24) of impulse (2), slope, state; given friction limit; sweeps
     )
     element_change: (
-        FloatArray  # (n_element, 18) of impulse and how it depends (8); saved impulse; sweeps
+        FloatArray  # (n_element, 21) of impulse and how it depends (8); saved impulse; sweeps; of
+        # the last step taken
     )
     lanes: FloatArray  # (LANE_FIELDS n_element,) see points.py
     world: FloatArray  # (n_vertex, 2) vertices in the world, of pieces that are placed
     is_placed: IntArray  # (n_piece,) 1 where the vertices of a piece are those of the present pose
     frame: FloatArray  # (n_body, 4) cosine and sine of the angle, x and y of each body
-    old_key: IntArray  # (n_contact,)
-    old_impulse: FloatArray  # (n_contact, 2) of the step before; in a solver, saved impulses
+    old_key: IntArray  # (n_contact,) of the last step taken
+    old_impulse: (
+        FloatArray  # (n_contact, 4) of the last step taken (2); in a solver, saved impulses
+    )
     near: IntArray  # (n_pair, 2) pairs of pieces close enough to meet soon
     order: IntArray  # (n_piece,) pieces sorted along x
     extent: FloatArray  # (n_piece, 3) circle of each piece in the world
@@ -170,7 +177,7 @@ TIME_BEFORE = 15  # the start of the last step
 EVENTFUL = 16  # whether it is known that something happens where the step begins
 CAREFUL = 17  # longest step until CAREFUL_UNTIL, after a step was taken back
 CAREFUL_UNTIL = 18
-LAST_SPAN = 19  # over which the impulses in the problem acted; zero for no impulses
+LAST_SPAN = 19  # over which the impulses of the last step taken acted; zero for none
 # Of the step at hand.
 LEFT = 20  # time to the end, or to where a pusher's command changes
 TRIAL = 21  # length that is tried
@@ -184,11 +191,13 @@ GROWTH = 28  # most from this step to the next
 RESUMED = 29  # the step to go on with after a bounce or a closing gap
 LEAD = 30  # from the step's start to where its rows are taken
 SPAN = 31  # over which forces act before the velocity that is solved for
-RATIO = 32  # of the impulses expected to those of the problem; zero to expect none
-CLOSING = 33  # when a gap closes inside the trial; infinite for none
+RATIO = 32  # of the impulses expected to those of the last step taken; zero to expect none
+CLOSING = 33  # when contacts change inside the trial; infinite for never
 BOUNCES = 34  # whether a contact of the trial gives back speed
 SMOOTH = 35  # whether velocities changed as expected
-N_CONTROL = 36
+PARTED = 36  # whether a contact that pressed in the last step has come off in the trial
+TAKEN_CONTACTS = 37  # contacts of the last step taken
+N_CONTROL = 38
 
 
 class StepMethod(NamedTuple):

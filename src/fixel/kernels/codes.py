@@ -33,8 +33,8 @@ STATUS_NAMES: Final = (
 
 STATUS_ADVICE: Final = (
     "",
-    "A rigid drive pushes against bodies that cannot move. Give the pusher a force_limit (the "
-    "actuator of the thesis stalls at 34.3 N), or shorten its travel.",
+    "The pusher pushes against bodies that cannot move. If it has no force_limit, set one (the "
+    "actuator of the thesis stalls at 34.3 N); or shorten its travel.",
     "No solver of the chain met the tolerance in this step. Use a smaller step or another solver.",
     "A number overflowed. Check the units of masses, sizes and speeds.",
     "There are more contacts than max_contacts. Increase max_contacts.",
@@ -45,6 +45,12 @@ STATUS_ADVICE: Final = (
     "Check for a deep overlap at the start, or use a smaller step.",
     "The run was interrupted. Run it again to complete it.",
     "Another engine gave no usable answer. Check its choices, or use fixel's own engine.",
+)
+
+# Advice for JAMMED where every pusher has a force_limit.
+JAMMED_AT_LIMIT: Final = (
+    "Friction wedges the bodies, and the solver found no forces that hold them. Shorten the travel "
+    "of the pusher, or use a fixed step."
 )
 
 # A motion model or solver of a plug-in, which only the plain Python loop can run.

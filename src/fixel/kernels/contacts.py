@@ -176,7 +176,8 @@ def warm_start(
     n_old: int,
     ratio: float,
 ) -> None:
-    """Set the impulse of every contact to that of its features in the previous step, times `ratio`.
+    """Set the impulse of every contact to that of its features in the last step taken, times
+    `ratio`.
 
     Both lists are sorted by pair of pieces; within a pair there are one or two.
     """

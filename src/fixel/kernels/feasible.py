@@ -39,15 +39,15 @@ def is_squeezed(problem: Problem, work: Workspace, with_friction: bool) -> bool:
     for i in range(n_contact):
         for k in range(4):
             z[i, k] = 0.0
-        work.old_impulse[i, 0] = 0.0
-        work.old_impulse[i, 1] = 0.0
+        work.old_impulse[i, 2] = 0.0
+        work.old_impulse[i, 3] = 0.0
     for _ in range(PIVOTS * n_dof + 10):
         bias = _what_is_left(problem, work, with_friction)
         best = GAIN
         pick = -1
         for i in range(n_contact):
             for side in range(sides):
-                if work.old_impulse[i, side] == 0.0:
+                if work.old_impulse[i, 2 + side] == 0.0:
                     gain = -_edge_bias(problem, i, side, with_friction) * bias
                     for k in range(6):
                         o = problem.contact_dof[i, k // 3]
@@ -61,7 +61,7 @@ def is_squeezed(problem: Problem, work: Workspace, with_friction: bool) -> bool:
         if pick < 0 or n > n_dof:
             break
         chosen[n] = pick
-        work.old_impulse[pick // 2, pick % 2] = 1.0
+        work.old_impulse[pick // 2, 2 + pick % 2] = 1.0
         n += 1
         while n > 0:
             if not _fit(problem, work, n, with_friction):
@@ -80,7 +80,7 @@ def is_squeezed(problem: Problem, work: Workspace, with_friction: bool) -> bool:
                 z[i, side] += share * (z[i, 2 + side] - z[i, side])
                 if share < 1.0 and z[i, side] <= 1e-14 and z[i, 2 + side] <= 0.0:
                     z[i, side] = 0.0
-                    work.old_impulse[i, side] = 0.0
+                    work.old_impulse[i, 2 + side] = 0.0
                 else:
                     chosen[kept] = chosen[j]
                     kept += 1

@@ -89,7 +89,7 @@ def contact_pair(
     else:
         px += nx * r2
         py += ny * r2
-    _write(place, key, at, gap, nx, ny, px, py, 0, round_1, round_2)
+    _write(place, key, at, gap, nx, ny, px, py, 0, round_1, round_2, math.inf, math.inf)
     return 1
 
 
@@ -106,6 +106,8 @@ def _write(
     code: int,
     round_1: float,
     round_2: float,
+    to_start: float,
+    to_end: float,
 ) -> None:
     """Write one contact, from the witness point (px, py) on the second outline."""
     place[at, 0] = gap
@@ -115,6 +117,8 @@ def _write(
     place[at, 4] = py + ny * 0.5 * gap
     place[at, 5] = round_1
     place[at, 6] = round_2
+    place[at, 9] = to_start
+    place[at, 10] = to_end
     key[at] = code
 
 
@@ -338,11 +342,13 @@ def _contact_polygons(
         oy = ny
         vertex = i1 if upper else i2
         other = -1  # the second corner of a corner-corner contact
+        along = c1 if upper else c2  # where on its edge the foot of the vertex lies
+        whole = length
         if on_facing:
             gap = (world[vertex, 0] - x0) * nx + (world[vertex, 1] - y0) * ny
         else:
             vertex = after if upper else edge
-            gap, ox, oy, other = _corner_to_edge(world, vertex, i1, i2)
+            gap, ox, oy, other, along, whole = _corner_to_edge(world, vertex, i1, i2)
             if other < 0:
                 if real[i1] == 0:
                     continue
@@ -354,12 +360,15 @@ def _contact_polygons(
                 vertex = support
                 other = -1
                 gap, ox, oy = sep, nx, ny
+                along = whole = math.inf
             elif _beyond_seam(world, real, rs, re, vertex, world[other, 0], world[other, 1]) or (
                 _beyond_seam(world, real, fs, fe, other, world[vertex, 0], world[vertex, 1])
             ):
                 return 0
         if gap >= margin:
             continue
+        if (re - rs if on_facing else fe - fs) > MANY:
+            along = whole = math.inf  # nearly round: no corner is an event
         ox *= flip
         oy *= flip
         if other >= 0:
@@ -368,6 +377,7 @@ def _contact_polygons(
             code = VERTEX_VERTEX + vertex - s2
             back = 0.0
             round_1 = round_2 = 0.0
+            along = whole = math.inf
         elif on_facing == on_first:
             code = vertex - s2
             back = 0.0
@@ -391,6 +401,8 @@ def _contact_polygons(
             code,
             round_1,
             round_2,
+            along,
+            whole - along if along < math.inf else math.inf,
         )
         n += 1
     return n
@@ -399,8 +411,9 @@ def _contact_polygons(
 @kernel
 def _corner_to_edge(
     world: FloatArray, corner: int, i1: int, i2: int
-) -> tuple[float, float, float, int]:
-    """Gap and direction from a corner to the edge i1 to i2 or its nearer end; that end or -1."""
+) -> tuple[float, float, float, int, float, float]:
+    """Gap and direction from a corner to the edge i1 to i2 or its nearer end; that end or -1; how
+    far along the edge the corner is, and the length of the edge."""
     dx = world[corner, 0] - world[i1, 0]
     dy = world[corner, 1] - world[i1, 1]
     ex = world[i2, 0] - world[i1, 0]
@@ -409,12 +422,13 @@ def _corner_to_edge(
     square = ex * ex + ey * ey
     if 0.0 <= along <= square:
         length = math.sqrt(square)
-        return (dx * ey - dy * ex) / length, -ey / length, ex / length, -1
+        gap = (dx * ey - dy * ex) / length
+        return gap, -ey / length, ex / length, -1, along / length, length
     other = i1 if along < 0.0 else i2
     dx = world[other, 0] - world[corner, 0]
     dy = world[other, 1] - world[corner, 1]
     distance = math.sqrt(dx * dx + dy * dy)
-    return distance, dx / distance, dy / distance, other
+    return distance, dx / distance, dy / distance, other, math.inf, math.inf
 
 
 @kernel

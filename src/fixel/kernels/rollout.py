@@ -29,19 +29,28 @@ from fixel.kernels.jit import kernel, large_kernel, spliced_kernel
 from fixel.kernels.path import path_direction
 from fixel.kernels.samples import is_due, write_samples
 from fixel.kernels.solve import MAX_ATTEMPTS, MAX_ATTEMPTS_EARLY, TOLERANCE, may_jam, solve
-from fixel.kernels.step import creates_energy, move, prepare_step
+from fixel.kernels.step import (
+    creates_energy,
+    keep_impulses,
+    leave_overlaps,
+    move,
+    prepare_step,
+)
 from fixel.kernels.step_control import (
     AT_ONCE,
     begin_control,
     bounces,
     choose_trial,
-    closing_time,
+    end_at_rest,
     end_step,
+    event_time,
     extrapolation,
     is_thrown,
     judge_step,
     limit_step,
+    parts,
     predict_velocity,
+    rests,
     start_trial,
     take_back,
 )
@@ -161,13 +170,22 @@ def _run(
         _copy_state(state, before, model.mass.size)
         samples = record.count[SAMPLES]
         contact_rows = record.count[CONTACT_ROWS]
+        keep_impulses(control, problem, work)
         move(model, state, control[at.TRIAL], problem, extrapolation(control))
         end_step(control)
-        if is_due(control, record, every_step):
-            write_samples(
-                model, before, state, control, control[at.LAST], control[at.SPAN], problem, record,
-                every_step,
-            )  # fmt: skip
+        still = rests(model, before, state, control, problem)
+        moved = control[at.LAST]
+        while True:
+            if is_due(control, record, every_step):
+                write_samples(
+                    model, before, state, control, moved, control[at.SPAN], problem, record,
+                    every_step,
+                )  # fmt: skip
+            if not still:
+                break
+            still = False
+            moved = end_at_rest(control)
+            _copy_state(state, before, model.mass.size)
     if status != codes.CONVERGED and not every_step and control[at.STEPS] > 0.0:
         _sample_stop(model, before, state, control, problem, record)
     record.count[STEPS_TAKEN] = control[at.STEPS]
@@ -205,7 +223,7 @@ def _solve_trial(
     if not ready:
         return codes.CONTACT_OVERFLOW, math.inf
     if control[at.MIN_GAP] < math.inf:
-        control[at.CLOSING] = closing_time(problem, guess, trial, method.lead, control[at.MIN_GAP])
+        control[at.CLOSING] = event_time(problem, guess, trial, method.lead, control[at.MIN_GAP])
         if control[at.CLOSING] < math.inf:
             return codes.CONVERGED, math.inf
     early = control[at.GIVE_UP_EARLY] > 0.0
@@ -213,23 +231,29 @@ def _solve_trial(
     max_attempts = MAX_ATTEMPTS_EARLY if early else MAX_ATTEMPTS
     if at_once:
         max_attempts = 0
+    leaves = at_once
     while True:
         residual, fell_back = solve(
             problem, work, guess, method.solver, method.effort, max_attempts
         )
         record.count[FALLBACKS] += fell_back
-        if not (elastic and residual <= TOLERANCE and creates_energy(model, state, problem)):
+        if residual <= TOLERANCE:
+            if not (elastic and creates_energy(model, state, problem)):
+                break
+        elif leaves or not leave_overlaps(model, control, problem, work):
             break
+        else:
+            leaves = True
     if not residual <= TOLERANCE:
-        control[at.LAST_SPAN] = 0.0
         if not at_once and may_jam(problem, work, early):
             return codes.JAMMED, residual
         return codes.NON_FINITE if math.isinf(residual) else codes.MAX_ITERATIONS, residual
-    control[at.LAST_SPAN] = control[at.SPAN]
     if is_thrown(model, state, control, problem):
         return codes.THROWN, residual
     if elastic and bounces(model, state, control, problem):
         control[at.BOUNCES] = 1.0
+    if control[at.ADAPTIVE] == 1.0 and parts(control, problem, work):
+        control[at.PARTED] = 1.0
     return codes.CONVERGED, residual
 
 

@@ -78,7 +78,9 @@ def write_samples(
             if record.total[at.LAST_CONTACTS] > 0.0:
                 record.count[CONTACT_ROWS] = 0
             if to_time > from_time:
-                _sample_contacts(before.velocity, problem, record, to_time - from_time, span)
+                _sample_contacts(
+                    before.velocity, problem, record, control[at.LAST], to_time - from_time, span
+                )
         record.count[SAMPLES] += 1
         if every_step:
             break
@@ -158,11 +160,13 @@ def _sample_contacts(
     problem: Problem,
     record: RolloutRecord,
     step: float,
+    moved: float,
     span: float,
 ) -> None:
-    """Write the contacts of a step: force times step is the impulse of the whole step.
+    """Write the contacts of a step: force times `moved` is the impulse of that time.
 
-    `velocity` is that at its start. Forces act on after `span`; an impact acts once.
+    `velocity` is that at its start. Forces act on after `span`, also past the step where the bodies
+    rest; an impact acts once.
     """
     for i in range(problem.size[N_CONTACT]):
         row = record.count[CONTACT_ROWS]
@@ -189,5 +193,5 @@ def _sample_contacts(
             record.contact[row, 4 + k] = problem.contact_place[i, 1 + k]
         record.contact[row, 8] = problem.impulse[i, 0] / acted
         record.contact[row, 9] = problem.impulse[i, 1] / acted
-        record.contact[row, 10] = step
+        record.contact[row, 10] = moved
         record.count[CONTACT_ROWS] += 1

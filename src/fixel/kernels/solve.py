@@ -293,7 +293,7 @@ def save(problem: Problem, work: Workspace) -> None:
         work.search[i, 2] = problem.velocity[i]
     for i in range(problem.size[N_CONTACT]):
         for k in range(2):
-            work.old_impulse[i, k] = problem.impulse[i, k]
+            work.old_impulse[i, 2 + k] = problem.impulse[i, k]
     for e in range(problem.size[N_ELEMENT]):
         for k in range(3):
             work.element_change[e, 8 + k] = problem.element_impulse[e, k]
@@ -305,7 +305,7 @@ def restore(problem: Problem, work: Workspace) -> None:
         problem.velocity[i] = work.search[i, 2]
     for i in range(problem.size[N_CONTACT]):
         for k in range(2):
-            problem.impulse[i, k] = work.old_impulse[i, k]
+            problem.impulse[i, k] = work.old_impulse[i, 2 + k]
     for e in range(problem.size[N_ELEMENT]):
         for k in range(3):
             problem.element_impulse[e, k] = work.element_change[e, 8 + k]

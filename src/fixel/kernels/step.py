@@ -39,6 +39,7 @@ from fixel.typing import FloatArray
 LIST_REACH = 0.2  # of the characteristic length: how far ahead near pairs are listed
 NO_OVERLAP = 1e-9  # of the characteristic length: an overlap that is none
 ALONG = 0.2  # of a body's change of velocity, or velocity: more of it along a normal is an impact
+OLD_ELEMENT = 18  # column of `Workspace.element_change`: impulse of the last step taken
 RUBBED = 1.0  # marks of a body: friction may stop it
 PRESSED = 2.0  # and: by that of a contact
 BLOCKED = 3.0  # and: it jumped
@@ -47,6 +48,7 @@ SWEEPS = 20  # at most, when overlaps are taken back
 # its inverse.
 WEIGHT = HALVINGS
 STIFFNESS = DRIVEN_NORMAL
+SMALL_OVERLAP = 4.0  # tolerances: overlaps that remain where nothing else solves a step
 GENTLY = 0.01  # of the characteristic time: an overlap with a pusher is taken back no faster
 RECOVERY = 1.0  # of the characteristic speed: how fast an overlap is taken back, at most
 
@@ -99,7 +101,7 @@ def prepare_step(
     if not prepare_contacts(model, state, control, guess, pose, problem, work):
         return False
     n_support = prepare_bodies(model, state, motion, control[at.SPAN], pose, problem)
-    prepare_rows(model, state, control, guess, pose, problem, n_support)
+    prepare_rows(model, state, control, guess, pose, problem, work, n_support)
     return True
 
 
@@ -126,14 +128,10 @@ def prepare_contacts(
         work.near_count[0] = find_near_pairs(model, pose, n_free, n_moving, work.reach[0], work)
         if work.near_count[0] < 0:
             return False
-    n_old = problem.size[N_CONTACT] if ratio > 0.0 else 0
-    for i in range(n_old):
-        work.old_key[i] = problem.contact_key[i]
-        work.old_impulse[i, 0] = problem.impulse[i, 0]
-        work.old_impulse[i, 1] = problem.impulse[i, 1]
     n_contact = find_contacts(model, work.near_count[0], margin, problem, work)
     if n_contact < 0:
         return False
+    n_old = int(control[at.TAKEN_CONTACTS]) if ratio > 0.0 else 0
     warm_start(problem, n_contact, work.old_key, work.old_impulse, n_old, ratio)
     problem.size[N_CONTACT] = n_contact
     problem.size[N_FREE_DOF] = 3 * n_free
@@ -157,6 +155,7 @@ def prepare_rows(
     guess: FloatArray,
     pose: FloatArray,
     problem: Problem,
+    work: Workspace,
     n_support: int,
 ) -> None:
     """Write the drives, the stiffness of every block, the contact rows and the guess."""
@@ -170,13 +169,9 @@ def prepare_rows(
             dof += 1
     problem.size[N_DOF] = dof
     problem.size[N_ELEMENT] = n_element
-    if ratio != 1.0:
-        for e in range(n_element):
-            for k in range(3):
-                # After a failed solve there may be no number to multiply.
-                problem.element_impulse[e, k] = (
-                    ratio * problem.element_impulse[e, k] if ratio > 0.0 else 0.0
-                )
+    for e in range(n_element):
+        for k in range(3):
+            problem.element_impulse[e, k] = ratio * work.element_change[e, OLD_ELEMENT + k]
     set_stiffness(problem, n_support)
     for i in range(dof):
         problem.velocity[i] = guess[i]
@@ -337,13 +332,15 @@ def _prepare_contact(
     driven_n /= step
     driven_t /= step
     gap += _bend(problem, i, control[at.LEAD], guess[first + 2], spin, lever, slip - driven_t)
+    if -NO_OVERLAP < gap < 0.0:
+        gap = 0.0  # a wedged body has no room to take a rounding error back, least in short steps
     overlap = 0.0
     room = step  # time in which the gap is to be closed, or an overlap taken back
     if inertial and driven and gap < 0.0:
         # A pusher may have to give way, at a velocity of its own. A short step must not turn the
         # error of a long one into a blow.
         room = max(step, GENTLY)
-    elif inertial and gap < -NO_OVERLAP:
+    elif inertial and gap < 0.0:
         # Velocities that take it back would stay as kinetic energy: `_separate` moves the bodies.
         overlap = min(-gap, RECOVERY * step)
         gap = 0.0
@@ -363,6 +360,55 @@ def _prepare_contact(
     problem.contact_place[i, HALVINGS] = 0.0
     problem.bias[i, 0] = bias_n
     problem.bias[i, 1] = -driven_t
+
+
+@kernel
+def keep_impulses(control: FloatArray, problem: Problem, work: Workspace) -> None:
+    """Store the impulses of a step that is taken, from which the trials of the next one start."""
+    control[at.LAST_SPAN] = control[at.SPAN]
+    control[at.TAKEN_CONTACTS] = problem.size[N_CONTACT]
+    for i in range(problem.size[N_CONTACT]):
+        work.old_key[i] = problem.contact_key[i]
+        for k in range(2):
+            work.old_impulse[i, k] = problem.impulse[i, k]
+    for e in range(problem.size[N_ELEMENT]):
+        for k in range(3):
+            work.element_change[e, OLD_ELEMENT + k] = problem.element_impulse[e, k]
+
+
+@large_kernel
+def leave_overlaps(model: Model, control: FloatArray, problem: Problem, work: Workspace) -> bool:
+    """Prepare a second solution of a trial, from rest, that leaves overlaps below a few tolerances.
+
+    Between surfaces that wedge a body by friction it has no room to take them back. Returns False,
+    without a change, where there are none, and where a rigid pusher would creep through a jam.
+    """
+    for d in range(model.force_limit.size):
+        if model.drive_dof[d] < 0:
+            return False
+    trial = control[at.TRIAL]
+    room = max(trial, GENTLY) if control[at.INERTIAL] == 1.0 else trial
+    found = False
+    for i in range(problem.size[N_CONTACT]):
+        # Part of the bias that takes the overlap back.
+        back = problem.bias[i, 0] - problem.contact_place[i, DRIVEN_NORMAL]
+        if back < 0.0 and -back * room < SMALL_OVERLAP * control[at.TOLERANCE]:
+            problem.bias[i, 0] -= back
+            found = True
+    if not found:
+        return False
+    for i in range(problem.size[N_DOF]):
+        problem.velocity[i] = 0.0
+    warm_start(
+        problem, problem.size[N_CONTACT], work.old_key, work.old_impulse,
+        int(control[at.TAKEN_CONTACTS]), control[at.RATIO],
+    )  # fmt: skip
+    for e in range(problem.size[N_ELEMENT]):
+        for k in range(3):
+            problem.element_impulse[e, k] = (
+                control[at.RATIO] * work.element_change[e, OLD_ELEMENT + k]
+            )
+    return True
 
 
 @large_kernel

@@ -18,14 +18,20 @@ from fixel.kernels.arrays import (
     N_FREE_DOF,
     NORMAL_X,
     NORMAL_Y,
+    OVERLAP,
     POINT_X,
     POINT_Y,
+    TO_END,
+    TO_START,
     Model,
     Problem,
     State,
+    Workspace,
 )
+from fixel.kernels.gap import FEATURES
 from fixel.kernels.jit import kernel, large_kernel
 from fixel.kernels.path import path_direction, path_pose, straight_time
+from fixel.kernels.solve import STILL_VELOCITY
 from fixel.kernels.step import RECOVERY
 from fixel.typing import FloatArray
 
@@ -40,15 +46,18 @@ ON_LINE = 0.5  # of a change: one that a line through the velocities before miss
 SECOND_ORDER = 1.0 / 6.0
 # Where the expected velocity of a trial comes from.
 PREDICTED = 0  # the steps before
-CUT = 1  # the same, for a step that ends where a gap closes
+CUT = 1  # the same, for a step that ends where contacts change
 RENEWED = 2  # the solution of the same trial, which begins with a jump
+APPROACH = 3  # as for CUT, for a step that ends shortly before
 INSIST = 3  # every third unsolved trial of a step is not given up early; jams are not counted
 AT_ONCE = 2.0  # of GIVE_UP_EARLY: where Newton does not converge from the step before
 HASTY = 5e-3  # of the longest step: shorter trials are not given up at once
 EXPONENT = 0.35  # of the change of step with the error's: nearly third order
 # Of the time in which forces move a body by the tolerance: the first step with a closed gap.
 CLOSED = 0.7
-FEW = 12  # unknowns up to which that is done: in heaps gaps close all the time, mostly unfelt
+FIRST = 30.0  # tolerances that bodies move, at most, in the first step after contacts change
+AFTER_IMPACT = 4.0  # the step grows at most so much after one where a contact closed
+FEW = 12  # unknowns up to which that is done: in heaps contacts change all the time, mostly unfelt
 # Bodies up to which the largest error counts; of more, four times the root mean square: in a crowd
 # some body always jumps, and most others hardly notice.
 CROWD = 16
@@ -57,6 +66,7 @@ BOUNCE = 1e-4  # of the characteristic speed: approaches slower than this need n
 MAX_MOTION = (
     1.0  # characteristic length, or radian: a step that moves a body further is out of its depth
 )
+LONG = 0.1  # of the longest step: a step after which nothing will move, if nothing has
 SUDDEN = 3.0  # times the fastest motion in sight, which a step looks ahead for; see step._margin
 
 
@@ -110,7 +120,11 @@ def _try_next(control: FloatArray, trial: float, guessed: int, predicting: bool)
     control[at.PREDICTING] = 1.0 if predicting else 0.0
     control[at.CLOSING] = math.inf
     control[at.BOUNCES] = 0.0
-    control[at.MIN_GAP] = control[at.TOLERANCE] if adaptive and guessed == PREDICTED else math.inf
+    control[at.PARTED] = 0.0
+    looks = adaptive and guessed != CUT and guessed != RENEWED
+    control[at.MIN_GAP] = (
+        control[at.TOLERANCE] if looks and trial > control[at.SMALLEST] else math.inf
+    )
     insisting = control[at.UNSOLVED] % INSIST == INSIST - 1
     control[at.GIVE_UP_EARLY] = (
         1.0 if adaptive and trial > control[at.SMALLEST] and not insisting else 0.0
@@ -194,7 +208,7 @@ def judge_step(
     Parameters
     ----------
     control : FloatArray
-        In: `CLOSING` and `BOUNCES` of the trial. Out: the next trial or the next step.
+        In: `CLOSING`, `BOUNCES` and `PARTED` of the trial. Out: the next trial or the next step.
     problem : Problem
         With the solution of the trial.
     guess : FloatArray
@@ -214,10 +228,17 @@ def judge_step(
     renewed = control[at.GUESSED] == RENEWED
     if status == codes.CONTACT_OVERFLOW:
         return status
+    if control[at.CLOSING] < 0.0:
+        return _try_next(control, max(smallest, -control[at.CLOSING]), PREDICTED, True)
     if control[at.CLOSING] < math.inf:
-        # A gap closes inside the step: end the step there, and go on as planned.
+        # Contacts change inside the step: end the step there, and go on as planned.
         control[at.RESUMED] = max(control[at.RESUMED], trial)
-        return _try_next(control, max(control[at.CLOSING] * (1.0 - 1e-6), smallest), CUT, False)
+        time = control[at.CLOSING] * (1.0 - 1e-6)
+        near = FIRST * tolerance / max(1.0, largest_speed(problem))
+        if time > 4.0 * near and problem.size[N_DOF] <= FEW:
+            # What else happens before shows in the next step, as after any other.
+            return _try_next(control, time - near, APPROACH, False)
+        return _try_next(control, max(time, smallest), CUT, False)
     if status != codes.CONVERGED:
         if not (adaptive and trial > smallest):
             return codes.NON_FINITE if math.isinf(residual) and status == codes.JAMMED else status
@@ -235,7 +256,7 @@ def judge_step(
     if not renewed and missed_event(control, change):
         # In a trial half as long the change is less if the motion only bends, not after an event.
         half = max(smallest, 0.5 * control[at.LAST])
-        if trial <= half:
+        if trial <= half or control[at.PARTED] == 1.0:
             return codes.UNDO
         return _try_next(control, half, PREDICTED, True)
     error = 0.5 * trial * change
@@ -275,11 +296,15 @@ def judge_step(
 def missed_event(control: FloatArray, change: float) -> bool:
     """Whether the velocity changed by `change` where nothing is known to happen, and the last step
     can be taken back."""
-    return (
-        control[at.EVENTFUL] == 0.0
-        and min(control[at.LAST], control[at.TRIAL]) > control[at.SMALLEST]
-        and 0.25 * control[at.LAST] * change > EVENT * control[at.TOLERANCE]
-    )
+    last = control[at.LAST]
+    trial = control[at.TRIAL]
+    if control[at.EVENTFUL] == 1.0 or min(last, trial) <= control[at.SMALLEST]:
+        return False
+    wrong = 0.25 * last * change
+    if control[at.PARTED] == 0.0:
+        return wrong > EVENT * control[at.TOLERANCE]
+    # Forces changed the velocity since the contact came off, somewhere in the last step.
+    return wrong * (last / trial if control[at.STAGGERED] == 1.0 else 1.0) > control[at.TOLERANCE]
 
 
 @kernel
@@ -289,15 +314,26 @@ def propose_step(control: FloatArray, problem: Problem, velocity: FloatArray, er
     was_cut = control[at.GUESSED] == CUT
     growth = CAUTION * (control[at.TOLERANCE] / max(error, 1e-30)) ** EXPONENT
     following = trial * max(0.5, min(control[at.GROWTH], growth))
+    if control[at.EVENTFUL] == 1.0 and control[at.STAGGERED] == 1.0:
+        # An impact leaves the velocity that closed the last gap. Half way through the next step
+        # that is an overlap, by which the levers of its impulses are wrong.
+        following = min(following, AFTER_IMPACT * trial)
     cut_short = trial < control[at.STEP] and trial >= control[at.LEFT]
     if cut_short:
         following = max(following, control[at.STEP])
-    if control[at.RESUMED] > 0.0 and (trial <= control[at.SMALLEST] or was_cut):
+    first = FIRST * control[at.TOLERANCE] / max(1.0, largest_speed(problem))
+    if control[at.GUESSED] == APPROACH:
+        following = 2.0 * first
+    elif control[at.RESUMED] > 0.0 and (trial <= control[at.SMALLEST] or was_cut):
         following = control[at.RESUMED]
-    if was_cut and control[at.STAGGERED] == 1.0 and problem.size[N_DOF] <= FEW:
-        # The contact acts at once, then forces do: as in `judge_step`, but before any trial.
-        _, most = forced_change(problem, velocity)
-        following = min(following, CLOSED * math.sqrt(control[at.TOLERANCE] * trial / most))
+    if was_cut and problem.size[N_DOF] <= FEW:
+        # Half way through a longer step another contact may have taken its place, or none.
+        following = min(following, first)
+        if control[at.STAGGERED] == 1.0:
+            # The contact acts at once, then forces do: as in `judge_step`, but before any trial.
+            following = min(following, EVENT / FIRST * first)
+            _, most = forced_change(problem, velocity)
+            following = min(following, CLOSED * math.sqrt(control[at.TOLERANCE] * trial / most))
     control[at.STEP] = min(following, control[at.LARGEST])
     control[at.EVENTFUL] = 1.0 if was_cut or cut_short else 0.0
 
@@ -355,51 +391,92 @@ def time_to_corner(model: Model, state: State, control: FloatArray) -> float:
 
 
 @kernel
-def closing_time(
+def event_time(
     problem: Problem, guess: FloatArray, step: float, lead: float, min_gap: float
 ) -> float:
-    """Time at which the first gap wider than `min_gap` closes at the guessed velocity; infinite if
-    that is not inside the step, or is next to one of its ends."""
+    """Time at which, at the guessed velocity, contacts first change inside the step; else infinite.
+
+    They change where a gap wider than `min_gap` closes, and where a vertex that presses reaches an
+    end of its edge. Changes after a shorter way than `min_gap` do not count. Where one body may
+    have passed another, minus the length of a step that is worth another look.
+    """
     earliest = math.inf
+    few = problem.size[N_DOF] <= FEW
     for i in range(problem.size[N_CONTACT]):
         a = problem.contact_dof[i, 0]
         b = problem.contact_dof[i, 1]
         motion = 0.0
+        slide = 0.0
         for k in range(3):
             motion += problem.normal[i, k] * guess[a + k]
+            slide += problem.tangent[i, k] * guess[a + k]
             if b >= 0:
                 motion += problem.normal[i, 3 + k] * guess[b + k]
+                slide += problem.tangent[i, 3 + k] * guess[b + k]
+        if few and problem.impulse[i, 0] > 0.0:
+            earliest = min(earliest, _leaving_time(problem, i, slide, step, lead, min_gap))
         given_back = problem.contact_place[i, GIVEN_BACK]
         normal_bias = problem.bias[i, 0] - given_back
         # The gap at both ends of the step and where the rows are taken give a parabola.
         start = step * (normal_bias - problem.contact_place[i, DRIVEN_NORMAL])
         end = step * (motion + normal_bias)
         gap = problem.contact_place[i, GAP]
-        if end > 0.0 or gap <= end:
+        if (start <= min_gap and not few) or (end > 0.0 and lead == 0.0):
             continue
-        slide = 0.0
         spin = abs(guess[a + 2])
         arm = math.sqrt(problem.normal[i, 2] ** 2 + problem.tangent[i, 2] ** 2)
-        for k in range(3):
-            slide += problem.tangent[i, k] * guess[a + k]
-            if b >= 0:
-                slide += problem.tangent[i, 3 + k] * guess[b + k]
         if 0 <= b < problem.size[N_FREE_DOF]:
             spin += abs(guess[b + 2])
             arm += math.sqrt(problem.normal[i, 5] ** 2 + problem.tangent[i, 5] ** 2)
         ahead = lead * step
         # Of the third order, what bends away from the parabola.
         bent = 0.5 * ahead**3 * spin * spin * (spin * arm + 2.0 * abs(slide))
-        if start > min_gap + bent:
-            curve = 0.0
-            if lead > 0.0:
-                curve = (start + lead * (end - start) - gap) / (ahead * (step - ahead))
-            slope = (end - start) / step - curve * step
-            if problem.inertia[a, 0] > 0.0:
-                start -= AIM * min_gap
-            root = math.sqrt(max(0.0, slope * slope - 4.0 * curve * start))
+        deep = problem.contact_place[i, OVERLAP] - start
+        if few and deep > EVENT * min_gap + bent and problem.impulse[i, 0] <= 0.0:
+            # From its far side, a path through a corner or past it looks like an overlap at the
+            # step's start. There was none, if since then the bodies have moved farther.
+            speed = math.hypot(
+                motion + problem.contact_place[i, DRIVEN_NORMAL], slide + problem.bias[i, 1]
+            )
+            if deep < ahead * speed:
+                return -0.5 * step
+        if start <= min_gap + bent:
+            continue
+        curve = 0.0
+        if lead > 0.0:
+            curve = (start + lead * (end - start) - gap) / (ahead * (step - ahead))
+        slope = (end - start) / step - curve * step
+        if end > 0.0 and (slope >= 0.0 or slope * slope <= 4.0 * curve * (start + min_gap)):
+            continue  # nor does it graze by more than the tolerance
+        if problem.inertia[a, 0] > 0.0:
+            start -= AIM * min_gap
+        root = math.sqrt(max(0.0, slope * slope - 4.0 * curve * start))
+        if root > slope:
             earliest = min(earliest, 2.0 * start / (root - slope))
-    return earliest if 0.02 * step < earliest < 0.98 * step else math.inf
+    return earliest if earliest < step else math.inf
+
+
+@kernel
+def _leaving_time(
+    problem: Problem, i: int, slide: float, step: float, lead: float, min_gap: float
+) -> float:
+    """Time at which a vertex that presses reaches an end of its edge, or did where it is on the
+    next edge half way through the step; infinite for never, and where another contact of its pair
+    presses."""
+    slide += problem.bias[i, 1]
+    if abs(slide) * step <= min_gap:
+        return math.inf
+    for k in range(max(0, i - 1), min(problem.size[N_CONTACT], i + 2)):
+        pair = problem.contact_key[k] // FEATURES
+        if k != i and pair == problem.contact_key[i] // FEATURES and problem.impulse[k, 0] > 0.0:
+            return math.inf
+    behind = problem.contact_place[i, TO_START if slide > 0.0 else TO_END] / abs(slide)
+    left = problem.contact_place[i, TO_END if slide > 0.0 else TO_START] / abs(slide)
+    shortest = min_gap / abs(slide)
+    time = lead * step - behind
+    if not time > shortest:
+        time = lead * step + left
+    return time if time > shortest else math.inf
 
 
 @large_kernel
@@ -433,6 +510,66 @@ def bounces(model: Model, state: State, control: FloatArray, problem: Problem) -
         if before < -BOUNCE:
             return True
     return False
+
+
+@kernel
+def parts(control: FloatArray, problem: Problem, work: Workspace) -> bool:
+    """Whether a pair of pieces that pressed on each other in the last step taken no longer does;
+    never among many bodies, where contacts come off all the time."""
+    if problem.size[N_DOF] > FEW:
+        return False
+    k = 0
+    n = problem.size[N_CONTACT]
+    pressed = -1  # pair that does press in this step
+    for i in range(int(control[at.TAKEN_CONTACTS])):
+        if work.old_impulse[i, 0] <= 0.0:
+            continue
+        pair = work.old_key[i] // FEATURES
+        while k < n and problem.contact_key[k] // FEATURES <= pair:
+            if problem.impulse[k, 0] > 0.0:
+                pressed = problem.contact_key[k] // FEATURES
+            k += 1
+        if pressed != pair:
+            return True
+    return False
+
+
+@kernel
+def rests(model: Model, before: State, state: State, control: FloatArray, problem: Problem) -> bool:
+    """Whether nothing moved in the step just taken, nor will until the end.
+
+    Bodies and drives rest at both ends of the step as at its middle, and the step is long enough
+    for any force to show; no pusher moves by its path, unless it stalls.
+    """
+    left = control[at.DURATION] - control[at.TIME]
+    if (
+        control[at.ADAPTIVE] == 0.0
+        or control[at.LAST] < LONG * control[at.LARGEST]
+        or left < control[at.LAST]
+    ):
+        return False
+    for i in range(problem.size[N_DOF]):
+        ends = max(abs(before.velocity[i]), abs(state.velocity[i]))
+        if max(ends, abs(problem.velocity[i])) > STILL_VELOCITY:
+            return False
+    for d in range(model.force_limit.size):
+        own = control[at.TIME] if model.drive_dof[d] < 0 else state.path_time[d]
+        stalls = False
+        for e in range(problem.size[N_ELEMENT]):
+            if problem.element_dof[e] == model.drive_dof[d]:
+                stalls = problem.element_bias[e, 0] < 0.0
+        if not (stalls or own >= model.path[model.path_start[d + 1] - 1, 0]):
+            return False
+    return True
+
+
+@kernel
+def end_at_rest(control: FloatArray) -> float:
+    """Go to the end in one step that moves nothing; returns its length."""
+    left = control[at.DURATION] - control[at.TIME]
+    control[at.TIME] = control[at.DURATION]
+    control[at.STEPS] += 1.0
+    return left
 
 
 @kernel

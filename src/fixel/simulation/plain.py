@@ -87,18 +87,23 @@ class _Loop:
         n_support = self.motion.assemble(model, state, span, self.pose, problem)
         if self.motion.kind == codes.EXTERNAL:
             problem.size[N_POINT] = 0  # it may have changed the rows of built-in models
-        entries.rows(model, state, control, guess, self.pose, problem, n_support)
+        entries.rows(model, state, control, guess, self.pose, problem, work, n_support)
         if min_gap < math.inf:
-            closing = float(entries.closing_time(problem, guess, step, lead, min_gap))
+            closing = float(entries.event_time(problem, guess, step, lead, min_gap))
             if closing < math.inf:
                 return StepTrial(codes.CONVERGED, math.inf, closing=closing)
+        leaves = give_up_early == AT_ONCE
         while True:
             residual, fell_back = self.solver.solve(problem, work, guess, give_up_early)
             self.fallbacks += fell_back
             solved = residual <= TOLERANCE
-            if not (solved and entries.gains_energy(model, state, problem)):
+            if solved:
+                if not entries.gains_energy(model, state, problem):
+                    break
+            elif leaves or not entries.leave_overlaps(model, control, problem, work):
                 break
-        control[at.LAST_SPAN] = span if solved else 0.0
+            else:
+                leaves = True
         if not solved:
             if give_up_early != AT_ONCE and entries.may_jam(problem, work, give_up_early > 0):
                 return StepTrial(codes.JAMMED, residual)
@@ -107,7 +112,8 @@ class _Loop:
         if entries.is_thrown(model, state, control, problem):
             return StepTrial(codes.THROWN, residual)
         bounces = entries.bounces(model, state, control, problem)
-        return StepTrial(codes.CONVERGED, residual, bounces)
+        parted = bool(entries.parts(control, problem, work))
+        return StepTrial(codes.CONVERGED, residual, bounces, parted=parted)
 
     def past(self, before: State, older: State) -> StepHistory:
         """Return the last three steps."""
@@ -170,6 +176,7 @@ def rollout_in_python(
         older, before = before, _copied(loop.state)
         control[at.TRIAL], control[at.STEP] = advance.step, advance.next_step
         control[at.EVENTFUL], control[at.SMOOTH] = advance.event, advance.smooth
+        entries.keep_impulses(control, loop.problem, loop.work)
         motion.move(
             loop.model, loop.state, advance.step, loop.problem, int(entries.extrapolation(control))
         )
@@ -177,6 +184,9 @@ def rollout_in_python(
         loop.state.middle[:n_dof] = loop.problem.velocity[:n_dof]  # since a plug-in may not set it
         entries.end_step(control)
         samples.take(before, advance.step, float(control[at.SPAN]))
+        if entries.rests(loop.model, before, loop.state, control, loop.problem):
+            moved = float(entries.end_at_rest(control))
+            samples.take(loop.state, moved, float(control[at.SPAN]))
     if status != codes.CONVERGED and control[at.STEPS] and not samples.every_step:
         # Without contacts and forces, since the problem was not solved.
         samples.stop_at(float(control[at.TIME]))

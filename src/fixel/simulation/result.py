@@ -171,6 +171,9 @@ class Simulation(Result):
         if status == codes.MAX_STEPS and self.method.get("solver") == Lemke.name:
             return f"Lemke's method is for at most {Lemke.MAX_STEPS} steps. Use the solver newton."
         advice = codes.STATUS_ADVICE[status]
+        pushers = self.scene.pushers
+        if status == codes.JAMMED and pushers and all(p.drive.force_limit for p in pushers):
+            advice = codes.JAMMED_AT_LIMIT
         reason = self.method.get("reason")
         return f"{reason}. {advice}" if reason else advice
 

@@ -22,7 +22,8 @@ class StepTrial(NamedTuple):
     status: int  # of `step_control.judge_step`
     residual: float
     bounces: bool = False  # whether a contact gives back speed
-    closing: float = math.inf  # when a gap closes inside the step, which was then not solved
+    closing: float = math.inf  # when contacts change inside the step, which was then not solved
+    parted: bool = False  # whether a contact that pressed in the last step has come off
 
 
 class StepResult(NamedTuple):
@@ -62,8 +63,9 @@ class TryStep(Protocol):
     ) -> StepTrial:
         """Try a step with rows taken `lead` of it after its start, at the guessed velocity.
 
-        Where a gap wider than `min_gap` closes inside the step at that velocity, nothing is solved,
-        and `StepTrial.closing` is the time when it closes. `give_up_early` is that of a solver.
+        Where contacts change inside the step at that velocity (a gap wider than `min_gap` closes,
+        or a vertex that presses reaches an end of its edge), nothing is solved, and
+        `StepTrial.closing` is the time of that. `give_up_early` is that of a solver.
         """
 
 
@@ -125,10 +127,11 @@ class _BuiltInStepper(AbstractStepper):
             entries.predict_velocity(control, past.velocity, past.before, past.older, guess)
             trial, min_gap = float(control[at.TRIAL]), float(control[at.MIN_GAP])
             give_up_early = int(control[at.GIVE_UP_EARLY])
-            status, residual, bounces, closing = attempt(
+            status, residual, bounces, closing, parted = attempt(
                 trial, self.lead, guess, min_gap, give_up_early
             )
             control[at.BOUNCES], control[at.CLOSING] = bounces, closing
+            control[at.PARTED] = parted
             decision = int(
                 entries.judge_step(control, problem, guess, past.reached, status, float(residual))
             )
