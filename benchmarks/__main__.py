@@ -30,6 +30,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "push": ("batch", "run_pushes", "free pushes with random parameters on two cores"),
     "contract": ("batch", "run_contract", "grasps through the contract of other engines"),
     "varied": ("varied", "run", "accuracy over grasps of varied layouts, shapes and poses"),
+    "seated": ("seated", "run", "random grasps that end seated, stalled or beside their pegs"),
     "filter": ("filter", "run", "a particle filter frame by frame on one core"),
     "filter-coverage": ("filter_coverage", "run", "intervals of 200 filter runs with known truth"),
     "filter-wrong": (
@@ -70,7 +71,7 @@ SCENARIOS: dict[str, tuple[str, str, str]] = {
     "peers": ("peers", "run", "the same grasp by other engines"),
 }
 ONLY_WHEN_ASKED = {
-    *("peers", "varied", "tracking", "arrival", "coverage", "misfit", "domain", "sbc"),
+    *("peers", "varied", "seated", "tracking", "arrival", "coverage", "misfit", "domain", "sbc"),
     *("new-parts", "camera", "other-camera", "web", "filter-coverage", "filter-wrong"),
     *("planning", "planning-statistics", "push-t", "push-t-planner"),
 }

@@ -156,11 +156,12 @@ def _support(rng: np.random.Generator, size: float) -> Support:
     return UniformPressure(friction=friction, n_points=16)
 
 
-def _final(
+def final(
     scene: Scene, motion: AbstractMotionModel, stepper: AbstractStepper | None = None
-) -> FloatArray:
+) -> tuple[FloatArray, str]:
+    """Return the final pose of the object, NaN unless the simulation converged, and its status."""
     run = simulate(scene, motion=motion, stepper=stepper, output_interval=scene.duration)
-    return run.pose["object"][-1] if run.converged else np.full(3, np.nan)
+    return (run.pose["object"][-1] if run.converged else np.full(3, np.nan)), run.status
 
 
 def nudged(scene: Scene) -> Iterator[Scene]:
@@ -175,15 +176,15 @@ def references(scene: Scene, motion: AbstractMotionModel) -> tuple[FloatArray, F
     """Final poses by two fixed-step steppers, and of the moved starts."""
     step = scene.duration / STEPS
     fixed = (Midpoint(step=step), StewartTrinkle(step=0.7 * step))
-    own = np.stack([_final(scene, motion, stepper) for stepper in fixed])
-    moved = np.stack([_final(other, motion, fixed[0]) for other in nudged(scene)])
+    own = np.stack([final(scene, motion, stepper)[0] for stepper in fixed])
+    moved = np.stack([final(other, motion, fixed[0])[0] for other in nudged(scene)])
     return own, moved
 
 
 def answers(n: int, motion: AbstractMotionModel) -> list[Answer]:
     """One answer for each of `n` scenes."""
     scenes = [varied_grasp(seed) for seed in range(n)]
-    return [Answer(*references(scene, motion), _final(scene, motion)) for scene in scenes]
+    return [Answer(*references(scene, motion), final(scene, motion)[0]) for scene in scenes]
 
 
 def run(size: Size) -> list[Figure]:
@@ -196,7 +197,7 @@ def run(size: Size) -> list[Figure]:
         scenes = [varied_grasp(seed) for seed in range(n)]
         start = time.process_time()
         for scene in scenes:
-            _final(scene, motion)
+            final(scene, motion)
         spent = 1e3 * (time.process_time() - start) / n
         name = f"varied grasps, {motion.name}"
         figures += [
