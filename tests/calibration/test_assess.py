@@ -61,7 +61,7 @@ def rotating():
 
 
 def test_a_turning_square_determines_the_pusher_and_the_tripod():
-    """Of ten intervals of 95 %, two or more miss the truth once in eleven times; three, in 87."""
+    """At least eight of ten 95 % intervals hold the truth; fewer do by chance once in 87 times."""
     held = 0
     for seed in range(3, 8):
         found = {verdict.label: verdict for verdict in _rotating(seed).estimates}

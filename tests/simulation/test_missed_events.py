@@ -10,7 +10,7 @@ import pytest
 from tests.simulation.random_grasps import random_grasp
 
 from fixel.kernels import codes
-from fixel.model import Body, Disk, Fixel, LineDrive, Pusher, Scene, Tripod
+from fixel.model import Body, Disk, Fixel, LineDrive, PathDrive, Pusher, Scene, Tripod
 from fixel.simulation import Dynamic, Midpoint, QuasiStatic, StewartTrinkle, simulate
 from fixel.testing.scenes import box, grasp, row
 
@@ -140,8 +140,6 @@ def test_rest_takes_no_steps(motion, limit):
 
 def test_rest_between_two_pushes_is_no_end():
     """A pusher that waits for 100 s goes on afterwards."""
-    from fixel.model import PathDrive
-
     times = np.array([0.0, 1.0, 101.0, 102.0])
     path = np.column_stack([times, [0.0, 0.02, 0.02, 0.04], np.zeros(4), np.zeros(4)])
     part = Body(

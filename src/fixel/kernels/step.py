@@ -169,9 +169,7 @@ def prepare_rows(
             dof += 1
     problem.size[N_DOF] = dof
     problem.size[N_ELEMENT] = n_element
-    for e in range(n_element):
-        for k in range(3):
-            problem.element_impulse[e, k] = ratio * work.element_change[e, OLD_ELEMENT + k]
+    _expect_element_impulses(ratio, problem, work)
     set_stiffness(problem, n_support)
     for i in range(dof):
         problem.velocity[i] = guess[i]
@@ -376,6 +374,14 @@ def keep_impulses(control: FloatArray, problem: Problem, work: Workspace) -> Non
             work.element_change[e, OLD_ELEMENT + k] = problem.element_impulse[e, k]
 
 
+@kernel
+def _expect_element_impulses(ratio: float, problem: Problem, work: Workspace) -> None:
+    """Set the impulses of supports and drives to those of the last step taken, times `ratio`."""
+    for e in range(problem.size[N_ELEMENT]):
+        for k in range(3):
+            problem.element_impulse[e, k] = ratio * work.element_change[e, OLD_ELEMENT + k]
+
+
 @large_kernel
 def leave_overlaps(model: Model, control: FloatArray, problem: Problem, work: Workspace) -> bool:
     """Prepare a second solution of a trial, from rest, that leaves overlaps below a few tolerances.
@@ -403,11 +409,7 @@ def leave_overlaps(model: Model, control: FloatArray, problem: Problem, work: Wo
         problem, problem.size[N_CONTACT], work.old_key, work.old_impulse,
         int(control[at.TAKEN_CONTACTS]), control[at.RATIO],
     )  # fmt: skip
-    for e in range(problem.size[N_ELEMENT]):
-        for k in range(3):
-            problem.element_impulse[e, k] = (
-                control[at.RATIO] * work.element_change[e, OLD_ELEMENT + k]
-            )
+    _expect_element_impulses(control[at.RATIO], problem, work)
     return True
 
 
