@@ -22,6 +22,7 @@ def test_pushes_are_proposed_and_shown_with_what_is_unseen_first(browser_page, s
     page.fill("#number", "4")
     page.click("#start")
     page.wait_for_selector("svg.pushes", timeout=90_000)
+    page.wait_for_load_state()  # before its styles have arrived, the table is wider than a phone
     assert page.locator("svg.pushes .head").count() == 4
     assert "only 14 pushes of it" in page.inner_text("#unseen li >> nth=0")
     rows = page.locator("table.listing tbody tr")
