@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from inspect import signature
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -22,6 +23,7 @@ _PHRASES: Final = {
     "greater_than": "more than {gt:g}",
     "int_parsing": "an integer",
     "float_parsing": "a number",
+    "tuple_type": "a list",
 }
 
 
@@ -34,9 +36,10 @@ class Capability:
     name : str
         Name of the command.
     function : callable
-        `(project, subject, *, ...) -> result`; its module imports nothing heavy.
-    of : callable
-        Public function whose arguments are options too.
+        `(project, subject, *, ...) -> result`, or without a subject; its module imports nothing
+        heavy.
+    of : callable, optional
+        Public function whose keyword arguments are options too.
     leave_out : tuple of str
         Arguments of `of` that only Python has.
     presentation : callable
@@ -46,32 +49,42 @@ class Capability:
         where `draws`.
     draws : bool
         Whether `--plot` draws one file; by default it copies the figures to a folder.
+    group : str
+        Command whose sub-command it is.
     """
 
     name: str
     function: Callable[..., Any]
-    of: Callable[..., Any]
+    of: Callable[..., Any] | None = None
     leave_out: tuple[str, ...] = ()
     presentation: Callable[[], ModuleType]
     draws: bool = False
+    group: str = ""
 
     @cached_property
     def options(self) -> dict[str, Option]:
-        """Options by name; the first is the subject, which is typed without a flag."""
-        subject, *own = options_of(self.function, leave_out=("project", "progress"))
-        known = ("progress", *self.leave_out, *(one.name for one in (subject, *own)))
-        every = (subject, *options_of(self.of, leave_out=known), *own)
-        return {one.name: one for one in every}
+        """Options by name; the first is the subject, if there is one."""
+        own = options_of(self.function, leave_out=("project", "progress"))
+        known = ("progress", *self.leave_out, *(one.name for one in own))
+        of = [] if self.of is None else options_of(self.of, leave_out=known)
+        n_first = 1 if self.subject else 0
+        return {one.name: one for one in (*own[:n_first], *of, *own[n_first:])}
 
     @cached_property
     def shown(self) -> dict[str, Option]:
         """Options as doors show them, with the fields of groups."""
         return {o.name: o for option in self.options.values() for o in members(option)}
 
-    @property
+    @cached_property
     def subject(self) -> str:
-        """Name of the option that is typed without a flag."""
-        return next(iter(self.options))
+        """Name of the option that is typed without a flag; empty if there is none."""
+        _, *others = signature(self.function).parameters.values()
+        return next((one.name for one in others if one.kind is one.POSITIONAL_OR_KEYWORD), "")
+
+    @property
+    def path(self) -> list[str]:
+        """Words of the command."""
+        return [*([self.group] if self.group else []), self.name]
 
     # --- requests -------------------------------------------------------------------------------
 
@@ -102,6 +115,11 @@ class Capability:
             return self.model(**values)
         except ValidationError as problem:
             raise self._refusal(problem) from None
+
+    def asked(self, call: Mapping[str, Any]) -> BaseModel:
+        """Return the checked request of a call, from the `locals()` at the begin of a function."""
+        own = {name: value for name, value in call.items() if name in self.options}
+        return self.request({**own, **call.get("options", {})})
 
     def from_json(self, text: str | bytes) -> BaseModel:
         """Return the request that a text in JSON states; inverse of `model_dump_json`."""
@@ -150,7 +168,7 @@ class Capability:
                 words.append(option.flag_words.split("/")[texts == ["no"]])
             else:
                 words += [word for text in texts for word in (option.flag, text)]
-        return [self.name, *words]
+        return [*self.path, *words]
 
     def command(self, request: BaseModel, folder: Path = Path()) -> str:
         """Return the shell command that repeats a request on the project in a folder."""

@@ -37,6 +37,10 @@ class Door:
         Smallest value, or the bound that a value must exceed, in SI units.
     effort : bool
         Whether the option changes the effort, but no result.
+    commas : bool
+        Whether one text lists several values with commas between them.
+    earlier : str
+        Flag of earlier versions, which is accepted too.
     """
 
     flag: str = ""
@@ -46,6 +50,8 @@ class Door:
     least: float | None = None
     above: float | None = None
     effort: bool = False
+    commas: bool = False
+    earlier: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,6 +126,8 @@ class Option:
             The texts do not have the form of the option.
         """
         if self.many:
+            if self.door.commas:
+                texts = [part.strip() for text in texts for part in text.split(",") if part.strip()]
             pairs = [_parsed(self, self.name, _item(self.kind), text) for text in texts]
             return dict(pairs) if get_origin(self.kind) in (dict, Mapping) else tuple(pairs)
         if len(texts) > 1:
@@ -130,11 +138,12 @@ class Option:
 
     def texts(self, value: Any) -> list[str]:
         """Return the texts that state a value; inverse of `parsed`."""
-        if value is None:
+        if value is None or value == "":
             return []
         if self.many:
             items = value.items() if isinstance(value, Mapping) else value
-            return [_text(_item(self.kind), item) for item in items]
+            every = [_text(_item(self.kind), item) for item in items]
+            return [",".join(every)] if every and self.door.commas else every
         if self.door.unit:
             return [repr(_preimage(value, FACTORS[self.door.unit]))]
         return [_text(self.kind, value)]
@@ -207,7 +216,10 @@ def _bare(hint: Any) -> Any:
         if get_origin(hint) is Annotated:
             hint = hint.__origin__
         elif get_origin(hint) in (Union, UnionType):
-            hint = next(one for one in get_args(hint) if one is not NoneType)
+            several = [one for one in get_args(hint) if one is not NoneType]
+            if len(several) > 1:  # a text or a number
+                return hint
+            hint = several[0]
         else:
             return hint
 
@@ -250,6 +262,8 @@ def _parsed(option: Option, where: str, kind: Any, text: str) -> Any:
         return tuple(_number(where, end) for end in ends)
     if kind is float:
         return _number(where, text)
+    if get_origin(kind) in (Union, UnionType):
+        return float(text) if _is_number(text) else text
     if kind is int and re.fullmatch(r"[-+]?\d+", text.strip()):
         return int(text)
     if kind is bool:
@@ -264,6 +278,13 @@ def _number(where: str, text: str) -> float:
         raise InvalidInput(where, found=repr(text), expected="a number") from None
 
 
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
 def _text(kind: Any, value: Any) -> str:
     if get_origin(kind) in (dict, Mapping):
         name, own = value
@@ -272,7 +293,12 @@ def _text(kind: Any, value: Any) -> str:
         return ":".join(map(repr, value))
     if kind is bool:
         return _YES[0] if value else _YES[1]
-    return repr(float(value)) if kind is float else str(value)
+    return repr(float(value)) if kind is float or isinstance(value, float) else str(value)
+
+
+def in_unit(value: float, unit: str) -> float:
+    """Return the number that states an SI value in a unit of `FACTORS`."""
+    return _preimage(value, FACTORS[unit])
 
 
 def _preimage(value: float, factor: float) -> float:

@@ -19,7 +19,11 @@ DOT = "__"  # for the dot of `group.field`, which no parameter of Python has
 def typer_command(capability: Capability) -> Callable[..., None]:
     """Return the function of a capability's command, with a signature for Typer."""
 
-    def command(project: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
+    def command(
+        context: typer.Context, project: Path, plot: Path | None, as_json: bool, **given: Any
+    ) -> None:
+        if context.invoked_subcommand is not None:
+            return
         try:
             _run(capability, given, project, plot, as_json)
         except InvalidInput as error:
@@ -34,6 +38,7 @@ def typer_command(capability: Capability) -> Callable[..., None]:
         )
     )
     parameters += [
+        _keyword("context", typer.Context, Parameter.empty),
         _keyword("project", ProjectFolder, Path()),
         _keyword("plot", Annotated[Path | None, place], None),
         _keyword("as_json", AsJson, False),
@@ -60,9 +65,8 @@ def _parameter(capability: Capability, option: Option) -> Parameter:
         flag = typer.Option(option.flag_words, show_default=option.default is not None, help=said)
         return _keyword(name, Annotated[bool | None, flag], option.default)
     usual = option.texts(option.default)
-    info = typer.Option(
-        option.flag_words, metavar=option.metavar, show_default=bool(usual), help=said
-    )
+    flags = (option.flag_words, *([option.door.earlier] if option.door.earlier else []))
+    info = typer.Option(*flags, metavar=option.metavar, show_default=bool(usual), help=said)
     if option.many:
         return _keyword(name, Annotated[list[str] | None, info], usual or None)
     return _keyword(name, Annotated[str | None, info], usual[0] if usual else None)
