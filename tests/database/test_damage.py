@@ -9,7 +9,7 @@ import sqlite3
 
 import numpy as np
 import pytest
-from tests.web.conftest import laboratory, trusted_laboratory  # noqa: F401
+from tests.laboratories import trusted_laboratory
 
 from fixel.database.project import Project
 from fixel.errors import FixelError, StoreRefused
@@ -19,10 +19,10 @@ FROZEN = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger'"
 
 
 @pytest.fixture(scope="module")
-def whole(trusted_laboratory, tmp_path_factory):  # noqa: F811
+def whole(tmp_path_factory):
     """A project with experiments, simulations, a calibration and a long series; not to change."""
     folder = tmp_path_factory.mktemp("whole") / "my_lab"
-    shutil.copytree(trusted_laboratory, folder)
+    trusted_laboratory(folder)
     time = np.linspace(0.0, 1.0, 50_000)
     with Project(folder).store() as store:
         store.add_experiment(

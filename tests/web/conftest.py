@@ -1,4 +1,4 @@
-"""A project of simulated runs, made once; a server of a copy of it; a real browser."""
+"""A copy of a project of simulated runs; its server; a real browser."""
 
 import os
 import shutil
@@ -6,12 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.fixtures import project_of
+from tests import laboratories
 
 from fixel.database.project import Project
-from fixel.model import Flag
-from fixel.sampling import thesis_plan
-from fixel.testbed.simulated import SimulatedTestbed
 
 NAMES = (os.environ.get("CHROMIUM"), "chromium", "chromium-browser", "google-chrome")
 QUIET = [
@@ -27,66 +24,10 @@ QUIET = [
 SCRIPTS = ["<img src=x onerror=window.hacked=1>", "</script><script>window.hacked=1</script>"]
 
 
-@pytest.fixture(scope="session")
-def laboratory(tmp_path_factory) -> Path:
-    """A project folder with 30 experiments of two shapes and some layouts; not to be changed."""
-    folder = tmp_path_factory.mktemp("laboratory") / "my_lab"
-    project = project_of(folder, SimulatedTestbed(seed=1).run(thesis_plan().experiments[::14]))
-    with project.store() as store:
-        store.flag([3], Flag("misregistered", "starts 4.2 mm inside the pusher"))
-        store.flag([5], Flag("late", "by 0.2 s", fault=False))
-        _simulate(store, [1, 2, 3])
-    return folder
-
-
-def _simulate(store, numbers):
-    """Stored simulations with nominal values, as `fixel compare --save` keeps them."""
-    from fixel.workflows.project.compare import compare_run
-
-    for number in numbers:
-        answer = compare_run(store.experiment(number))
-        store.add_simulation(answer.record(number, "fixel compare --save"))
-
-
-@pytest.fixture(scope="session")
-def trusted_laboratory(laboratory, tmp_path_factory) -> Path:
-    """The same with a calibration of six experiments and a map of all; not to be changed."""
-    from tests import calibrating as run
-
-    from fixel.web.views.calibration_form import CalibrationForm
-    from fixel.workflows.domain.request import DomainRequest
-    from fixel.workflows.domain.run import map_stored
-
-    folder = tmp_path_factory.mktemp("trusted") / "my_lab"
-    shutil.copytree(laboratory, folder)
-    form = CalibrationForm(
-        name="first",
-        experiments=range(6, 12),
-        unknowns=[
-            {"name": "mu_pusher", "low": 0.0, "high": 1.0, "start": 0.2},
-            {"name": "tripod_radius", "low": 0.001, "high": 0.0755, "start": 0.0409},
-        ],
-        optimiser="nelder-mead",
-        most_evaluations=60,
-        starts=2,
-    )
-    project = Project(folder)
-    with project.store() as store:
-        chosen = form.selection(store)
-    job = run.prepare(project, chosen, form.plan(chosen).request)
-    run.run(job)
-    run.collect(project, job, "fixel calibrate --name first", {})
-    asked = DomainRequest(axes=("offset_y_m", "shape"), fit=("mu_pusher",), folds=2, threshold=6.0)
-    map_stored(project, asked, command="fixel domain")
-    return folder
-
-
 @pytest.fixture(scope="module")
-def project(laboratory, tmp_path_factory) -> Path:
+def project(tmp_path_factory) -> Path:
     """A copy of the laboratory for the tests of one module, which may change it."""
-    folder = tmp_path_factory.mktemp("copy") / "my_lab"
-    shutil.copytree(laboratory, folder)
-    return folder
+    return laboratories.laboratory(tmp_path_factory.mktemp("copy") / "my_lab")
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,10 @@ One look of each page here; all four with
     make test-slow PYTEST_ARGS=tests/web/test_accessible_browser.py
 """
 
-import shutil
 from importlib.resources import files
 
 import pytest
+from tests.laboratories import trusted_laboratory
 
 from fixel.testing.toy_work import MAKER
 from fixel.web.live import LiveView
@@ -63,11 +63,9 @@ def axe():
 
 
 @pytest.fixture(scope="module")
-def project(trusted_laboratory, tmp_path_factory):
+def project(tmp_path_factory):
     """With calibrations and a map."""
-    folder = tmp_path_factory.mktemp("copy") / "my_lab"
-    shutil.copytree(trusted_laboratory, folder)
-    return folder
+    return trusted_laboratory(tmp_path_factory.mktemp("copy") / "my_lab")
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -10,6 +9,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 import pytest
+from tests.laboratories import trusted_laboratory
 from tests.web.bench import Bench
 
 from fixel.database.project import Project
@@ -89,11 +89,11 @@ def _keep_simulation(store, number, evil):
 
 
 @pytest.fixture(scope="module")
-def project(trusted_laboratory, tmp_path_factory):
+def project(tmp_path_factory):
     """The laboratory in a folder with an evil name, and evil inside."""
     evil = EVIL[1].replace("/", "")
     folder = tmp_path_factory.mktemp("evil") / f"lab {evil}"
-    shutil.copytree(trusted_laboratory, folder)
+    trusted_laboratory(folder)
     return poisoned(folder)
 
 

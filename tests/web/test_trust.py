@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.laboratories import trusted_laboratory
 from tests.web.client import Client
 from tests.web.conftest import unpacked
 from typer.testing import CliRunner
@@ -35,10 +36,8 @@ UNKNOWNS = [{"name": "mu_pusher", "low": 0.0, "high": 1.0, "start": 0.2}]
 
 
 @pytest.fixture(scope="module")
-def project(trusted_laboratory, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("copy") / "my_lab"
-    shutil.copytree(trusted_laboratory, folder)
-    return folder
+def project(tmp_path_factory):
+    return trusted_laboratory(tmp_path_factory.mktemp("copy") / "my_lab")
 
 
 class Bench:
@@ -103,9 +102,9 @@ def test_one_has_parameters_starts_profiles_and_residuals(bench):
     compile(one["python"], "page", "exec")
 
 
-def test_one_whose_job_is_gone_still_says_all_of_it(bench, trusted_laboratory, tmp_path):
+def test_one_whose_job_is_gone_still_says_all_of_it(bench, tmp_path):
     folder = tmp_path / "my_lab"
-    shutil.copytree(trusted_laboratory, folder)
+    trusted_laboratory(folder)
     shutil.rmtree(folder / "jobs")
     alone = Bench(folder)
     one = alone.get("/calibrations/1")
@@ -218,9 +217,9 @@ def test_one_is_stopped_and_goes_on(bench, project):
     assert jobs.status_of(folder).state == "cancelled"
 
 
-def test_what_a_terminal_went_on_with_is_stored_by_who_looks(trusted_laboratory, tmp_path):
+def test_what_a_terminal_went_on_with_is_stored_by_who_looks(tmp_path):
     folder = tmp_path / "my_lab"
-    shutil.copytree(trusted_laboratory, folder)
+    trusted_laboratory(folder)
     (job,) = (p.parent for p in (folder / "jobs").glob("first-*/job.json"))
     (job / "stored.json").unlink()
     alone = Bench(folder)
@@ -239,9 +238,9 @@ def test_a_broken_job_hides_no_other(bench, project):
     shutil.rmtree(broken)
 
 
-def test_a_damaged_result_is_made_again_out_of_the_journal(trusted_laboratory, tmp_path):
+def test_a_damaged_result_is_made_again_out_of_the_journal(tmp_path):
     folder = tmp_path / "my_lab"
-    shutil.copytree(trusted_laboratory, folder)
+    trusted_laboratory(folder)
     (job,) = (p.parent for p in (folder / "jobs").glob("first-*/job.json"))
     whole = (job / "result").read_bytes()
     (job / "result").write_bytes(whole[:100])
@@ -277,9 +276,9 @@ SEEN = [
         "jobs/first-*/stored.json",
     ],
 )  # fmt: skip
-def test_a_damaged_file_is_named_and_hides_nothing_else(trusted_laboratory, tmp_path, path, how):
+def test_a_damaged_file_is_named_and_hides_nothing_else(tmp_path, path, how):
     folder = tmp_path / "my_lab"
-    shutil.copytree(trusted_laboratory, folder)
+    trusted_laboratory(folder)
     (file,) = folder.glob(path)
     file.write_bytes(DAMAGE[how](file.read_bytes()))
     alone = Bench(folder)
@@ -451,9 +450,9 @@ def test_pictures_of_analyses(bench, name):
     bench.get(f"/analyses/{name}/nothing.png", 404)
 
 
-def test_a_map_whose_evidence_is_gone_says_so(trusted_laboratory, tmp_path):
+def test_a_map_whose_evidence_is_gone_says_so(tmp_path):
     folder = tmp_path / "my_lab"
-    shutil.copytree(trusted_laboratory, folder)
+    trusted_laboratory(folder)
     shutil.rmtree(folder / "analyses" / "held-out")
     alone = Bench(folder)
     (one,) = alone.get("/domain")["maps"]

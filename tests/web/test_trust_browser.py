@@ -1,9 +1,9 @@
 """Calibrations and the domain, in a real browser."""
 
-import shutil
 from statistics import median
 
 import pytest
+from tests.laboratories import trusted_laboratory
 
 from fixel.web.views.background_fits import Fits
 
@@ -11,10 +11,8 @@ ROUND_TRIP = 200.0  # [ms]
 
 
 @pytest.fixture(scope="module")
-def project(trusted_laboratory, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("copy") / "my_lab"
-    shutil.copytree(trusted_laboratory, folder)
-    return folder
+def project(tmp_path_factory):
+    return trusted_laboratory(tmp_path_factory.mktemp("copy") / "my_lab")
 
 
 @pytest.fixture

@@ -1,0 +1,62 @@
+"""Projects that tests share, as artefacts; each function copies one into a new folder."""
+
+import shutil
+from pathlib import Path
+
+from tests import calibrating as run
+from tests.artefacts import artefact, copied
+from tests.fixtures import project_of
+
+from fixel.database.project import Project
+from fixel.model import Flag
+from fixel.sampling import thesis_plan
+from fixel.testbed.simulated import SimulatedTestbed
+
+
+def laboratory(folder: Path) -> Path:
+    """Return a copy of a project: 30 experiments of two shapes, three stored simulations."""
+    return copied("laboratory", _make_laboratory, folder)
+
+
+def trusted_laboratory(folder: Path) -> Path:
+    """Return a copy of the same with a calibration of six experiments and a map of all."""
+    return copied("trusted_laboratory", _make_trusted, folder)
+
+
+def _make_laboratory(folder: Path) -> None:
+    from fixel.workflows.project.compare import compare_run
+
+    project = project_of(folder, SimulatedTestbed(seed=1).run(thesis_plan().experiments[::14]))
+    with project.store() as store:
+        store.flag([3], Flag("misregistered", "starts 4.2 mm inside the pusher"))
+        store.flag([5], Flag("late", "by 0.2 s", fault=False))
+        for number in (1, 2, 3):  # with nominal values
+            answer = compare_run(store.experiment(number))
+            store.add_simulation(answer.record(number, "fixel compare --save"))
+
+
+def _make_trusted(folder: Path) -> None:
+    from fixel.web.views.calibration_form import CalibrationForm
+    from fixel.workflows.domain.request import DomainRequest
+    from fixel.workflows.domain.run import map_stored
+
+    shutil.copytree(artefact("laboratory", _make_laboratory), folder)
+    form = CalibrationForm(
+        name="first",
+        experiments=range(6, 12),
+        unknowns=[
+            {"name": "mu_pusher", "low": 0.0, "high": 1.0, "start": 0.2},
+            {"name": "tripod_radius", "low": 0.001, "high": 0.0755, "start": 0.0409},
+        ],
+        optimiser="nelder-mead",
+        most_evaluations=60,
+        starts=2,
+    )
+    project = Project(folder)
+    with project.store() as store:
+        chosen = form.selection(store)
+    job = run.prepare(project, chosen, form.plan(chosen).request)
+    run.run(job)
+    run.collect(project, job, "fixel calibrate --name first", {})
+    asked = DomainRequest(axes=("offset_y_m", "shape"), fit=("mu_pusher",), folds=2, threshold=6.0)
+    map_stored(project, asked, command="fixel domain")
