@@ -21,11 +21,12 @@ UV_VENV   := build/uv
 # wants PYTEST_ARGS="-n 0", which runs all tests in one process.
 JOBS      ?= 3
 # A test that hangs says where, and fails: the longest takes half a minute, a cold engine two more.
-HANGS     := --max-worker-restart=0 -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
+PARALLEL   = -n $(JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 \
+             -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
 SCRIPTS   := build/scripts/.packages
 TSC       := build/scripts/node_modules/typescript/bin/tsc
 
-.PHONY: help demo demo-camera test test-slow test-cluster check lint lint-scripts format house soak bench docs wheel lock clean
+.PHONY: help demo demo-camera test test-system test-slow test-cluster check lint lint-scripts format house soak bench docs wheel lock clean
 .DELETE_ON_ERROR:
 
 help:  ## this list
@@ -44,7 +45,10 @@ demo-camera: $(READY)  ## the whole way: film, record, track, calibrate, compare
 
 test: $(READY)  ## the tests, and the check that each floor imports only from those below
 	@$(BIN)/lint-imports --no-logo
-	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder $(HANGS) $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest $(PARALLEL) $(PYTEST_ARGS)
+
+test-system: $(READY)  ## tests of whole systems: browsers, PostgreSQL, killed processes, long examples
+	@$(BIN)/python -m pytest -m "system and not slow and not soak and not cluster" $(PARALLEL) $(PYTEST_ARGS)
 
 test-slow: $(READY)  ## the tests marked slow, which `make test` leaves out
 	@$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)

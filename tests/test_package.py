@@ -12,6 +12,8 @@ import yaml
 
 import fixel
 
+pytestmark = pytest.mark.system
+
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 PACKAGED = (".py", ".yaml", ".json", ".csv", ".bib", ".txt", ".html", ".css", ".js", ".svg")

@@ -3,6 +3,10 @@
 import subprocess
 import sys
 
+import pytest
+
+pytestmark = pytest.mark.system
+
 # Runs in a process of its own. Other packages are imported first: they choose by the real platform,
 # as Numba does when it compiles, so nothing is simulated here.
 SCRIPT = """

@@ -12,6 +12,8 @@ from benchmarks import __main__ as command
 from benchmarks import report, work_precision
 from benchmarks.figures import SMALL, Figure, at_least, at_most
 
+pytestmark = pytest.mark.system
+
 # Each is run by hand for its figures; here they would take the longest of all tests.
 SECONDS_LONG = ("compile", "coverage", "sbc", "camera", "web", "planning")
 

@@ -4,6 +4,8 @@ import pytest
 
 from fixel.cli import main
 
+pytestmark = pytest.mark.system
+
 
 def call(*arguments: str) -> int:
     """Exit code of a command."""

@@ -10,6 +10,8 @@ from fixel.formats import SceneFile, save_scene
 from fixel.testing.pushes import example_pushes
 from fixel.testing.scenes import pushed_square
 
+pytestmark = pytest.mark.system
+
 pytest.importorskip("pymunk")
 ENGINE = "pymunk:step=0.01"
 

@@ -19,6 +19,8 @@ from fixel.io.document import parse_json
 from fixel.sampling import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 
+pytestmark = pytest.mark.system
+
 
 def fixel(capsys, *arguments):
     """Exit code and what was printed."""

@@ -24,6 +24,8 @@ from fixel.database.store import Store
 from fixel.errors import StoreRefused
 from fixel.model.selection import ExperimentQuery
 
+pytestmark = pytest.mark.system
+
 HERE = Path(__file__).parent
 
 

@@ -7,6 +7,8 @@ import pytest
 from nbclient import NotebookClient
 from tools.notebooks import FOLDER, NAMES, PAGES, is_output, shown_outputs, text
 
+pytestmark = pytest.mark.system
+
 
 @pytest.mark.parametrize("name", NAMES)
 def test_notebook_is_that_of_its_page(name: str) -> None:

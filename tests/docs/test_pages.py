@@ -11,6 +11,8 @@ from tools.notebooks import NAMES, is_output, shown_outputs
 from fixel.formats import scene_file_from_dict
 from fixel.model import KNOWN_PARAMETERS
 
+pytestmark = pytest.mark.system
+
 ROOT = Path(__file__).parents[2]
 GENERATED = ("gallery", "reference/api", "reference/commands", "reference/generated", "project")
 

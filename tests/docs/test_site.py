@@ -11,9 +11,12 @@ SITE = Path(__file__).parents[2] / "build" / "docs"
 NAMES = sorted({*fixel.__all__} - {"__version__"})
 PAGES = ("index", "theory/contact", "gallery/01_first_push", "reference/commands/calibrate")
 
-pytestmark = pytest.mark.skipif(
-    not (SITE / "index.html").exists(), reason="make docs has not built the documentation"
-)
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(
+        not (SITE / "index.html").exists(), reason="make docs has not built the documentation"
+    ),
+]
 
 
 @pytest.fixture

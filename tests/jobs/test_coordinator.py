@@ -24,6 +24,8 @@ from fixel.jobs.folder import RunSettings
 from fixel.testing.toy_work import MAKER
 from fixel.workflows.jobs import prepare_job, status_of
 
+pytestmark = pytest.mark.system
+
 OPTIONS = {"rounds": 3, "chunks": 6}
 
 

@@ -24,6 +24,8 @@ pytest.importorskip("distributed")
 from fixel.jobs.cluster import Cluster
 from fixel.jobs.dask_engine import DaskEngine
 
+pytestmark = pytest.mark.system
+
 
 @pytest.fixture
 def folder(tmp_path):

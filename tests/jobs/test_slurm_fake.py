@@ -12,6 +12,8 @@ from fixel.jobs import link, slurm
 from fixel.jobs.site import Site, trust_site
 from fixel.jobs.slurm import SlurmPool, require_slurm
 
+pytestmark = pytest.mark.system
+
 if find_spec("dask_jobqueue") is None:  # importing it would change what Ctrl-C does
     pytest.skip("dask-jobqueue is not installed", allow_module_level=True)
 

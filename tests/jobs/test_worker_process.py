@@ -13,6 +13,8 @@ import pytest
 from fixel.errors import JobRefused
 from fixel.jobs.worker_process import CallCancellation, WorkerProcess
 
+pytestmark = pytest.mark.system
+
 
 @pytest.fixture(scope="module")
 def root():

@@ -23,7 +23,10 @@ FINE = {"stepper": StewartTrinkle(step=1e-3)}
 SOON_S = 0.3
 PROMPT_S = 2.0  # on a machine that does other things as well; alone it takes milliseconds
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="sends a signal of POSIX")
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(sys.platform == "win32", reason="sends a signal of POSIX"),
+]
 
 
 @contextmanager

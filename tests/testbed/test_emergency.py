@@ -23,6 +23,8 @@ from fixel.testbed.emergency import stop_actuators
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.motion_grbl import GrblActuator
 
+pytestmark = pytest.mark.system
+
 PROGRAM = """
 import sys, time
 from fixel.testbed.motion_grbl import GrblActuator

@@ -7,6 +7,8 @@ import serial
 
 from fixel.testbed import tactile_protocol as frames
 
+pytestmark = pytest.mark.system
+
 IDENTITY_REPLY_BYTES = 4 + 25 + 2
 
 

@@ -26,6 +26,8 @@ from fixel.formats.recording_files import ROWS
 from fixel.testbed.loopback import LoopbackCamera
 from fixel.vision.frame import Frame
 
+pytestmark = pytest.mark.system
+
 FIXEL = "from fixel.cli.main import run; run()"
 LATEST = 0.5  # [s] before the kill that may be missing
 

@@ -17,6 +17,8 @@ from fixel.web.record_page import RecordPreview
 from fixel.web.serve import WebServer
 from fixel.workflows import jobs
 
+pytestmark = pytest.mark.system
+
 WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 LOOKS = [("light", WIDE), ("dark", NARROW)]
 OTHER_LOOKS = [("dark", WIDE), ("light", NARROW)]

@@ -15,6 +15,8 @@ from fixel.web.record_page import RecordPreview
 from fixel.web.serve import WebServer
 from fixel.workflows.acquisition.overlay import Overlay, watch
 
+pytestmark = pytest.mark.system
+
 PATIENCE = 8000  # [ms]
 RIG = small_rig()
 # Whether the table shows this error, to the hundredth of a mm it is written with.

@@ -9,6 +9,8 @@ from tests.web.conftest import SCRIPTS
 from fixel.model import Experiment, Flag, Provenance, Trajectory
 from fixel.workflows.project.filters import view_of
 
+pytestmark = pytest.mark.system
+
 ROW = "tr[data-id]"
 
 

@@ -15,6 +15,8 @@ from fixel.web.security import WORD_HEADER
 from fixel.web.views import job_list, system_status
 from fixel.workflows import jobs
 
+pytestmark = pytest.mark.system
+
 
 class JobsBench(Bench):
     def get(self, path):

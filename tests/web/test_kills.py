@@ -21,6 +21,8 @@ from tests.processes import line_of
 
 from fixel.database.project import Project
 
+pytestmark = pytest.mark.system
+
 ALL = list(range(1, 31))
 MARKED, DELETED = ALL[10:], ALL[:10]  # so that the acts of one writer do not meet another's
 

@@ -5,6 +5,8 @@ from tests.fixtures import project_of
 
 from fixel.testing.pushes import example_parts
 
+pytestmark = pytest.mark.system
+
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):

@@ -11,6 +11,8 @@ import pytest
 from fixel.formats import load_scene
 from fixel.web.views import scene_editor
 
+pytestmark = pytest.mark.system
+
 ROUND_TRIP = 100.0  # [ms]
 FRAMES = 30.0  # a second
 

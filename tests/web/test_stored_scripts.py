@@ -22,6 +22,8 @@ from fixel.web.serve import WebServer
 from fixel.workflows import jobs
 from fixel.workflows.project.filters import view_of
 
+pytestmark = pytest.mark.system
+
 # What would run if it were taken for markup, in text, in attributes, in addresses and in JSON.
 EVIL = (
     "<script>window.hacked=1</script>",

@@ -7,6 +7,8 @@ from tests.laboratories import trusted_laboratory
 
 from fixel.web.views.background_fits import Fits
 
+pytestmark = pytest.mark.system
+
 ROUND_TRIP = 200.0  # [ms]
 
 

@@ -15,6 +15,8 @@ from fixel.vision.frame import Frame
 from fixel.workflows.demo import camera_demo
 from fixel.workflows.demo.camera_demo import estimate_table, run_camera_tour, within_interval
 
+pytestmark = pytest.mark.system
+
 
 def estimate(value: float, low: float | None, high: float | None) -> Estimate:
     return Estimate(

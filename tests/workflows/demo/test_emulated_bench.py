@@ -15,6 +15,8 @@ from fixel.workflows.acquisition.film import FilmSettings, film
 from fixel.workflows.acquisition.track import track_film
 from fixel.workflows.demo.emulated_bench import record_film
 
+pytestmark = pytest.mark.system
+
 EXAMPLE = Path(__file__).parents[3] / "examples/scenes/peg_slip.yaml"
 FRAMES = 45
 
