@@ -95,6 +95,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     # Modules with functions that files of a job may name.
     "jobs": {
         "calibration": "fixel.workflows.calibration.job",
+        "capability": "fixel.workflows.capabilities",
         "calibration-result": "fixel.workflows.calibration.project",
         "domain": "fixel.workflows.domain.job",
         "next": "fixel.workflows.next_pushes.job",

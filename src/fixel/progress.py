@@ -59,11 +59,17 @@ class Progress:
         """Share of the work that is done; None while the amount of work is unknown."""
         return None if self.total is None else min(1.0, self.done / max(1, self.total))
 
+    @property
+    def words(self) -> list[str]:
+        """What is done, without share and time left."""
+        best = "" if self.best is None else f"best {1e3 * self.best:.3g} mm"
+        return [part for part in (self.stage, best, self.note) if part]
+
     def __str__(self) -> str:
         share = f"{self.done} done" if self.share is None else f"{100 * self.share:.0f} %"
-        best = "" if self.best is None else f"best {1e3 * self.best:.3g} mm"
-        left = "" if not self.left else f"about {_time(self.left)} left"
-        return "  ".join(part for part in (self.stage, share, best, self.note, left) if part)
+        left = [f"about {time_text(self.left)} left"] if self.left else []
+        words = self.words if self.stage else ["", *self.words]
+        return "  ".join(part for part in (*words[:1], share, *words[1:], *left) if part)
 
 
 ProgressOption = bool | Callable[[Progress], None] | None
@@ -220,5 +226,6 @@ def _notebook_bar() -> _Bar | None:
     return _Bar(draw, lambda: handle.update(HTML("")))
 
 
-def _time(seconds: float) -> str:
+def time_text(seconds: float) -> str:
+    """Return a duration for display."""
     return f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.0f} min"

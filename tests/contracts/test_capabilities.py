@@ -6,8 +6,9 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from types import NoneType, UnionType
-from typing import Literal, get_args, get_origin
+from typing import Annotated, Literal, get_args, get_origin
 
 import pytest
 import typer
@@ -16,15 +17,66 @@ from hypothesis import strategies as st
 from tests.filtering.recordings import push
 from tests.fixtures import project_of
 
-from fixel.capability.capability import named
-from fixel.capability.options import FACTORS, _bare
-from fixel.cli.capability import texts_of
+from fixel.capability.capability import Capability, named
+from fixel.capability.options import FACTORS, Door, _bare
+from fixel.capability.usual import Level, Motion, Names, NoiseOption, Seed
+from fixel.cli.capability import texts_of, typer_command
 from fixel.cli.main import app
+from fixel.database.project import Project
 from fixel.errors import InvalidInput
+from fixel.workflows import jobs
 from fixel.workflows.analysis import load_analyses
-from fixel.workflows.capabilities import CAPABILITIES, run
+from fixel.workflows.capabilities import CAPABILITIES, prepare, run
 
-EVERY = pytest.mark.parametrize("capability", CAPABILITIES.values(), ids=[*CAPABILITIES])
+
+def specimen(
+    scene: Annotated[Path, Door(metavar="SCENE")],
+    experiments: Annotated[tuple[str, ...], Door(metavar="[EXPERIMENT]...")] = (),
+    *,
+    step: Annotated[float | None, Door(metavar="SECONDS", above=0.0, below=1.0)] = None,
+    speed: Annotated[float | None, Door(unit="mm/s", least=0.0, usual="median")] = None,
+    facets: Names = (),
+    number: Annotated[int, Door(least=1, most=100, also=("-n",))] = 5,
+    solver: Annotated[str, Door(among=lambda: ("lemke", "newton"))] = "newton",
+    trajectory: Annotated[Path | None, Door(writes=True, effort=True)] = None,
+    level: Level = 0.95,
+    noise: NoiseOption = None,
+    motion: Motion = None,
+    seed: Seed = 0,
+):
+    """Do nothing, with options of every form.
+
+    Parameters
+    ----------
+    scene : path
+        Scene file.
+    experiments : tuple of str
+        Experiments.
+    step, speed : float
+        Step and speed.
+    facets : tuple of str
+        Facets.
+    number, seed : int
+        Numbers.
+    solver : str
+        Solver.
+    trajectory : path
+        File.
+    level : float
+        Level.
+    noise : Noise
+        Noise.
+    motion : str
+        Motion model, or another engine.
+    """
+
+
+# A capability without a project whose options have every form.
+SPECIMEN = Capability(group="try", name="specimen", function=specimen, presentation=lambda: None)
+REGISTERED = pytest.mark.parametrize("capability", CAPABILITIES.values(), ids=[*CAPABILITIES])
+EVERY = pytest.mark.parametrize(
+    "capability", [SPECIMEN, *CAPABILITIES.values()], ids=["specimen", *CAPABILITIES]
+)
 HEAVY = {"numpy", "numba", "scipy", "matplotlib", "sqlalchemy", "pyarrow", "rich"}
 NAMES = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
 FINITE = st.floats(-1e6, 1e6, allow_subnormal=False)
@@ -35,6 +87,8 @@ SHORT = {"filter": {"experiment": "push-1", "particles": 20, "occlusion": (0.5, 
 def values_of(option, kind=None):
     """Strategy for values of an option, as commands can state them."""
     kind, door = option.kind if kind is None else kind, option.door
+    if door.among is not None:
+        return st.sampled_from(door.among())
     inner = get_args(kind)
     if get_origin(kind) in (dict, Mapping):
         one = values_of(option, _bare(inner[1]))
@@ -49,12 +103,14 @@ def values_of(option, kind=None):
     if get_origin(kind) is UnionType:
         return st.one_of(*(values_of(option, one) for one in inner))
     least = door.least if door.above is None else door.above
+    most = door.most if door.below is None else door.below
     if kind is int:
-        return st.integers(-(10**6) if least is None else int(least), 10**9)
+        return st.integers(-(10**6) if least is None else int(least), most or 10**9)
     if kind is float:
         low = -1e6 if least is None else max(least, 1e-6)
-        return st.floats(low, 1e6).map(lambda number: FACTORS.get(door.unit, 1.0) * number)
-    return {bool: st.booleans(), str: NAMES}[kind]
+        high = 1e6 if most is None else most - 1e-6
+        return st.floats(low, high).map(lambda number: FACTORS.get(door.unit, 1.0) * number)
+    return {bool: st.booleans(), str: NAMES, Path: NAMES.map(Path)}[kind]
 
 
 def requests_of(capability):
@@ -81,11 +137,20 @@ def parsed(capability, command):
     """Return the request of a shell command, as the program parses it."""
     words = shlex.split(command)[1:]
     parser = typer.main.get_command(app)
+    if capability is SPECIMEN:
+        program = typer.Typer()
+        program.command()(typer_command(capability))
+        parser = typer.main.get_command(program)
     for word in capability.path:
         assert words.pop(0) == word
-        parser = parser.commands[word]
+        parser = parser if capability is SPECIMEN else parser.commands[word]
     context = parser.make_context(capability.name, words)
     return capability.from_texts(texts_of(capability, context.params))
+
+
+def required(capability):
+    """Texts of the options without a default."""
+    return {name: ["push"] for name, option in capability.options.items() if option.required}
 
 
 @EVERY
@@ -101,8 +166,7 @@ def test_every_door_makes_the_same_request(capability, data):
 
 @EVERY
 def test_defaults_are_those_of_the_signature(capability):
-    subject = capability.options.get(capability.subject)
-    values = {subject.name: "push"} if subject and subject.required else {}
+    values = {name: text for name, (text,) in required(capability).items()}
     words = ["fixel", *capability.path, *values.values()]
     request = capability.request(values)
 
@@ -118,27 +182,59 @@ def test_defaults_are_those_of_the_signature(capability):
 def test_every_option_has_a_meaning(capability):
     for option in capability.shown.values():
         assert option.meaning.endswith("."), option.name
-        assert len(capability.flags()) >= len(capability.shown) - 1
+        assert option.place or option.flag in capability.flags().values()
 
 
 @EVERY
 def test_refusals_have_the_name_of_the_door(capability):
-    subject = {capability.subject: ["push"]} if capability.subject else {}
     for number in (o for o in capability.shown.values() if o.door.least is not None):
         text = str(int(number.door.least) - 1)
         with pytest.raises(InvalidInput, match=f"^{number.name}: .* expected at least") as problem:
-            capability.from_texts({**subject, number.name: [text]})
+            capability.from_texts(required(capability) | {number.name: [text]})
 
         flag, label = (
             named(problem.value, names).where for names in (capability.flags(), capability.labels())
         )
         assert (flag, label) == (number.flag, number.label)
-    values = {name: text for name, (text,) in subject.items()}
+    values = {name: text for name, (text,) in required(capability).items()}
     with pytest.raises(InvalidInput, match="nonsense"):
         capability.from_json(json.dumps({**values, "nonsense": 1}))
     for text in ("", "{", "[]", "1", "null"):
         with pytest.raises(InvalidInput, match="an object in JSON"):
             capability.from_json(text)
+
+
+@pytest.mark.parametrize(
+    ("words", "where", "expected"),
+    [
+        ("--noise-mm 1", "--noise-mrad", "both, or neither"),
+        ("--level 1", "--level", "less than 1"),
+        ("--number 101", "-n|--number", "at most 100"),
+        ("-n 4 --number 5", "--number", "one value"),
+        ("--motion dynamic --engine mujoco", "--motion", "one value"),
+        ("--speed-mm-s -4", "--speed-mm-s", "at least 0"),
+        ("--solver nweton", "--solver", "newton"),
+    ],
+)
+def test_options_are_refused_by_the_name_of_the_flag(words, where, expected):
+    with pytest.raises(InvalidInput) as problem:
+        parsed(SPECIMEN, f"fixel try specimen scene.yaml {words}")
+
+    refused = named(problem.value, SPECIMEN.flags())
+    assert refused.where in where.split("|")
+    assert expected in str(refused)
+
+
+def test_a_request_never_permits_a_program_by_itself(project, tmp_path):
+    program = tmp_path / "engine.py"
+    program.write_text("")
+    capability = CAPABILITIES["filter"]
+    door = replace(capability.options["motion"].door, program=True)
+    asking = replace(capability, name="filter")
+    object.__setattr__(asking.options["motion"], "door", door)
+    request = asking.request({"experiment": "push-1", "motion": str(program)})
+    with pytest.raises(InvalidInput, match="was named by a file, not by you"):
+        run(asking, request, project.folder, progress=False)
 
 
 def test_hints_have_the_name_of_the_door():
@@ -147,7 +243,7 @@ def test_hints_have_the_name_of_the_door():
     assert named(deaf, CAPABILITIES["filter"].flags()).hint == "filter without: --no-tactile"
 
 
-@EVERY
+@REGISTERED
 def test_help_loads_no_numerics(capability):
     code = (
         "import sys; from fixel.cli.main import app\n"
@@ -156,8 +252,8 @@ def test_help_loads_no_numerics(capability):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
-    flags = {name: flag for name, flag in capability.flags().items() if name in capability.shown}
-    assert all(flag in done.stdout for flag in flags.values())
+    shown = [option for option in capability.shown.values() if not option.place]
+    assert all(option.flag in done.stdout for option in shown)
     assert done.stderr.strip() == ""
 
 
@@ -167,14 +263,15 @@ def project(tmp_path_factory):
     return project_of(tmp_path_factory.mktemp("projects") / "lab", pushes)
 
 
-@EVERY
+@REGISTERED
 def test_a_stored_result_prints_the_same_text_in_a_new_process(capability, project):
     request = capability.request(SHORT[capability.name])
     done = run(capability, request, project.folder, progress=False)
     (kept,) = load_analyses(project, capability.name)
 
     # The subject may be stored by its full name.
-    own = {k: v for k, v in SHORT[capability.name].items() if k == capability.subject}
+    places = {k for k, option in capability.options.items() if option.place}
+    own = {k: v for k, v in SHORT[capability.name].items() if k in places}
     assert capability.request({**kept.analysis.question, **own}) == request
     assert kept.analysis.command == capability.command(request, project.folder)
     code = (
@@ -186,3 +283,19 @@ def test_a_stored_result_prints_the_same_text_in_a_new_process(capability, proje
     words = [sys.executable, "-c", code, str(project.folder), capability.name]
     printed = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     assert printed.splitlines() == done.analysis.lines()
+
+
+@REGISTERED
+def test_a_job_stores_the_same_analysis_and_shows_its_progress(capability, project):
+    request = capability.request(SHORT[capability.name])
+    here = run(capability, request, project.folder, progress=False).analysis
+    shown = []
+    folder = prepare(capability, request, Project(project.folder))
+    status = jobs.run_here(folder, shown.append)
+
+    (kept,) = load_analyses(project, capability.name)
+    assert (status.state, (folder / "result").read_text()) == ("done", kept.folder.name)
+    assert kept.analysis.question == here.question
+    assert [one.text() for one in kept.analysis.tables] == [one.text() for one in here.tables]
+    assert kept.analysis.request == json.loads(request.model_dump_json())
+    assert any(one.text for one in shown)

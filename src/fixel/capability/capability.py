@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from inspect import signature
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from fixel.capability.options import FACTORS, Option, is_group, members, options_of
 from fixel.errors import InvalidInput, unknown_name
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 _PHRASES: Final = {
     "greater_than_equal": "at least {ge:g}",
     "greater_than": "more than {gt:g}",
+    "less_than_equal": "at most {le:g}",
+    "less_than": "less than {lt:g}",
     "int_parsing": "an integer",
     "float_parsing": "a number",
     "tuple_type": "a list",
@@ -29,62 +31,70 @@ _PHRASES: Final = {
 
 @dataclass(frozen=True, kw_only=True)
 class Capability:
-    """A function on a project whose arguments are the options of every door.
+    """A function whose arguments are the options of every door.
 
     Parameters
     ----------
     name : str
-        Name of the command.
+        Name of the command, of pages and of stored results.
+    title : str
+        Title of the page; the name by default.
     function : callable
-        `(project, subject, *, ...) -> result`, or without a subject; its module imports nothing
-        heavy.
+        `([project], *places, *, ..., progress=None) -> result`. Arguments that Python could pass
+        by position are typed without a flag. Its module imports nothing heavy.
     of : callable, optional
-        Public function whose keyword arguments are options too.
+        Public function whose arguments are options too.
     leave_out : tuple of str
         Arguments of `of` that only Python has.
     presentation : callable
-        Returns the module that reports results: `report_of(result)`, an analysis with figures and
-        arrays; `content(analysis, folder, files)`, the content of `--json`;
-        `next_words(result, again, drawn)`, the words of the next command; and `draw(result, path)`
-        where `draws`.
-    draws : bool
-        Whether `--plot` draws one file; by default it copies the figures to a folder.
+        Returns the module that reports results: `report_of(result)`, an `AnalysisReport`;
+        `content(done)`, the content of `--json` of a `StoredAnswer`; `next_words(done)`, words of
+        the next command; `draw(result, path)` if `plot` is `"file"`; and, where a run can stop
+        early, `failed(result)`.
+    plot : str
+        What `--plot` names: a `"folder"` to which the stored figures are copied, one `"file"`, or
+        nothing (`""`) where there is no such option.
+    rounds : callable, optional
+        The same as `function` as a generator of `fixel.jobs.work.Round`, for jobs that distribute
+        chunks: it gets the folder of the job's inputs as `inputs`, and returns the result.
     group : str
         Command whose sub-command it is.
     """
 
     name: str
+    title: str = ""
     function: Callable[..., Any]
     of: Callable[..., Any] | None = None
     leave_out: tuple[str, ...] = ()
     presentation: Callable[[], ModuleType]
-    draws: bool = False
+    plot: Literal["folder", "file", ""] = "folder"
+    rounds: Callable[..., Any] | None = None
     group: str = ""
-
-    @cached_property
-    def options(self) -> dict[str, Option]:
-        """Options by name; the first is the subject, if there is one."""
-        own = options_of(self.function, leave_out=("project", "progress"))
-        known = ("progress", *self.leave_out, *(one.name for one in own))
-        of = [] if self.of is None else options_of(self.of, leave_out=known)
-        n_first = 1 if self.subject else 0
-        return {one.name: one for one in (*own[:n_first], *of, *own[n_first:])}
-
-    @cached_property
-    def shown(self) -> dict[str, Option]:
-        """Options as doors show them, with the fields of groups."""
-        return {o.name: o for option in self.options.values() for o in members(option)}
-
-    @cached_property
-    def subject(self) -> str:
-        """Name of the option that is typed without a flag; empty if there is none."""
-        _, *others = signature(self.function).parameters.values()
-        return next((one.name for one in others if one.kind is one.POSITIONAL_OR_KEYWORD), "")
 
     @property
     def path(self) -> list[str]:
         """Words of the command."""
         return [*([self.group] if self.group else []), self.name]
+
+    @property
+    def on_project(self) -> bool:
+        """Whether the function works on a project."""
+        return next(iter(signature(self.function).parameters)) == "project"
+
+    @cached_property
+    def options(self) -> dict[str, Option]:
+        """Options by name; those that are typed without a flag come first."""
+        own = options_of(self.function, leave_out=("project", "progress"))
+        first = sum(one.place for one in own)
+        known = ("progress", *self.leave_out, *(one.name for one in own))
+        others = [] if self.of is None else options_of(self.of, leave_out=known)
+        others = [replace(one, place=False) for one in others]
+        return {one.name: one for one in (*own[:first], *others, *own[first:])}
+
+    @cached_property
+    def shown(self) -> dict[str, Option]:
+        """Options as doors show them, with the fields of groups."""
+        return {o.name: o for option in self.options.values() for o in members(option)}
 
     # --- requests -------------------------------------------------------------------------------
 
@@ -94,7 +104,8 @@ class Capability:
         from pydantic import ConfigDict, Field, create_model
 
         def checked(option: Option) -> Any:
-            limits = Field(ge=option.door.least, gt=option.door.above)
+            door = option.door
+            limits = Field(ge=door.least, gt=door.above, le=door.most, lt=door.below)
             return Annotated[option.plain, limits], ... if option.required else option.default
 
         config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -109,12 +120,7 @@ class Capability:
         InvalidInput
             A value that is not allowed, or an unknown name.
         """
-        from pydantic import ValidationError
-
-        try:
-            return self.model(**values)
-        except ValidationError as problem:
-            raise self._refusal(problem) from None
+        return self._checked(lambda: self.model(**values))
 
     def asked(self, call: Mapping[str, Any]) -> BaseModel:
         """Return the checked request of a call, from the `locals()` at the begin of a function."""
@@ -123,12 +129,18 @@ class Capability:
 
     def from_json(self, text: str | bytes) -> BaseModel:
         """Return the request that a text in JSON states; inverse of `model_dump_json`."""
+        return self._checked(lambda: self.model.model_validate_json(text, strict=True))
+
+    def _checked(self, make: Callable[[], BaseModel]) -> BaseModel:
         from pydantic import ValidationError
 
         try:
-            return self.model.model_validate_json(text, strict=True)
+            request = make()
         except ValidationError as problem:
             raise self._refusal(problem) from None
+        for name, option in self.options.items():
+            option.check(getattr(request, name))
+        return request
 
     def from_texts(self, texts: Mapping[str, Sequence[str]]) -> BaseModel:
         """Return the request of texts by the name of the shown option; none for the default."""
@@ -160,7 +172,7 @@ class Capability:
         words: list[str] = []
         for name, texts in self.texts(request).items():
             option = self.shown[name]
-            if name == self.subject:
+            if option.place:
                 words += texts
             elif texts == usual[name]:
                 continue
@@ -181,11 +193,21 @@ class Capability:
         groups = {name for name, option in self.options.items() if is_group(option.kind)}
         return {k: v.build() if v and k in groups else v for k, v in values.items()}
 
+    def programs(self, request: BaseModel) -> list[str]:
+        """Return the values of a request that may name a program to run."""
+        own = (name for name, option in self.options.items() if option.door.program)
+        return [value for name in own if (value := getattr(request, name))]
+
+    def files(self, request: BaseModel) -> dict[str, Path]:
+        """Return the files that the function writes, by the name of their option."""
+        own = (name for name, option in self.options.items() if option.door.writes)
+        return {name: value for name in own if (value := getattr(request, name))}
+
     # --- errors ---------------------------------------------------------------------------------
 
     def flags(self) -> dict[str, str]:
         """Return the flag of each argument, for errors of the command."""
-        own = {name: option.flag for name, option in self.shown.items() if name != self.subject}
+        own = {name: option.flag for name, option in self.shown.items() if not option.place}
         return {name.partition(".")[0]: flag for name, flag in reversed(own.items())} | own
 
     def labels(self) -> dict[str, str]:

@@ -7,15 +7,18 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
 
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 
 # SI units in one unit that a door shows; the product is the value of the option.
-FACTORS: Final[Mapping[str, float]] = {"mm": 1e-3, "mrad": 1e-3, "deg": math.pi / 180.0}
+FACTORS: Final[Mapping[str, float]] = {
+    "mm": 1e-3, "mm/s": 1e-3, "mrad": 1e-3, "deg": math.pi / 180.0, "s": 1.0, "N": 1.0
+}  # fmt: skip
 NONE: Final = "none"  # text of None in a mapping
-_METAVARS: Final = {int: "INTEGER", float: "FLOAT", str: "TEXT"}
+_METAVARS: Final = {int: "INTEGER", float: "FLOAT", str: "TEXT", Path: "FILE"}
 _YES: Final = ("yes", "no")
 
 
@@ -27,31 +30,45 @@ class Door:
     ----------
     flag : str
         Flag of a command, `--uniform/--normal` for a bool; by default from name and unit.
+    also : tuple of str
+        Other flags of the same option: a letter such as `-n`, or the name in earlier versions.
     metavar : str
         Form of the value, such as `NAME=LOW:HIGH`.
+    usual : str
+        Words for a default that is found when the command runs.
     unit : str
         Unit at commands and pages; the value itself is in SI units.
     plain : type, optional
         Type in a request, for a parameter that also accepts objects in Python.
-    least, above : float, optional
-        Smallest value, or the bound that a value must exceed, in SI units.
+    least, above, most, below : float, optional
+        Smallest and largest value, or bounds that are not allowed themselves, in SI units.
+    among : callable, optional
+        Returns all allowed texts, for choices that are registered elsewhere.
     effort : bool
         Whether the option changes the effort, but no result.
     commas : bool
         Whether one text lists several values with commas between them.
-    earlier : str
-        Flag of earlier versions, which is accepted too.
+    writes : bool
+        Whether the option is a file that the function writes.
+    program : bool
+        Whether the option may name a program to run, which only a user at a command permits.
     """
 
     flag: str = ""
+    also: tuple[str, ...] = ()
     metavar: str = ""
+    usual: str = ""
     unit: str = ""
     plain: Any = None
     least: float | None = None
     above: float | None = None
+    most: float | None = None
+    below: float | None = None
+    among: Callable[[], Sequence[str]] | None = None
     effort: bool = False
     commas: bool = False
-    earlier: str = ""
+    writes: bool = False
+    program: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +79,8 @@ class Option:
     ----------
     name : str
         Name of the argument; `group.field` for a field of a dataclass.
+    place : bool
+        Whether the option is typed without a flag.
     plain : type
         Annotated type in a request.
     default : object
@@ -75,6 +94,7 @@ class Option:
     default: Any
     meaning: str
     required: bool = False
+    place: bool = False
     door: Door = field(init=False)
     kind: Any = field(init=False)  # the type without annotations and None
 
@@ -91,7 +111,7 @@ class Option:
     def flag_words(self) -> str:
         """Flag of the command as Typer reads it, `--this/--no-this` for a bool."""
         group, unit = self.name.partition(".")[0], self.door.unit
-        usual = f"--{group.replace('_', '-')}{f'-{unit}' if unit else ''}"
+        usual = f"--{group}{f'-{unit}' if unit else ''}".replace("_", "-").replace("/", "-")
         if self.kind is bool:
             usual = f"{usual}/--no-{usual[2:]}"
         return self.door.flag or usual
@@ -113,9 +133,28 @@ class Option:
         return self.door.metavar or _metavar(self.kind)
 
     @property
+    def on_page(self) -> bool:
+        """Whether a page may set the option: files of the server are no business of a browser."""
+        return self.kind is not Path
+
+    @property
     def choices(self) -> tuple[str, ...]:
         """Texts of all values, where there are few."""
+        if self.door.among is not None:
+            return tuple(self.door.among())
         return _YES if self.kind is bool else get_args(self.kind) if _is_choice(self.kind) else ()
+
+    def check(self, value: Any) -> None:
+        """Reject a text that is not among those that are registered.
+
+        Raises
+        ------
+        InvalidInput
+        """
+        if self.door.among is not None and value is not None:
+            for text in value if self.many else (value,):
+                if text not in self.choices:
+                    raise unknown_name(self.name, text, self.choices)
 
     def parsed(self, texts: Sequence[str]) -> Any:
         """Return the value that texts state, with numbers still as texts.
@@ -170,8 +209,16 @@ def options_of(function: Callable[..., Any], *, leave_out: Sequence[str] = ()) -
         if plain is not hint:
             plain = Annotated[(plain, *hint.__metadata__)]
         default = None if required else own.default
-        found.append(Option(name=name, plain=plain, default=default, meaning=said.get(name, ""),
-                            required=required))  # fmt: skip
+        found.append(
+            Option(
+                name=name,
+                plain=plain,
+                default=default,
+                meaning=said.get(name, ""),
+                required=required,
+                place=own.kind is own.POSITIONAL_OR_KEYWORD,
+            )
+        )
     return found
 
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 from fixel.capability.options import Door
 
 if TYPE_CHECKING:
+    from fixel.calibration.noise import Noise
     from fixel.simulation.motion import AbstractMotionModel
 
 Seed = Annotated[int, Door(least=0)]
+Level = Annotated[float, Door(above=0.0, below=1.0)]
+Threads = Annotated[int | None, Door(least=1, effort=True)]
+Save = Annotated[bool, Door(effort=True)]
 MotionName = Annotated["AbstractMotionModel | str | None", Door(plain=str | None, metavar="MODEL")]
 
 # Options that select experiments; their meaning is in the docstring of each function.
@@ -18,3 +23,33 @@ Dataset = Annotated[str, Door(metavar="NAME")]
 Where = Annotated[tuple[str, ...], Door(metavar="FILTER")]
 Flagged = Annotated[bool, Door(flag="--all")]
 Names = Annotated[Sequence[str], Door(plain=tuple[str, ...], metavar="NAME[,NAME]", commas=True)]
+# A model of fixel, another engine, or the path of a program, under either flag.
+Motion = Annotated[
+    "AbstractMotionModel | str | None",
+    Door(plain=str | None, metavar="NAME", also=("--engine",), program=True),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class StatedNoise:
+    """Noise of measured poses, as a request states it.
+
+    Attributes
+    ----------
+    position_m : float
+        Standard deviation of measured positions.
+    angle_rad : float
+        Standard deviation of measured angles.
+    """
+
+    position_m: Annotated[float, Door(unit="mm")]
+    angle_rad: Annotated[float, Door(unit="mrad")]
+
+    def build(self) -> Noise:
+        """Return the noise for Python."""
+        from fixel.calibration.noise import Noise
+
+        return Noise(position_m=self.position_m, angle_rad=self.angle_rad)
+
+
+NoiseOption = Annotated["Noise | None", Door(plain=StatedNoise | None, usual="estimated")]

@@ -237,13 +237,13 @@ def _advice(job: "JobStatus") -> list[str]:
 def _print_status(job: "JobStatus", as_json: bool) -> None:
     reason = f": {job.reason}" if job.reason else ""
     failed = f", {job.failed} of them failed" if job.failed else ""
-    done = f"{job.done} of {_total(job)} chunks{failed}"
+    done = f"{job.done} of {_total(job)} chunks{failed}" if job.total else job.text
     where = [f"the result is in {Path(job.folder) / 'result'}"]
     print_answer(
         as_json,
         job.summary,
         lambda: [
-            f"{job.folder} is {job.state}{reason}; {done}",
+            f"{job.folder} is {job.state}{reason}" + (f"; {done}" if done else ""),
             *(where if job.state == "done" else _advice(job)),
         ],
     )

@@ -149,7 +149,7 @@ def job_bar() -> "Callable[[JobProgress], None]":
             print(f"\r\033[K{_bar(progress)}", end=end, file=sys.stderr, flush=True)
         elif time.monotonic() - last >= BETWEEN_LINES_S:
             last = time.monotonic()
-            print(", ".join([_share(progress), *_details(progress)]), file=sys.stderr, flush=True)
+            print(progress.text, file=sys.stderr, flush=True)
 
     return show
 
@@ -158,17 +158,4 @@ def _bar(progress: "JobProgress") -> str:
     """One line: the bar stays empty while the amount of work is unknown."""
     full = int(JOB_BAR * (progress.share or 0.0))
     bar = f"[{'#' * full}{'.' * (JOB_BAR - full)}]"
-    return "  ".join([bar, _share(progress), *_details(progress)])
-
-
-def _share(progress: "JobProgress") -> str:
-    if progress.share is None:
-        return f"{progress.done} chunks done"
-    return f"{int(100 * progress.share)} %"
-
-
-def _details(progress: "JobProgress") -> list[str]:
-    rate = f"{progress.rate:.3g}/s" if progress.rate else ""
-    left = f"about {seconds(progress.left_s)} left" if progress.left_s else ""
-    failed = f"{progress.failed} failed" if progress.failed else ""
-    return [part for part in (progress.note, rate, left, failed) if part]
+    return f"{bar}  {progress.text}"

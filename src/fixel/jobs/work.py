@@ -14,6 +14,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Final, NamedTuple, Self, final
 
@@ -21,9 +22,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from fixel.errors import InvalidInput
 from fixel.io.journal import Journal
+from fixel.progress import Progress, time_text
 
 # [s] The rate is an average over this time, since workers come and go.
 RATE_WINDOW_S: Final = 60.0
+BETWEEN_STAGES_S: Final = 0.1  # [s] between two reports of a stage
 # Largest share before the end, since the result is still to be computed.
 ALMOST: Final = 0.99
 
@@ -125,6 +128,16 @@ class JobProgress(BaseModel):
     started_utc: str = ""
     updated_utc: str = ""
 
+    @property
+    def text(self) -> str:
+        """Progress in words, the same in terminals and on pages."""
+        share = f"{self.done} chunks done" if self.share is None else f"{int(100 * self.share)} %"
+        rate = f"{self.rate:.3g}/s" if self.rate else ""
+        left = f"about {time_text(self.left_s)} left" if self.left_s else ""
+        failed = f"{self.failed} failed" if self.failed else ""
+        share = share if self.done or self.share is not None else ""
+        return ", ".join(part for part in (share, self.note, rate, left, failed) if part)
+
 
 Batch = list[tuple[str, Answer]]
 
@@ -181,6 +194,7 @@ def run_work(
         `stop()` returned True.
     """
     tally = _Tally(progress, engine)
+    shown = _STAGE.set(tally.stage)
     try:
         turn = next(work)
         while True:
@@ -191,6 +205,13 @@ def run_work(
         return result
     finally:
         work.close()
+        _STAGE.reset(shown)
+
+
+def report_stage(now: Progress) -> None:
+    """Report what a work computes besides its chunks, to everyone who watches its job."""
+    if (show := _STAGE.get()) is not None:
+        show(now)
 
 
 def answer_of(call: Callable[..., bytes], *arguments: object) -> Answer:
@@ -259,6 +280,9 @@ def _check_stop(stop: Stop | None) -> None:
         raise StopRequest
 
 
+_STAGE: ContextVar[Callable[[Progress], None] | None] = ContextVar("stage", default=None)
+
+
 @final
 class _Tally:
     """Counter of chunks and of the rate at which they are answered."""
@@ -271,9 +295,18 @@ class _Tally:
         self._open, self._ended = True, False
         self._recent = deque([(time.monotonic(), 0)])
         self._fresh = 0
+        self._stage = Progress("", 0)
+        self._shown = -BETWEEN_STAGES_S
+
+    def stage(self, now: Progress) -> None:
+        """Report what is computed besides chunks."""
+        self._stage, self._note = now, ", ".join(now.words)
+        if time.monotonic() - self._shown >= BETWEEN_STAGES_S or now.share == 1.0:
+            self._shown = time.monotonic()
+            self._report()
 
     def begin(self, turn: Round, known: Answers) -> None:
-        self._note = turn.note
+        self._note, self._stage = turn.note, Progress("", 0)
         self._open, self._ended = turn.left is None, False
         self._total = self._done + len(turn.chunks) + (turn.left or 0)
         self._count(known)
@@ -305,7 +338,7 @@ class _Tally:
         elapsed = time.monotonic() - begun
         rate = (self._fresh - count) / elapsed if elapsed > 0 else 0.0
         known = rate > 0 and not self._open
-        left = (self._total - self._done) / rate if known else None
+        left = (self._total - self._done) / rate if known else self._stage.left
         self._show(
             JobProgress(
                 done=self._done,
@@ -322,4 +355,6 @@ class _Tally:
     def _share(self) -> float | None:
         if self._ended:
             return 1.0
+        if not self._total and self._stage.share is not None:
+            return min(self._stage.share, ALMOST)
         return None if self._open else min(self._done / max(1, self._total), ALMOST)

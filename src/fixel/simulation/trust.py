@@ -111,6 +111,12 @@ def check_command(command: Sequence[str]) -> None:
     )
 
 
+def check_named(motion: str) -> None:
+    """Raise `InvalidInput` if a name is that of a program which this process may not run."""
+    if (name := EngineName.of(motion)).is_program:
+        check_command(command_of(name))
+
+
 def trust_program(text: str) -> TrustedEntry:
     """Add a program to the user's list, with the present content of its files.
 

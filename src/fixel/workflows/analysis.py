@@ -76,7 +76,10 @@ class Analysis(_StoredFigure):
     kind : str
     title : str
     question : dict
-        The complete request as plain content; the same request has the same folder.
+        The request as plain content, but for options of the effort; the same question has the same
+        folder.
+    request : dict
+        The whole request of a capability, which makes its form and repeats it.
     headline : tuple of str
         Main results in sentences with units, the most important first.
     warnings : tuple of str
@@ -105,6 +108,7 @@ class Analysis(_StoredFigure):
     kind: Kind
     title: str
     question: dict[str, Any]
+    request: dict[str, Any] = {}
     headline: tuple[str, ...]
     warnings: tuple[str, ...] = ()
     tables: tuple[StoredTable, ...] = ()

@@ -1,21 +1,28 @@
-"""Run a capability on a project: compute, report and store, for every door."""
+"""Run a capability: compute, report and store, for every door and for jobs."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from fixel.capability.capability import Capability
+from fixel.errors import InvalidInput
+from fixel.jobs.functions import callable_by_jobs
 from fixel.workflows.filtering.run import FILTER
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+    from fixel.database.project import Project
+    from fixel.jobs.work import Work
     from fixel.progress import ProgressOption
     from fixel.workflows.analysis import Analysis
 
 CAPABILITIES: Final[Mapping[str, Capability]] = {one.name: one for one in (FILTER,)}
+MAKER: Final = "capability:run_request"
 
 
 class StoredAnswer(NamedTuple):
@@ -23,25 +30,40 @@ class StoredAnswer(NamedTuple):
 
     Attributes
     ----------
+    capability : Capability
+    request : BaseModel
     result : object
-        What the function returned.
+        What the function returned; None if a job has computed it.
     analysis : Analysis
     folder : Path or None
         Folder of the stored analysis; None if it was not stored.
-    files : list of Path
-        Files of figures that were requested.
+    files : dict of str to Path
+        Files that were written, by their option; those of a folder by their name.
+    drawn : bool
+        Whether figures were requested.
+    failed : bool
+        Whether the run stopped early.
     """
 
+    capability: Capability
+    request: BaseModel
     result: Any
     analysis: Analysis
     folder: Path | None
-    files: list[Path]
+    files: dict[str, Path]
+    drawn: bool = False
+    failed: bool = False
+
+    @property
+    def again(self) -> list[str]:
+        """Words of the command that repeats the request."""
+        return self.capability.words(self.request)
 
 
 def run(
     capability: Capability,
     request: BaseModel,
-    folder: Path,
+    folder: Path = Path(),
     *,
     plot: Path | None = None,
     progress: ProgressOption = None,
@@ -54,37 +76,194 @@ def run(
     request : BaseModel
         Request of this capability.
     folder : Path
+        Folder of the project, if the capability works on one.
     plot : Path, optional
         Folder or file for figures.
     progress : bool or callable, optional
         See `fixel.progress.show_progress`.
+
+    Raises
+    ------
+    InvalidInput
+        The function refuses the request, or it names a program that the user has not permitted.
     """
     from fixel.database.project import Project
+    from fixel.simulation.trust import check_named
+
+    for name in capability.programs(request):
+        check_named(name)
+    project = Project(folder) if capability.on_project else None
+    place = () if project is None else (project,)
+    result = capability.function(*place, **capability.arguments(request), progress=progress)
+    return _reported(capability, request, project, result, plot)
+
+
+def call(project: Project, name: str, *, progress: ProgressOption = None, **options: Any) -> Any:
+    """Run a capability on a project for Python, which may name a program, and return its result.
+
+    Parameters
+    ----------
+    project : Project
+    name : str
+        Name of the capability.
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
+    **options
+        Arguments of its function, as plain values.
+    """
+    from fixel.simulation.trust import permit
+
+    capability = CAPABILITIES[name]
+    request = capability.request(options)
+    for program in capability.programs(request):
+        permit(program)
+    return run(capability, request, project.folder, progress=progress).result
+
+
+def _reported(
+    capability: Capability,
+    request: BaseModel,
+    project: Project | None,
+    result: Any,
+    plot: Path | None = None,
+) -> StoredAnswer:
+    """Report a result, and store the report unless the request states otherwise."""
     from fixel.workflows.analysis import store_analysis
     from fixel.workflows.figures import write_picture
 
-    project = Project(folder)
-    result = capability.function(project, **capability.arguments(request), progress=progress)
     present = capability.presentation()
     report = present.report_of(result)
     analysis = report.analysis.model_copy(
         update={
             "kind": capability.name,
             "question": capability.question(request) | report.analysis.question,
-            "command": capability.command(request, folder),
+            "request": request.model_dump(mode="json"),
+            "command": capability.command(request, project.folder if project else Path()),
             "seed": getattr(request, "seed", None),
         }
     )
     kept = None
-    if getattr(request, "save", True):
+    if project is not None and getattr(request, "save", True):
         kept = store_analysis(project, analysis, report.pictures, report.arrays)
         analysis = kept.analysis
-    files: list[Path] = []
-    if plot is not None and capability.draws:
+    files = capability.files(request)
+    if plot is not None and capability.plot == "file":
         present.draw(result, plot)
-        files = [plot]
-    elif plot is not None and kept is not None:
-        files = kept.copy_pictures(plot)
+        files["plot"] = plot
     elif plot is not None:
-        files = [path for picture in report.pictures for path in write_picture(plot, picture)]
-    return StoredAnswer(result, analysis, None if kept is None else kept.folder, files)
+        paths = (
+            [path for picture in report.pictures for path in write_picture(plot, picture)]
+            if kept is None
+            else kept.copy_pictures(plot)
+        )
+        files |= {path.name: path for path in paths}
+    return StoredAnswer(
+        capability=capability,
+        request=request,
+        result=result,
+        analysis=analysis,
+        folder=None if kept is None else kept.folder,
+        files=files,
+        drawn=plot is not None,
+        failed=bool(getattr(present, "failed", lambda _: False)(result)),
+    )
+
+
+# --- jobs -----------------------------------------------------------------------------------------
+
+
+class JobRequest(NamedTuple):
+    """What a job is to compute, as read from its folder.
+
+    Attributes
+    ----------
+    capability : Capability
+    request : BaseModel
+    project : Project
+        Project in whose folder `jobs` the job is.
+    """
+
+    capability: Capability
+    request: BaseModel
+    project: Project
+
+
+def request_of(inputs: Path) -> JobRequest:
+    """Return what a job is to compute, for its chunks and for pages.
+
+    Parameters
+    ----------
+    inputs : Path
+        Folder of the inputs of the job.
+    """
+    from fixel.database.project import Project
+    from fixel.jobs.folder import read_job
+
+    options = read_job(inputs.parent).options
+    capability = CAPABILITIES[options["capability"]]
+    request = capability.from_json(json.dumps(options["request"]))
+    return JobRequest(capability, request, Project(inputs.resolve().parents[2]))
+
+
+@callable_by_jobs
+def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
+    """Run the request of a job and store its analysis; the result is the name of its folder.
+
+    A capability with `rounds` yields them; another one computes in the coordinator's process, and
+    repeats what it has not stored itself when the job is resumed.
+    """
+    from fixel.jobs.work import report_stage
+    from fixel.simulation.trust import check_named
+
+    capability, request, project = request_of(inputs)
+    for name in capability.programs(request):
+        check_named(name)
+    arguments = capability.arguments(request)
+    if capability.rounds is None:
+        yield from ()
+        result = capability.function(project, **arguments, progress=report_stage)
+    else:
+        result = yield from capability.rounds(
+            project, **arguments, inputs=inputs, progress=report_stage
+        )
+    folder = _reported(capability, request, project, result).folder
+    return b"" if folder is None else folder.name.encode()
+
+
+def prepare(capability: Capability, request: BaseModel, project: Project) -> Path:
+    """Prepare the job of a request in a project, if it is not there; return its folder.
+
+    The same request on the same records has the same folder, so that it continues. Run it with
+    `jobs.run_here`, `jobs.run_detached` or `fixel jobs submit`.
+
+    Raises
+    ------
+    InvalidInput
+        The capability does not work on a project.
+    """
+    from fixel.simulation.trust import remember
+    from fixel.workflows import jobs
+
+    if not capability.on_project:
+        raise InvalidInput("job", found=capability.name, expected="a capability on a project")
+    content = request.model_dump(mode="json")
+    with project.store() as store:
+        records = [store.datasets(), *store.calibration_summaries()]
+    digest = hashlib.sha256(json.dumps([content, records], sort_keys=True).encode()).hexdigest()
+    folder = project.folder / jobs.JOBS / f"{capability.name}-{digest[:10]}"
+    if not (folder / "job.json").is_file():
+        for name in capability.programs(request):
+            remember(name)  # for the processes of the job, if the user has named it
+        options = {"capability": capability.name, "request": content}
+        jobs.prepare_job(folder, maker=MAKER, options=options)
+    return folder
+
+
+def begin(capability: Capability, request: BaseModel, project: Project) -> Path:
+    """Start the job of a request in its own process, which outlives this one; return its folder."""
+    from fixel.workflows import jobs
+
+    folder = prepare(capability, request, project)
+    jobs.arrange(folder)
+    jobs.run_detached(folder)
+    return folder

@@ -43,7 +43,6 @@ END_S: Final = 60.0  # [s] within which a coordinator ends when requested to
 LOST: Final = "lost"  # the state of a job whose coordinator died: `resume` continues it
 UNREADABLE: Final = "unreadable"  # the state of a folder that another program wrote into
 JOBS: Final = "jobs"  # folder of the jobs in a project
-STAGE: Final = "stage.txt"  # in the folder of a job: what it is doing
 # Contents of a packed job: nothing that is secret or specific to one machine.
 _PACKED: Final = ("job.json", "run.json", "state.json", "journal", "log.txt", "result")
 _MAX_BYTES: Final = 50_000_000_000
@@ -225,20 +224,6 @@ def begin_for_page(project: Path, kind: str, maker: str, question: Any, command:
     arrange(folder)
     run_detached(folder)
     return folder
-
-
-def write_stage(folder: Path, text: str) -> None:
-    """Write what a job is doing, for pages."""
-    with written_whole(folder / STAGE) as path:
-        path.write_text(text)
-
-
-def stage_of(folder: Path) -> str:
-    """Return what a job is doing; empty before it has begun."""
-    try:
-        return (folder / STAGE).read_text()
-    except OSError:
-        return ""
 
 
 def _wait_for(pid: int) -> None:

@@ -66,7 +66,7 @@ class PageJob(Answer):
             state=one.state,
             ended=one.ended,
             reason=one.reason,
-            stage=jobs.stage_of(folder),
+            stage=one.text,
         )
 
 

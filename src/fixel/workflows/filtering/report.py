@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from math import degrees
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from fixel.typing import FloatArray
 from fixel.workflows.analysis import Analysis, AnalysisReport
 from fixel.workflows.filtering.record import FilterAnswer
 from fixel.workflows.sentences import origin_of
+
+if TYPE_CHECKING:
+    from fixel.workflows.capabilities import StoredAnswer
 
 BELIEF_FAR: Final = 3.0  # times the camera's noise: a belief beyond it is worth a line
 NOISE_FAR: Final = 1.5  # times the belief: ellipsoids are too small beyond it
@@ -49,9 +52,9 @@ def report_of(answer: FilterAnswer) -> AnalysisReport:
     )
 
 
-def content(analysis: Analysis, folder: Path | None, files: list[Path]) -> dict[str, Any]:
+def content(done: StoredAnswer) -> dict[str, Any]:
     """Return the content of `--json`."""
-    return analysis.numbers | {"files": {"plot": str(files[0])} if files else {}}
+    return done.analysis.numbers | {"files": {k: str(path) for k, path in done.files.items()}}
 
 
 def draw(answer: FilterAnswer, path: Path) -> None:
@@ -60,10 +63,11 @@ def draw(answer: FilterAnswer, path: Path) -> None:
         draw_filter(answer.estimates.experiment, answer.estimates, unfinished)
 
 
-def next_words(answer: FilterAnswer, again: Sequence[str], drawn: bool) -> list[str]:
+def next_words(done: StoredAnswer) -> list[str]:
     """Return the words of the command that most users need next."""
-    experiment, found = answer.estimates.experiment, answer.estimates
-    if not drawn:
+    found, again = done.result.estimates, done.again
+    experiment = found.experiment
+    if not done.drawn:
         return [*again, "--plot", f"{experiment.name.replace('/', '-')}-filter.png"]
     if found.occlusion is None:
         start, end = found.time[0], found.time[-1]

@@ -167,5 +167,5 @@ FILTER: Final = Capability(
     of=filter,
     leave_out=("experiment", "options"),
     presentation=_presentation,
-    draws=True,
+    plot="file",
 )

@@ -9,8 +9,7 @@ from typing import Any, Final
 
 from fixel.database.project import Project
 from fixel.jobs.functions import callable_by_jobs
-from fixel.jobs.work import Work
-from fixel.progress import Progress
+from fixel.jobs.work import Work, report_stage
 from fixel.workflows import jobs
 from fixel.workflows.next_pushes.report import store_proposal
 from fixel.workflows.next_pushes.run import NextPushesRequest, propose_pushes
@@ -22,14 +21,10 @@ MAKER: Final = "next:next_work"
 def next_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     """Propose pushes as `fixel next` does; fits are stored in the project as they are made."""
     yield from ()  # makes this a generator, as all work is
-
-    def show(now: Progress) -> None:
-        jobs.write_stage(inputs.parent, f"{now.stage} {now.done} of {now.total}")
-
     # The job is in the folder `jobs` of its project.
     project = Project(inputs.resolve().parents[2])
     request = NextPushesRequest(**options["question"] | {"where": ()})
-    found = propose_pushes(project, request, progress=show)
+    found = propose_pushes(project, request, progress=report_stage)
     return store_proposal(project, found, str(options["command"])).folder.name.encode()
 
 

@@ -16,7 +16,7 @@ from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.jobs.folder import read_job
 from fixel.jobs.functions import callable_by_jobs, threads
-from fixel.jobs.work import Answer, Chunk, Failure, Round, Work
+from fixel.jobs.work import Answer, Chunk, Failure, Round, Work, report_stage
 from fixel.planning.plan import plan_rounds, search_of
 from fixel.planning.pushes import FreePushes
 from fixel.planning.search import MarginRequest, PlanSearch, SearchStage
@@ -34,12 +34,7 @@ CHUNK: Final = 4096  # rollouts of a chunk
 def plan_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     """Search for a plan as `fixel plan` does, in rounds of chunks that workers simulate."""
     began = time.monotonic()
-
-    def show(now: Progress) -> None:
-        share = 100.0 * (now.share or 0.0)
-        jobs.write_stage(inputs.parent, f"{now.stage}, {share:.0f} %, {now.note}")
-
-    project, request, own, search = _search(inputs, options, show)
+    project, request, own, search = _search(inputs, options, report_stage)
     rounds = plan_rounds(search, untrusted=request.untrusted)
     number = 0
     try:
