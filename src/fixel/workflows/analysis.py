@@ -18,6 +18,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, InstanceOf, PlainSerializer
 
+from fixel.capability.capability import Capability
 from fixel.database.project import Project
 from fixel.errors import FixelError
 from fixel.io.array_bytes import arrays_of, bytes_of
@@ -165,6 +166,41 @@ class StoredAnalysis(NamedTuple):
         make_folder(folder)
         sources = [self.picture(p.name, end) for p in self.analysis.pictures for end in ENDINGS]
         return [Path(shutil.copyfile(source, folder / source.name)) for source in sources]
+
+
+class StoredAnswer(NamedTuple):
+    """Result of a capability with its report.
+
+    Attributes
+    ----------
+    capability : Capability
+    request : BaseModel
+    result : object
+        What the function returned; None if a job has computed it.
+    analysis : Analysis
+    folder : Path or None
+        Folder of the stored analysis; None if it was not stored.
+    files : dict of str to Path
+        Files that were written, by their option; those of a folder by their name.
+    drawn : bool
+        Whether figures were requested.
+    failed : bool
+        Whether the run stopped early.
+    """
+
+    capability: Capability
+    request: BaseModel
+    result: Any
+    analysis: Analysis
+    folder: Path | None
+    files: dict[str, Path]
+    drawn: bool = False
+    failed: bool = False
+
+    @property
+    def again(self) -> list[str]:
+        """Words of the command that repeats the request."""
+        return self.capability.words(self.request)
 
 
 def store_analysis(

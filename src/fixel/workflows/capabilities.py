@@ -19,45 +19,10 @@ if TYPE_CHECKING:
     from fixel.database.project import Project
     from fixel.jobs.work import Work
     from fixel.progress import ProgressOption
-    from fixel.workflows.analysis import Analysis
+    from fixel.workflows.analysis import StoredAnswer
 
 CAPABILITIES: Final[Mapping[str, Capability]] = {one.name: one for one in (FILTER,)}
 MAKER: Final = "capability:run_request"
-
-
-class StoredAnswer(NamedTuple):
-    """Result of a capability with its report.
-
-    Attributes
-    ----------
-    capability : Capability
-    request : BaseModel
-    result : object
-        What the function returned; None if a job has computed it.
-    analysis : Analysis
-    folder : Path or None
-        Folder of the stored analysis; None if it was not stored.
-    files : dict of str to Path
-        Files that were written, by their option; those of a folder by their name.
-    drawn : bool
-        Whether figures were requested.
-    failed : bool
-        Whether the run stopped early.
-    """
-
-    capability: Capability
-    request: BaseModel
-    result: Any
-    analysis: Analysis
-    folder: Path | None
-    files: dict[str, Path]
-    drawn: bool = False
-    failed: bool = False
-
-    @property
-    def again(self) -> list[str]:
-        """Words of the command that repeats the request."""
-        return self.capability.words(self.request)
 
 
 def run(
@@ -128,7 +93,7 @@ def _reported(
     plot: Path | None = None,
 ) -> StoredAnswer:
     """Report a result, and store the report unless the request states otherwise."""
-    from fixel.workflows.analysis import store_analysis
+    from fixel.workflows.analysis import StoredAnswer, store_analysis
     from fixel.workflows.figures import write_picture
 
     present = capability.presentation()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,12 +14,9 @@ from fixel.filtering.recorded import FilterRun
 from fixel.io.atomic import written_whole
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
-from fixel.workflows.analysis import Analysis, AnalysisReport
+from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
 from fixel.workflows.filtering.record import FilterAnswer
 from fixel.workflows.sentences import origin_of
-
-if TYPE_CHECKING:
-    from fixel.workflows.capabilities import StoredAnswer
 
 BELIEF_FAR: Final = 3.0  # times the camera's noise: a belief beyond it is worth a line
 NOISE_FAR: Final = 1.5  # times the belief: ellipsoids are too small beyond it
