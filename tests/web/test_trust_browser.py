@@ -5,7 +5,9 @@ from statistics import median
 import pytest
 from tests.laboratories import trusted_laboratory
 
+from fixel.database.project import Project
 from fixel.web.views.background_fits import Fits
+from fixel.workflows.calibration.project import stored_calibration
 
 pytestmark = pytest.mark.system
 
@@ -111,18 +113,15 @@ def test_a_sample_and_a_budget_are_fields_of_the_form(browser_page, server):
     page.wait_for_url("**/calibrations/running/short-*")
 
 
-def test_reasons_on_demand_and_the_worst_lead_to_their_experiments(one):
-    assert one.locator("#rows tr").count() == 2
-    button = one.locator(".verdict-button").first
-    assert one.is_hidden("#reason-0")
-    button.focus()
-    one.keyboard.press("Enter")
-    assert one.inner_text("#reason-0")
-    assert button.get_attribute("aria-expanded") == "true"
+def test_the_page_shows_the_report_and_leads_to_the_worst_experiments(one, project):
+    shown = stored_calibration(Project(project), 1).analysis
+    assert one.locator(".found tbody tr").count() == len(shown.tables[0].rows)
+    text = one.inner_text("#calibration")
+    assert all(word in text for word in (*shown.headline, *shown.warnings, *shown.notes))
     assert one.locator("#profile-plots svg[role=img]").count() == 2
     assert one.locator("#starts-plot svg[role=img]").count() == 1
-    assert one.locator("#bars tr").count() == 6
-    link = one.locator("#worst a").first
+    assert one.locator(".bars tbody tr").count() == 6
+    link = one.locator(".worst a").first
     key = link.inner_text()
     link.click()
     one.wait_for_selector("#experiment")

@@ -24,7 +24,15 @@ from fixel.cli.options import (
     require_one_of,
     with_options,
 )
-from fixel.cli.screen import command_line, command_of, notify, print_answer
+from fixel.cli.screen import (
+    command_line,
+    command_of,
+    compare_command,
+    notify,
+    print_answer,
+    seconds,
+    wrote,
+)
 from fixel.errors import Interrupted, InvalidInput, NotStored
 
 if TYPE_CHECKING:
@@ -213,14 +221,30 @@ def calibrate(
     done = _calibrations(mode, chosen, arguments | where)
     pictures = [] if plot is None else done.draw(plot)
 
-    def lines() -> list[str]:
-        from fixel.cli.calibration_text import lines_of
-
-        return lines_of(done, folder, pictures)
-
     print_answer(
-        as_json, lambda: done.summary() | {"pictures": [str(path) for path in pictures]}, lines
+        as_json,
+        lambda: done.summary() | {"pictures": [str(path) for path in pictures]},
+        lambda: [
+            *done.analysis.lines(),
+            "",
+            f"Took {seconds(done.analysis.seconds)}.",
+            *wrote(pictures),
+            f"stored as calibration {', '.join(map(str, done.ids[:3]))}"
+            f"{', ...' * (len(done.ids) > 3)}; job {done.folder}",
+            f"Next: {_next(done, folder)}",
+        ],
     )
+
+
+def _next(done: "Calibrations", folder: Path) -> str:
+    """Return the command that compares the worst experiment with its simulation."""
+    fits = [done.joint] if done.joint else done.each
+    fit = max(fits, key=lambda one: float(one.found.errors.max()))
+    target = fit.targets[int(fit.found.errors.argmax())]
+    space, found = fit.space, fit.found
+    columns = space.columns(found.values(space.labels)[None], target.conditions)
+    values = {name: float(column[0]) for name, column in columns.items()}
+    return compare_command(target.key, values, done.request.motion, folder)
 
 
 def calibrations(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, final
@@ -180,20 +179,10 @@ def _colour(verdict: str) -> str:
 
 
 def _write_row(axes: Axes, k: int, row: Estimate) -> None:
-    unit = display_unit(row.unit)
-    shown = [unit.factor * x for x in (row.value, row.low, row.high) if x is not None]
-    largest = max(map(abs, shown))
-    decimals = 2 - math.floor(math.log10(largest)) if largest > 0.0 else 0
-
-    def text(value: float) -> str:
-        return f"{unit.factor * value:.{decimals}f}" if 0 <= decimals < 6 else unit.text(value)
-
-    axes.text(0.0, k, f"{text(row.value)} {unit.name}".rstrip(), weight="bold", va="center")
+    axes.text(0.0, k, row.text(row.value), weight="bold", va="center")
     if not row.is_assessed:
         return
-    ends = ["?" if end is None else text(end) for end in (row.low, row.high)]
-    interval = "unbounded" if ends == ["?", "?"] else f"{ends[0]} … {ends[1]}"
-    axes.text(0.18, k, interval, va="center")
+    axes.text(0.18, k, _wrapped(row.interval_text), va="center")
     axes.text(0.42, k, _wrapped(row.verdict), va="center", color=_colour(row.verdict))
 
 

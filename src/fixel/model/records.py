@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Final, final
@@ -15,7 +15,9 @@ from fixel.model.experiment import Provenance
 from fixel.model.fields import Comparable, frozen, name_of, settle
 from fixel.model.parameters import Parameters, info_of
 from fixel.model.trajectory import Trajectory
+from fixel.table import MISSING, Table
 from fixel.typing import FloatArray
+from fixel.units import displayed
 
 
 @final
@@ -217,6 +219,70 @@ class Estimate:
     def stored(self) -> dict[str, Any]:
         """Return the stored fields, as plain values."""
         return {name: getattr(self, name) for name in _STORED}
+
+    @property
+    def value_text(self) -> str:
+        """Value with its unit for people; `-` where the data do not determine it."""
+        return self.text(self.value) if self.is_known else MISSING
+
+    @property
+    def interval_text(self) -> str:
+        """Interval with its unit for people, and what the data leave open."""
+        if self.word == "frozen":
+            return "fixed"
+        if not self.is_assessed:
+            return "not computed"
+        if self.low is not None and self.high is not None:
+            return f"{self._number(self.low)} to {self.text(self.high)}"
+        if self.low is not None:
+            return f"at least {self.text(self.low)}"
+        if self.high is not None:
+            return f"at most {self.text(self.high)}"
+        if self.bounds is None:
+            return "anything"
+        unit, factor = displayed(self.unit)
+        low, high = (f"{factor * end:.4g}" for end in self.bounds)
+        return f"anything in {low} to {high} {unit}".rstrip()
+
+    @property
+    def verdict_text(self) -> str:
+        """Verdict for people; `-` for parameters that are fixed or not assessed."""
+        return MISSING if self.word in ("", "frozen") else self.verdict
+
+    def text(self, value: float) -> str:
+        """Value of the parameter for people, with its unit and the decimals of the interval."""
+        return f"{self._number(value)} {displayed(self.unit)[0]}".rstrip()
+
+    def _number(self, value: float) -> str:
+        factor = displayed(self.unit)[1]
+        ends = [end for end in (self.low, self.high) if end is not None]
+        largest = max(abs(factor * own) for own in (self.value, *ends))
+        decimals = 3 - math.floor(math.log10(largest)) if largest > 0 else 0
+        if ends and 0 <= decimals <= 7:
+            return f"{factor * value:.{decimals}f}"
+        return f"{factor * value:.4g}"
+
+
+def estimate_table(estimates: Iterable[Estimate], level: float | None) -> Table:
+    """Return the table of estimates for people; below an estimate, that from noise alone.
+
+    Parameters
+    ----------
+    estimates : iterable of Estimate
+    level : float or None
+        Confidence level of the intervals; None if it is unknown.
+    """
+    rows = []
+    for own in estimates:
+        rows.append((own.label, own.value_text, own.interval_text, own.verdict_text))
+        if (narrow := own.noise_alone) is not None:
+            rows.append(("  noise alone", narrow.text(narrow.value), narrow.interval_text, ""))
+    width = max((len(row[1]) for row in rows), default=0)
+    return Table(
+        ("parameter", "value", interval_name(level), "verdict"),
+        [(label, value.rjust(max(width, len("value"))), *rest) for label, value, *rest in rows],
+        left=4,
+    )
 
 
 def interval_name(level: float | None) -> str:

@@ -11,7 +11,7 @@ from fastapi import Depends, Request
 from fixel.database.project import Project
 from fixel.drawing.thumbnail import thumbnail
 from fixel.model.selection import ExperimentQuery
-from fixel.web.views.calibration_detail import load_detail
+from fixel.web.views.calibration_detail import CalibrationDetail, load_detail
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.web.views.domain_views import DomainViews
 from fixel.web.views.live_comparison import LiveComparison
@@ -34,8 +34,6 @@ class ProjectContext:
         Records of the project, opened once; any thread may use it.
     comparison : LiveComparison
     calibrations : ProgressReader
-    calibration : callable
-        Returns the detail of a stored calibration, and remembers some: what is stored stays.
     domains : DomainViews
     thumbnail : callable
         Returns the small picture of an experiment whose content has a checksum, drawn once.
@@ -48,7 +46,7 @@ class ProjectContext:
         self.store.experiments(ExperimentQuery(include_faulty=True, limit=1), details=True)
         self.comparison = LiveComparison(self.store)
         self.calibrations = ProgressReader(project)
-        self.calibration = lru_cache(MAX_KEPT)(partial(load_detail, project, self.store))
+        self._details = lru_cache(MAX_KEPT)(partial(load_detail, project, self.store))
         self.thumbnail = lru_cache(MAX_THUMBNAILS)(self._thumbnail)
         self.domains = DomainViews(project, self.store)
 
@@ -61,6 +59,13 @@ class ProjectContext:
     def folder(self) -> Path:
         """Absolute folder of the project, for commands that are typed elsewhere."""
         return self.project.folder.resolve()
+
+    def calibration_detail(self, number: int) -> CalibrationDetail:
+        """Return everything about a stored calibration, and remember some: what is stored stays."""
+        found = self._details(number)
+        if not found.answer.complete:
+            self._details.cache_clear()  # its job may be restored
+        return found
 
     def _thumbnail(self, number: int, checksum: str) -> str:
         return thumbnail(self.store.experiment(number))

@@ -29,7 +29,15 @@ from fixel.typing import FloatArray
 from fixel.workflows.figures import ENDINGS, Picture, make_folder, write_picture
 
 Kind = Literal[
-    "tracking", "filter", "growth", "domain", "sensitivity", "uncertainty", "next", "plan"
+    "tracking",
+    "calibrate",
+    "filter",
+    "growth",
+    "domain",
+    "sensitivity",
+    "uncertainty",
+    "next",
+    "plan",
 ]
 
 ANALYSES: Final = "analyses"

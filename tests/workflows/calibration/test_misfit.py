@@ -11,7 +11,6 @@ import pytest
 from tests import calibrating as run
 
 from fixel.calibration.target import scene_of
-from fixel.cli.calibration_text import lines_of
 from fixel.database.project import Project
 from fixel.model import Parameters
 from fixel.model.selection import ExperimentQuery
@@ -57,54 +56,47 @@ def found(tmp_path_factory):
 
 def test_misfit_is_said_before_anything_else(found):
     project, done = found
-    lines = lines_of(done, project.folder, [])
-    assert lines[0].startswith("model misfit: residuals of ")
+    misfit = done.outcome.found[-1].misfit
+    lines = done.analysis.lines()
+    assert lines[0] == f"Warning: {' '.join(misfit)}"
+    assert misfit[0].startswith("model misfit: residuals of ")
     assert float(done.outcome.found[-1].misfit_ratio) > 10.0
+    assert any(line.startswith("a larger model may fit better: fixel calibrate") for line in lines)
     with project.store() as store:
-        one = load_values(store, done.ids[-1])
-        told = load_detail(project, store, done.ids[-1])
-    assert calibration_warnings(one, {})[0] == lines[0] == told.misfit[0]
+        told = load_detail(project, store, done.ids[-1]).answer
+    assert calibration_warnings(done.joint)[0] == misfit[0] == told.misfit[0]
     summary = json.loads(json.dumps(done.summary()))["found"][-1]
-    assert summary["misfit"][0] == lines[0]
+    assert summary["misfit"] == [*misfit]
 
 
 def test_one_value_inside_its_interval_wherever_one_looks(found):
     project, done = found
     with project.store() as store:
-        told = load_detail(project, store, done.ids[-1])
+        told = load_detail(project, store, done.ids[-1]).answer
         one = load_values(store, done.ids[-1])
     summary = done.summary()["found"][-1]
-    chart = next(
-        p.chart for p in pictures_of(CalibrationReportData(done)) if p.name == "parameters"
-    )
-    profiles = next(
-        p.chart for p in pictures_of(CalibrationReportData(done)) if p.name == "profiles"
-    )
-    rows = parameters_section(one, []).tables[0].rows
-    report = {row[0]: row[1] for row in rows}
-    noise = {a[0]: b[1] for a, b in pairwise(rows) if b[0] == "noise alone"}
-    lines = lines_of(done, project.folder, [])
-    printed = repr(done.joint).splitlines()
-    for row, drawn in zip(told.parameters, chart.rows, strict=True):
+    charts = {p.name: p.chart for p in pictures_of(CalibrationReportData(done))}
+    profiles = charts["profiles"]
+    table = done.joint.analysis.tables[0].lines()
+    assert parameters_section(done.joint, []).tables[0].lines() == table
+    assert [line.strip() for line in repr(done.joint).splitlines()[1 : 1 + len(table)]] == [
+        line.strip() for line in table
+    ]
+    assert {*table} <= {*done.analysis.lines()}
+    rows = {row[0]: (row, below) for row, below in pairwise([line.split() for line in table])}
+    for row, drawn in zip(told.parameters, charts["parameters"].rows, strict=True):
         low = -math.inf if row.low is None else row.low
         high = math.inf if row.high is None else row.high
         assert low <= row.value <= high
-        factor = 1e3 if row.unit == "m" else 1.0
         assert summary["parameters"][row.label] == row.value == drawn.value
-        assert report[row.label] == f"{factor * row.value:.4g}"
-        table = next(line for line in lines if line.startswith(row.label))
-        assert table.split()[1] == f"{factor * row.value:.4g}"
-        assert f"{row.label}={row.value:.4g}" in next(x for x in lines if x.startswith("Next: "))
+        shown, below = rows[row.label]
+        assert shown[1] == row.value_text.split()[0]
         # What noise alone would state is a labelled line below, and what the profile shows.
+        assert below[:3] == ["noise", "alone", row.noise_alone.value_text.split()[0]]
         curve = next(c for c in profiles.profiles if c.label == row.label)
         assert profiles.estimates[row.label].value == row.value
         assert (row.noise_low, row.noise_high) == (curve.low, curve.high)
         assert abs(row.noise_value - curve.best) <= 0.02 * (row.bounds[1] - row.bounds[0])
-        assert noise[row.label] == f"{factor * row.noise_value:.4g}"
-        below = lines[lines.index(table) + 1].split()
-        assert below[:3] == ["noise", "alone", f"{factor * row.noise_value:.4g}"]
-        at = next(k for k, text in enumerate(printed) if text.startswith(f"  {row.label}"))
-        assert printed[at + 1].startswith("    noise alone")
         assert summary["best_fit"][row.label] == row.best_fit == one.record.parameters[row.label]
     assert any(row.value != row.best_fit for row in told.parameters)
 

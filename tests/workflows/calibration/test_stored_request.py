@@ -88,7 +88,7 @@ def texts(folder, number, capsys):
         run_command(["calibrations", str(number), "-p", str(folder)])
     assert not end.value.code
     with project.store() as store:
-        page = load_detail(project, store, number)
+        page = load_detail(project, store, number).answer
     written = report(project, folder.parent / "report", calibration=number)
     content = written.content
     return {
@@ -199,7 +199,7 @@ def test_a_record_of_an_earlier_version_states_what_is_unknown(project, fit):
     with pytest.raises(InvalidInput, match="level"):
         found.samples(3)
     with project.store() as store:
-        page = load_detail(project, store, found.run.ids[0])
+        page = load_detail(project, store, found.run.ids[0]).answer
     assert page.level is None
     assert page.noise == ""
 

@@ -25,8 +25,9 @@ from fixel.table import Table
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.analysis import Analysis, store_analysis
 from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.project import stored_calibration
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-from fixel.workflows.calibration.stored import CalibratedValues, load_values
+from fixel.workflows.calibration.stored import load_values
 from fixel.workflows.figures import Picture
 from fixel.workflows.report.bibliography import bibtex, known_works, line, works
 from fixel.workflows.report.calibration import calibration_warnings
@@ -171,7 +172,7 @@ def test_numbers_of_the_calibration_are_those_stored(project, report):
         errors = [member.error_mm2 for member in load_values(store).record.members]
     table = next(t for s in report.content.sections for t in s.tables if "Root mean" in t.title)
     assert table.rows[-1][0] == "calibrated"
-    assert float(table.rows[-1][1]) == pytest.approx(np.sqrt(errors).mean(), rel=5e-3)
+    assert table.rows[-1][1] == pytest.approx(np.sqrt(errors).mean(), rel=5e-3)
 
 
 def test_a_plain_answer_for_json(report):
@@ -180,14 +181,14 @@ def test_a_plain_answer_for_json(report):
 
 
 def test_verdicts_become_warnings(project):
-    with project.store() as store:
-        one = load_values(store)
+    fit = stored_calibration(project, 1)
     verdicts = ("not identified", "at bound", "trades off with mu_pusher", "identified")
     estimates = tuple(
         Estimate(label=f"p{k}", unit="-", value=1.0, verdict=verdict)
         for k, verdict in enumerate(verdicts)
     )
-    words = calibration_warnings(CalibratedValues(1, replace(one.record, estimates=estimates)), {})
+    outcome = replace(fit.run.outcome, found=(replace(fit.found, estimates=estimates),))
+    words = calibration_warnings(replace(fit, run=replace(fit.run, outcome=outcome), number=0))
     assert [any(word.startswith(f"p{k} ") for word in words) for k in range(4)] == [
         True,
         True,

@@ -107,7 +107,4 @@ def resume(context: Context, name: str) -> CalibrationJob:
 
 @router.get("/{number}", summary="Get a calibration")
 def calibration(context: Context, number: Number) -> StoredCalibration:
-    one = context.calibration(number)
-    if not one.complete:
-        context.calibration.cache_clear()  # its job may be restored
-    return one
+    return context.calibration_detail(number).answer

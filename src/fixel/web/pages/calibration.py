@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fastapi import Request
 
 from fixel.errors import InvalidInput
 from fixel.web.pages.experiment import Fact, number_in
-from fixel.web.views.calibration_detail import engine_of
+from fixel.web.views.calibration_detail import StoredCalibration, engine_of
 from fixel.workflows.calibration.result import SEARCHED
 
 if TYPE_CHECKING:
@@ -26,15 +27,41 @@ def stored_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill the page of a stored calibration."""
     number = number_in(request, "calibration", "the page Calibrations lists all")
     record = context.store.calibration(number)
+    one, analysis = context.calibration_detail(number)
+    ids = [sibling.id for sibling in one.siblings]
+    place = ids.index(number) if number in ids else 0
     return {
         "title": record.name,
         "number": number,
-        "name": record.name,
+        "one": one,
+        "analysis": analysis,
         "engine": engine_of(record),
         "method": method(record),
         "provenance": provenance(record),
-        "command": record.provenance.command,
+        "errors": errors_of(one),
+        "previous": ids[place - 1] if place else None,
+        "next": next(iter(ids[place + 1 :]), None),
     }
+
+
+class ErrorRow(NamedTuple):
+    """Errors of an experiment before and after the calibration [mm]; None if unknown."""
+
+    id: int
+    key: str
+    before: float | None
+    after: float | None
+
+
+def errors_of(one: StoredCalibration) -> list[ErrorRow]:
+    """Return the errors of all experiments, the largest first."""
+
+    def rms(error: float | None) -> float | None:
+        if error is None or not math.isfinite(error):
+            return None
+        return math.sqrt(error) if one.unit == "mm^2" else error
+
+    return [ErrorRow(r.id, r.key, rms(r.before), rms(r.after)) for r in one.residuals]
 
 
 def running_page(context: ProjectContext, request: Request) -> dict[str, Any]:

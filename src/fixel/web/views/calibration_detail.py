@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -13,13 +13,13 @@ from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.errors import FixelError
-from fixel.model.records import CalibrationRecord, Estimate
+from fixel.model.records import CalibrationRecord, Estimate, ProfileRecord, estimate_table
 from fixel.model.space import split_label
 from fixel.simulation.engine_names import is_engine
 from fixel.typing import FloatArray
 from fixel.web.values import Answer, Array, Finite
-from fixel.workflows.calibration.calibration import Calibrations
-from fixel.workflows.calibration.commands import python_of
+from fixel.workflows.analysis import Analysis
+from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.project import stored_run
 from fixel.workflows.calibration.report_data import CalibrationReportData
@@ -27,6 +27,13 @@ from fixel.workflows.calibration.result import ParameterSet
 from fixel.workflows.calibration.stored import misfit_of
 
 WORST: Final = 3
+PYTHON: Final = """import fixel
+
+calibration = fixel.Project({folder!r}).calibrations[{number}]
+for one in calibration.estimates:
+    print(one.label, one.value, one.low, one.high, one.verdict)  # SI
+print(calibration.parameters)  # best fit, for prediction
+"""
 EARLIER: Final = (
     "stored by an earlier version of fixel, without the results of its searches; calibrate again "
     "to see them"
@@ -100,49 +107,71 @@ class StoredCalibration(Answer):
     python: str
 
 
-def load_detail(project: Project, store: Store, calibration_id: int) -> StoredCalibration:
+class CalibrationDetail(NamedTuple):
+    """Everything about a stored calibration: values for programs, and its report for people."""
+
+    answer: StoredCalibration
+    analysis: Analysis
+
+
+def load_detail(project: Project, store: Store, calibration_id: int) -> CalibrationDetail:
     """Load everything about a stored calibration."""
     record = store.calibration(calibration_id)
-    calibration = one = data = None
+    fit, data, note = None, None, ""
     starts: list[Start] = []
-    note = ""
     try:
-        calibration = stored_run(project, calibration_id, record)
-        if calibration is not None and calibration_id in calibration.ids:
-            one = calibration.outcome.found[calibration.ids.index(calibration_id)]
-            data = CalibrationReportData(calibration, project)
-            starts = starts_of(data, one)
-            note = one.note if starts or not _lacks_starts(data, one) else EARLIER
+        run = stored_run(project, calibration_id, record)
+        if run is not None and calibration_id in run.ids:
+            fit = run[run.ids.index(calibration_id)]
+            data = CalibrationReportData(run, project)
+            starts = starts_of(data, fit.found)
+            note = fit.found.note if starts or not _lacks_starts(fit) else EARLIER
     except FixelError as problem:  # what is stored can be shown all the same
-        calibration = one = data = None
-        note = str(problem)
-    residuals = _residuals(store, record, calibration, one)
-    return StoredCalibration(
+        fit, note = None, str(problem)
+    known = _of_record(record) if fit is None else fit.estimates.values()
+    estimates = [one for one in known if fit is None or one.bounds is not None]
+    residuals = _residuals(store, record, fit)
+    answer = StoredCalibration(
         id=calibration_id,
         name=record.name,
         unit=record.error_unit,
-        level=None if data is None else data.request.level,
-        parameters=_estimates(record, data, one),
+        level=None if fit is None else fit.level,
+        parameters=estimates,
         residuals=residuals,
         worst=residuals[:WORST],
         objective=_objective(record),
         starts=starts,
-        curves=[] if one is None else _curves(one),
+        curves=[] if fit is None else [_curve(one) for one in fit.found.profiles],
         misfit=misfit_of(record),
-        noise="" if one is None else one.noise,
+        noise="" if fit is None else fit.found.noise,
         note=note,
         ended=str(record.method.get("ended", "")),
         method={k: v for k, v in record.method.items() if v == v and v not in (math.inf,)},
-        siblings=_siblings(calibration, store),
-        complete=one is not None,
+        siblings=[] if fit is None else _siblings(fit, store),
+        complete=fit is not None,
         command=record.provenance.command,
-        python=python_of(project.folder.resolve(), calibration_id),
+        python=PYTHON.format(folder=str(project.folder.resolve()), number=calibration_id),
+    )
+    return CalibrationDetail(answer, _analysis_of(answer) if fit is None else fit.analysis)
+
+
+def _analysis_of(answer: StoredCalibration) -> Analysis:
+    """Report of a calibration whose experiments or job cannot be read."""
+    return Analysis(
+        kind="calibrate",
+        title=answer.name,
+        question={},
+        headline=(answer.name,),
+        warnings=(*answer.misfit, answer.note),
+        tables=(estimate_table(answer.parameters, None),),
+        notes=tuple(f"{own.label}: {own.reason}" for own in answer.parameters if own.reason),
     )
 
 
-def _lacks_starts(data: CalibrationReportData, one: ParameterSet) -> bool:
+def _lacks_starts(fit: Calibration) -> bool:
     """Return whether an earlier version stored the evaluations of several searches as one list."""
-    return data.request.starts > 1 and one.trace is not None and not len(one.trace.starts)
+    trace = fit.found.trace
+    return fit.request.starts > 1 and trace is not None and not len(trace.starts)
 
 
 def starts_of(data: CalibrationReportData, one: ParameterSet) -> list[Start]:
@@ -165,47 +194,34 @@ def starts_of(data: CalibrationReportData, one: ParameterSet) -> list[Start]:
     return sorted(found, key=lambda start: math.inf if start.error is None else start.error)
 
 
-def _curves(one: ParameterSet) -> list[ProfileCurve]:
+def _curve(curve: ProfileRecord) -> ProfileCurve:
+    return ProfileCurve(
+        label=curve.label,
+        unit=curve.unit,
+        values=curve.values.tolist(),
+        rises=curve.deviances.tolist(),
+        slice_values=curve.slice_values.tolist(),
+        slice_rises=curve.slice_deviances.tolist(),
+        low=curve.low,
+        high=curve.high,
+        threshold=curve.threshold,
+    )
+
+
+def _of_record(record: CalibrationRecord) -> list[Estimate]:
+    values = dict(record.parameters)
     return [
-        ProfileCurve(
-            label=curve.label,
-            unit=curve.unit,
-            values=curve.values.tolist(),
-            rises=curve.deviances.tolist(),
-            slice_values=curve.slice_values.tolist(),
-            slice_rises=curve.slice_deviances.tolist(),
-            low=curve.low,
-            high=curve.high,
-            threshold=curve.threshold,
-        )
-        for curve in one.profiles
+        replace(estimate, best_fit=values.get(split_label(estimate.label)[0], estimate.value))
+        for estimate in record.estimates
+    ] or [
+        Estimate(label=name, unit="", value=value, best_fit=value) for name, value in values.items()
     ]
 
 
-def _estimates(
-    record: CalibrationRecord, data: CalibrationReportData | None, one: ParameterSet | None
-) -> list[Estimate]:
-    if data is None or one is None:
-        values = dict(record.parameters)
-        return [
-            replace(estimate, best_fit=values.get(split_label(estimate.label)[0], estimate.value))
-            for estimate in record.estimates
-        ] or [
-            Estimate(label=name, unit="", value=value, best_fit=value)
-            for name, value in values.items()
-        ]
-    return data.estimates(record.estimates, one)
-
-
-def _residuals(
-    store: Store,
-    record: CalibrationRecord,
-    calibration: Calibrations | None,
-    one: ParameterSet | None,
-) -> list[Residual]:
+def _residuals(store: Store, record: CalibrationRecord, fit: Calibration | None) -> list[Residual]:
     before: list[float] = [math.nan] * len(record.members)
-    if calibration is not None and one is not None:
-        before = calibration.outcome.nominal[list(one.members)].tolist()
+    if fit is not None:
+        before = fit.run.outcome.nominal[list(fit.found.members)].tolist()
     keys = {row.id: row.key for row in store.experiments(ALL_EXPERIMENTS).rows}
     ids = [member.experiment_id for member in record.members]
     found = [
@@ -222,14 +238,12 @@ def _objective(record: CalibrationRecord) -> FloatArray | None:
     return np.asarray(record.evaluations.error / share)
 
 
-def _siblings(calibration: Calibrations | None, store: Store) -> list[Sibling]:
-    if calibration is None:
-        return []
+def _siblings(fit: Calibration, store: Store) -> list[Sibling]:
     names = {
         calibration_id: record.name
         for calibration_id, record in store.calibration_summaries().items()
     }
-    return [Sibling(id=id_, name=names[id_]) for id_ in calibration.ids if id_ in names]
+    return [Sibling(id=id_, name=names[id_]) for id_ in fit.run.ids if id_ in names]
 
 
 class CalibrationSummary(Answer):

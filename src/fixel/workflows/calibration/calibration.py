@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,28 +19,42 @@ from fixel.calibration.joint import correlation_at, draw_joint
 from fixel.calibration.known_pushes import KnownPushes, push_target
 from fixel.calibration.misfit import WARNED
 from fixel.calibration.noise import Noise
-from fixel.calibration.objective import ANGLE_SCALE, Comparer, MeanSquare, RootMeanSquare
+from fixel.calibration.objective import (
+    ANGLE_SCALE,
+    Comparer,
+    MeanSquare,
+    Robust,
+    RootMeanSquare,
+)
 from fixel.calibration.study import MADE, OUT_OF_BUDGET
 from fixel.calibration.target import Target, target_of
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
-from fixel.model.records import Estimate, interval_name
+from fixel.model.records import Estimate, estimate_table
 from fixel.model.space import ParameterSpace, split_label
 from fixel.results import Result, Summary
 from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
+from fixel.workflows.calibration.commands import enlarged_command
 from fixel.workflows.calibration.request import CalibrationRequest, call_of
-from fixel.workflows.calibration.result import CalibrationResult, FitKind, ParameterSet
+from fixel.workflows.calibration.result import (
+    CalibrationResult,
+    FitKind,
+    ParameterSet,
+    length_of,
+    outliers,
+)
 
 if TYPE_CHECKING:
     from fixel.simulation import Simulation
+    from fixel.workflows.analysis import Analysis
 
-# Units in which people read parameters, by the unit in which they are stored.
-SHOWN_UNITS: Final = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi)}
 # Share of a parameter's range by which the best fit and the value to quote visibly differ.
 VISIBLE: Final = 0.005
+MAX_ROWS: Final = 20  # experiments in the table of a run
+MAX_OUTLIERS: Final = 5
 _CHARTS: Final = "fixel.workflows.calibration.charts"
 
 
@@ -415,33 +430,55 @@ class Calibration(Result, Mapping[str, float]):
 
     # --- what is shown --------------------------------------------------------------------------
 
+    @cached_property
+    def analysis(self) -> Analysis:
+        """Report of the result, which terminal, page and `fixel report` show."""
+        from fixel.workflows.analysis import Analysis
+
+        found, estimates = self.found, self.estimates.values()
+        reasons = [f"{e.label}: {e.reason}" for e in estimates if e.reason and not e.identified]
+        run, others = self.run, [note for note in self.warnings if note not in found.misfit]
+        return Analysis(
+            kind="calibrate",
+            title=f"Calibration of {self._subject}",
+            question=run.request.model_dump(mode="json"),
+            headline=(
+                self._heading(),
+                self._error_note(),
+                *self._prediction_notes(),
+                *self._no_misfit(),
+                *run.sample_note,
+            ),
+            warnings=(*([self.misfit.reason] if found.misfit else []), *others),
+            tables=(estimate_table(estimates, self.level),),
+            notes=(*reasons, *self._outlier_notes(), *self._further_notes()),
+            numbers=_plain(found, run.ids[self.number] if run.ids else None, run.outcome),
+            calibrations=tuple(run.ids[self.number : self.number + 1]),
+            command=self.command,
+            seed=run.request.seed,
+            seconds=found.seconds,
+        )
+
     def _summary(self) -> Summary:
-        tables = [
-            Table(
-                ("parameter", "value", interval_name(self.level), "verdict"),
-                _rows(list(self.estimates.values())),
-                left=4,
-            )
-        ]
-        unknown = [own for own in self.estimates.values() if own.reason and not own.is_known]
-        notes = [f"{own.label}: {own.reason}" for own in unknown]
-        notes += [self._error_note(), *self._prediction_notes(), *self._misfit_notes()]
-        notes += [note for note in self.warnings if note not in self.found.misfit]
-        return Summary(self._heading(), tables, notes, self._details())
+        own = self.analysis
+        notes = [*own.notes, *own.headline[1:], *own.warnings]
+        return Summary(own.headline[0], own.tables, notes, self._details())
+
+    @property
+    def _subject(self) -> str:
+        n = len(self.found.members)
+        return self.keys_of_experiments[0] if n == 1 else f"{n} experiments"
 
     def _heading(self) -> str:
-        n = len(self.found.members)
-        of = self.keys_of_experiments[0] if n == 1 else f"{n} experiments"
         how = {
             "finished": "finished",
             "budget": "ended by its limit",
             "interrupted": "interrupted",
             "failed": "failed",
         }[self.status]
-        return (
-            f"Calibration of {of} ({EngineName.of(self.request.motion).short}): {how} after"
-            f" {self.evaluations} evaluations"
-        )
+        engine = EngineName.of(self.request.motion).short
+        of = f"Calibration of {self._subject} ({engine})"
+        return f"{of}: {how} after {self.evaluations} evaluations"
 
     def _error_note(self) -> str:
         unit, errors = self.request.made_error.unit, self.found.errors
@@ -459,20 +496,44 @@ class Calibration(Result, Mapping[str, float]):
     def _prediction_notes(self) -> list[str]:
         """Values that predict best, where they visibly differ from those to quote."""
         fitted = [
-            f"{own.label} {_number(own, own.best_fit)}{_unit_after(own)}"
+            f"{own.label} {own.text(own.best_fit)}"
             for own in self.estimates.values()
             if own.best_fit is not None and own.bounds and own.is_known and own.is_assessed
             if abs(own.best_fit - own.value) > VISIBLE * (own.bounds[1] - own.bounds[0])
         ]
         return [f"simulations use the best fit: {', '.join(fitted)}"] if fitted else []
 
-    def _misfit_notes(self) -> list[str]:
-        if self.found.misfit:
-            return [self.misfit.reason]
-        if math.isnan(self.misfit.ratio):
+    def _no_misfit(self) -> list[str]:
+        if self.found.misfit or math.isnan(self.misfit.ratio):
             return []
         noise = self.found.noise or "a noise that was not stored"
         return [f"no misfit detected; intervals assume {noise}"]
+
+    def _outlier_notes(self) -> list[str]:
+        """Name the outliers, and what to do about them."""
+        errors, unit = self.found.errors, self.request.made_error.unit
+        found = outliers(errors, unit)
+        if not found:
+            return []
+        named = ", ".join(
+            f"{self.keys_of_experiments[k]} ({length_of(errors[k], unit):.3g} mm)"
+            for k in found[:MAX_OUTLIERS]
+        )
+        more = f" and {len(found) - MAX_OUTLIERS} more" if len(found) > MAX_OUTLIERS else ""
+        share = float(errors[found].sum() / errors[np.isfinite(errors)].sum())
+        robust = self.request.error.name == Robust.name
+        return [
+            f"{len(found)} of {len(errors)} experiments are outliers, with {100 * share:.0f} % of"
+            f" the summed error: {named}{more}"
+            + ("" if robust else f"; the error {Robust.name} reduces their weight")
+        ]
+
+    def _further_notes(self) -> list[str]:
+        """Number of solutions, and the command that calibrates a larger model after a misfit."""
+        n = len(self.found.solutions)
+        notes = [f"{n} distinct parameter sets fit almost equally well"] if n > 1 else []
+        larger = self.found.misfit_ratio >= WARNED and enlarged_command(self.command, self.request)
+        return [*notes, f"a larger model may fit better: {larger}"] if larger else notes
 
     def _details(self) -> dict[str, str]:
         from importlib.metadata import version
@@ -618,22 +679,72 @@ class Calibrations(Result, Sequence[Calibration]):
         its complete request."""
         return "" if self.request.level is None else call_of(self.request, self.source)
 
-    def _summary(self) -> Summary:
-        labels = self.request.space.labels
+    @property
+    def sample_note(self) -> tuple[str, ...]:
+        """Sentence on the sample of the experiments; empty without one."""
+        n, seed = self.request.sample_of, self.request.seed
+        if n is None:
+            return ()
+        return (f"a random sample of {len(self.outcome.keys)} of {n} experiments (seed {seed})",)
+
+    @cached_property
+    def analysis(self) -> Analysis:
+        """Report of the run, which the terminal shows."""
+        from fixel.workflows.analysis import Analysis
+
+        if len(self) == 1:
+            return self[0].analysis
+        free, unit = self.request.space.free, self.request.made_error.unit
+        shown = self.each or [*self]
         rows = [
             (
                 one.keys_of_experiments[0]
                 if len(one.found.members) == 1
                 else f"{len(one.found.members)} experiments, {one.found.how}",
-                _length(one.found.errors, self.request.made_error.unit),
-                *(_shown_value(one.estimates[label]) for label in labels),
+                _length(self.outcome.nominal[list(one.found.members)], unit),
+                _length(one.found.errors, unit),
+                *(one.estimates[u.label].value_text for u in free),
             )
-            for one in self
+            for one in shown
         ]
-        head: list[Column | str] = ["experiments", Column("error", "mm", ".3g"), *labels]
-        n = len(self.outcome.keys)
-        ended = " (interrupted)" if self.interrupted else ""
-        return Summary(f"{len(self)} calibrations of {n} experiments{ended}", [Table(head, rows)])
+        head: list[Column | str] = ["experiments", Column("before", "mm", ".3g")]
+        head += [Column("error", "mm", ".3g"), *(u.label for u in free)]
+        more = len(rows) - MAX_ROWS
+        notes = [f"... and {more} more; --json has them all"] if more > 0 else []
+        parts = [one.analysis for one in self if not one.found.how.is_single]
+        n, ended = len(self.outcome.keys), " (interrupted)" if self.interrupted else ""
+        return Analysis(
+            kind="calibrate",
+            title=f"{len(self)} calibrations of {n} experiments",
+            question=self.request.model_dump(mode="json"),
+            headline=(f"{len(self)} calibrations of {n} experiments{ended}", *self.sample_note),
+            warnings=(*self.skipped, *(w for p in parts for w in p.warnings)),
+            tables=(
+                Table(head, rows[:MAX_ROWS]),
+                *(replace(part.tables[0], title=part.headline[0]) for part in parts),
+            ),
+            notes=(*notes, *self._verdict_notes(), *(x for p in parts for x in p.headline[1:])),
+            calibrations=tuple(self.ids),
+            command=self.command,
+            seed=self.request.seed,
+            seconds=sum(one.found.seconds for one in self),
+        )
+
+    def _verdict_notes(self) -> list[str]:
+        """Count how often each parameter of single experiments has which verdict."""
+        counts: dict[str, Counter[str]] = {u.label: Counter() for u in self.request.space.free}
+        for one in self.each:
+            for label, count in counts.items():
+                count[one.estimates[label].word] += 1
+        return [
+            f"{label}: " + ", ".join(f"{word} in {n}" for word, n in own.most_common())
+            for label, own in counts.items()
+            if any(own)
+        ]
+
+    def _summary(self) -> Summary:
+        own = self.analysis
+        return Summary(own.headline[0], own.tables, [*own.headline[1:], *own.warnings, *own.notes])
 
     def _data(self) -> Table:
         labels = self.request.space.labels
@@ -698,69 +809,9 @@ def _length(errors: FloatArray, unit: str) -> float:
     return math.sqrt(float(np.mean(squares)))
 
 
-def in_shown_unit(unit: str, value: float) -> float:
-    """Convert a value to the unit in which people read it: mm and degrees."""
-    return value * SHOWN_UNITS.get(unit, (unit, 1.0))[1]
-
-
-def _shown_value(estimate: Estimate) -> str:
-    """Value with its unit for people; a dash where the data do not determine it."""
-    if not estimate.is_known:
-        return "-"
-    return _number(estimate, estimate.value) + _unit_after(estimate)
-
-
-def _number(estimate: Estimate, value: float) -> str:
-    """Number in the shown unit, with as many decimals as the interval of its estimate."""
-    shown = in_shown_unit(estimate.unit, value)
-    ends = [end for end in (estimate.low, estimate.high) if end is not None]
-    if not ends:
-        return f"{shown:.4g}"
-    largest = max(abs(in_shown_unit(estimate.unit, own)) for own in (estimate.value, *ends))
-    decimals = 3 - math.floor(math.log10(largest)) if largest > 0 else 0
-    return f"{shown:.{decimals}f}" if 0 <= decimals <= 7 else f"{shown:.4g}"
-
-
-def _unit_after(estimate: Estimate) -> str:
-    """Shown unit of an estimate, after a space; empty for pure numbers."""
-    unit = SHOWN_UNITS.get(estimate.unit, (estimate.unit, 1.0))[0]
-    return "" if unit in ("", "-") else f" {unit}"
-
-
-def _shown_interval(estimate: Estimate) -> str:
-    """Interval with its unit for people, and what the data leave open."""
-    if estimate.word == "frozen":
-        return "fixed"
-    if not estimate.is_assessed:
-        return "not computed"
-    unit = _unit_after(estimate)
-    low, high = (
-        None if end is None else _number(estimate, end) for end in (estimate.low, estimate.high)
-    )
-    if low and high:
-        return f"{low} to {high}{unit}"
-    if low or high:
-        return f"at least {low}{unit}" if low else f"at most {high}{unit}"
-    if estimate.bounds is None:
-        return "anything"
-    ends = [f"{in_shown_unit(estimate.unit, end):.4g}" for end in estimate.bounds]
-    return f"anything in {ends[0]} to {ends[1]}{unit}"
-
-
-def _rows(estimates: Sequence[Estimate]) -> list[tuple[str, ...]]:
-    values = [_shown_value(own) for own in estimates]
-    width = max(len("value"), *map(len, values))
-    rows: list[tuple[str, ...]] = []
-    for own, value in zip(estimates, values, strict=True):
-        verdict = own.verdict if own.word != "frozen" else ""
-        rows.append((own.label, value.rjust(width), _shown_interval(own), verdict or "-"))
-        if (narrow := own.noise_alone) is not None:
-            shown = _number(narrow, narrow.value) + _unit_after(narrow)
-            rows.append(("  noise alone", shown.rjust(width), _shown_interval(narrow), ""))
-    return rows
-
-
-def _plain(one: ParameterSet, calibration_id: int, outcome: CalibrationResult) -> dict[str, Any]:
+def _plain(
+    one: ParameterSet, calibration_id: int | None, outcome: CalibrationResult
+) -> dict[str, Any]:
     return {
         "calibration": calibration_id,
         "how": one.how,

@@ -97,14 +97,3 @@ def _without(words: Sequence[str], names: Collection[str]) -> list[str]:
         else:
             left.append(word)
     return left
-
-
-def python_of(folder: Path, number: int) -> str:
-    """Return a script that loads a stored calibration."""
-    return (
-        "import fixel\n\n"
-        f"calibration = fixel.Project({str(folder)!r}).calibrations[{number}]\n"
-        "for one in calibration.estimates:\n"
-        "    print(one.label, one.value, one.low, one.high, one.verdict)  # SI\n"
-        "print(calibration.parameters)  # best fit, for prediction\n"
-    )

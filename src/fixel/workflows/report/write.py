@@ -18,11 +18,11 @@ from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.results import Result
-from fixel.typing import FloatArray, Notify
+from fixel.typing import Notify
 from fixel.workflows.analysis import Kind, StoredAnalysis, load_analyses
-from fixel.workflows.calibration.calibration import Calibrations
-from fixel.workflows.calibration.project import stored_run
-from fixel.workflows.calibration.stored import CalibratedValues, load_values, misfit_of
+from fixel.workflows.calibration.calibration import Calibration
+from fixel.workflows.calibration.project import stored_calibration, stored_run
+from fixel.workflows.calibration.stored import CalibratedValues, load_values
 from fixel.workflows.figures import ENDINGS, make_folder
 from fixel.workflows.report.bibliography import bibtex, line, works
 from fixel.workflows.report.calibration import (
@@ -207,29 +207,34 @@ def gather(
         ids = sorted(one.members)
         data = data_of(store, ids)
         checksum = store.checksum(ids)
-    keys = {summary.id: summary.key for summary in data.summaries}
     opened = stored_run(project, one.id, one.record)
+    known = opened is not None and one.id in opened.ids
+    fit = (
+        opened[opened.ids.index(one.id)]
+        if opened and known
+        else stored_calibration(project, one.id)
+    )
     tell("drawing the calibration")
     figures = figures_of(opened, folder, project) if opened is not None else []
     analyses = _analyses(project, one)
     tell("collecting the analyses")
     sections = [
         data_section(data),
-        errors_section(one, _nominal(opened, one), keys, figures),
-        parameters_section(one, figures),
+        errors_section(fit, figures),
+        parameters_section(fit, figures),
         *(_section(answer, folder) for answer in analyses),
     ]
     return Content(
         title=title or f"Accuracy of the simulator of {project.settings.name}",
         banner=data.banner,
         facts=_facts(project, one, data, checksum),
-        warnings=tuple(_warnings(one, data, keys, analyses)),
+        warnings=tuple(_warnings(fit, data, analyses)),
         findings=(
-            headline(one, _nominal(opened, one)),
+            headline(fit),
             *(answer.analysis.headline[0] for answer in analyses if answer.analysis.headline),
         ),
         sections=tuple(sections),
-        methods=tuple(_methods(one, data, analyses)),
+        methods=tuple(_methods(fit, data, analyses)),
         references=("stewart1996", *_references(one, analyses)),
         commands=tuple(_commands(one, analyses)),
     )
@@ -252,14 +257,6 @@ def _fits(own: StoredAnalysis, one: CalibratedValues) -> bool:
     return bool(one.members & set(own.analysis.experiments))
 
 
-def _nominal(opened: Calibrations | None, one: CalibratedValues) -> FloatArray | None:
-    """(n_member,) errors before the calibration, in the order of its members."""
-    if opened is None or one.id not in opened.ids:
-        return None
-    found = opened.outcome.found[opened.ids.index(one.id)]
-    return opened.outcome.nominal[list(found.members)]
-
-
 def _section(answer: StoredAnalysis, folder: Path) -> Section:
     analysis = answer.analysis
     figures = []
@@ -280,24 +277,19 @@ def _section(answer: StoredAnalysis, folder: Path) -> Section:
     )
 
 
-def _warnings(
-    one: CalibratedValues,
-    data: ReportData,
-    keys: dict[int, str],
-    analyses: Sequence[StoredAnalysis],
-) -> list[str]:
+def _warnings(fit: Calibration, data: ReportData, analyses: Sequence[StoredAnalysis]) -> list[str]:
     there = {answer.analysis.kind for answer in analyses}
     found = [
         *data_warnings(data),
         *sentences("data", "missing", kinds=there),
-        *misfit_of(one.record),  # first: it decides how far to trust the rest
+        *fit.found.misfit,  # first: it decides how far to trust the rest
         *(
             words
             for answer in analyses
             for words in answer.analysis.warnings
-            if not words.endswith(tuple(misfit_of(one.record)[:1]))
+            if not words.endswith(fit.found.misfit[:1])
         ),
-        *calibration_warnings(one, keys),
+        *calibration_warnings(fit),
     ]
     return list(dict.fromkeys(found))
 
@@ -323,13 +315,11 @@ def _facts(
     return tuple((name, value) for name, value in facts if value)
 
 
-def _methods(
-    one: CalibratedValues, data: ReportData, analyses: Sequence[StoredAnalysis]
-) -> list[str]:
+def _methods(fit: Calibration, data: ReportData, analyses: Sequence[StoredAnalysis]) -> list[str]:
     n = len(data.summaries)
     first = sentences("data", "methods", n=n, simulated=data.simulated, version=version("fixel"))
     own = [sentence for answer in analyses for sentence in answer.analysis.methods]
-    return [*first, *methods(one), *own]
+    return [*first, *methods(fit), *own]
 
 
 def _references(one: CalibratedValues, analyses: Sequence[StoredAnalysis]) -> list[str]:
