@@ -77,7 +77,12 @@ def places(project, server):
     jobs.prepare_job(folder, maker=MAKER, options={"rounds": 1, "chunks": 2})
     assert jobs.run_here(folder).state == "done"
     (own,) = (path.parent.name for path in (project / "jobs").glob("first-*/job.json"))
-    found = {page.path.replace("{number}", "1").replace("{name}", own) for page in server._pages}
+    (result, *_) = (path.parent.name for path in (project / "analyses").glob("*/analysis.json"))
+    names = {"/run/{name}": "filter", "/results/{name}": result}
+    found = {
+        page.path.replace("{number}", "1").replace("{name}", names.get(page.path, own))
+        for page in server._pages
+    }
     return [server.home.rstrip("/") + path for path in (*sorted(found), "/nowhere")]
 
 

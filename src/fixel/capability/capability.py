@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from inspect import signature
+from inspect import cleandoc, signature
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
@@ -70,6 +70,16 @@ class Capability:
     plot: Literal["folder", "file", ""] = "folder"
     rounds: Callable[..., Any] | None = None
     group: str = ""
+
+    @property
+    def heading(self) -> str:
+        """Title of its page."""
+        return self.title or self.name.capitalize().replace("-", " ")
+
+    @property
+    def summary(self) -> str:
+        """First sentence of the docstring."""
+        return cleandoc(self.function.__doc__ or "").partition("\n\n")[0].replace("\n", " ")
 
     @property
     def path(self) -> list[str]:

@@ -134,8 +134,8 @@ class Option:
 
     @property
     def on_page(self) -> bool:
-        """Whether a page may set the option: files of the server are no business of a browser."""
-        return self.kind is not Path
+        """Whether a page may set the option: no file of the server, and results are stored."""
+        return self.kind is not Path and self.name != "save"
 
     @property
     def choices(self) -> tuple[str, ...]:

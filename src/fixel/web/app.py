@@ -11,6 +11,7 @@ from typing import Any, Final, final
 
 import jinja2
 from fastapi import APIRouter, FastAPI, Request
+from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from fastapi.staticfiles import StaticFiles
 from starlette.exceptions import HTTPException
@@ -22,7 +23,15 @@ from fixel.errors import FixelError
 from fixel.web.live import LiveView
 from fixel.web.palette import palette_css
 from fixel.web.problems import OUR_MISTAKE, Refusal, answer, problem_of
-from fixel.web.security import LOOPBACK, BodyLimit, Gate, Guard, SecurityHeaders
+from fixel.web.security import (
+    LOOPBACK,
+    WORD_FIELD,
+    BodyLimit,
+    Gate,
+    Guard,
+    SecurityHeaders,
+    form_fields,
+)
 
 HERE: Final = Path(str(files("fixel.web")))
 API: Final = "/api/v1"
@@ -54,6 +63,9 @@ class Page:
     fill : callable, optional
         Returns the rest of the context for a request; a `title` in it names the window. A
         `FixelError` that it raises becomes a page with the error.
+    post : callable, optional
+        Called with a request and the fields of a posted form. It returns the path to which the
+        browser goes, or the context of the same page, with `status` and errors.
     router : APIRouter, optional
         Routes below the path of the page.
     views : tuple of LiveView
@@ -69,6 +81,7 @@ class Page:
     template: str
     context: Mapping[str, Any] = field(default_factory=dict)
     fill: Callable[[Request], Mapping[str, Any]] | None = None
+    post: Callable[[Request, dict[str, list[str]]], str | Mapping[str, Any]] | None = None
     router: APIRouter | None = None
     views: tuple[LiveView, ...] = ()
     place: int = 0
@@ -119,6 +132,9 @@ def create_app(
 
     for page in pages:
         app.add_api_route(page.path, _shown(page, render), response_class=HTMLResponse)
+        if page.post is not None:
+            route = _posted(page, render, gate.root)
+            app.add_api_route(page.path, route, methods=["POST"], response_class=HTMLResponse)
         if page.router is not None:
             app.include_router(page.router, prefix=page.path)
     if api is not None:
@@ -192,6 +208,19 @@ def _shown(page: Page, render: Any) -> Any:
         return HTMLResponse(render(page, more, request.url.path))
 
     return show
+
+
+def _posted(page: Page, render: Any, root: str) -> Any:
+    async def take(request: Request) -> Response:
+        assert page.post is not None
+        fields = form_fields(await request.body())
+        fields.pop(WORD_FIELD, None)
+        done = await run_in_threadpool(page.post, request, fields)
+        if isinstance(done, str):
+            return RedirectResponse(root + done, status_code=303)
+        return HTMLResponse(render(page, done, request.url.path), status_code=done["status"])
+
+    return take
 
 
 def _answer_errors(app: FastAPI, render: Any) -> None:

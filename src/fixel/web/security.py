@@ -6,7 +6,7 @@ the link. The token is exchanged for a cookie and a secret first part of all pat
 ports: a browser sends those of this server to every other server of this machine, but only with
 their own path, which no other server knows. Requests must name the server as the link does, or a
 foreign name could be made to point here (DNS rebinding). Requests that change something need a
-word that only our own pages know (CSRF).
+word that only our own pages know (CSRF): scripts send it in a header, forms in a hidden field.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import secrets
 from dataclasses import dataclass, field
 from typing import Final, final
-from urllib.parse import parse_qsl, urlencode
+from urllib.parse import parse_qs, parse_qsl, urlencode
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import cookie_parser
@@ -25,6 +25,10 @@ from fixel.web.problems import Refusal, answer
 
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 WORD_HEADER: Final = "x-fixel-word"  # header with the word of our own pages
+WORD_FIELD: Final = "fixel-word"  # field of our own forms with the same word
+FORM: Final = "application/x-www-form-urlencoded"
+MAX_FORM: Final = 64 * 1024  # [byte] largest body of a form
+MAX_FIELDS: Final = 500
 SAFE_METHODS: Final = ("GET", "HEAD", "OPTIONS")
 MAX_BODY: Final = 2 * 1024 * 1024  # [byte] largest body of a request
 
@@ -90,7 +94,11 @@ class Gate:
 
     def admits(self, headers: Headers) -> bool:
         """Whether a request that changes something comes from one of our own pages."""
-        return at_home(headers) and _same(headers.get(WORD_HEADER, ""), self.word)
+        return at_home(headers) and self.says(headers.get(WORD_HEADER, ""))
+
+    def says(self, word: str) -> bool:
+        """Whether a word is that of our own pages."""
+        return _same(word, self.word)
 
     def knows(self, headers: Headers) -> bool:
         """Whether a program sent the token: `Authorization: Bearer TOKEN`."""
@@ -105,10 +113,12 @@ def at_home(headers: Headers) -> bool:
     followed: what a link opens changes nothing, and no other page can read it.
     """
     origin = headers.get("origin")
-    if origin is not None and origin != f"http://{headers.get('host', '')}":
+    site = headers.get("sec-fetch-site", "none")  # older browsers, and programs, do not send it
+    # As our pages send no referrer, browsers do not state the origin of their forms either.
+    ours = (None, f"http://{headers.get('host', '')}", *(["null"] * (site == "same-origin")))
+    if origin not in ours:
         return False
     navigation = (headers.get("sec-fetch-mode"), headers.get("sec-fetch-dest"))
-    site = headers.get("sec-fetch-site", "none")  # older browsers, and programs, do not send it
     return site in ("none", "same-origin") or navigation == ("navigate", "document")
 
 
@@ -146,6 +156,12 @@ class Guard:
         path = self.gate.inside(scope["path"])
         inner = {**scope, "path": scope["path"] if path is None else path}
         refused = self._refused(inner, path is not None)
+        if refused is None and _is_form(inner):
+            body = await _body(receive)
+            word = form_fields(body).get(WORD_FIELD, [""])
+            if word != [self.gate.word]:
+                refused = _refusal(inner, 403, NOT_OURS)
+            receive = _again(body)
         await (refused or self.app)(inner, receive, send)
 
     def _refused(self, scope: Scope, knows_prefix: bool) -> Response | None:
@@ -161,7 +177,7 @@ class Guard:
         # The cookie alone is not enough: it may have come from anywhere.
         if not (knows_prefix and self.gate.opens(headers)):
             return _refusal(scope, 403, NO_COOKIE)
-        if not at_home(headers) or (not safe and not self.gate.admits(headers)):
+        if not at_home(headers) or not (safe or self.gate.admits(headers) or _is_form(scope)):
             return _refusal(scope, 403, NOT_OURS)
         return None
 
@@ -176,6 +192,41 @@ class Guard:
             path=self.gate.root,
         )
         return response
+
+
+def form_fields(body: bytes) -> dict[str, list[str]]:
+    """Return the fields of a form with their texts; none if it cannot be read."""
+    try:
+        return parse_qs(body.decode(), max_num_fields=MAX_FIELDS, errors="strict")
+    except ValueError:
+        return {}
+
+
+def _is_form(scope: Scope) -> bool:
+    """Whether a request is a form that a page posts without a script."""
+    headers = Headers(scope=scope)
+    kind = headers.get("content-type", "").partition(";")[0].strip().lower()
+    return scope["method"] == "POST" and kind == FORM and WORD_HEADER not in headers
+
+
+async def _body(receive: Receive) -> bytes:
+    """Return the body of a form; empty if it is too large."""
+    body, more = b"", True
+    while more and len(body) <= MAX_FORM:
+        message = await receive()
+        body += message.get("body", b"")
+        more = message.get("more_body", False)
+    return body if len(body) <= MAX_FORM else b""
+
+
+def _again(body: bytes) -> Receive:
+    """Return a channel that a body is received from once more."""
+    messages = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def receive() -> Message:
+        return messages.pop() if messages else {"type": "http.disconnect"}
+
+    return receive
 
 
 class BodyLimit:

@@ -11,7 +11,13 @@ from pydantic import Field
 from fixel.errors import NotStored
 from fixel.web.context import Context
 from fixel.web.values import Answer
-from fixel.workflows.analysis import AnalysisFigure, Kind, load_with_errors
+from fixel.workflows.analysis import (
+    Analysis,
+    AnalysisFigure,
+    Kind,
+    StoredAnalysis,
+    load_with_errors,
+)
 
 TYPES: Final = {"png": "image/png", "pdf": "application/pdf", "csv": "text/csv"}
 
@@ -64,19 +70,29 @@ def analyses(context: Context, kind: Kind | None = None) -> AnalysisList:
     )
 
 
+@router.get("/{name}", summary="Get a stored analysis with all its numbers")
+def analysis(context: Context, name: str) -> Analysis:
+    return _named(context, name).analysis
+
+
+def _named(context: Context, name: str) -> StoredAnalysis:
+    every, _ = load_with_errors(context.project)
+    for one in every:
+        if one.folder.name == name:
+            return one
+    raise NotStored(f"analysis {name}", hint="/analyses lists all")
+
+
 @router.get(
     "/{name}/{picture}.{ending}",
     summary="Get a chart of an analysis, or its data",
     response_class=FileResponse,
 )
 def picture(context: Context, name: str, picture: str, ending: str) -> FileResponse:
-    every, _ = load_with_errors(context.project)
-    one = next((one for one in every if one.folder.name == name), None)
+    one = _named(context, name)
     # Only what an analysis names itself: no part of an address becomes a path.
-    own = None if one is None else next(
-        (p.name for p in one.analysis.pictures if p.name == picture), None
-    )  # fmt: skip
-    if one is None or own is None or ending not in TYPES:
+    own = next((p.name for p in one.analysis.pictures if p.name == picture), None)
+    if own is None or ending not in TYPES:
         raise NotStored(f"chart {picture}.{ending} of {name}", hint="/analyses lists all")
     path = one.picture(own, ending)
     if not path.is_file():

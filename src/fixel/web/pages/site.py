@@ -1,7 +1,7 @@
 """All pages of a project, and what the simple ones show.
 
 `Page.place` orders the navigation: Experiments 10, Compare 20, Calibrations 30, Domain 40,
-Next pushes 45, Plan 47, Simulate 50, Jobs 60, System 70, API 90.
+Next pushes 45, Plan 47, Simulate 50, Results 55, Jobs 60, System 70, API 90.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fixel.model.selection import ExperimentQuery
 from fixel.simulation.engine_names import installed_engines
 from fixel.web.app import API, Page
 from fixel.web.context import ProjectContext
-from fixel.web.pages import calibration, experiment
+from fixel.web.pages import calibration, experiment, run
 from fixel.web.views import next_view, plan_view, scene_editor
 from fixel.web.views.system_status import system_status
 from fixel.workflows.analysis import load_with_errors
@@ -39,7 +39,8 @@ def project_pages(context: ProjectContext) -> list[Page]:
         ("/next", "Next pushes", "next.html", 45, next_page),
         ("/plan", "Plan", "plan.html", 47, plan_page),
         ("/simulate", "Simulate", "simulate.html", 50, simulate_page),
-        ("/jobs", "Jobs", "jobs.html", 60, None),
+        ("/results", "Results", "results.html", 55, run.results_page),
+        ("/jobs", "Jobs", "jobs.html", 60, run.jobs_page),
         ("/system", "System", "system.html", 70, system_page),
         ("/api", "API", "api.html", 90, api_page),
     ]
@@ -49,7 +50,13 @@ def project_pages(context: ProjectContext) -> list[Page]:
          calibration.running_page),
         ("/calibrations/{number}", "Calibration", "calibration.html", calibration.stored_page),
         ("/experiments/{number}", "Experiment", "experiment.html", experiment.experiment_page),
+        ("/results/{name}", "Result", "result.html", run.result_page),
     ]  # fmt: skip
+    # Pages with a form: address, title, template, what shows it, what takes it.
+    forms = [
+        ("/run/{name}", "Run", "run.html", run.form_page, run.start),
+        ("/jobs/{name}", "Job", "job.html", run.job_page, run.steer),
+    ]
     folder = {"folder": shlex.quote(str(context.folder))}
     return [
         *(
@@ -61,6 +68,11 @@ def project_pages(context: ProjectContext) -> list[Page]:
             Page(path=path, title=title, template=template, listed=False,
                  fill=partial(fill, context))
             for path, title, template, fill in others
+        ),
+        *(
+            Page(path=path, title=title, template=template, listed=False,
+                 fill=partial(fill, context), post=partial(take, context))
+            for path, title, template, fill, take in forms
         ),
     ]  # fmt: skip
 

@@ -1,0 +1,223 @@
+"""Pages that every capability has: its form, its jobs and its results."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import quote
+
+from fastapi import Request
+
+from fixel.capability.capability import Capability, named
+from fixel.capability.options import Option
+from fixel.errors import FixelError, InvalidInput, NotStored
+from fixel.jobs import folder as files
+from fixel.model.selection import ExperimentQuery
+from fixel.simulation.trust import check_named
+from fixel.web.context import ProjectContext
+from fixel.web.problems import problem_of
+from fixel.web.views import job_list
+from fixel.workflows import capabilities, jobs
+from fixel.workflows.analysis import StoredAnalysis, load_with_errors
+from fixel.workflows.jobs import JobStatus
+
+OFFERED: Final = 300  # names in the list of experiments
+LOG_LINES: Final = 200
+FORMS: Final[Mapping[str, Capability]] = {
+    name: one
+    for name, one in capabilities.CAPABILITIES.items()
+    if one.on_project and not any(o.required and not o.on_page for o in one.options.values())
+}
+
+
+@dataclass
+class Field:
+    """Field of a form.
+
+    Attributes
+    ----------
+    option : Option
+    texts : list of str
+        Texts that are filled in.
+    error : str
+        Why they were refused.
+    """
+
+    option: Option
+    texts: list[str] = field(default_factory=list)
+    error: str = ""
+
+    @property
+    def form(self) -> str:
+        """Form of the input: `choice`, `lines` or `text`."""
+        if self.option.many:
+            return "lines"
+        return "choice" if self.option.choices else "text"
+
+
+# --- forms ----------------------------------------------------------------------------------------
+
+
+def form_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/run/NAME?from=RESULT`, with the defaults or the request of a stored result."""
+    capability = _capability(request)
+    texts = {name: o.texts(o.default) for name, o in capability.shown.items()}
+    if source := request.query_params.get("from", ""):
+        kept = _result(context, source)
+        if kept.analysis.kind == capability.name and kept.analysis.request:
+            texts = capability.texts(capability.from_json(json.dumps(kept.analysis.request)))
+    return _form(context, capability, texts)
+
+
+def start(
+    context: ProjectContext, request: Request, fields: dict[str, list[str]]
+) -> str | dict[str, Any]:
+    """Start the job of a posted form; return the path of its page, or the form with errors."""
+    capability = _capability(request)
+    texts = {name: texts_of(capability, name, own) for name, own in fields.items()}
+    try:
+        asked = capability.from_texts(texts)
+        for name in capability.programs(asked):
+            check_named(name)
+        with job_list.job_slot(context.project.folder):
+            folder = capabilities.begin(capability, asked, context.project)
+    except FixelError as error:
+        return _form(context, capability, texts, error)
+    return f"/jobs/{quote(folder.name)}"
+
+
+def texts_of(capability: Capability, name: str, texts: list[str]) -> list[str]:
+    """Return the texts of a posted field, of which a list has one on each line.
+
+    Raises
+    ------
+    InvalidInput
+        The form has no such field.
+    """
+    option = capability.shown.get(name)
+    if option is None or not option.on_page:
+        raise InvalidInput("form", found=f"a field {name}", expected="the fields of the page")
+    lines = [line for text in texts for line in (text.splitlines() if option.many else [text])]
+    return [line.strip() for line in lines if line.strip()]
+
+
+def _form(
+    context: ProjectContext,
+    capability: Capability,
+    texts: Mapping[str, list[str]],
+    error: FixelError | None = None,
+) -> dict[str, Any]:
+    shown = [Field(o, texts.get(name, [])) for name, o in capability.shown.items() if o.on_page]
+    status, trouble = 200, ""
+    if error is not None:
+        status = problem_of(error).status
+        own: FixelError = error
+        where = ""
+        if isinstance(error, InvalidInput):
+            own, where = named(error, capability.labels()), error.where.partition(" ")[0]
+        at = next((f for f in shown if where in (f.option.name, f.option.name.split(".")[0])), None)
+        if at is None:
+            trouble = str(own)
+        else:
+            at.error = str(own)
+    return {
+        "title": capability.heading,
+        "capability": capability,
+        "fields": [own for own in shown if own.option.place or own.option.required],
+        "options": [own for own in shown if not (own.option.place or own.option.required)],
+        "trouble": trouble,
+        "opened": any(own.error for own in shown if not own.option.place),
+        "status": status,
+        "keys": [row.key for row in context.store.experiments(ExperimentQuery(limit=OFFERED)).rows],
+    }
+
+
+def _capability(request: Request) -> Capability:
+    name = request.path_params["name"]
+    if name not in FORMS:
+        raise NotStored(f"form {name!r}", hint="the page Results lists all")
+    return FORMS[name]
+
+
+# --- results --------------------------------------------------------------------------------------
+
+
+def results_page(context: ProjectContext, _: Request) -> dict[str, Any]:
+    """Fill `/results`, the list of stored results and of forms."""
+    every, unreadable = load_with_errors(context.project)
+    return {
+        "results": [(one.folder.name, one.analysis) for one in every],
+        "unreadable": [str(problem) for problem in unreadable],
+        "forms": list(FORMS.values()),
+    }
+
+
+def result_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/results/NAME`."""
+    kept = _result(context, request.path_params["name"])
+    analysis = kept.analysis
+    return {
+        "title": analysis.title,
+        "name": kept.folder.name,
+        "analysis": analysis,
+        "again": analysis.kind if analysis.kind in FORMS and analysis.request else "",
+    }
+
+
+def _result(context: ProjectContext, name: str) -> StoredAnalysis:
+    every, _ = load_with_errors(context.project)
+    for one in every:
+        if one.folder.name == name:
+            return one
+    raise NotStored(f"result {name!r}", hint="the page Results lists all")
+
+
+# --- jobs -----------------------------------------------------------------------------------------
+
+
+def jobs_page(context: ProjectContext, _: Request) -> dict[str, Any]:
+    """Fill `/jobs`."""
+    every = job_list.list_jobs(context.project.folder)
+    return {"jobs": every, "running": sum(job.can_cancel and not job.can_resume for job in every)}
+
+
+def job_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/jobs/NAME`."""
+    job = job_list.job_named(context.project.folder, request.path_params["name"])
+    readable = job.state != jobs.UNREADABLE
+    return {
+        "title": job.name,
+        "job": job,
+        "workers": job_list.workers(job) if readable else [],
+        "log": job_list.log_tail(job, LOG_LINES),
+        "result": _result_of(job),
+        "trouble": "",
+    }
+
+
+def steer(
+    context: ProjectContext, request: Request, fields: dict[str, list[str]]
+) -> str | dict[str, Any]:
+    """Cancel or resume a job; return the path of its page, or the page with the reason."""
+    job = job_list.job_named(context.project.folder, request.path_params["name"])
+    try:
+        if fields.get("do") == ["cancel"]:
+            jobs.cancel(Path(job.folder))
+        else:
+            with job_list.job_slot(context.project.folder):
+                job_list.resume(job)
+    except FixelError as error:
+        problem = problem_of(error)
+        more = {"trouble": problem.sentence, "status": problem.status}
+        return job_page(context, request) | more
+    return f"/jobs/{quote(job.name)}"
+
+
+def _result_of(job: JobStatus) -> str:
+    """Name of the result that a job has stored; empty if it is none of a capability."""
+    if job.state != "done" or job.maker != capabilities.MAKER:
+        return ""
+    return (Path(job.folder) / files.RESULT).read_text(errors="replace")

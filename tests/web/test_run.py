@@ -1,0 +1,176 @@
+"""Form, job and result page of every capability."""
+
+import json
+import re
+from dataclasses import replace
+from html import unescape
+
+import pytest
+from tests.contracts.test_capabilities import SHORT
+from tests.filtering.recordings import push
+from tests.fixtures import project_of
+from tests.web.bench import Bench
+
+from fixel.jobs.folder import read_job
+from fixel.web.pages.run import FORMS
+from fixel.web.security import FORM, WORD_FIELD
+from fixel.workflows import jobs
+from fixel.workflows.capabilities import run
+
+EVERY = pytest.mark.parametrize("capability", FORMS.values(), ids=[*FORMS])
+EVIL = "<script>window.hacked = 1</script>"
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    pushes = (replace(push(seed=k, duration=2.0), name=f"push-{k}") for k in (1, 2))
+    made = Bench(project_of(tmp_path_factory.mktemp("projects") / "lab", pushes).folder)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def begun(monkeypatch):
+    """Jobs are prepared only; the folders of those that would run."""
+    folders = []
+    monkeypatch.setattr(jobs, "run_detached", folders.append)
+    return folders
+
+
+def fields_of(capability, request):
+    """The fields that a browser posts."""
+    shown = {name: option for name, option in capability.shown.items() if option.on_page}
+    texts = capability.texts(request)
+    return {
+        name: "\r\n".join(texts[name]) if option.many else (texts[name] or [""])[0]
+        for name, option in shown.items()
+    }
+
+
+def filled_in(page):
+    """The fields as a page shows them."""
+    found = dict(re.findall(r'<input id="([^"]*)"[^>]* value="([^"]*)"', page))
+    found |= dict(re.findall(r'<textarea id="([^"]*)"[^>]*>([^<]*)<', page))
+    for name, inner in re.findall(r'<select id="([^"]*)"[^>]*>(.*?)</select>', page, re.S):
+        found[name] = next(iter(re.findall(r"<option selected>([^<]*)<", inner)), "")
+    return {name: unescape(text).replace("\n", "\r\n") for name, text in found.items()}
+
+
+@EVERY
+def test_a_form_shows_every_option_with_its_default_and_meaning(capability, bench):
+    page = bench.client.get(f"/run/{capability.name}").text
+    shown = {name: o for name, o in capability.shown.items() if o.on_page}
+
+    assert {*filled_in(page)} == {*shown}
+    for option in shown.values():
+        assert f">{option.label}</label>" in page
+        assert option.meaning[:30] in unescape(page)
+    places = capability.request(SHORT[capability.name])
+    defaults = {o.name: o.default for o in capability.options.values() if not o.required}
+    usual = places.model_copy(update=defaults)
+    required = {o.name for o in capability.options.values() if o.required}
+    wanted = fields_of(capability, usual)
+    assert {k: v for k, v in filled_in(page).items() if k not in required} == {
+        k: v for k, v in wanted.items() if k not in required
+    }
+
+
+@EVERY
+def test_a_posted_form_starts_the_job_of_the_same_request(capability, bench, begun):
+    request = capability.request(SHORT[capability.name])
+    answer = bench.submit(f"/run/{capability.name}", **fields_of(capability, request))
+
+    (folder,) = begun
+    assert (answer.status_code, answer.headers["location"]) == (
+        303,
+        f"{bench.gate.root}/jobs/{folder.name}",
+    )
+    options = read_job(folder).options
+    assert capability.from_json(json.dumps(options["request"])) == request
+    page = bench.client.get(f"/jobs/{folder.name}").text
+    assert "queued" in page
+    cancelled = bench.submit(f"/jobs/{folder.name}", do="cancel")
+    assert cancelled.status_code == 303
+    assert "cancelled" in bench.client.get(f"/jobs/{folder.name}").text
+
+
+@EVERY
+def test_a_wrong_value_is_refused_next_to_its_field(capability, bench, begun):
+    request = capability.request(SHORT[capability.name])
+    for option in capability.shown.values():
+        if option.door.least is None or not option.on_page:
+            continue
+        wrong = {**fields_of(capability, request), option.name: str(option.door.least - 1)}
+        answer = bench.submit(f"/run/{capability.name}", **wrong)
+        assert answer.status_code == 422
+        beside = answer.text.partition(f'id="about-{option.name}">')[2].partition("</small>")[0]
+        assert f"{option.label}: found" in unescape(beside)
+        assert filled_in(answer.text) == wrong
+    assert begun == []
+
+
+@EVERY
+def test_a_result_page_has_all_that_the_terminal_prints(capability, bench):
+    request = capability.request(SHORT[capability.name])
+    done = run(capability, request, bench.folder, progress=False)
+    page = bench.client.get(f"/results/{done.folder.name}").text
+    analysis = done.analysis
+
+    for sentence in (*analysis.warnings, *analysis.headline, *analysis.notes, analysis.command):
+        assert sentence in unescape(page)
+    cells = [cell for table in analysis.tables for row in table.cells for cell in row]
+    assert all(f">{cell}</t" in unescape(page) for cell in cells)
+    assert bench.client.get("/results").text.count(f"/results/{done.folder.name}") == 1
+    stored = bench.client.get(f"/api/v1/analyses/{done.folder.name}").json()
+    assert stored["numbers"] == json.loads(json.dumps(analysis.numbers))
+    again = bench.client.get(f"/run/{capability.name}?from={done.folder.name}").text
+    assert filled_in(again) == fields_of(capability, request)
+
+
+def test_texts_of_people_are_shown_as_text(bench, begun):
+    fields = {"experiment": EVIL, "particles": EVIL}
+    answer = bench.submit("/run/filter", **fields)
+    assert answer.status_code == 422
+    assert EVIL not in answer.text
+
+
+@pytest.mark.parametrize(
+    ("fields", "status"),
+    [
+        ({WORD_FIELD: "guess"}, 403),
+        ({WORD_FIELD: ""}, 403),
+        ({WORD_FIELD: "x" * 70_000}, 403),
+        ({"nonsense": "1"}, 422),
+        ({"experiment": ""}, 422),
+    ],
+)
+def test_forms_of_others_are_refused(fields, status, bench, begun):
+    answer = bench.submit("/run/filter", **{"experiment": "push-1", **fields})
+    assert answer.status_code == status
+    assert begun == []
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"origin": "null", "sec-fetch-site": "same-origin"}, 303),
+        ({"origin": "null", "sec-fetch-site": "cross-site"}, 403),
+        ({"origin": "null"}, 403),
+        ({"origin": "http://127.0.0.1:9000", "sec-fetch-site": "same-site"}, 403),
+        ({"authorization": "Bearer guess"}, 401),
+    ],
+)
+def test_a_form_must_come_from_a_page_of_this_server(headers, status, bench, begun):
+    client = bench.opened(follow_redirects=False)
+    fields = {WORD_FIELD: bench.gate.word, "experiment": "push-1", "seed": "3"}
+    answer = client.request("POST", "/run/filter", headers=headers, data=fields)
+    assert answer.status_code == status
+    assert len(begun) == (status == 303)
+    assert bench.stranger().request("POST", "/run/filter", data=fields).status_code == 403
+    assert FORM in answer.request.headers["content-type"]
+
+
+@pytest.mark.parametrize("path", ["/run/nothing", "/results/nothing", "/jobs/..%2f.."])
+def test_unknown_names_are_no_paths(path, bench):
+    assert bench.client.get(path).status_code == 404
+    assert bench.submit(path).status_code in (404, 405)
