@@ -1,6 +1,5 @@
 """`fixel plan`: pushes that reach a goal despite what is unknown."""
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -8,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 from typer.core import TyperGroup
 
+from fixel.cli.capability import typer_command
 from fixel.cli.options import (
     AsJson,
     PictureFolder,
@@ -15,29 +15,18 @@ from fixel.cli.options import (
     Seed,
     option,
     require_folder,
-    required,
     with_options,
 )
-from fixel.cli.screen import (
-    command_line,
-    command_of,
-    notify,
-    paragraphs,
-    print_answer,
-    seconds,
-    wrote,
-)
+from fixel.cli.screen import command_of, notify, paragraphs, print_answer, wrote
 from fixel.errors import InvalidInput
+from fixel.workflows.planning.run import ENDING, PLAN
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
-    from fixel.drawing.chart import AbstractChart
     from fixel.planning.trials import Trials
     from fixel.typing import FloatArray
     from fixel.workflows.acquisition.record import RecordPlan
-    from fixel.workflows.analysis import StoredAnalysis
     from fixel.workflows.planning.check import CheckedPlan
-    from fixel.workflows.planning.request import FoundPlan, PlanRequest
 
 FIND: Final = "find"
 
@@ -64,92 +53,7 @@ PlanPath = Annotated[
 ]
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlanOptions:
-    """Options of `fixel plan`."""
-
-    scene: Path | None = option(
-        None,
-        "Scene file; by default that of the goal file, else that of the calibration.",
-        exists=True,
-        dir_okay=False,
-    )
-    experiment: str | None = option(
-        None, "Experiment of the project whose scene is used, by id or name.", metavar="KEY"
-    )
-    calibration: int | None = option(
-        None, "Id of the calibration; by default that of the goal file, else the newest.", min=1
-    )
-    rollouts: int = option(
-        160_000, "Number of simulated pushes that the search may use.", "--rollouts", "--budget",
-        min=1000,
-    )  # fmt: skip
-    seed: Seed = 0
-    untrusted: bool = option(
-        False, "Allow pushes that resemble none of the calibration's experiments.", "--untrusted"
-    )
-
-    def request(self, goal: Path) -> "PlanRequest":
-        """Request for a plan."""
-        from fixel.workflows.planning.request import PlanRequest
-
-        return PlanRequest.of_file(
-            goal,
-            scene="" if self.scene is None else str(self.scene),
-            experiment=self.experiment or "",
-            calibration=self.calibration,
-            rollouts=self.rollouts,
-            seed=self.seed,
-            untrusted=self.untrusted,
-        )
-
-
-@app.command(FIND)
-@with_options
-def find(
-    *,
-    goal: Path = required("Goal file.", metavar="GOAL", exists=True, dir_okay=False),
-    folder: ProjectFolder = Path(),
-    options: PlanOptions,
-    save: Path | None = option(
-        None, "Write the plan to this file.", "--save", show_default="GOAL.plan"
-    ),
-    store: Path | None = option(
-        None, "Folder in which the work is stored; the same command continues it.", metavar="FOLDER"
-    ),
-    plot: PictureFolder = None,
-    as_json: AsJson = False,
-) -> None:
-    """Plan pushes that reach a goal, with a success probability.
-
-    `fixel plan GOAL` is short for `fixel plan find GOAL`.
-    """
-    from fixel.io.atomic import refuse_unwritable
-    from fixel.workflows.planning import request as requests
-    from fixel.workflows.planning.report import store_plan
-    from fixel.workflows.planning.stored import ENDING, save_plan
-
-    began = time.monotonic()
-    wanted = options.request(goal)
-    target = save or goal.with_suffix(ENDING)
-    refuse_unwritable(target)
-    require_folder(plot)
-    project = _project(folder)
-    progress = False if as_json else None
-    found = requests.find_plan(project, wanted, store=store, progress=progress)
-    save_plan(found, target)
-    duration = time.monotonic() - began
-    files, kept = [target], None
-    if project is not None:
-        kept = store_plan(project, found, command_line(), duration)
-        files += [] if plot is None else kept.copy_pictures(plot)
-    elif plot is not None:
-        files += _pictures(found, plot)
-    print_answer(
-        as_json,
-        lambda: _content(found, files),
-        lambda: _lines(found, files, target, kept, duration, folder),
-    )
+app.command(FIND)(typer_command(PLAN))
 
 
 @app.command("check")
@@ -169,26 +73,21 @@ def check(
     The probability is that under the present calibration.
     """
     from fixel.io.atomic import written_whole
+    from fixel.workflows.figures import write_picture
     from fixel.workflows.planning.check import check_plan
-    from fixel.workflows.planning.report import waypoints_text
+    from fixel.workflows.planning.report import pictures_of, waypoints_text
 
     require_folder(plot)
     checked = check_plan(_project(folder), plan)
-    files = [] if plot is None else _pictures(checked.found, plot)
+    files = []
+    if plot is not None:
+        pictures = pictures_of(checked.found.plan)
+        files = [file for picture in pictures for file in write_picture(plot, picture)]
     if waypoints is not None:
         with written_whole(waypoints) as path:
             path.write_text(waypoints_text(checked.found.plan, waypoints), encoding="utf-8")
         files.append(waypoints)
-    print_answer(
-        as_json,
-        lambda: _checked_content(checked) | {"files": [str(f) for f in files]},
-        lambda: paragraphs(
-            [str(checked.found.plan.goal)],
-            [f"push {k}: {one}" for k, one in enumerate(checked.found.plan.pushes, 1)],
-            checked.sentences,
-            wrote(files),
-        ),
-    )
+    _print_checked(checked, files, as_json)
 
 
 @app.command()
@@ -225,25 +124,31 @@ def next_(
         typer.Option(help="Seen pose of the part: x,y,angle [mm, mm, deg].", metavar="X,Y,ANGLE"),
     ],
     done: int = option(0, "Number of pushes that were carried out.", min=0),
-    save: Path | None = option(None, "Write the new plan to this file.", "--save"),
+    out: Path | None = option(
+        None, "Write the new plan to this file.", "--out", "--save", show_default="PLAN-next.plan"
+    ),
     rollouts: int = option(12_000, "Number of simulated pushes.", min=1000),
     folder: ProjectFolder = Path(),
     as_json: AsJson = False,
 ) -> None:
     """Plan again from a seen pose, with the pushes that are left."""
     from fixel.workflows.planning.check import next_plan, seen_pose
-    from fixel.workflows.planning.stored import ENDING, save_plan
+    from fixel.workflows.planning.report import analysis_of
+    from fixel.workflows.planning.stored import save_plan
 
-    began = time.monotonic()
     pose = seen_pose(seen)
-    progress = False if as_json else None
-    found = next_plan(_project(folder), plan, pose, done=done, rollouts=rollouts, progress=progress)
-    target = save or plan.with_name(f"{plan.stem}-next{ENDING}")
+    found = next_plan(_project(folder), plan, pose, done=done, rollouts=rollouts)
+    target = out or plan.with_name(f"{plan.stem}-next{ENDING}")
     save_plan(found, target)
+    analysis = analysis_of(found)
     print_answer(
         as_json,
-        lambda: _content(found, [target]),
-        lambda: _lines(found, [target], target, None, time.monotonic() - began, folder),
+        lambda: analysis.numbers | {"warnings": [*found.warnings], "files": [str(target)]},
+        lambda: paragraphs(
+            analysis.lines(),
+            wrote([target]),
+            [f"Next: {command_of('plan', 'run', target, project=folder)}"],
+        ),
     )
 
 
@@ -354,32 +259,11 @@ def _project(folder: Path) -> "Project | None":
     return Project(folder)
 
 
-def _pictures(found: "FoundPlan", folder: Path) -> list[Path]:
-    from fixel.drawing.chart import draw_chart
-    from fixel.drawing.planning import CaptureChart, PathsChart
-
-    folder.mkdir(parents=True, exist_ok=True)
-    files: list[Path] = []
-    charts: dict[str, AbstractChart] = {"paths": PathsChart.of(found.plan)}
-    if found.plan.pushes:
-        charts["capture"] = CaptureChart.of(found.plan)
-    for name, chart in charts.items():
-        files += [folder / f"{name}.{end}" for end in ("png", "pdf")]
-        draw_chart(chart, *files[-2:])
-    return files
-
-
-def _content(found: "FoundPlan", files: list[Path]) -> dict[str, Any]:
-    from fixel.workflows.planning.report import numbers_of
-
-    own = numbers_of(found)
-    return own | {"warnings": list(found.warnings), "files": [str(f) for f in files]}
-
-
-def _checked_content(checked: "CheckedPlan") -> dict[str, Any]:
-    return {
+def _print_checked(checked: "CheckedPlan", files: list[Path], as_json: bool) -> None:
+    plan = checked.found.plan
+    content = {
         "plan": checked.id,
-        "stated": checked.found.plan.success.stated,
+        "stated": plan.success.stated,
         "now": checked.now.stated,
         "mean_now": checked.now.mean,
         "calibration": checked.calibration,
@@ -387,29 +271,15 @@ def _checked_content(checked: "CheckedPlan") -> dict[str, Any]:
         "trials": checked.trials.n,
         "successes": checked.trials.successes,
         "refuted": checked.trials.refuted,
+        "files": [str(file) for file in files],
     }
-
-
-def _lines(
-    found: "FoundPlan",
-    files: list[Path],
-    target: Path,
-    kept: "StoredAnalysis | None",
-    duration: float,
-    folder: Path,
-) -> list[str]:
-    from fixel.workflows.planning.report import headline_of, pushes_table, success_table
-
-    plan = found.plan
-    stored = f"stored in {kept.folder}, " if kept is not None else ""
-    return paragraphs(
-        [f"Unseen: {text}" for text in plan.unseen],
-        [f"Goal: {plan.goal}", *pushes_table(plan).lines(), "", *success_table(plan).lines()],
-        [
-            *headline_of(found),
-            *plan.explain().sentences,
-            *(f"Warning: {text}." for text in found.warnings if text not in plan.unseen),
-        ],
-        [*wrote(files), f"{stored}in {seconds(duration)}"],
-        [f"Next: {command_of('plan', 'run', target, project=folder)}"] if plan.pushes else [],
+    print_answer(
+        as_json,
+        lambda: content,
+        lambda: paragraphs(
+            [str(plan.goal)],
+            [f"push {k}: {one}" for k, one in enumerate(plan.pushes, 1)],
+            checked.sentences,
+            wrote(files),
+        ),
     )

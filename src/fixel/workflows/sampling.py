@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import sys
 from pathlib import Path
-from typing import Any, final
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
-from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
+from fixel.capability.capability import Capability
+from fixel.capability.options import Door
 from fixel.errors import InvalidInput
-from fixel.formats.plan_file import load_plan, plan_text
-from fixel.io.atomic import refuse_unwritable, written_whole
-from fixel.sampling import Plan, PlanProblem, eight_push_plan, rehearse, thesis_plan
-from fixel.workflows.compilation import get_ready
 
-PLAN_ENDINGS = (".yaml", ".yml")
+if TYPE_CHECKING:
+    from fixel.sampling import Plan, PlanProblem
+    from fixel.table import Table
+    from fixel.workflows.analysis import AnalysisReport
+    from fixel.workflows.capabilities import StoredAnswer
+
+PLAN_ENDINGS: Final = (".yaml", ".yml")
+MAX_PROBLEMS: Final = 20
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SampleAnswer:
-    """Sampling plan with its problems and files.
+class SampleAnswer(NamedTuple):
+    """Sampling plan with its problems.
 
     Attributes
     ----------
@@ -28,99 +31,160 @@ class SampleAnswer:
         In order of the plan.
     rehearsed : bool
         Whether problems were also searched for by simulation.
-    files : dict from kind to Path
-        ``output``, ``plot``.
     """
 
     plan: Plan
     problems: tuple[PlanProblem, ...]
     rehearsed: bool
-    files: dict[str, Path]
-
-    def summary(self) -> dict[str, Any]:
-        """Return counts, problems, files and every experiment, as plain values."""
-        plan = self.plan
-        return {
-            "plan": plan.name,
-            "shapes": len(plan.shapes),
-            "layouts": len(plan.layouts),
-            "configurations": plan.configurations,
-            "repetitions": plan.repetitions,
-            "total": plan.total,
-            "layout_numbers": {x.name: x.number for x in plan.layouts if x.number is not None},
-            "duration_s": plan.rig.duration,
-            "rehearsed": self.rehearsed,
-            "problems": [problem._asdict() for problem in self.problems],
-            "experiments": [
-                {"name": experiment.name, **experiment.conditions}
-                for experiment in plan.experiments
-            ],
-            "files": {kind: str(path) for kind, path in self.files.items()},
-        }
 
 
 def sample(
-    path: Path | None = None,
+    plan: Annotated[
+        Path | None, Door(metavar="PLAN", usual="the 420 experiments of the thesis")
+    ] = None,
     *,
-    output: Path | None = None,
-    plot: Path | None = None,
-    simulate: bool = False,
-    eight_push: bool = False,
+    out: Annotated[Path | None, Door(also=("--output",), writes=True)] = None,
+    eight_push: Annotated[bool, Door(flag="--eight-push")] = False,
+    simulate: Annotated[bool, Door(flag="--simulate")] = False,
 ) -> SampleAnswer:
-    """Load a plan and check it; save and draw it if requested.
+    """Create a plan of experiments and report its problems.
 
     Parameters
     ----------
-    path : Path, optional
-        Plan file; by default the thesis's plan.
-    output : Path, optional
-        Plan file to write: `.yaml`.
-    plot : Path, optional
-        Drawing to write: `.png`, `.svg` or `.pdf`.
+    plan : Path, optional
+        Plan file, YAML or JSON.
+    out : Path, optional
+        Plan file to write, .yaml.
     eight_push : bool
-        Whether to use the ASME paper's plan instead of the thesis's, if no file is given.
+        Whether to use the eight pushes of the ASME paper, which identify three support points,
+        instead of the scheme of the thesis.
     simulate : bool
-        Whether to simulate every experiment, to check that the object touches a fixel.
+        Whether to simulate every experiment and check that the object touches a fixel.
 
     Raises
     ------
     InvalidInput
         A file that cannot be read or written, or an invalid plan.
     """
-    files = {kind: file for kind, file in (("output", output), ("plot", plot)) if file is not None}
-    _refuse_files(path, files)
-    if path is not None:
-        plan = load_plan(path)
+    from fixel.drawing.chart import refuse_ending
+    from fixel.formats.plan_file import load_plan, plan_text
+    from fixel.io.atomic import refuse_unwritable, written_whole
+    from fixel.sampling import eight_push_plan, rehearse, thesis_plan
+    from fixel.workflows.compilation import get_ready
+
+    if eight_push and plan is not None:
+        raise InvalidInput("eight_push", found="a plan file too", expected="one of them")
+    if out is not None:
+        refuse_ending(out, PLAN_ENDINGS, "plan")
+        refuse_unwritable(out)
+        if plan is not None and out.resolve() == plan.resolve():
+            expected = "another file to write"
+            raise InvalidInput(str(out), found="the plan file itself", expected=expected)
+    if plan is not None:
+        own = load_plan(plan)
     else:
-        plan = eight_push_plan() if eight_push else thesis_plan()
-    problems = plan.check()
-    if simulate and plan.experiments:
-        get_ready(plan.experiments[0].scene)
-        problems = tuple(sorted([*problems, *rehearse(plan).problems]))
-    if output is not None:
-        with written_whole(output) as unfinished:
-            unfinished.write_text(plan_text(plan), encoding="utf-8")
-    if plot is not None:
-        _draw(plan, plot)
-    return SampleAnswer(plan=plan, problems=problems, rehearsed=simulate, files=files)
+        own = eight_push_plan() if eight_push else thesis_plan()
+    problems = own.check()
+    if simulate and own.experiments:
+        get_ready(own.experiments[0].scene)
+        problems = tuple(sorted([*problems, *rehearse(own).problems]))
+    if out is not None:
+        with written_whole(out) as unfinished:
+            unfinished.write_text(plan_text(own), encoding="utf-8")
+    return SampleAnswer(own, problems, simulate)
 
 
-def _draw(plan: Plan, path: Path) -> None:
+# --- presentation ---------------------------------------------------------------------------------
+
+
+def report_of(answer: SampleAnswer) -> AnalysisReport:
+    """Return counts, problems and every experiment of a plan."""
+    from fixel.workflows.analysis import Analysis, AnalysisReport
+
+    plan = answer.plan
+    numbered = {own.name: own.number for own in plan.layouts if own.number is not None}
+    titles = [own.title for own in plan.layouts if own.number is not None]
+    hours = plan.total * plan.rig.duration / 3600.0
+    numbers = {
+        "plan": plan.name,
+        "shapes": len(plan.shapes),
+        "layouts": len(plan.layouts),
+        "configurations": plan.configurations,
+        "repetitions": plan.repetitions,
+        "total": plan.total,
+        "layout_numbers": numbered,
+        "duration_s": plan.rig.duration,
+        "rehearsed": answer.rehearsed,
+        "problems": [problem._asdict() for problem in answer.problems],
+        "experiments": [{"name": own.name, **own.conditions} for own in plan.experiments],
+    }
+    return AnalysisReport(
+        Analysis(
+            kind="sample",
+            title=f"Plan {plan.name}",
+            question={},
+            headline=(f"plan {plan.name}",),
+            tables=(_table(plan),),
+            notes=(
+                *([f"layouts: {', '.join(titles)}"] if titles else []),
+                f"{plan.rig.duration:.3g} s per push, {hours:.2g} h in total",
+                *_problems(answer),
+            ),
+            numbers=numbers,
+        )
+    )
+
+
+def content(done: StoredAnswer) -> dict[str, Any]:
+    """Return the content of `--json`."""
+    return done.analysis.numbers | {"files": {k: str(path) for k, path in done.files.items()}}
+
+
+def draw(answer: SampleAnswer, path: Path) -> None:
+    """Draw a plan into a file."""
     from fixel.drawing.plan import draw_plan
+    from fixel.io.atomic import written_whole
 
     with written_whole(path) as unfinished:
-        draw_plan(plan, unfinished)
+        draw_plan(answer.plan, unfinished)
 
 
-def _refuse_files(path: Path | None, files: dict[str, Path]) -> None:
-    """Reject files that cannot be written, before any work."""
-    if "output" in files:
-        refuse_ending(files["output"], PLAN_ENDINGS, "plan")
-    if "plot" in files:
-        refuse_ending(files["plot"], PICTURE_ENDINGS, "picture")
-    for file in files.values():
-        refuse_unwritable(file)
-        if path is not None and file.resolve() == path.resolve():
-            raise InvalidInput(
-                str(file), found="the plan file itself", expected="another file to write"
-            )
+def next_words(done: StoredAnswer) -> list[object]:
+    """Return the words of the command that most users need next."""
+    request: Any = done.request
+    plan = request.out or request.plan
+    if plan is None:
+        return [*done.again, "--out", "plan.yaml"]
+    if not any(layout.pegs for layout in done.result.plan.layouts):  # the testbed is for grasps
+        return ["sample", plan, "--simulate"]
+    return ["testbed", "run", plan]
+
+
+def _table(plan: Plan) -> Table:
+    from fixel.table import Table
+
+    n_layouts, n = len(plan.layouts), len(plan.layouts) * plan.configurations * plan.repetitions
+    rows: list[tuple[str | int, ...]] = [
+        (shape.name, n_layouts, plan.configurations, plan.repetitions, n) for shape in plan.shapes
+    ]
+    rows.append((f"{len(plan.shapes)} in all", "", "", "", plan.total))
+    return Table(("shape", "layouts", "configurations", "repetitions", "experiments"), rows)
+
+
+def _problems(answer: SampleAnswer) -> list[str]:
+    how = "by geometry and simulation" if answer.rehearsed else "by geometry"
+    n = len(answer.problems)
+    if not n:
+        return [f"No problems, checked {how}."]
+    shown = [f"  {own.name}: {own.sentence}" for own in answer.problems[:MAX_PROBLEMS]]
+    more = [f"  ... and {n - len(shown)} more; --json has them all"] if n > len(shown) else []
+    return [f"{n} problem{'s' * (n != 1)}, checked {how}", *shown, *more]
+
+
+def _presentation() -> ModuleType:
+    return sys.modules[__name__]
+
+
+SAMPLE: Final = Capability(
+    name="sample", function=sample, presentation=_presentation, plot="file"
+)

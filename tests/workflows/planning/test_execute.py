@@ -50,8 +50,8 @@ class Clock:
 
 def test_trials_on_the_testbed_are_those_of_its_own_runs(tmp_path: Path):
     path = stored(square_plan(), tmp_path / "a.plan")
-    found = run_on_testbed(path, trials=12, seed=4, threads=1)
-    again = run_on_testbed(stored(square_plan(), tmp_path / "b.plan"), trials=12, seed=4, threads=1)
+    found = run_on_testbed(path, trials=12, seed=4)
+    again = run_on_testbed(stored(square_plan(), tmp_path / "b.plan"), trials=12, seed=4)
     assert [one.end for one in found.trials] == [one.end for one in again.trials]
     assert found.n == 12
     plan = square_plan()
@@ -186,8 +186,8 @@ def test_poses_that_are_not_three_numbers_are_refused(text: str):
 
 def test_a_check_counts_trials_and_repeats_the_statement(tmp_path: Path):
     path = stored(square_plan(), tmp_path / "a.plan")
-    run_on_testbed(path, trials=3, seed=4, threads=1)
-    checked = check_plan(None, path, threads=1)
+    run_on_testbed(path, trials=3, seed=4)
+    checked = check_plan(None, path)
     assert checked.trials.n == 3
     assert not checked.changed
     assert abs(checked.now.mean - checked.found.plan.success.mean) < 0.15

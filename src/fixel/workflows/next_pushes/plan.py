@@ -13,7 +13,7 @@ from fixel.model import LineDrive, Scene
 from fixel.sampling import FixelLayout, Plan, PlannedShape, SamplingRig
 from fixel.sampling.offsets import Offset, OffsetList
 from fixel.sampling.plan import object_pose
-from fixel.workflows.next_pushes.run import PushProposal
+from fixel.workflows.next_pushes.selection import PushProposal
 
 
 def plan_of(proposal: PushProposal, name: str = "next") -> Plan:
@@ -30,10 +30,10 @@ def plan_of(proposal: PushProposal, name: str = "next") -> Plan:
               for tip, own in zip(tips, drives, strict=False)}  # fmt: skip
     if len(drives) < len(tips) or len(common) > 1:
         raise InvalidInput(
-            "--out", found="pushes that differ in tip, travel or speed", expected="pushes alike"
+            "out", found="pushes that differ in tip, travel or speed", expected="pushes alike"
         )
     if any(own.fixels for own in proposal.scenes):
-        raise InvalidInput("--out", found="pushes with fixels", expected="pushes on an open plate")
+        raise InvalidInput("out", found="pushes with fixels", expected="pushes on an open plate")
     drive, tip = drives[0], tips[0]
     rig = SamplingRig(
         head=tip.shape,
@@ -48,7 +48,7 @@ def plan_of(proposal: PushProposal, name: str = "next") -> Plan:
         angle=0.0,
     )
     planned = PlannedShape(
-        name=_plain(proposal.part or body.name, "part"),
+        name=_plain(proposal.selection.part.value or body.name, "part"),
         outline=body.shape,
         mass=body.mass,
         support=body.support,

@@ -1,79 +1,73 @@
-"""Report of proposed pushes, to store: sentences, table and picture."""
+"""Report of proposed pushes: sentences, table and picture."""
 
 from __future__ import annotations
 
 import math
-import shlex
-from dataclasses import asdict
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fixel.database.project import Project
 from fixel.domain.error_bound import min_experiments
 from fixel.drawing.parts import NextPushesChart
 from fixel.parts.next_pushes import NextPushes
-from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
+from fixel.workflows.analysis import Analysis, AnalysisReport
 from fixel.workflows.figures import Picture, banner_of
-from fixel.workflows.next_pushes.run import NextPushesRequest, PushProposal
+from fixel.workflows.next_pushes.selection import PushProposal
+
+if TYPE_CHECKING:
+    from fixel.workflows.capabilities import StoredAnswer
 
 
-def store_proposal(project: Project, found: PushProposal, command: str = "") -> StoredAnalysis:
-    """Store a proposal in its project, with its picture and what is unseen as warnings."""
-    pushes, model = found.pushes, found.model
-    where = " on ".join(x for x in (found.part or "the part of the scene", found.surface) if x)
-    table = pushes.table()
-    n = len(model.parts)
-    headline = [_headline(pushes)]
-    headline.append(
-        f"The bounds come from {n} parts that were left out. They prove at most"
-        f" {100.0 * model.proved_level:.1f} %, and a guarantee of {100.0 * model.level:g} % needs"
-        f" {min_experiments(model.level)} parts."
-    )
-    chart = NextPushesChart(title=f"Next pushes of {where}", pushes=pushes)
+def report_of(found: PushProposal) -> AnalysisReport:
+    """Return sentences, table, numbers and picture of a proposal, with what is unseen."""
+    pushes, model, own = found.pushes, found.model, found.selection
+    where = " on ".join(x for x in (own.part.value or "the part of the scene", own.surface.value) if x)
     simulated = [
-        "" if own.real else f"SIMULATED by {own.simulated_by}" for own in model.experiments
+        "" if one.real else f"SIMULATED by {one.simulated_by}" for one in model.experiments
     ]
+    chart = NextPushesChart(title=f"Next pushes of {where}", pushes=pushes)
+    caption = "Outline of the part with the proposed pushes, the best first."
+    parts = {own.part.name and str(one.conditions[own.part.name]) for one in own.known}
     analysis = Analysis(
         kind="next",
         title=f"Next pushes of {where}",
-        question=asdict(found.request) | {"where": list(found.request.where)},
-        headline=tuple(headline),
-        warnings=tuple([*pushes.unseen, *_warnings(found)]),
-        tables=(table,),
-        numbers=numbers_of(found),
-        command=command,
-        seed=found.request.seed,
-        seconds=found.seconds,
+        question={},
+        headline=(
+            f"Next pushes of {where}, after {pushes.pushes} pushes"
+            f" ({pushes.candidates} candidates).",
+            _headline(pushes),
+            f"The bounds come from {len(model.parts)} parts that were left out. They prove at most"
+            f" {100.0 * model.proved_level:.1f} %, and a guarantee of {100.0 * model.level:g} %"
+            f" needs {min_experiments(model.level)} parts.",
+        ),
+        warnings=(
+            *pushes.unseen,
+            *pushes.gaps,
+            *(f"{n} experiment{'s' * (n != 1)} {why}: not used" for why, n in own.skipped.items()),
+        ),
+        tables=(pushes.table(),),
+        notes=(
+            pushes.notes[0],
+            f"learned from {len(own.known)} pushes of {len(parts)} parts",
+        ),
+        numbers=_numbers(found),
     )
-    caption = "Outline of the part with the proposed pushes, the best first."
-    picture = Picture("pushes", chart, banner_of(simulated), caption)
-    return store_analysis(project, analysis, [picture])
+    return AnalysisReport(analysis, [Picture("pushes", chart, banner_of(simulated), caption)])
 
 
-def command_of(request: NextPushesRequest, folder: Path = Path()) -> str:
-    """Return the command that repeats a proposal; without a folder for the current one."""
-    values = {
-        "--part": request.part,
-        "--surface": request.surface,
-        "--scene": request.scene,
-        "--candidates": request.candidates,
-        "--travel-mm": _scaled(request.travel),
-        "--speed-mm-s": _scaled(request.speed),
-        "--radius-mm": _scaled(request.radius),
-        "--project": "" if folder == Path() else str(folder),
-    }
-    words = ["fixel", "next", *(word for k, v in values.items() if v for word in (k, v))]
-    words += [word for text in request.where for word in ("--where", text)]
-    words += ["--chosen"] * request.chosen
-    for name, default in (("n", 5), ("contacts", 24), ("seed", 0)):
-        value = getattr(request, name)
-        words += [f"--{'number' if name == 'n' else name}", str(value)] * (value != default)
-    return shlex.join(words)
+def content(done: StoredAnswer) -> dict[str, Any]:
+    """Return the content of `--json`."""
+    files = [str(file) for file in done.files.values()]
+    return done.analysis.numbers | {
+        "seconds": done.analysis.seconds, "folder": str(done.folder), "files": files
+    }  # fmt: skip
 
 
-def _scaled(value: float | None) -> str:
-    return "" if value is None else f"{1e3 * value:g}"
+def next_words(done: StoredAnswer) -> list[object]:
+    """Return the words of the command that performs the pushes, or writes them to a file."""
+    if done.request.out is not None:
+        return ["testbed", "run", done.request.out]
+    return [*done.again, "--out", "next.yaml"]
 
 
 def _headline(pushes: NextPushes) -> str:
@@ -86,25 +80,17 @@ def _headline(pushes: NextPushes) -> str:
     )
 
 
-def _warnings(found: PushProposal) -> list[str]:
-    """Return sentences on intended pushes without a bound, and on what was left out."""
-    return [
-        *found.pushes.gaps,
-        *(f"{n} experiment{'s' * (n != 1)} {why}: not used" for why, n in found.skipped.items()),
-    ]
-
-
-def numbers_of(found: PushProposal) -> dict[str, object]:
+def _numbers(found: PushProposal) -> dict[str, Any]:
     """Return a proposal as plain values in SI units, for `--json` and the page."""
-    own = found.pushes
+    own, selected = found.pushes, found.selection
 
     def finite(values: np.ndarray) -> list[float | None]:
         return [float(x) if math.isfinite(x) else None for x in values]
 
     return {
         "unseen": list(own.unseen),
-        "part": found.part,
-        "surface": found.surface,
+        "part": selected.part.value,
+        "surface": selected.surface.value,
         "pushes_made": own.pushes,
         "candidates": own.candidates,
         "left_out_candidates": own.idle,
@@ -127,6 +113,5 @@ def numbers_of(found: PushProposal) -> dict[str, object]:
         "known_parts": list(found.model.parts),
         "level": found.model.level,
         "proved_level": found.model.proved_level,
-        "skipped": found.skipped,
-        "seconds": found.seconds,
+        "skipped": selected.skipped,
     }

@@ -82,7 +82,7 @@ class CheckedPlan:
         return lines
 
 
-def check_plan(project: Project | None, path: Path, *, threads: int | None = None) -> CheckedPlan:
+def check_plan(project: Project | None, path: Path) -> CheckedPlan:
     """Compute the success probability of a stored plan under the present calibration.
 
     Raises
@@ -96,7 +96,7 @@ def check_plan(project: Project | None, path: Path, *, threads: int | None = Non
     return CheckedPlan(
         found=file.found,
         id=file.id,
-        now=success_under(file.found.plan, belief, threads=threads),
+        now=success_under(file.found.plan, belief),
         calibration=number,
         changed=number != file.found.calibration,
         trials=trials,
@@ -107,18 +107,19 @@ def present_belief(project: Project | None, found: FoundPlan) -> tuple[Belief, i
     """Return the belief of a plan with the present calibration of its project, and its id."""
     if project is None or found.calibration is None:
         return found.plan.belief, found.calibration
-    request = replace(found.request, calibration=None)
-    own = inputs_of(project, request)
+    given = found.request
+    scene = Path(given["scene"]) if given.get("scene") else None
+    own = inputs_of(
+        project, given["goal"], Path(given["folder"]), scene, given.get("experiment", "")
+    )
     return own.belief, own.calibration
 
 
-def success_under(
-    plan: PushPlan, belief: Belief, *, threads: int | None = None
-) -> SuccessProbability:
+def success_under(plan: PushPlan, belief: Belief) -> SuccessProbability:
     """Compute the success probability of a plan from fresh scenarios of a belief."""
     scenarios = belief.scenarios(plan.scene, worlds=WORLDS, runs=WORLDS, seed=plan.seed + FRESH)
     simulator = simulator_of(
-        plan.scene, plan.goal, plan.choose, belief, plan.motion, plan.stepper, threads
+        plan.scene, plan.goal, plan.choose, belief, plan.motion, plan.stepper, None
     )
     runs = simulator.run(plan.planned(), np.zeros(scenarios.n, np.int64), scenarios)
     margins = simulator.margins(runs)
@@ -146,7 +147,6 @@ def next_plan(
     done: int = 0,
     error: StartError | None = None,
     rollouts: int = QUICK,
-    threads: int | None = None,
     progress: ProgressOption = None,
 ) -> FoundPlan:
     """Plan again from a seen pose of the part, with the pushes that are left.
@@ -163,7 +163,7 @@ def next_plan(
     error : StartError, optional
         Error of the seen pose; by default that of the stickers' camera.
     rollouts : int
-    threads : int, optional
+        Number of simulated pushes.
     progress : bool or callable, optional
     """
     found = load_plan(path).found
@@ -191,9 +191,8 @@ def next_plan(
         seed=old.seed,
         motion=old.motion,
         stepper=old.stepper,
-        untrusted=found.request.untrusted,
+        untrusted=found.request.get("untrusted", False),
         first=[old.pushes[done:]],
-        threads=threads,
         progress=progress,
     )
     return FoundPlan(

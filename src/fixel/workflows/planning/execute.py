@@ -35,9 +35,7 @@ LEAST: Final = np.array([1e-3, 1e-3, math.radians(1.0)])
 AskPose = Callable[[str], FloatArray]  # sentence -> seen pose (3,) [m, m, rad]
 
 
-def run_on_testbed(
-    path: str | Path, *, trials: int = 1, seed: int = 1, threads: int | None = None
-) -> Trials:
+def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trials:
     """Carry out a plan on the simulated testbed, which is another model, and add its trials.
 
     Parameters
@@ -47,7 +45,6 @@ def run_on_testbed(
     trials : int
     seed : int
         Seed of the testbed: its plate and its conditions.
-    threads : int, optional
 
     Returns
     -------
@@ -62,9 +59,7 @@ def run_on_testbed(
     error = plan.belief.start
     drawn = np.zeros((trials, 3)) if error is None else error.samples(trials, seed)
     starts = plan.start[0] + drawn[rng.permutation(trials)]
-    done = repeat_pushes(
-        SimulatedTestbed(seed=seed), plan.scenes, starts, name=file.id, threads=threads
-    )
+    done = repeat_pushes(SimulatedTestbed(seed=seed), plan.scenes, starts, name=file.id)
     fixels = None if plan.fixels is None else np.repeat(plan.fixels[None], trials, axis=0)
     track = BodyTrack(done.pose[:, 1:], done.stalled, np.abs(done.force), fixels)
     met = plan.goal.met(plan.scene, track) & np.equal(done.failure, "")

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, TypedDict, Unpack, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -100,16 +100,6 @@ class HeldSuccess(Result):
         )
 
 
-class HeldOptions(TypedDict, total=False):
-    """Options of `held_success`."""
-
-    position: float
-    angle: float
-    seed: int
-    threads: int | None
-    progress: ProgressOption
-
-
 def held_success(
     calibration: Calibration,
     experiments: Sequence[Experiment],
@@ -117,7 +107,6 @@ def held_success(
     position: float = 3 * mm,
     angle: float = 3 * deg,
     seed: int = 0,
-    threads: int | None = None,
     progress: ProgressOption = None,
 ) -> HeldSuccess:
     """Compare stated with held success in choices among experiments that were left out.
@@ -131,7 +120,6 @@ def held_success(
     position, angle : float
         Tolerances of the goals [m], [rad].
     seed : int
-    threads : int, optional
     progress : bool or callable, optional
 
     Raises
@@ -155,16 +143,14 @@ def held_success(
             train = [own for own, at in zip(experiments, fold, strict=True) if at != k]
             rows = np.flatnonzero(fold == k)
             left = [experiments[int(row)] for row in rows]
-            stated, held, chosen = _choices(
-                calibration, train, left, (position, angle), rng, seed, threads
-            )
+            stated, held, chosen = _choices(calibration, train, left, (position, angle), rng, seed)
             parts.append((stated, held, rows[chosen]))
     stated, held, chosen = (np.concatenate(own) for own in zip(*parts, strict=True))
     return HeldSuccess(stated=stated, held=held, push=chosen, position=position, angle=angle)
 
 
 def held_success_of(
-    project: Project, number: int | None = None, **options: Unpack[HeldOptions]
+    project: Project, number: int | None = None, **options: Any
 ) -> HeldSuccess:
     """Compare stated with held success for a stored calibration; by default the newest.
 
@@ -193,23 +179,18 @@ def _choices(
     tolerance: tuple[float, float],
     rng: np.random.Generator,
     seed: int,
-    threads: int | None,
 ) -> tuple[FloatArray, BoolArray, np.ndarray]:
     """Return stated and held success (GOALS,) of the chosen pushes, and which these are."""
     space = {
         u.label: u.nominal if u.frozen else (u.low, u.high) for u in calibration.space.unknowns
     }
-    fit = calibrate(
-        train, space, motion=calibration.motion, seed=seed, threads=threads, progress=False
-    )
-    scatter = learn_run_to_run(
-        train, fit, fitted=min(len(fit), 3 * len(train) - 1), seed=seed, threads=threads
-    )
+    fit = calibrate(train, space, motion=calibration.motion, seed=seed, progress=False)
+    scatter = learn_run_to_run(train, fit, fitted=min(len(fit), 3 * len(train) - 1), seed=seed)
     belief = Belief(parameters=fit, run_to_run=scatter)
     targets = [target_of(own) for own in left]
-    draws = np.array([_ends(belief, own, seed, threads) for own in targets])
+    draws = np.array([_ends(belief, own, seed) for own in targets])
     measured = np.array([_motion(own, own.pose[-1:])[0] for own in targets])
-    nominal = np.array([_nominal(fit, own, threads) for own in targets])
+    nominal = np.array([_nominal(fit, own) for own in targets])
     size = np.array([tolerance[0], tolerance[0], tolerance[1]])
     goals = nominal[rng.integers(len(nominal), size=GOALS)]
     goals = goals + (2.0 * rng.random((GOALS, 3)) - 1.0) * size
@@ -221,22 +202,22 @@ def _choices(
     return met[:, :, ~even].mean(axis=2)[at, chosen], hit[at, chosen], chosen
 
 
-def _ends(belief: Belief, target: Target, seed: int, threads: int | None) -> FloatArray:
+def _ends(belief: Belief, target: Target, seed: int) -> FloatArray:
     """Return predicted motions (n, 3) of a push in the part's own frame; NaN where none ended."""
     scene = target.case.scene
     drawn = belief.scenarios(scene, worlds=WORLDS, runs=RUNS, seed=seed)
     found = simulate_starts(
         scene, None, drawn=drawn.start, values=drawn.values, times=target.case.times[-1:],
-        motion=belief.motion, threads=threads,
+        motion=belief.motion,
     )  # fmt: skip
     ends = found.pose[:, -1] + rest_at(drawn.rest, found.pose[:, -1, 2] - found.start[:, 2])
     return np.where(found.ended[:, None], _motion(target, ends), np.nan)
 
 
-def _nominal(fit: Calibration, target: Target, threads: int | None) -> FloatArray:
+def _nominal(fit: Calibration, target: Target) -> FloatArray:
     found = simulate_starts(
         target.case.scene, None, 1, values=Belief(parameters=fit).nominal(target.case.scene),
-        times=target.case.times[-1:], motion=fit.motion, threads=threads,
+        times=target.case.times[-1:], motion=fit.motion,
     )  # fmt: skip
     return np.asarray(_motion(target, found.nominal[-1:])[0])
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import shlex
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from fixel.database.project import Project
 from fixel.drawing.planning import CaptureChart, PathsChart
 from fixel.drawing.planning_statistics import CausesChart
 from fixel.io.atomic import written_whole
@@ -16,41 +13,58 @@ from fixel.io.document import yaml_text
 from fixel.planning.plan import PushPlan
 from fixel.planning.success import probability_text
 from fixel.table import Column, Table
-from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
+from fixel.workflows.analysis import Analysis, AnalysisReport
 from fixel.workflows.figures import Picture
-from fixel.workflows.planning.request import FoundPlan, PlanRequest
-from fixel.workflows.planning.stored import ENDING, save_plan
+from fixel.workflows.planning.request import FoundPlan
+from fixel.workflows.planning.run import ENDING, PlanAnswer
+from fixel.workflows.planning.stored import save_plan
+
+if TYPE_CHECKING:
+    from fixel.workflows.capabilities import StoredAnswer
 
 # Files in the folder of the analysis.
 FILE: Final = f"plan{ENDING}"
 GOAL: Final = "goal.yaml"
 
 
-def store_plan(project: Project, found: FoundPlan, command: str, seconds: float) -> StoredAnalysis:
-    """Store a plan in its project, with its pictures and its plan file."""
+def report_of(answer: PlanAnswer) -> AnalysisReport:
+    """Return sentences, tables, numbers and pictures of a plan, and its file."""
+    files = {} if answer.file is None else {"out": answer.file}
+    plan = answer.found.plan
+    return AnalysisReport(analysis_of(answer.found), pictures_of(plan), files=files)
+
+
+def analysis_of(found: FoundPlan) -> Analysis:
+    """Return sentences, tables and numbers of a plan."""
     plan = found.plan
-    causes = CausesChart(explanation=plan.explain())
-    analysis = Analysis(
+    explained = plan.explain()
+    return Analysis(
         kind="plan",
         title=f"Plan: {plan.goal}",
-        question=asdict(found.request),
-        headline=tuple(headline_of(found)),
+        question={},
+        headline=(f"Goal: {plan.goal}", *_headline(found)),
         warnings=found.warnings,
-        tables=(pushes_table(plan), success_table(plan), causes.table()),
-        methods=(methods_of(plan),),
+        tables=(
+            _pushes_table(plan),
+            _success_table(plan),
+            CausesChart(explanation=explained).table(),
+        ),
+        notes=explained.sentences,
+        methods=(_methods(plan),),
         numbers=numbers_of(found),
         calibrations=() if found.calibration is None else (found.calibration,),
-        command=command,
-        seed=found.request.seed,
-        seconds=seconds,
     )
+
+
+def pictures_of(plan: PushPlan) -> list[Picture]:
+    """Return motions, capture regions and causes of failures of a plan."""
     pictures = [
         Picture(
             "paths", PathsChart.of(plan), "",
             "Simulated motions of the part in samples of what is unknown; failures in colour.",
         ),
         Picture(
-            "causes", causes, "",
+            "causes", CausesChart(explanation=plan.explain()), "",
             "Share of the failures that each unknown explains alone, and the success gained by"
             " measuring it before choosing among the best plans.",
         ),
@@ -62,14 +76,29 @@ def store_plan(project: Project, found: FoundPlan, command: str, seconds: float)
             " samples of what is unknown before and after it.",
         )  # fmt: skip
         pictures.insert(1, capture)
-    kept = store_analysis(project, analysis, pictures)
-    save_plan(found, kept.folder / FILE)
-    with written_whole(kept.folder / GOAL) as path:
-        path.write_text(yaml_text(dict(found.request.goal)), encoding="utf-8")
-    return kept
+    return pictures
 
 
-def headline_of(found: FoundPlan) -> list[str]:
+def add_files(answer: PlanAnswer, folder: Path) -> None:
+    """Write the plan and its goal into the folder of the stored analysis."""
+    save_plan(answer.found, folder / FILE)
+    with written_whole(folder / GOAL) as path:
+        path.write_text(yaml_text(dict(answer.found.request["goal"])), encoding="utf-8")
+
+
+def content(done: StoredAnswer) -> dict[str, Any]:
+    """Return the content of `--json`."""
+    files = [str(file) for file in done.files.values()]
+    return done.analysis.numbers | {"warnings": list(done.analysis.warnings), "files": files}
+
+
+def next_words(done: StoredAnswer) -> list[object]:
+    """Return the words of the command that carries out the plan, if it has pushes."""
+    file = done.result.file or (done.folder and done.folder / FILE)
+    return ["plan", "run", file] if file and done.result.found.plan.pushes else []
+
+
+def _headline(found: FoundPlan) -> list[str]:
     """Return the main results of a plan in sentences."""
     plan = found.plan
     lines = [f"{plan.count.capitalize()}: {plan.success.sentence}."]
@@ -85,13 +114,13 @@ def headline_of(found: FoundPlan) -> list[str]:
     return lines
 
 
-def pushes_table(plan: PushPlan) -> Table:
+def _pushes_table(plan: PushPlan) -> Table:
     """Return the pushes of a plan."""
     rows = [(k, str(push)) for k, push in enumerate(plan.pushes, 1)]
     return Table(("push", "what"), rows, title="Pushes", left=2)
 
 
-def success_table(plan: PushPlan) -> Table:
+def _success_table(plan: PushPlan) -> Table:
     """Return the success probabilities of a plan and of the nominal one."""
     head: tuple[Column | str, ...] = (
         "plan",
@@ -107,7 +136,7 @@ def success_table(plan: PushPlan) -> Table:
     return Table(head, rows, title="Success probability")
 
 
-def methods_of(plan: PushPlan) -> str:
+def _methods(plan: PushPlan) -> str:
     """Return a sentence for the methods section of a paper."""
     own = plan.success
     return (
@@ -145,19 +174,6 @@ def numbers_of(found: FoundPlan) -> dict[str, Any]:
         "calibration": found.calibration,
         "rollouts": plan.rollouts,
     }
-
-
-def command_of(request: PlanRequest, goal: str, folder: Path = Path()) -> str:
-    """Return the command that repeats a plan."""
-    words = ["fixel", "plan", goal]
-    words += ["--project", str(folder)] if folder != Path() else []
-    words += ["--scene", request.scene] if request.scene else []
-    words += ["--experiment", request.experiment] if request.experiment else []
-    words += ["--calibration", str(request.calibration)] if request.calibration else []
-    words += ["--rollouts", str(request.rollouts)]
-    words += ["--seed", str(request.seed)] * bool(request.seed)
-    words += ["--untrusted"] * request.untrusted
-    return shlex.join(words)
 
 
 def waypoints_text(plan: PushPlan, path: Path) -> str:

@@ -1,8 +1,8 @@
-"""Request for a plan: a goal file, with a scene and a calibration of a project."""
+"""Goal of a plan, with the scene and the calibration that it refers to; plan and request found."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple, final
@@ -14,65 +14,46 @@ from fixel.formats.scene_file import load_scene
 from fixel.io.document import read_document
 from fixel.model import Experiment, Scene
 from fixel.model.goal_checks import check_goal
+from fixel.model.goals import Goal
 from fixel.planning.belief import Belief, check_centres
 from fixel.planning.plan import PushPlan
-from fixel.planning.pushes import FreePushes
-from fixel.progress import ProgressOption
+from fixel.planning.pushes import FreePushes, RigPushes
 from fixel.uncertainty.run_to_run import MIN_EXPERIMENTS, RunToRun, learn_run_to_run
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.project import stored_calibration
 from fixel.workflows.calibration.stored import newest_calibration
-from fixel.workflows.planning.run import ROLLOUTS, plan
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
-class PlanRequest:
-    """Request for a plan.
-
-    Parameters
-    ----------
-    goal : mapping
-        Content of a goal file.
-    folder : str
-        Folder in which the goal file's scene is searched.
-    scene : str
-        Scene file; by default that of the goal file, else the first experiment's of the
-        calibration.
-    experiment : str
-        Experiment of the project whose scene is used, by id or name.
-    calibration : int, optional
-        Id of a stored calibration; by default that of the goal file, else the newest one.
-    rollouts, seed : int
-    untrusted : bool
-        Whether pushes may be chosen that resemble no experiment.
-    """
-
-    goal: Mapping[str, Any]
-    folder: str = ""
-    scene: str = ""
-    experiment: str = ""
-    calibration: int | None = None
-    rollouts: int = ROLLOUTS
-    seed: int = 0
-    untrusted: bool = False
-
-    @classmethod
-    def of_file(cls, path: Path, **options: Any) -> PlanRequest:
-        """Return the request for a goal file."""
-        raw = read_document(path, "goal file")
-        goal_file_from_dict(raw, path.parent)  # reports its errors
-        return cls(goal=raw, folder=str(path.parent), **options)
+class PlanRequest(dict[str, Any]):
+    """Request of a found plan: the content of the goal file, and options of `plan_goal` by name."""
 
 
 class PlanInputs(NamedTuple):
-    """Scene, goal and belief that a request for a plan refers to."""
+    """What a plan is made from.
+
+    Attributes
+    ----------
+    file : GoalFile
+    request : PlanRequest
+    scene : Scene
+    belief : Belief
+    calibration : int or None
+        Id of the calibration whose parameters the belief has.
+    warnings : tuple of str
+    """
 
     file: GoalFile
+    request: PlanRequest
     scene: Scene
     belief: Belief
     calibration: int | None
     warnings: tuple[str, ...]
+
+    @property
+    def parts(self) -> tuple[Scene, Goal, FreePushes | RigPushes, Belief]:
+        """First arguments of `plan`."""
+        return self.scene, self.file.goal, self.file.choose or FreePushes(), self.belief
 
 
 @final
@@ -98,86 +79,106 @@ class FoundPlan:
     warnings: tuple[str, ...] = field(default=())
 
 
-def inputs_of(project: Project | None, request: PlanRequest) -> PlanInputs:
-    """Load the scene and the calibration that a request refers to, and check its goal.
+def is_content(goal: str) -> bool:
+    """Whether a text is the content of a goal file in JSON, and not the name of one."""
+    return goal.lstrip().startswith("{")
+
+
+def settled(project: Project, request: Any) -> Any:
+    """Return a request for a job, which depends on no file of goals and no later calibration.
+
+    Raises
+    ------
+    InvalidInput
+        The request is invalid, or its goal does not fit the scene.
+    """
+    own = inputs_of(
+        project, *goal_content(request.goal), request.scene, request.experiment, request.calibration
+    )
+    content = own.request["goal"]
+    if own.file.scene is not None:
+        content |= {"scene": str(own.file.scene.resolve())}
+    changes = {"goal": json.dumps(content), "calibration": own.calibration}
+    return request.model_copy(update=changes)
+
+
+def goal_content(goal: str) -> tuple[Any, Path]:
+    """Return the content of a goal file, of which the name or the content in JSON is given.
+
+    Returns
+    -------
+    content : object
+    folder : Path
+        Folder in which its scene file is searched.
+    """
+    if not is_content(goal):
+        return read_document(Path(goal), "goal file"), Path(goal).parent
+    try:
+        return json.loads(goal), Path()
+    except ValueError as problem:
+        raise InvalidInput("goal", found=str(problem), expected="a goal file in JSON") from None
+
+
+def inputs_of(
+    project: Project | None,
+    content: Any,
+    folder: Path,
+    scene: Path | None = None,
+    experiment: str = "",
+    calibration: int | None = None,
+) -> PlanInputs:
+    """Load the scene and the calibration that a goal refers to, and check the goal.
+
+    Parameters
+    ----------
+    project : Project or None
+    content : object
+        Content of a goal file.
+    folder : Path
+        Folder in which its scene file is searched.
+    scene, experiment, calibration : optional
+        As for `plan_goal`.
 
     Raises
     ------
     InvalidInput
         The goal file is invalid, there is no scene, or the goal does not fit the scene.
     """
-    file = goal_file_from_dict(dict(request.goal), Path(request.folder))
-    number = request.calibration or file.calibration
+    file = goal_file_from_dict(content, folder)
+    number = calibration or file.calibration
     if number is None and project is not None and not file.belief.parameters:
         with project.store() as store:
             number = newest_calibration(store)
     if number is not None and project is None:
-        raise InvalidInput("--project", found="none", expected="the project of the calibration")
+        raise InvalidInput("project", found="none", expected="the project of the calibration")
     belief, warnings, experiments = file.belief, [], []
     if number is not None and project is not None:
-        calibration = stored_calibration(project, number)
+        calibrated = stored_calibration(project, number)
         with project.store() as store:
             members = store.calibration(number).members
             experiments = [store.experiment(own.experiment_id) for own in members]
-        belief = replace(belief, parameters=calibration)
+        belief = replace(belief, parameters=calibrated)
         if file.run_to_run:
-            scatter, note = _run_to_run(calibration, experiments)
+            scatter, note = _run_to_run(calibrated, experiments)
             belief = replace(belief, run_to_run=scatter)
             warnings += [note] if note else []
-    if request.experiment and project is not None:
+    if experiment and project is not None:
         with project.store() as store:
-            experiments = [store.experiment(store.find(request.experiment)), *experiments]
-    scene = _scene(request.scene or file.scene, experiments)
-    check_goal(file.goal, scene)
-    check_centres(belief, scene)
-    return PlanInputs(file, scene, belief, number, tuple(warnings))
-
-
-def find_plan(
-    project: Project | None,
-    request: PlanRequest,
-    *,
-    threads: int | None = None,
-    store: Path | None = None,
-    progress: ProgressOption = None,
-) -> FoundPlan:
-    """Answer a request for a plan, as `fixel.plan` does.
-
-    Parameters
-    ----------
-    project : Project or None
-    request : PlanRequest
-    threads : int, optional
-    store : Path, optional
-        Folder in which the work is stored as it is done.
-    progress : bool or callable, optional
-
-    Raises
-    ------
-    InvalidInput
-        The request is invalid, or the goal cannot be reached.
-    """
-    own = inputs_of(project, request)
-    found = plan(
-        own.scene,
-        own.file.goal,
-        own.file.choose or FreePushes(),
-        own.belief,
-        rollouts=request.rollouts,
-        seed=request.seed,
-        untrusted=request.untrusted,
-        threads=threads,
-        store=store,
-        progress=progress,
+            experiments = [store.experiment(store.find(experiment)), *experiments]
+    own = _scene(scene or file.scene, experiments)
+    check_goal(file.goal, own)
+    check_centres(belief, own)
+    request = PlanRequest(
+        goal=dict(file.raw), folder=str(folder), scene=str(scene or ""), experiment=experiment
     )
-    return found_plan(request, own, found)
+    return PlanInputs(file, request, own, belief, number, tuple(warnings))
 
 
-def found_plan(request: PlanRequest, own: PlanInputs, found: PushPlan) -> FoundPlan:
+def found_plan(own: PlanInputs, found: PushPlan, untrusted: bool) -> FoundPlan:
     """Return a plan with its request and the warnings that belong to it."""
     return FoundPlan(
         plan=found,
-        request=request,
+        request=PlanRequest(own.request, untrusted=untrusted),
         calibration=own.calibration,
         wanted=own.file.success,
         warnings=(*own.warnings, *warnings_of(found, own.file.success)),
@@ -201,13 +202,13 @@ def warnings_of(found: PushPlan, wanted: float) -> list[str]:
     return warnings
 
 
-def _scene(given: str | Path | None, experiments: list[Experiment]) -> Scene:
+def _scene(given: Path | None, experiments: list[Experiment]) -> Scene:
     if given:
         return load_scene(given).scene
     scenes = [own.scene for own in experiments if own.scene is not None]
     if not scenes:
         raise InvalidInput(
-            "scene", found="none", expected="a scene file", hint="name one: --scene scene.yaml"
+            "scene", found="none", expected="a scene file", hint="name one: scene=scene.yaml"
         )
     return scenes[0]
 

@@ -1,33 +1,34 @@
-"""Plan pushes that reach a goal despite what is unknown."""
+"""Plan pushes that reach a goal despite what is unknown, and for a goal file."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, MutableMapping, Sequence
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import Final, final
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
-import numpy as np
+from fixel.capability.capability import Capability
+from fixel.capability.options import Door
+from fixel.capability.usual import Seed
 
-from fixel.errors import Interrupted
-from fixel.io.array_bytes import array_of
-from fixel.io.journal import Journal
-from fixel.model import Scene
-from fixel.model.goals import Goal
-from fixel.planning.belief import Belief
-from fixel.planning.plan import PushPlan, find_plan
-from fixel.planning.pushes import FreePushes, PlanPush, RigPush, RigPushes
-from fixel.progress import ProgressOption, show_progress
-from fixel.simulation.motion import AbstractMotionModel, motion_model
-from fixel.simulation.simulate import SceneWithMethod, scene_file
-from fixel.simulation.stepper import AbstractStepper
-from fixel.simulation.trust import permit
-from fixel.typing import FloatArray
+if TYPE_CHECKING:
+    from fixel.database.project import Project
+    from fixel.model import Scene
+    from fixel.model.goals import Goal
+    from fixel.planning.belief import Belief
+    from fixel.planning.plan import PushPlan
+    from fixel.planning.pushes import FreePushes, PlanPush, RigPush, RigPushes
+    from fixel.progress import ProgressOption
+    from fixel.simulation.motion import AbstractMotionModel
+    from fixel.simulation.simulate import SceneWithMethod
+    from fixel.simulation.stepper import AbstractStepper
+    from fixel.typing import FloatArray
+    from fixel.workflows.planning.request import FoundPlan
 
-ROLLOUTS: Final = 160_000
 JOURNAL: Final = "answers.journal"
+ENDING: Final = ".plan"  # of plan files
 
 
 def plan(
@@ -36,14 +37,16 @@ def plan(
     choose: FreePushes | RigPushes | None = None,
     belief: Belief | None = None,
     *,
-    rollouts: int = ROLLOUTS,
-    seed: int = 0,
+    rollouts: Annotated[int, Door(also=("--budget",), least=1000)] = 160_000,
+    seed: Seed = 0,
     motion: AbstractMotionModel | str | None = None,
     stepper: AbstractStepper | None = None,
-    untrusted: bool = False,
+    untrusted: Annotated[bool, Door(flag="--untrusted")] = False,
     first: Sequence[Sequence[PlanPush | RigPush]] = (),
     threads: int | None = None,
-    store: PathLike[str] | str | None = None,
+    store: Annotated[
+        PathLike[str] | str | None, Door(plain=Path | None, metavar="FOLDER", effort=True)
+    ] = None,
     progress: ProgressOption = None,
 ) -> PushPlan:
     """Plan open-loop pushes that reach a goal despite what is unknown.
@@ -65,6 +68,7 @@ def plan(
         Number of simulated pushes that the search may use. The same number, seed and version give
         the same plan to the last bit, for any number of threads.
     seed : int
+        Seed of the random numbers.
     motion, stepper : optional
         Method of the simulations; by default that of the calibration, else quasi-static.
     untrusted : bool
@@ -102,6 +106,17 @@ def plan(
     >>> found.success.mean > 0.8
     True
     """
+    from fixel.errors import Interrupted
+    from fixel.model import Scene
+    from fixel.planning.belief import Belief
+    from fixel.planning.plan import plan_rounds, search_of
+    from fixel.planning.pushes import FreePushes
+    from fixel.planning.search import conduct
+    from fixel.progress import show_progress
+    from fixel.simulation.motion import motion_model
+    from fixel.simulation.simulate import scene_file
+    from fixel.simulation.trust import permit
+
     permit(motion)
     if isinstance(scene, Scene):
         own = scene
@@ -110,12 +125,13 @@ def plan(
         own, motion, stepper = file.scene, motion or file.motion, stepper or file.stepper
     with show_progress(progress, "planning") as report, _answers(store) as answers:
         try:
-            return find_plan(
+            search = search_of(
                 own, goal, choose or FreePushes(), belief or Belief(),
                 rollouts=rollouts, seed=seed, threads=threads,
                 motion=None if motion is None else motion_model(motion), stepper=stepper,
-                untrusted=untrusted, first=first, answers=answers, report=report.show,
+                first=first, report=report.show,
             )  # fmt: skip
+            return conduct(search, plan_rounds(search, untrusted=untrusted), answers)
         except KeyboardInterrupt:
             hint = "the same call continues" if store else "with store='FOLDER' it would continue"
             raise Interrupted(None, hint) from None
@@ -123,39 +139,110 @@ def plan(
 
 @contextmanager
 def _answers(store: PathLike[str] | str | None) -> Iterator[MutableMapping[str, FloatArray]]:
+    from fixel.workflows.planning.stored import StoredAnswers
+
     if store is None:
         yield {}
         return
+    from fixel.io.journal import Journal
+
     folder = Path(store)
     folder.mkdir(parents=True, exist_ok=True)
     with Journal(folder / JOURNAL) as journal:
-        yield _StoredAnswers(journal)
+        yield StoredAnswers(journal)
 
 
-@final
-class _StoredAnswers(MutableMapping[str, FloatArray]):
-    """Arrays by name in a journal, each durable once it is set."""
+class PlanAnswer(NamedTuple):
+    """Plan for a goal file, and the plan file that was written."""
 
-    def __init__(self, journal: Journal) -> None:
-        self._journal = journal
+    found: FoundPlan
+    file: Path | None
 
-    def __getitem__(self, name: str) -> FloatArray:
-        data = self._journal.get(name)
-        if data is None:
-            raise KeyError(name)
-        answer: FloatArray = array_of(data)
-        return answer
 
-    def __setitem__(self, name: str, array: FloatArray) -> None:
-        stream = io.BytesIO()
-        np.save(stream, array, allow_pickle=False)
-        self._journal.append([(name, stream.getvalue())])
+def plan_goal(
+    project: Project | None,
+    goal: Annotated[str, Door(metavar="GOAL")],
+    *,
+    scene: Annotated[
+        Path | None, Door(usual="that of the goal file, else of the calibration")
+    ] = None,
+    experiment: Annotated[str, Door(metavar="KEY")] = "",
+    calibration: Annotated[
+        int | None, Door(least=1, usual="that of the goal file, else the newest")
+    ] = None,
+    out: Annotated[Path | None, Door(also=("--save",), usual="GOAL.plan", writes=True)] = None,
+    progress: ProgressOption = None,
+    **options: Any,
+) -> PlanAnswer:
+    """Plan pushes that reach a goal, with a success probability.
 
-    def __delitem__(self, name: str) -> None:
-        raise TypeError("answers are not deleted")
+    `fixel plan GOAL` is short for `fixel plan find GOAL`.
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._journal)
+    Parameters
+    ----------
+    project : Project, optional
+    goal : str
+        Goal file, or the content of one in JSON.
+    scene : Path, optional
+        Scene file.
+    experiment : str
+        Experiment of the project whose scene is used, by id or name.
+    calibration : int, optional
+        Id of the calibration whose parameters are used.
+    out : Path, optional
+        Plan file to write.
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
+    **options
+        Options of `plan`.
 
-    def __len__(self) -> int:
-        return len(self._journal)
+    Raises
+    ------
+    InvalidInput
+        The goal file is invalid, its goal does not fit the scene or cannot be reached, or there is
+        no scene.
+    """
+    from fixel.io.atomic import refuse_unwritable
+    from fixel.workflows.planning import request, stored
+
+    content, folder = request.goal_content(goal)
+    if out is None and not request.is_content(goal):
+        out = Path(goal).with_suffix(ENDING)
+    if out is not None:
+        refuse_unwritable(out)
+    own = request.inputs_of(project, content, folder, scene, experiment, calibration)
+    made = plan(*own.parts, **options, progress=progress)
+    found = request.found_plan(own, made, options["untrusted"])
+    if out is not None:
+        stored.save_plan(found, out)
+    return PlanAnswer(found, out)
+
+
+def _rounds(*place: Any, **options: Any) -> Iterator[Any]:
+    from fixel.workflows.planning.rounds import plan_in_rounds
+
+    return plan_in_rounds(*place, **options)
+
+
+def _settled(project: Project, request: Any) -> Any:
+    from fixel.workflows.planning.request import settled
+
+    return settled(project, request)
+
+
+def _presentation() -> ModuleType:
+    from fixel.workflows.planning import report
+
+    return report
+
+
+PLAN: Final = Capability(
+    name="plan",
+    title="Plan",
+    function=plan_goal,
+    of=plan,
+    leave_out=("scene", "goal", "choose", "belief", "motion", "stepper", "first", "threads"),
+    presentation=_presentation,
+    rounds=_rounds,
+    settled=_settled,
+)

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import hashlib
+import io
+from collections.abc import Iterator, MutableMapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final, final
+from typing import final
 
 import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.formats.trials_file import append_trials, read_trials, write_trials
 from fixel.io import load, save
+from fixel.io.array_bytes import array_of
+from fixel.io.journal import Journal
 from fixel.planning.plan import PushPlan
 from fixel.planning.trials import PlanTrial, Trials
+from fixel.typing import FloatArray
 from fixel.workflows.planning.request import FoundPlan, PlanRequest
-
-ENDING: Final = ".plan"
 
 
 @final
@@ -107,3 +110,32 @@ def add_trials(path: Path, file: PlanFile, *trials: PlanTrial) -> Trials:
     if not where.exists():
         write_trials(where, load_trials(path, file))
     return append_trials(where, *trials, plan=file.id)
+
+
+@final
+class StoredAnswers(MutableMapping[str, FloatArray]):
+    """Arrays by name in a journal, each durable once it is set."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+
+    def __getitem__(self, name: str) -> FloatArray:
+        data = self._journal.get(name)
+        if data is None:
+            raise KeyError(name)
+        answer: FloatArray = array_of(data)
+        return answer
+
+    def __setitem__(self, name: str, array: FloatArray) -> None:
+        stream = io.BytesIO()
+        np.save(stream, array, allow_pickle=False)
+        self._journal.append([(name, stream.getvalue())])
+
+    def __delitem__(self, name: str) -> None:
+        raise TypeError("answers are not deleted")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._journal)
+
+    def __len__(self) -> int:
+        return len(self._journal)

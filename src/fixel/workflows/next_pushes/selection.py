@@ -1,0 +1,220 @@
+"""Selection of the experiments from which the next pushes of a part are proposed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fixel.calibration.known_pushes import PARTS, SURFACES
+from fixel.calibration.target import target_of
+from fixel.database.project import Project
+from fixel.errors import InvalidInput, unknown_name
+from fixel.formats.plan_file import load_plan
+from fixel.formats.scene_file import load_scene
+from fixel.model import Disk, Experiment, LineDrive, Scene
+from fixel.parts.candidates import push_candidates
+from fixel.parts.model import PartModel
+from fixel.parts.next_pushes import NextPushes
+
+
+class Condition(NamedTuple):
+    """Condition that names parts or surfaces, with the value of one; empty if not given."""
+
+    name: str
+    value: str
+
+    def is_of(self, experiment: Experiment) -> bool:
+        """Whether an experiment has this value."""
+        return str(experiment.conditions.get(self.name, "")) == self.value
+
+
+class PushSelection(NamedTuple):
+    """Experiments and pushes among which the next ones of a part are chosen.
+
+    Attributes
+    ----------
+    part, surface : Condition
+    known, mine : list of Experiment
+        Usable pushes of other parts, and of the part itself.
+    scene : Scene or None
+        Scene of the part.
+    offered : list of Scene
+        Pushes that can be made; none if they are to be generated.
+    skipped : dict of str to int
+        Reasons why experiments were not used, with their numbers.
+    """
+
+    part: Condition
+    surface: Condition
+    known: list[Experiment]
+    mine: list[Experiment]
+    scene: Scene | None
+    offered: list[Scene]
+    skipped: dict[str, int]
+
+    @property
+    def labels(self) -> dict[str, Any]:
+        """Values of the conditions that are known."""
+        return {name: value for name, value in (self.part, self.surface) if value}
+
+    def around(self, contacts: int, **given: float | None) -> list[Scene]:
+        """Return pushes around the outline, as long and as fast as those of the experiments.
+
+        Parameters
+        ----------
+        contacts : int
+            Number of contacts around the outline.
+        **given
+            `travel` [m], `speed` [m/s] and `radius` [m] of the pusher, or None.
+        """
+        first, experiments = self.scene, [*self.mine, *self.known]
+        assert first is not None
+        tips = [own.scene.pushers[0] for own in experiments if own.scene is not None]
+        spans = [_span(own) for own in experiments]
+        tip = first.pushers[0] if first.pushers else tips[0]
+        usual = {
+            "travel": float(np.median([own[0] for own in spans])),
+            "speed": float(np.median([own[1] for own in spans])),
+            "radius": float(getattr(tip.shape, "radius", 5e-3)),
+        }
+        chosen = {name: value for name, value in given.items() if value is not None}
+        return push_candidates(
+            replace(first, pushers=()), friction=tip.friction, contacts=contacts, **usual | chosen
+        )
+
+
+class PushProposal(NamedTuple):
+    """Proposed pushes of a part.
+
+    Attributes
+    ----------
+    selection : PushSelection
+    model : PartModel
+        Model after the part's own pushes.
+    pushes : NextPushes
+    scenes : tuple of Scene
+        Proposed pushes, the best first.
+    """
+
+    selection: PushSelection
+    model: PartModel
+    pushes: NextPushes
+    scenes: tuple[Scene, ...]
+
+
+def select(
+    project: Project,
+    part: str,
+    surface: str,
+    where: Sequence[str],
+    scene: Path | None,
+    candidates: Path | None,
+) -> PushSelection:
+    """Select the experiments of a part and of the other parts; arguments of `propose_pushes`."""
+    first = load_scene(scene).scene if scene else None
+    offered = list(load_plan(candidates).experiments) if candidates else []
+    usable, skipped = _usable(project.experiments(*where))
+    of_part = _condition("part", part, PARTS, usable)
+    of_surface = _condition("surface", surface, SURFACES, usable)
+    named = [own for own in usable if of_part.name in own.conditions]
+    mine = [own for own in named if of_part.is_of(own)]
+    known = [own for own in named if not of_part.is_of(own)]
+    if not known:
+        reasons = "; ".join(f"{n} {why}" for why, n in skipped.items())
+        raise InvalidInput(
+            "experiments",
+            found="no usable push of another part" + (f" ({reasons})" if reasons else ""),
+            expected="pushes of other parts, each of one part by one round pusher",
+            hint="import some with: fixel import",
+        )
+    if first is None and not offered and not mine:
+        raise _no_part(of_part, known)
+    if not of_surface.value:
+        of_surface = _only_surface(mine, of_surface.name)
+    if of_surface.value:
+        mine = [own for own in mine if of_surface.is_of(own)]
+    return PushSelection(
+        part=of_part,
+        surface=of_surface,
+        known=known,
+        mine=mine,
+        scene=first or (mine[0].scene if mine else None),
+        offered=[own.scene for own in offered],
+        skipped=skipped,
+    )
+
+
+def _usable(experiments: Sequence[Experiment]) -> tuple[list[Experiment], dict[str, int]]:
+    """Return experiments of one part and one round pusher, and why others are not used."""
+    used, skipped = [], Counter[str]()
+    for own in experiments:
+        scene = own.scene
+        if scene is None:
+            skipped["without a scene"] += 1
+        elif len(scene.bodies) != 1 or len(scene.pushers) != 1:
+            skipped["not of one part and one pusher"] += 1
+        elif not isinstance(scene.pushers[0].shape, Disk):
+            skipped["with a pusher that is not round"] += 1
+        else:
+            try:
+                target_of(own)
+            except InvalidInput:
+                skipped["without measured motion"] += 1
+            else:
+                used.append(own)
+    return used, dict(skipped)
+
+
+def _condition(
+    what: str, value: str, names: tuple[str, ...], experiments: Sequence[Experiment]
+) -> Condition:
+    """Return the condition of parts or surfaces with the value asked for."""
+    name, equals, text = value.partition("=")
+    if equals:
+        return Condition(name, text)
+    counts = {n: sum(n in own.conditions for own in experiments) for n in names}
+    have = max(names, key=lambda n: counts[n])  # the first of those that most have
+    if not counts[have] and what == "part":
+        conditions = sorted({n for own in experiments for n in own.conditions})
+        raise InvalidInput(
+            "part",
+            found="no experiment with a condition that names its part",
+            expected="one of " + ", ".join(names),
+            hint=f"name it: part=NAME=VALUE, of {', '.join(conditions)}" if conditions else None,
+        )
+    return Condition(have, value)
+
+
+def _no_part(part: Condition, known: Sequence[Experiment]) -> InvalidInput:
+    values = sorted({str(own.conditions[part.name]) for own in known})
+    found, expected = "none", "one of " + ", ".join(values[:20])
+    if part.value:
+        found = f"{part.value!r}, of which there is no experiment"
+        expected = unknown_name("part", part.value, values).expected
+    hint = "a part without experiments needs its scene file: scene=part.yaml"
+    return InvalidInput("part", found=found, expected=expected, hint=hint)
+
+
+def _only_surface(mine: Sequence[Experiment], surface: str) -> Condition:
+    values = sorted({str(own.conditions.get(surface, "")) for own in mine})
+    if len(values) > 1:
+        raise InvalidInput("surface", found="none", expected="one of " + ", ".join(values))
+    return Condition(surface, values[0] if values else "")
+
+
+def _span(experiment: Experiment) -> tuple[float, float]:
+    """Return travel [m] and mean speed [m/s] of a pusher."""
+    scene = experiment.scene
+    assert scene is not None
+    drive = scene.pushers[0].drive
+    if isinstance(drive, LineDrive):
+        travel = min(drive.travel, drive.speed * scene.duration)
+        return float(travel), float(drive.speed)
+    steps = np.diff(drive.waypoints, axis=0)
+    travel = float(np.hypot(steps[:, 1], steps[:, 2]).sum())
+    return travel, travel / max(float(steps[:, 0].sum()), 1e-9)
