@@ -11,6 +11,7 @@ with new conditions and new errors of the start.
 from __future__ import annotations
 
 import csv
+import json
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -42,8 +43,7 @@ from fixel.testbed.repeated_pushes import repeat_pushes
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import FloatArray
 from fixel.units import deg, mm
-from fixel.workflows.planning.request import PlanRequest, find_plan
-from fixel.workflows.planning.run import ROLLOUTS
+from fixel.workflows.planning.run import PLAN, plan_goal
 
 SEED: Final = 90_177  # worlds that decided one choice: how many pushes a table simulates
 RUNS: Final = 200  # executions of a plan
@@ -91,7 +91,9 @@ class Row(NamedTuple):
 def run(size: Size) -> list[Figure]:
     """Stated against held success, and the robust plan against the nominal one."""
     full = size.rollouts >= 500
-    number, runs, rollouts = (30, RUNS, ROLLOUTS) if full else (2, 10, 4_000)
+    number, runs, rollouts = (
+        (30, RUNS, PLAN.options["rollouts"].default) if full else (2, 10, 4_000)
+    )
     rows = compared_tasks(tasks(number), runs, rollouts, ROWS if full else None)
     return figures(rows, bar=full)
 
@@ -176,9 +178,12 @@ def compared(task: Task, runs: int, rollouts: int) -> Row:
         project = calibrated_project(task, Path(folder) / "project")
         task.scene.save(Path(folder) / "scene.yaml")
         goal = {"fixel": 1, "scene": "scene.yaml", "belief": {"start": START}, **task.goal}
-        request = PlanRequest(goal=goal, folder=folder, rollouts=rollouts, untrusted=True)
+        (Path(folder) / "goal.yaml").write_text(json.dumps(goal))
         begun = time.process_time()
-        plan = find_plan(project, request, threads=1, progress=False).plan
+        plan = plan_goal(
+            project, f"{folder}/goal.yaml", rollouts=rollouts, untrusted=True, threads=1,
+            progress=False,
+        ).found.plan  # fmt: skip
         seconds = time.process_time() - begun
     return Row(
         task.name, task.kind, plan.success.mean, plan.success.stated,

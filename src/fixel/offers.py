@@ -98,8 +98,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "capability": "fixel.workflows.capabilities",
         "calibration-result": "fixel.workflows.calibration.project",
         "domain": "fixel.workflows.domain.job",
-        "next": "fixel.workflows.next_pushes.job",
-        "plan": "fixel.workflows.planning.job",
+        "plan": "fixel.workflows.planning.rounds",
         "toy": "fixel.testing.toy_work",
     },
     # Classes that saved results may contain. None of them opens a file or starts a process.

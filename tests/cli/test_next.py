@@ -43,14 +43,14 @@ def _at_rest(scene):
 def test_pushes_of_a_part_with_some_are_proposed_and_written_as_a_plan(capsys, project, tmp_path):
     out = tmp_path / "next.yaml"
     words = ["next", "-p", project.folder, "--part", "part-4", "--contacts", 8, "-n", 3]
-    code, text, err = fixel(capsys, *words, "--out", out, "--plot", tmp_path / "charts")
+    code, text, _ = fixel(capsys, *words, "--out", out, "--plot", tmp_path / "charts")
     assert code == 0
     lines = text.splitlines()
-    assert lines[0] == "Unseen: part 'part-4': only 6 pushes of it"
+    assert lines[0] == "Warning: part 'part-4': only 6 pushes of it"
     assert "Next pushes of part-4 on board, after 6 pushes (24 candidates)" in text
     assert "1 experiment without a scene: not used" in text
     assert lines[-1] == f"Next: fixel testbed run {out} --project {project.folder}"
-    assert "learning from 48 pushes of 3 parts" in err
+    assert "learned from 48 pushes of 3 parts" in text
     assert (tmp_path / "charts" / "pushes.pdf").is_file()
 
     (kept,) = load_analyses(project, "next")

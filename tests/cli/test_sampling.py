@@ -23,15 +23,16 @@ def test_without_a_file_it_is_the_plan_of_the_thesis(capsys):
     code, out, err = call(capsys, "sample")
 
     assert (code, err) == (0, "")
-    assert out.splitlines()[:5] == [
+    assert out.splitlines()[:6] == [
         "plan thesis",
+        "",
         "shape     layouts  configurations  repetitions  experiments",
         "square         10              21            1          210",
         "pentagon       10              21            1          210",
         "2 in all                                                420",
     ]
     assert "No problems, checked by geometry." in out
-    assert out.splitlines()[-1].startswith("Next: fixel sample --output ")
+    assert out.splitlines()[-1].startswith("Next: fixel sample --out ")
 
 
 def test_json_has_the_keys_of_the_contract(capsys):

@@ -24,6 +24,7 @@ from fixel.cli.capability import texts_of, typer_command
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
+from fixel.testing.pushes import example_parts
 from fixel.workflows import jobs
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.capabilities import CAPABILITIES, prepare, run
@@ -80,8 +81,16 @@ EVERY = pytest.mark.parametrize(
 HEAVY = {"numpy", "numba", "scipy", "matplotlib", "sqlalchemy", "pyarrow", "rich"}
 NAMES = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
 FINITE = st.floats(-1e6, 1e6, allow_subnormal=False)
+STORING = pytest.mark.parametrize("name", [k for k, own in CAPABILITIES.items() if own.on_project])
 # A short run of each.
-SHORT = {"filter": {"experiment": "push-1", "particles": 20, "occlusion": (0.5, 1.0)}}
+GOAL = {"pose": {"pose_mm_deg": [0, 0, 0], "position_mm": 200}}
+SHORT = {
+    "filter": {"experiment": "push-1", "particles": 20, "occlusion": (0.5, 1.0)},
+    "next": {"part": "part-4", "contacts": 2, "number": 2},
+    "plan": {
+        "goal": json.dumps({"fixel": 1, "goal": GOAL}), "experiment": "push-1", "rollouts": 1000
+    },
+}  # fmt: skip
 
 
 def values_of(option, kind=None):
@@ -259,12 +268,14 @@ def test_help_loads_no_numerics(capability):
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
-    pushes = (replace(push(seed=k, duration=2.0), name=f"push-{k}") for k in (1, 2))
-    return project_of(tmp_path_factory.mktemp("projects") / "lab", pushes)
+    pushes = [replace(push(seed=k, duration=2.0), name=f"push-{k}") for k in (1, 2)]
+    parts = example_parts(4, 8)[:-4]
+    return project_of(tmp_path_factory.mktemp("projects") / "lab", [*pushes, *parts])
 
 
-@REGISTERED
-def test_a_stored_result_prints_the_same_text_in_a_new_process(capability, project):
+@STORING
+def test_a_stored_result_prints_the_same_text_in_a_new_process(name, project):
+    capability = CAPABILITIES[name]
     request = capability.request(SHORT[capability.name])
     done = run(capability, request, project.folder, progress=False)
     (kept,) = load_analyses(project, capability.name)
@@ -285,8 +296,9 @@ def test_a_stored_result_prints_the_same_text_in_a_new_process(capability, proje
     assert printed.splitlines() == done.analysis.lines()
 
 
-@REGISTERED
-def test_a_job_stores_the_same_analysis_and_shows_its_progress(capability, project):
+@STORING
+def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, project):
+    capability = CAPABILITIES[name]
     request = capability.request(SHORT[capability.name])
     here = run(capability, request, project.folder, progress=False).analysis
     shown = []

@@ -41,7 +41,8 @@ class Capability:
         Title of the page; the name by default.
     function : callable
         `([project], *places, *, ..., progress=None) -> result`. Arguments that Python could pass
-        by position are typed without a flag. Its module imports nothing heavy.
+        by position are typed without a flag. It gets None in a folder that is no project, if it
+        annotates that. Its module imports nothing heavy.
     of : callable, optional
         Public function whose arguments are options too.
     leave_out : tuple of str
@@ -49,16 +50,20 @@ class Capability:
     presentation : callable
         Returns the module that reports results: `report_of(result)`, an `AnalysisReport`;
         `content(done)`, the content of `--json` of a `StoredAnswer`; `next_words(done)`, words of
-        the next command; `draw(result, path)` if `plot` is `"file"`; and, where a run can stop
-        early, `failed(result)`.
+        the next command or none; `draw(result, path)` if `plot` is `"file"`; where a run can stop
+        early, `failed(result)`; and `add_files(result, folder)` for files of the stored analysis.
     plot : str
         What `--plot` names: a `"folder"` to which the stored figures are copied, one `"file"`, or
         nothing (`""`) where there is no such option.
     rounds : callable, optional
         The same as `function` as a generator of `fixel.jobs.work.Round`, for jobs that distribute
         chunks: it gets the folder of the job's inputs as `inputs`, and returns the result.
+    settled : callable, optional
+        `(project, request) -> request` that a job does, which no later record or file can change.
     group : str
         Command whose sub-command it is.
+    verb : str
+        Name of the sub-command, if not that of the capability.
     """
 
     name: str
@@ -69,7 +74,9 @@ class Capability:
     presentation: Callable[[], ModuleType]
     plot: Literal["folder", "file", ""] = "folder"
     rounds: Callable[..., Any] | None = None
+    settled: Callable[..., Any] | None = None
     group: str = ""
+    verb: str = ""
 
     @property
     def heading(self) -> str:
@@ -84,12 +91,20 @@ class Capability:
     @property
     def path(self) -> list[str]:
         """Words of the command."""
-        return [*([self.group] if self.group else []), self.name]
+        return [*([self.group] if self.group else []), self.verb or self.name]
 
     @property
     def on_project(self) -> bool:
         """Whether the function works on a project."""
         return next(iter(signature(self.function).parameters)) == "project"
+
+    @property
+    def needs_project(self) -> bool:
+        """Whether it cannot do without one."""
+        return (
+            self.on_project
+            and "None" not in signature(self.function).parameters["project"].annotation
+        )
 
     @cached_property
     def options(self) -> dict[str, Option]:

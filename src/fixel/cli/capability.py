@@ -100,6 +100,7 @@ def _run(
     (require_picture if capability.plot == "file" else require_folder)(plot)
     done = run(capability, request, folder, plot=plot)
     analysis, present = done.analysis, capability.presentation()
+    words = present.next_words(done)
     kept = [] if done.folder is None else [f"stored in {done.folder}"]
     print_answer(
         as_json,
@@ -107,7 +108,7 @@ def _run(
         lambda: paragraphs(
             analysis.lines(),
             [f"Took {seconds(analysis.seconds)}.", *wrote(done.files.values()), *kept],
-            [f"Next: {command_of(*present.next_words(done), project=folder)}"],
+            [f"Next: {command_of(*words, project=folder)}"] if words else [],
         ),
     )
     if done.failed:

@@ -38,6 +38,7 @@ Kind = Literal[
     "uncertainty",
     "next",
     "plan",
+    "sample",
 ]
 
 ANALYSES: Final = "analyses"
@@ -143,11 +144,12 @@ class Analysis(_StoredFigure):
 
 
 class AnalysisReport(NamedTuple):
-    """Analysis with the figures and arrays that are stored with it."""
+    """Analysis with the figures and arrays stored with it, and files that were written already."""
 
     analysis: Analysis
     pictures: Sequence[Picture] = ()
     arrays: Mapping[str, Any] = {}
+    files: Mapping[str, Path] = {}
 
 
 class StoredAnalysis(NamedTuple):

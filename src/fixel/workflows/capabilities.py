@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -12,6 +13,9 @@ from fixel.capability.capability import Capability
 from fixel.errors import InvalidInput
 from fixel.jobs.functions import callable_by_jobs
 from fixel.workflows.filtering.run import FILTER
+from fixel.workflows.next_pushes.run import NEXT
+from fixel.workflows.planning.run import PLAN
+from fixel.workflows.sampling import SAMPLE
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -21,7 +25,9 @@ if TYPE_CHECKING:
     from fixel.progress import ProgressOption
     from fixel.workflows.analysis import StoredAnswer
 
-CAPABILITIES: Final[Mapping[str, Capability]] = {one.name: one for one in (FILTER,)}
+CAPABILITIES: Final[Mapping[str, Capability]] = {
+    one.name: one for one in (FILTER, NEXT, PLAN, SAMPLE)
+}
 MAKER: Final = "capability:run_request"
 
 
@@ -52,15 +58,17 @@ def run(
     InvalidInput
         The function refuses the request, or it names a program that the user has not permitted.
     """
-    from fixel.database.project import Project
+    from fixel.database.project import SETTINGS, Project
     from fixel.simulation.trust import check_named
 
     for name in capability.programs(request):
         check_named(name)
-    project = Project(folder) if capability.on_project else None
-    place = () if project is None else (project,)
+    begun = time.monotonic()
+    needed = capability.needs_project or folder != Path() or (folder / SETTINGS).is_file()
+    project = Project(folder) if capability.on_project and needed else None
+    place = (project,) if capability.on_project else ()
     result = capability.function(*place, **capability.arguments(request), progress=progress)
-    return _reported(capability, request, project, result, plot)
+    return _reported(capability, request, project, result, time.monotonic() - begun, plot)
 
 
 def call(project: Project, name: str, *, progress: ProgressOption = None, **options: Any) -> Any:
@@ -90,6 +98,7 @@ def _reported(
     request: BaseModel,
     project: Project | None,
     result: Any,
+    seconds: float,
     plot: Path | None = None,
 ) -> StoredAnswer:
     """Report a result, and store the report unless the request states otherwise."""
@@ -105,13 +114,16 @@ def _reported(
             "request": request.model_dump(mode="json"),
             "command": capability.command(request, project.folder if project else Path()),
             "seed": getattr(request, "seed", None),
+            "seconds": report.analysis.seconds or seconds,
         }
     )
     kept = None
     if project is not None and getattr(request, "save", True):
         kept = store_analysis(project, analysis, report.pictures, report.arrays)
         analysis = kept.analysis
-    files = capability.files(request)
+        if hasattr(present, "add_files"):
+            present.add_files(result, kept.folder)
+    files = {**capability.files(request), **report.files}
     if plot is not None and capability.plot == "file":
         present.draw(result, plot)
         files["plot"] = plot
@@ -183,7 +195,7 @@ def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
     capability, request, project = request_of(inputs)
     for name in capability.programs(request):
         check_named(name)
-    arguments = capability.arguments(request)
+    begun, arguments = time.monotonic(), capability.arguments(request)
     if capability.rounds is None:
         yield from ()
         result = capability.function(project, **arguments, progress=report_stage)
@@ -191,7 +203,7 @@ def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
         result = yield from capability.rounds(
             project, **arguments, inputs=inputs, progress=report_stage
         )
-    folder = _reported(capability, request, project, result).folder
+    folder = _reported(capability, request, project, result, time.monotonic() - begun).folder
     return b"" if folder is None else folder.name.encode()
 
 
@@ -204,13 +216,15 @@ def prepare(capability: Capability, request: BaseModel, project: Project) -> Pat
     Raises
     ------
     InvalidInput
-        The capability does not work on a project.
+        The capability does not work on a project, or what it settles is invalid.
     """
     from fixel.simulation.trust import remember
     from fixel.workflows import jobs
 
     if not capability.on_project:
         raise InvalidInput("job", found=capability.name, expected="a capability on a project")
+    if capability.settled is not None:
+        request = capability.settled(project, request)
     content = request.model_dump(mode="json")
     with project.store() as store:
         records = [store.datasets(), *store.calibration_summaries()]

@@ -14,8 +14,7 @@ from fixel.errors import InvalidInput
 if TYPE_CHECKING:
     from fixel.sampling import Plan, PlanProblem
     from fixel.table import Table
-    from fixel.workflows.analysis import AnalysisReport
-    from fixel.workflows.capabilities import StoredAnswer
+    from fixel.workflows.analysis import AnalysisReport, StoredAnswer
 
 PLAN_ENDINGS: Final = (".yaml", ".yml")
 MAX_PROBLEMS: Final = 20
@@ -43,9 +42,10 @@ def sample(
         Path | None, Door(metavar="PLAN", usual="the 420 experiments of the thesis")
     ] = None,
     *,
-    out: Annotated[Path | None, Door(also=("--output",), writes=True)] = None,
+    out: Annotated[Path | None, Door(also=("--output",), writes=True, effort=True)] = None,
     eight_push: Annotated[bool, Door(flag="--eight-push")] = False,
     simulate: Annotated[bool, Door(flag="--simulate")] = False,
+    progress: object = None,
 ) -> SampleAnswer:
     """Create a plan of experiments and report its problems.
 
@@ -60,6 +60,8 @@ def sample(
         instead of the scheme of the thesis.
     simulate : bool
         Whether to simulate every experiment and check that the object touches a fixel.
+    progress : object
+        Not used: it takes seconds.
 
     Raises
     ------
@@ -185,6 +187,4 @@ def _presentation() -> ModuleType:
     return sys.modules[__name__]
 
 
-SAMPLE: Final = Capability(
-    name="sample", function=sample, presentation=_presentation, plot="file"
-)
+SAMPLE: Final = Capability(name="sample", function=sample, presentation=_presentation, plot="file")

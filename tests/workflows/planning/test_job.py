@@ -1,5 +1,6 @@
 """Searches for plans as jobs: the same plan as in one call, in chunks, resumed and with workers."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -8,9 +9,9 @@ import fixel
 from fixel.testing.scenes import pushed_square
 from fixel.workflows import jobs
 from fixel.workflows.analysis import load_analyses
-from fixel.workflows.planning.job import MAKER
+from fixel.workflows.capabilities import prepare
 from fixel.workflows.planning.report import FILE
-from fixel.workflows.planning.request import PlanRequest, find_plan
+from fixel.workflows.planning.run import PLAN, plan_goal
 from fixel.workflows.planning.stored import load_plan
 
 GOAL = {
@@ -21,19 +22,14 @@ GOAL = {
 }
 
 
-def request_in(folder: Path) -> PlanRequest:
-    return PlanRequest(goal=GOAL, folder=str(folder), rollouts=2_000)
-
-
 @pytest.fixture
 def job(tmp_path: Path) -> Path:
     project = fixel.Project.create(tmp_path / "lab")
     pushed_square().save(tmp_path / "scene.yaml")
-    request = request_in(tmp_path)
-    folder = project.folder / jobs.JOBS / "plan-1"
-    jobs.prepare_job(
-        folder, maker=MAKER, options={"question": vars(request), "command": "fixel plan"}
-    )
+    goal = tmp_path / "goal.yaml"
+    goal.write_text(json.dumps(GOAL))
+    folder = prepare(PLAN, PLAN.request({"goal": str(goal), "rollouts": 2_000}), project)
+    goal.write_text("changed after the job was prepared")
     jobs.arrange(folder)
     return folder
 
@@ -44,8 +40,8 @@ def planned(job: Path) -> fixel.PushPlan:
 
 
 def expected(job: Path) -> fixel.PushPlan:
-    project = fixel.Project(job.parents[1])
-    return find_plan(project, request_in(project.folder.parent), progress=False).plan
+    goal = json.dumps(GOAL | {"scene": str(job.parents[2] / "scene.yaml")})
+    return plan_goal(fixel.Project(job.parents[1]), goal, rollouts=2_000, progress=False).found.plan
 
 
 def test_a_job_finds_the_plan_of_the_same_call(job: Path):

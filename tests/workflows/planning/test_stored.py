@@ -54,7 +54,7 @@ def test_a_plan_file_has_the_plan_and_its_request(tmp_path: Path):
     again = load_plan(tmp_path / "a.plan")
     assert again.found.plan == found_plan().plan
     assert again.found.calibration == 7
-    assert again.found.request.goal == {"fixel": 1}
+    assert again.found.request == {"goal": {"fixel": 1}}
     assert (again.id, again.version, again.created) == (
         written.id,
         written.version,

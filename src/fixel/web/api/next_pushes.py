@@ -11,9 +11,8 @@ from fixel.web.context import Context
 from fixel.web.values import RequestBody, Text
 from fixel.web.views.job_list import PageJob, job_slot, page_job
 from fixel.workflows import jobs
-from fixel.workflows.next_pushes import job
-from fixel.workflows.next_pushes.report import command_of
-from fixel.workflows.next_pushes.run import NextPushesRequest
+from fixel.workflows.capabilities import begin as begin_job
+from fixel.workflows.next_pushes.run import NEXT
 
 router = APIRouter(prefix="/next", tags=["next pushes"])
 
@@ -28,9 +27,9 @@ class NextForm(RequestBody):
 
 @router.post("", summary="Propose pushes in a separate process")
 def begin(context: Context, wanted: NextForm) -> PageJob:
-    request = NextPushesRequest(part=wanted.part, surface=wanted.surface, n=wanted.number)
+    request = NEXT.request(wanted.model_dump())
     with job_slot(context.project.folder):
-        folder = job.begin(context.project, request, command_of(request, context.folder))
+        folder = begin_job(NEXT, request, context.project)
     return PageJob.of(folder)
 
 

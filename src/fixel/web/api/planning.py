@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Annotated
 
 from fastapi import APIRouter
@@ -15,10 +16,10 @@ from fixel.web.views.job_list import PageJob, job_slot, page_job
 from fixel.web.views.plan_view import PlanScene, as_question, plan_scene, trials_of
 from fixel.workflows import jobs
 from fixel.workflows.analysis import load_with_errors
-from fixel.workflows.planning import job
+from fixel.workflows.capabilities import begin as begin_job
 from fixel.workflows.planning.execute import run_on_testbed
-from fixel.workflows.planning.report import FILE, command_of
-from fixel.workflows.planning.request import PlanRequest
+from fixel.workflows.planning.report import FILE
+from fixel.workflows.planning.run import PLAN
 
 router = APIRouter(prefix="/plan", tags=["planning"])
 
@@ -43,7 +44,9 @@ class PlanForm(RequestBody):
     start_mm: float = Field(0.5, ge=0.0, le=1e3, description="size of the error of x and y")
     start_deg: float = Field(0.5, ge=0.0, le=180.0, description="size of the error of the angle")
     start_kind: Kind = Field(description="half-widths (uniform) or standard deviations (normal)")
-    rollouts: int = Field(40_000, ge=1000, le=10_000_000, description="simulated pushes")
+    rollouts: int = Field(
+        PLAN.options["rollouts"].default, ge=1000, le=10_000_000, description="simulated pushes"
+    )
     untrusted: bool = Field(False, description="allow pushes that resemble no experiment")
 
 
@@ -61,14 +64,10 @@ def scene(context: Context, experiment: Key) -> PlanScene:
 @router.post("", summary="Search for a plan in a separate process")
 def begin(context: Context, wanted: PlanForm) -> PageJob:
     scene(context, wanted.experiment)
-    request = PlanRequest(
-        goal=as_question(wanted),
-        experiment=wanted.experiment,
-        rollouts=wanted.rollouts,
-        untrusted=wanted.untrusted,
-    )
+    options = wanted.model_dump(include={"experiment", "rollouts", "untrusted"})
+    request = PLAN.request({"goal": json.dumps(as_question(wanted)), **options})
     with job_slot(context.project.folder):
-        folder = job.begin(context.project, request, command_of(request, "goal.yaml"))
+        folder = begin_job(PLAN, request, context.project)
     return PageJob.of(folder)
 
 

@@ -22,6 +22,7 @@ from fixel.web.pages import calibration, experiment, run
 from fixel.web.views import next_view, plan_view, scene_editor
 from fixel.web.views.system_status import system_status
 from fixel.workflows.analysis import load_with_errors
+from fixel.workflows.planning.run import PLAN
 
 OFFERED: Final = 300  # names in the list of experiments
 FIRST: Final = "grasp"  # example that is shown first
@@ -146,6 +147,7 @@ def plan_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "name": "" if chosen is None else chosen.folder.name,
         "chosen": None if chosen is None else chosen.analysis,
         "plans": [(one.folder.name, one.analysis) for one in every],
+        "rollouts": PLAN.options["rollouts"].default,
         "trials": [] if chosen is None else plan_view.trials_of(chosen.folder),
         "unreadable": [str(problem) for problem in unreadable],
         "keys": [row.key for row in listed],

@@ -15,13 +15,15 @@ from fixel.workflows.figures import Picture, banner_of
 from fixel.workflows.next_pushes.selection import PushProposal
 
 if TYPE_CHECKING:
-    from fixel.workflows.capabilities import StoredAnswer
+    from fixel.workflows.analysis import StoredAnswer
 
 
 def report_of(found: PushProposal) -> AnalysisReport:
     """Return sentences, table, numbers and picture of a proposal, with what is unseen."""
     pushes, model, own = found.pushes, found.model, found.selection
-    where = " on ".join(x for x in (own.part.value or "the part of the scene", own.surface.value) if x)
+    where = " on ".join(
+        x for x in (own.part.value or "the part of the scene", own.surface.value) if x
+    )
     simulated = [
         "" if one.real else f"SIMULATED by {one.simulated_by}" for one in model.experiments
     ]
@@ -65,8 +67,8 @@ def content(done: StoredAnswer) -> dict[str, Any]:
 
 def next_words(done: StoredAnswer) -> list[object]:
     """Return the words of the command that performs the pushes, or writes them to a file."""
-    if done.request.out is not None:
-        return ["testbed", "run", done.request.out]
+    if "out" in done.files:
+        return ["testbed", "run", done.files["out"]]
     return [*done.again, "--out", "next.yaml"]
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
-from fixel.capability.usual import Seed
+from fixel.capability.usual import Seed, Where
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
@@ -32,9 +32,9 @@ def propose_pushes(
     travel: Annotated[float | None, Door(unit="mm", above=0.0, usual=THEIRS)] = None,
     speed: Annotated[float | None, Door(unit="mm/s", above=0.0, usual=THEIRS)] = None,
     radius: Annotated[float | None, Door(unit="mm", above=0.0, usual=THEIRS)] = None,
-    where: Annotated[tuple[str, ...], Door(metavar="FILTER")] = (),
+    where: Where = (),
     seed: Seed = 0,
-    out: Annotated[Path | None, Door(writes=True)] = None,
+    out: Annotated[Path | None, Door(writes=True, effort=True)] = None,
     progress: ProgressOption = None,
 ) -> PushProposal:
     """Propose which pushes of a part to make next.

@@ -193,10 +193,10 @@ def _condition(
 def _no_part(part: Condition, known: Sequence[Experiment]) -> InvalidInput:
     values = sorted({str(own.conditions[part.name]) for own in known})
     found, expected = "none", "one of " + ", ".join(values[:20])
+    hint = "a part without experiments needs its scene file: scene=part.yaml"
     if part.value:
         found = f"{part.value!r}, of which there is no experiment"
-        expected = unknown_name("part", part.value, values).expected
-    hint = "a part without experiments needs its scene file: scene=part.yaml"
+        expected = unknown_name("part", part.value, values).expected or expected
     return InvalidInput("part", found=found, expected=expected, hint=hint)
 
 

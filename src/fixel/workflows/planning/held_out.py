@@ -149,9 +149,7 @@ def held_success(
     return HeldSuccess(stated=stated, held=held, push=chosen, position=position, angle=angle)
 
 
-def held_success_of(
-    project: Project, number: int | None = None, **options: Any
-) -> HeldSuccess:
+def held_success_of(project: Project, number: int | None = None, **options: Any) -> HeldSuccess:
     """Compare stated with held success for a stored calibration; by default the newest.
 
     Parameters

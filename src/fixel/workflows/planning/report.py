@@ -20,7 +20,7 @@ from fixel.workflows.planning.run import ENDING, PlanAnswer
 from fixel.workflows.planning.stored import save_plan
 
 if TYPE_CHECKING:
-    from fixel.workflows.capabilities import StoredAnswer
+    from fixel.workflows.analysis import StoredAnswer
 
 # Files in the folder of the analysis.
 FILE: Final = f"plan{ENDING}"

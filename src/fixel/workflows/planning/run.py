@@ -170,7 +170,9 @@ def plan_goal(
     calibration: Annotated[
         int | None, Door(least=1, usual="that of the goal file, else the newest")
     ] = None,
-    out: Annotated[Path | None, Door(also=("--save",), usual="GOAL.plan", writes=True)] = None,
+    out: Annotated[
+        Path | None, Door(also=("--save",), usual="GOAL.plan", writes=True, effort=True)
+    ] = None,
     progress: ProgressOption = None,
     **options: Any,
 ) -> PlanAnswer:
@@ -212,7 +214,7 @@ def plan_goal(
         refuse_unwritable(out)
     own = request.inputs_of(project, content, folder, scene, experiment, calibration)
     made = plan(*own.parts, **options, progress=progress)
-    found = request.found_plan(own, made, options["untrusted"])
+    found = request.found_plan(own, made, options.get("untrusted", False))
     if out is not None:
         stored.save_plan(found, out)
     return PlanAnswer(found, out)
@@ -239,6 +241,8 @@ def _presentation() -> ModuleType:
 PLAN: Final = Capability(
     name="plan",
     title="Plan",
+    group="plan",
+    verb="find",
     function=plan_goal,
     of=plan,
     leave_out=("scene", "goal", "choose", "belief", "motion", "stepper", "first", "threads"),
