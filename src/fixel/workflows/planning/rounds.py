@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Generator, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.io.array_bytes import arrays_of, bytes_of
+from fixel.jobs.folder import read_job
 from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answer, Answers, Chunk, Failure, Round
 from fixel.planning.plan import plan_rounds, search_of
@@ -19,7 +21,7 @@ from fixel.planning.search import MarginRequest, PlanSearch, SearchStage
 from fixel.progress import Progress
 from fixel.typing import FloatArray
 from fixel.workflows.planning.request import PlanInputs, found_plan, goal_content, inputs_of
-from fixel.workflows.planning.run import PlanAnswer
+from fixel.workflows.planning.run import PLAN, PlanAnswer
 
 CHUNK: Final = 4096  # rollouts of a chunk
 
@@ -55,11 +57,10 @@ def margins(inputs: Path, payload: bytes) -> bytes:
 
 @lru_cache(maxsize=1)
 def _worker_search(inputs: Path) -> PlanSearch:
-    from fixel.workflows.capabilities import request_of
-
-    own = request_of(inputs)
-    options = own.capability.arguments(own.request)
-    return _search(own.project, options.pop("goal"), options)[-1]
+    request = PLAN.from_json(json.dumps(read_job(inputs.parent).options["request"]))
+    options = PLAN.arguments(request)
+    # The job is in the folder `jobs` of its project.
+    return _search(Project(inputs.resolve().parents[2]), options.pop("goal"), options)[-1]
 
 
 def _search(
