@@ -118,27 +118,28 @@ def world_of(scene):
 
 def brute_force(scene, margin):
     """Keys, bodies and places of all contacts, from every pair of pieces."""
-    model = scene.model
+    model, world = scene.model, world_of(scene)
     n_piece = len(model.piece_body)
-    rows = []
-    for i in range(n_piece):
-        for j in range(i + 1, n_piece):
-            a, b = model.piece_body[[i, j]]
-            if a == b or a >= N_FREE:
-                continue
-            spans = [slice(*model.piece_start[[k, k + 1]]) for k in (i, j)]
-            world = np.concatenate([world_of(scene)[span] for span in spans])
-            first = spans[0].stop - spans[0].start
-            count, place, key = measure_contacts(
-                world,
-                np.ones(len(world), np.int64),
-                np.array([[0, first, len(world)]]),
-                model.piece_radius[[i, j]][None, :],
-                margin,
-            )
-            for c in range(count[0]):
-                rows.append(((i * n_piece + j) * FEATURES + key[0, c], a, b, *place[0, c]))
-    return rows
+    owner = model.piece_body
+    pairs = [
+        (i, j)
+        for i in range(n_piece)
+        for j in range(i + 1, n_piece)
+        if owner[i] != owner[j] and owner[i] < N_FREE
+    ]
+    spans = [[np.arange(*model.piece_start[[k, k + 1]]) for k in pair] for pair in pairs]
+    sizes = np.array([[len(span) for span in both] for both in spans])
+    first = np.cumsum(np.concatenate(([0], sizes.sum(axis=1)[:-1])))
+    start = np.column_stack((first, first + sizes[:, 0], first + sizes.sum(axis=1)))
+    points = world[np.concatenate([span for both in spans for span in both])]
+    count, place, key = measure_contacts(
+        points, np.ones(len(points), np.int64), start, model.piece_radius[np.array(pairs)], margin
+    )
+    return [
+        ((i * n_piece + j) * FEATURES + key[k, c], owner[i], owner[j], *place[k, c])
+        for k, (i, j) in enumerate(pairs)
+        for c in range(count[k])
+    ]
 
 
 @pytest.mark.parametrize("seed", SEEDS)
