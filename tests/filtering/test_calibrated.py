@@ -6,7 +6,7 @@ from scipy.stats import chi2
 from tests.filtering.recordings import MU_PUSHER, TRIPOD_RADIUS, push
 
 from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.prior import UniformPrior, touches_bound
+from fixel.filtering.prior import UniformPrior
 from fixel.filtering.recorded import run_filter
 from fixel.filtering.running import FilterFrame, start_filter
 from fixel.testing.scenes import grasp
@@ -90,11 +90,9 @@ def test_what_nobody_can_know_stays_as_believed():
 
 def test_intervals_at_a_bound_are_named():
     prior = UniformPrior(("mu_fixel",), np.array([0.2]), np.array([0.5]))
-    assert touches_bound(prior, np.array([0.2]), np.array([0.218])) == [True]
-    assert touches_bound(prior, np.array([0.45]), np.array([0.499])) == [True]
-    assert touches_bound(prior, np.array([0.25]), np.array([0.3])) == [False]
-    # A belief that nothing has changed ends at no bound.
-    assert touches_bound(prior, np.array([0.215]), np.array([0.485])) == [False]
+    low, high = np.array([[0.2, 0.45, 0.25, 0.215], [0.218, 0.499, 0.3, 0.485]])
+    # A belief that nothing has changed, the last, ends at no bound.
+    assert prior.touched(low, high).tolist() == [True, True, False, False]
 
 
 def test_a_right_model_has_no_misfit():

@@ -18,21 +18,11 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import final
 
-import numpy as np
-
+from fixel.calibration.optimiser import between, whole
 from fixel.errors import InvalidInput
 from fixel.filtering.prior import checked_priors
-from fixel.model.fields import (
-    non_negative,
-    optional_positive,
-    positive,
-    settle,
-)
-from fixel.simulation import (
-    AbstractMotionModel,
-    FirstOrder,
-    QuasiStatic,
-)
+from fixel.model.fields import non_negative, optional_positive, positive, settle
+from fixel.simulation import AbstractMotionModel, FirstOrder, QuasiStatic
 
 
 @final
@@ -91,14 +81,15 @@ class ParticleFilter:
     threads: int = 1
 
     def __post_init__(self) -> None:
-        check_count("filter.n_particles", self.n_particles, 2)
-        check_count("filter.threads", self.threads, 1)
+        whole(self.n_particles, "filter.n_particles", 2)
+        whole(self.threads, "filter.threads")
         for name, unit in _POSITIVE.items():
             settle(self, **{name: positive(getattr(self, name), f"filter.{name}", unit)})
         for name, unit in _NOT_NEGATIVE.items():
             settle(self, **{name: non_negative(getattr(self, name), f"filter.{name}", unit)})
-        for name, (low, high) in _BETWEEN.items():
-            _refuse_outside(f"filter.{name}", getattr(self, name), low, high)
+        # A fixel that never errs would kill every particle at its first error.
+        for name in ("no_contact_reliability", "contact_reliability", "resample_below"):
+            between(getattr(self, name), f"filter.{name}")
         if not isinstance(self.motion, QuasiStatic | FirstOrder):
             raise InvalidInput(
                 "filter.motion",
@@ -111,24 +102,4 @@ class ParticleFilter:
 
 
 _POSITIVE = {"position_deviation": "m", "angle_deviation": "rad", "touch_gap": "m"}
-_NOT_NEGATIVE = {
-    "start_position_deviation": "m",
-    "start_angle_deviation": "rad",
-}
-# Open intervals: a fixel that never errs would kill every particle at its first error.
-_BETWEEN = {
-    "no_contact_reliability": (0.0, 1.0),
-    "contact_reliability": (0.0, 1.0),
-    "resample_below": (0.0, 1.0),
-}
-
-
-def check_count(where: str, value: object, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise InvalidInput(where, found=value, expected=f"a whole number of at least {least}")
-
-
-def _refuse_outside(where: str, value: object, low: float, high: float) -> None:
-    number = positive(value, where)
-    if not low < number < high:
-        raise InvalidInput(where, found=number, expected=f"a number between {low:g} and {high:g}")
+_NOT_NEGATIVE = {"start_position_deviation": "m", "start_angle_deviation": "rad"}

@@ -197,7 +197,7 @@ class Mechanics:
         """
         time = np.array([sight.time for sight in sights])
         poses, particles.failed, stalled = self._simulated(
-            particles.pose, unknowns.columns(particles.free), path, coarse
+            particles.pose, unknowns.prior.columns(unknowns.values(particles.free)), path, coarse
         )
         walk = unknowns.walk(particles.free)
         before = particles.pose
@@ -210,7 +210,9 @@ class Mechanics:
                 back = (sight.time - sight.seen_at) / (time[k] - time[k - 1])
             behind = back * (particles.pose - before)
             before = particles.pose
-            self._grow(particles, walk, time[k] - time[k - 1], shake)
+            model = np.column_stack((walk, walk / LEVER)) ** 2 / FRAME
+            pusher = np.where(particles.pushed[:, None], shake, 0.0)
+            particles.variance = particles.variance + (time[k] - time[k - 1]) * (model + pusher)
             self._weigh(particles, sight, behind)
         # Not in between: the poses after it are simulated already, without the correction.
         if sights[-1].fold:
@@ -243,13 +245,6 @@ class Mechanics:
         failed = np.asarray(~result.converged | thrown)
         pose = np.where(thrown[:, None, None], start[:, None], pose)
         return pose, failed, result.stalled[:, 0]
-
-    def _grow(
-        self, particles: Particles, walk: FloatArray, seconds: float, shake: FloatArray
-    ) -> None:
-        model = np.column_stack((walk, walk / LEVER)) ** 2 / FRAME
-        pusher = np.where(particles.pushed[:, None], shake, 0.0)
-        particles.variance = particles.variance + seconds * (model + pusher)
 
     def _weigh(self, particles: Particles, sight: FrameMeasurement, behind: FloatArray) -> None:
         """Weigh by a sight that lies `behind` the poses (n, 3) on their way."""

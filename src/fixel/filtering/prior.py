@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -34,7 +33,6 @@ NARROWED: Final = 0.7
 
 
 N_POSE: Final = 3
-N_NORMAL: Final = N_POSE
 TREMBLE: Final = 1e-3  # [-] of a proposal, where two particles are the same
 # Model error in one frame of 1/30 s [m], from what no camera sees in a run to what carries the
 # object wherever the camera sees it. The least with the probability that the model is right;
@@ -82,6 +80,22 @@ class UniformPrior:
     def varies(self) -> BoolArray:
         """(n_name,) whether there is anything to learn."""
         return np.asarray(self.high > self.low)
+
+    def excited(self, low: FloatArray, high: FloatArray) -> BoolArray:
+        """Return which parameters a run has informed: their intervals have become narrower.
+
+        The interval is from the 5 % quantile `low` to the 95 % quantile `high`, (n_name,) each.
+        """
+        before = 0.9 * (self.high - self.low)
+        return np.asarray((high - low < NARROWED * before) & (before > 0.0))
+
+    def touched(self, low: FloatArray, high: FloatArray) -> BoolArray:
+        """Return which intervals `low` to `high` (n_name,) of 90 % end at a bound.
+
+        Nearer to it than half of what lies outside of the interval of a uniform belief.
+        """
+        near = 0.025 * (self.high - self.low)
+        return np.asarray((low - self.low < near) | (self.high - high < near))
 
     def columns(self, values: FloatArray) -> dict[str, FloatArray]:
         """Values by name, as a batch takes them."""
@@ -155,35 +169,6 @@ def _idle(scene: Scene) -> dict[str, str]:
     return idle
 
 
-def excited(prior: UniformPrior, low: FloatArray, high: FloatArray) -> list[bool]:
-    """Return which parameters a run has informed: their 90 % intervals have become narrower.
-
-    Parameters
-    ----------
-    prior : UniformPrior
-    low, high : (n_name,) float64
-        The 5 % and 95 % quantiles afterwards.
-    """
-    before = 0.9 * (prior.high - prior.low)
-    narrow = (high - low) < NARROWED * before
-    return [bool(a and not math.isclose(b, 0.0)) for a, b in zip(narrow, before, strict=True)]
-
-
-def touches_bound(prior: UniformPrior, low: FloatArray, high: FloatArray) -> list[bool]:
-    """Return which 90 % intervals end at a bound of the prior.
-
-    Nearer to it than half of what lies outside of the interval of a uniform belief.
-
-    Parameters
-    ----------
-    prior : UniformPrior
-    low, high : (n_name,) float64
-        The 5 % and 95 % quantiles.
-    """
-    near = 0.025 * (prior.high - prior.low)
-    return [bool(told) for told in (low - prior.low < near) | (prior.high - high < near)]
-
-
 @final
 @dataclass(frozen=True, slots=True)
 class Unknowns:
@@ -209,28 +194,24 @@ class Unknowns:
     @property
     def size(self) -> int:
         """Number of unknowns of one particle."""
-        return len(self.prior.names) + N_NORMAL + 1
+        return len(self.prior.names) + N_POSE + 1
 
     def drawn(self, n: int, random: np.random.Generator) -> FloatArray:
         """(n, size) draws from the belief."""
         free = np.empty((n, self.size))
-        free[:, : -N_NORMAL - 1] = self.prior.free(self.prior.drawn(n, random))
-        free[:, -N_NORMAL - 1 : -1] = random.standard_normal((n, N_NORMAL))
+        free[:, : -N_POSE - 1] = self.prior.free(self.prior.drawn(n, random))
+        free[:, -N_POSE - 1 : -1] = random.standard_normal((n, N_POSE))
         free[:, -1] = random.logistic(size=n)
         return free
 
     def values(self, free: FloatArray) -> FloatArray:
         """(n, n_name) parameters."""
-        return self.prior.bounded(free[:, : -N_NORMAL - 1])
-
-    def columns(self, free: FloatArray) -> dict[str, FloatArray]:
-        """Parameters by name, as a batch takes them."""
-        return self.prior.columns(self.values(free))
+        return self.prior.bounded(free[:, : -N_POSE - 1])
 
     def start(self, free: FloatArray) -> FloatArray:
         """(n, 3) start poses [m, m, rad]."""
         first = len(self.prior.names)
-        return self.centre + free[:, first : first + N_POSE] * self.deviation
+        return self.centre + free[:, first:-1] * self.deviation
 
     def walk(self, free: FloatArray) -> FloatArray:
         """(n,) standard deviations of the model error in one frame [m]."""
@@ -242,7 +223,7 @@ class Unknowns:
         """(n, size) logarithms of the belief's density on the free scale, up to constants."""
         stretched = np.abs(free)
         found = -stretched - 2.0 * np.log1p(np.exp(-stretched))
-        normal = np.s_[:, -N_NORMAL - 1 : -1]
+        normal = np.s_[:, -N_POSE - 1 : -1]
         found[normal] = -0.5 * free[normal] ** 2
         return np.asarray(found)
 
@@ -294,8 +275,3 @@ class Unknowns:
         there = np.where(drawn, self.drawn(n, random), there)
         prior = self.log_density(there) - self.log_density(free)
         return there, np.sum(np.where(drawn, 0.0, prior), axis=1)
-
-
-def accepted(ratio: FloatArray, random: np.random.Generator) -> BoolArray:
-    """(n,) which moves are made by Metropolis' rule, from logarithms of ratios of densities."""
-    return np.asarray(np.log(random.random(len(ratio))) < ratio)

@@ -13,7 +13,7 @@ from fixel.calibration.target import scene_of
 from fixel.errors import InvalidInput
 from fixel.filtering.misfit import FilterMisfit, misfit_of
 from fixel.filtering.particle_filter import ParticleFilter
-from fixel.filtering.prior import UniformPrior, excited, touches_bound
+from fixel.filtering.prior import UniformPrior
 from fixel.filtering.running import FilterEstimate, FilterFrame, start_filter
 from fixel.model import Experiment, Scene, Trajectory, pose_error
 from fixel.results import Result, Summary
@@ -126,34 +126,27 @@ class FilterRun(Result):
     @property
     def excited(self) -> dict[str, bool]:
         """Parameters by name, with whether the run has informed them."""
-        last = self.quantiles[-1]
-        return dict(zip(self.prior.names, excited(self.prior, last[:, 0], last[:, 2]), strict=True))
+        low, _, high = self.quantiles[-1].T
+        return dict(zip(self.prior.names, self.prior.excited(low, high).tolist(), strict=True))
 
     @property
     def at_bound(self) -> dict[str, bool]:
         """By parameter, whether its interval ends at a bound of its prior, so that the bound and
         not the run may have decided it."""
         low, _, high = self.quantiles[-1].T
-        near = touches_bound(self.prior, low, high)
-        return {
-            name: told and self.excited[name]
-            for name, told in zip(self.prior.names, near, strict=True)
-        }
+        near = zip(self.excited.items(), self.prior.touched(low, high).tolist(), strict=True)
+        return {name: excited and told for (name, excited), told in near}
 
     @property
     def parameters(self) -> dict[str, dict[str, float | bool]]:
         """Estimates at the end, by name: mean, quantiles, and whether the run informs them [SI]."""
-        rows = zip(self.prior.names, self.mean[-1], self.quantiles[-1], strict=True)
+        keys = ("mean", "q05", "q50", "q95")
+        numbers = np.column_stack((self.mean[-1], self.quantiles[-1])).tolist()
+        excited, bound = self.excited, self.at_bound
         return {
-            name: {
-                "mean": float(mean),
-                "q05": float(low),
-                "q50": float(middle),
-                "q95": float(high),
-                "excited": self.excited[name],
-                "at_bound": self.at_bound[name],
-            }
-            for name, mean, (low, middle, high) in rows
+            name: dict(zip(keys, row, strict=True))
+            | {"excited": excited[name], "at_bound": bound[name]}
+            for name, row in zip(self.prior.names, numbers, strict=True)
         }
 
     def rms(self, hidden: bool) -> tuple[float, float] | None:
@@ -164,24 +157,39 @@ class FilterRun(Result):
             return None
         return _rms(position[wanted]), _rms(angle[wanted])
 
-    def _summary(self) -> Summary:
+    def tables(self) -> list[Table]:
+        """Return the errors, and the estimates at the end with a remark on each."""
         found = {"while seen": self.rms(hidden=False), "while hidden": self.rms(hidden=True)}
         errors = [(k, 1e3 * e[0], math.degrees(e[1])) for k, e in found.items() if e is not None]
         head = ("error, rms", Column("position", "mm", ".3f"), Column("angle", "deg", ".3f"))
         numbers = (Column(name, format=".3g") for name in ("mean", "5 %", "95 %"))
-        rows = [
-            (name, own["mean"], own["q05"], own["q95"], "" if own["excited"] else "not informed")
-            for name, own in self.parameters.items()
-        ]
-        measured, mode = self.experiment.contact_mode, self.contact_mode
-        notes = [f"contact mode at the end: {mode}" + (f", measured {measured}" * bool(measured))]
+        rows = []
+        for name, own in self.parameters.items():
+            remark = "" if own["excited"] else "not excited: about the same as the prior"
+            if own["at_bound"]:
+                remark = "at the bound of its prior: use a wider one"
+            label, factor = label_and_factor(name)
+            rows.append((label, *(factor * own[key] for key in ("mean", "q05", "q95")), remark))
+        return [Table(head, errors), Table(("at the end", *numbers, ""), rows)]
+
+    def modes(self) -> list[str]:
+        """Return a sentence on the contact modes at the end; none without fixels."""
+        if self.touch.shape[1] == 0:
+            return []
+        measured, estimated = self.experiment.contact_mode, self.contact_mode
+        verdict = "" if not measured else ", the same" if measured == estimated else ", different"
+        what = "measured" if self.experiment.real else "recorded"
+        return [f"contact mode, {what} {measured or 'unknown'}, estimated {estimated}{verdict}"]
+
+    def _summary(self) -> Summary:
+        notes = self.modes()
         if self.misfit.warns and self.misfit.ratio is not None:
             notes.append(f"misfit: residuals are {self.misfit.ratio:.2g} times the noise")
         return Summary(
             f"FilterRun of {self.experiment.key}: {len(self.time)} frames,"
             f" {self.options.n_particles} particles ({self.options.motion.name})",
-            [Table(("at the end [SI]", *numbers, ""), rows), Table(head, errors)],
-            notes if mode else notes[1:],
+            [table for table in self.tables() if table.rows],
+            notes,
             {
                 "seed": str(self.seed),
                 "tactile readings": "used" if self.uses_tactile else "not used",
@@ -266,6 +274,11 @@ def run_filter(
         seen=np.array([frame.seen is not None for frame in frames]),
         busy=np.array(busy),
     )
+
+
+def label_and_factor(name: str) -> tuple[str, float]:
+    """Return the name of a parameter with its unit for display, and the factor to that unit."""
+    return (f"{name} [mm]", 1e3) if name == "tripod_radius" else (name, 1.0)
 
 
 def _rms(values: FloatArray) -> float:

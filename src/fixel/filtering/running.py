@@ -10,10 +10,11 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fixel.calibration.optimiser import whole
 from fixel.calibration.target import scene_of
 from fixel.errors import InvalidInput
 from fixel.filtering.head_path import smoothed
-from fixel.filtering.particle_filter import ParticleFilter, check_count
+from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.particles import (
     FOLD,
     FRAME,
@@ -23,7 +24,7 @@ from fixel.filtering.particles import (
     Particles,
     gathered,
 )
-from fixel.filtering.prior import UniformPrior, Unknowns, accepted, prior_for
+from fixel.filtering.prior import UniformPrior, Unknowns, prior_for
 from fixel.filtering.weights import (
     COARSE,
     Indices,
@@ -356,7 +357,7 @@ class RunningFilter:
         self._particles.put(island, both.take(np.arange(n)))
         found = self._weigh(island)
         ratio = found * (both.score[n:] - both.score[:n]) + move.prior_ratio
-        moved = accepted(ratio, self._random)
+        moved = np.log(self._random.random(n)) < ratio  # Metropolis' rule
         self._particles.put(island, both.take(np.arange(n) + np.where(moved, n, 0)))
         self._reached[island] = found * self._particles.score[island]
         self._moves[turn] = self._proposed(island)
@@ -456,7 +457,7 @@ def start_filter(
     InvalidInput
         No scene, more than one body or pusher, or a prior that changes nothing in it.
     """
-    check_count("filter.seed", seed, 0)
+    whole(seed, "filter.seed", 0)
     if isinstance(setup, Experiment):
         scene = scene_of(setup)
         time = float(setup.trajectory.time[0]) if time is None else time
@@ -466,7 +467,12 @@ def start_filter(
     else:
         instance(setup, Scene, "setup", "a Scene or an Experiment")
         scene = setup
-    _refuse_scene(scene)
+    if len(scene.bodies) != 1 or len(scene.pushers) != 1:
+        raise InvalidInput(
+            "filter.scene",
+            found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
+            expected="one free body and one pusher",
+        )
     return RunningFilter(
         options,
         _yielding(options, scene),
@@ -486,12 +492,3 @@ def _yielding(options: ParticleFilter, scene: Scene) -> Scene:
     limit = WEIGHTS_OF_LIMIT * weight if options.force_limit is None else options.force_limit
     drive = replace(pusher.drive, force_limit=limit or None)
     return replace(scene, pushers=(replace(pusher, drive=drive),))
-
-
-def _refuse_scene(scene: Scene) -> None:
-    if len(scene.bodies) != 1 or len(scene.pushers) != 1:
-        raise InvalidInput(
-            "filter.scene",
-            found=f"{len(scene.bodies)} free bodies and {len(scene.pushers)} pushers",
-            expected="one free body and one pusher",
-        )

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.drawing.filtering import draw_filter
-from fixel.filtering.recorded import FilterRun
+from fixel.filtering.recorded import FilterRun, label_and_factor
 from fixel.io.atomic import written_whole
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
@@ -37,7 +37,7 @@ def report_of(answer: FilterAnswer) -> AnalysisReport:
             kind="filter",
             title=f"Filter run of {found.experiment.key}",
             question={"experiment": found.experiment.key},
-            headline=(origin_of(found.experiment), _input(found), *_modes(found)),
+            headline=(origin_of(found.experiment), _input(found), *found.modes()),
             warnings=(*_misfit(found), *_noise(found)),
             tables=tuple(table for table in _tables(answer) if table.rows),
             notes=tuple(notes),
@@ -191,45 +191,14 @@ def _input(found: FilterRun) -> str:
     return f"{len(found.time)} frames from {first:.4g} to {last:.4g} s, {hidden}, {felt}"
 
 
-def _modes(found: FilterRun) -> list[str]:
-    if found.touch.shape[1] == 0:
-        return []
-    measured, estimated = found.experiment.contact_mode, found.contact_mode
-    verdict = "" if not measured else ", the same" if measured == estimated else ", different"
-    what = "measured" if found.experiment.real else "recorded"
-    return [f"contact mode, {what} {measured or 'unknown'}, estimated {estimated}{verdict}"]
-
-
 def _tables(answer: FilterAnswer) -> Iterator[Table]:
-    found = answer.estimates
-    errors = {"while seen": found.rms(hidden=False), "while hidden": found.rms(hidden=True)}
-    rows: list[tuple[Any, ...]]
-    rows = [(k, 1e3 * pair[0], degrees(pair[1])) for k, pair in errors.items() if pair is not None]
-    yield Table(
-        ("error, rms", Column("position", "mm", ".3f"), Column("angle", "deg", ".3f")), rows
-    )
-    rows = []
-    for name, mean, (low, _, high) in zip(
-        found.prior.names, found.mean[-1], found.quantiles[-1], strict=True
-    ):
-        remark = "" if found.excited[name] else "not excited: about the same as the prior"
-        if found.at_bound[name]:
-            remark = "at the bound of its prior: use a wider one with --prior"
-        label, factor = _label_and_factor(name)
-        rows.append((label, *(float(factor * value) for value in (mean, low, high)), remark))
-    numbers = (Column(name, format=".3g") for name in ("mean", "5 %", "95 %"))
-    yield Table(("at the end", *numbers, ""), rows)
-    rows = []
+    yield from answer.estimates.tables()
+    rows: list[tuple[Any, ...]] = []
     for number, parameters in _compared(answer).items():
         for name, one in parameters.items():
-            label, factor = _label_and_factor(name)
+            label, factor = label_and_factor(name)
             ends = ("open" if x is None else f"{factor * x:.3g}" for x in (one["low"], one["high"]))
             verdict = one["verdict"] or "not assessed"
             rows.append((f"calibration {number}", label, factor * one["value"], *ends, verdict))
     columns = ("of this experiment", "", Column("value", format=".3g"), "low", "high", "verdict")
     yield Table(columns, rows)
-
-
-def _label_and_factor(name: str) -> tuple[str, float]:
-    """Name of a parameter with its unit for display, and the factor to that unit."""
-    return (f"{name} [mm]", 1e3) if name == "tripod_radius" else (name, 1.0)

@@ -88,13 +88,14 @@ def filter(
     >>> sorted(found.parameters)
     ['mu_fixel', 'mu_pusher', 'mu_support', 'tripod_radius']
     """
-    from fixel.filtering.particle_filter import ParticleFilter, check_count
+    from fixel.calibration.optimiser import whole
+    from fixel.filtering.particle_filter import ParticleFilter
     from fixel.filtering.recorded import run_filter
     from fixel.progress import show_progress
     from fixel.simulation.motion import motion_model
 
     if options is None:
-        check_count("particles", particles, 2)
+        whole(particles, "particles", 2)
         own: dict[str, Any] = {} if motion is None else {"motion": motion_model(motion)}
         options = ParticleFilter(n_particles=particles, priors=priors or {}, threads=threads, **own)
     with show_progress(progress, "filtering") as report:
