@@ -67,7 +67,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "DomainMap": "fixel.workflows.domain.run:store_map",
         "FilterRun": "fixel.workflows.filtering.record:store_run",
         "Posterior": "fixel.workflows.uncertainty.report:store_posterior",
-        "Sensitivity": "fixel.workflows.sensitivity.run:store_sensitivity",
+        "Sensitivity": "fixel.workflows.sensitivity.report:store_sensitivity",
     },
     # What methods of a project call.
     "project": {

@@ -79,7 +79,7 @@ def test_doubts_come_first_and_calibrations_stand_beside(folder):
 
     assert out.index("model misfit: residuals of") < out.index("at the end")
     (believed,) = [line for line in out.splitlines() if line.startswith("mu_pusher")]
-    assert "at the bound of its prior: use a wider one with --prior" in believed
+    assert "at the bound of its prior: use a wider one" in believed
     (calibrated,) = [line for line in out.splitlines() if line.startswith("calibration 1")]
     assert calibrated.split()[2:] == ["mu_pusher", "0.35", "0.31", "open", "at", "least"]
 

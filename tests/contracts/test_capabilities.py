@@ -90,6 +90,11 @@ SHORT = {
     "plan": {
         "goal": json.dumps({"fixel": 1, "goal": GOAL}), "experiment": "push-1", "rollouts": 1000
     },
+    "sensitivity": {"experiments": ("push-1",), "samples": 50},
+    "uncertainty": {
+        "experiments": ("push-1",), "fit": ("tripod_radius_mm=20:60",), "motion": "quasistatic",
+        "samples": 50,
+    },
 }  # fmt: skip
 
 

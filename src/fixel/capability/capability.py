@@ -64,6 +64,9 @@ class Capability:
         Command whose sub-command it is.
     verb : str
         Name of the sub-command, if not that of the capability.
+    in_project : callable, optional
+        Returns whether a request needs the project, without which the function gets None; by
+        default every request does, or uses the project of the folder if there is one.
     """
 
     name: str
@@ -77,6 +80,7 @@ class Capability:
     settled: Callable[..., Any] | None = None
     group: str = ""
     verb: str = ""
+    in_project: Callable[[Any], bool] | None = None
 
     @property
     def heading(self) -> str:

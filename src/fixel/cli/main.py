@@ -36,14 +36,12 @@ from fixel.cli import (
     record,
     replay,
     report,
-    sensitivity,
     serve,
     show,
     simulation,
     testbed,
     track,
     trust,
-    uncertainty,
 )
 from fixel.cli.argument_options import in_options
 from fixel.cli.capability import typer_command
@@ -86,8 +84,8 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
         "calibrate": calibration.calibrate,
         "calibrations": calibration.calibrations,
         "domain": domain.app,
-        "sensitivity": sensitivity.sensitivity,
-        "uncertainty": uncertainty.uncertainty,
+        "sensitivity": typer_command(CAPABILITIES["sensitivity"]),
+        "uncertainty": typer_command(CAPABILITIES["uncertainty"]),
         "next": typer_command(CAPABILITIES["next"]),
         "plan": plan.app,
         "report": report.report,

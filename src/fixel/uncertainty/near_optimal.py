@@ -29,6 +29,7 @@ class NearOptimal(NamedTuple):
     low: FloatArray  # (n,) smallest values of these points
     high: FloatArray  # (n,)
     clusters: tuple[Solution, ...]  # best first
+    names: tuple[str, ...] = ()  # of the parameters
 
 
 def rise_of(least: float, count: float, unknowns: int, level: float = 0.95) -> float:
@@ -61,7 +62,7 @@ def rise_of(least: float, count: float, unknowns: int, level: float = 0.95) -> f
 
 
 def near_optimal(
-    points: FloatArray, errors: FloatArray, rise: float, gap: float = GAP
+    points: FloatArray, errors: FloatArray, rise: float, names: tuple[str, ...] = ()
 ) -> NearOptimal:
     """Return the points whose error is within a rise of the smallest, and their clusters.
 
@@ -73,8 +74,8 @@ def near_optimal(
         Their errors; inf for failed evaluations.
     rise : float
         Allowed rise, in the unit of the errors; see `rise_of`.
-    gap : float
-        Gap between clusters, as a share of the range of each parameter over all points.
+    names : tuple of str
+        Names of the parameters.
     """
     good = np.isfinite(errors)
     if not good.any():
@@ -84,7 +85,8 @@ def near_optimal(
     least = float(errors[good].min())
     near = good & (errors <= least + non_negative(rise, "rise"))
     span = np.ptp(points[good], axis=0)
-    scale = gap * np.where(span > 0.0, span, 1.0)
+    scale = GAP * np.where(span > 0.0, span, 1.0)
     clusters = find_solutions(points, errors, scale, rise)
     own = points[near]
-    return NearOptimal(least, rise, int(near.sum()), own.min(axis=0), own.max(axis=0), clusters)
+    low, high = own.min(axis=0), own.max(axis=0)
+    return NearOptimal(least, rise, int(near.sum()), low, high, clusters, names)

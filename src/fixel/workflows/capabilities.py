@@ -16,6 +16,8 @@ from fixel.workflows.filtering.run import FILTER
 from fixel.workflows.next_pushes.run import NEXT
 from fixel.workflows.planning.run import PLAN
 from fixel.workflows.sampling import SAMPLE
+from fixel.workflows.sensitivity.run import SENSITIVITY
+from fixel.workflows.uncertainty.run import UNCERTAINTY
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
 
 CAPABILITIES: Final[Mapping[str, Capability]] = {
-    one.name: one for one in (FILTER, NEXT, PLAN, SAMPLE)
+    one.name: one for one in (FILTER, NEXT, PLAN, SAMPLE, SENSITIVITY, UNCERTAINTY)
 }
 MAKER: Final = "capability:run_request"
 
@@ -65,6 +67,8 @@ def run(
         check_named(name)
     begun = time.monotonic()
     needed = capability.needs_project or folder != Path() or (folder / SETTINGS).is_file()
+    if capability.in_project is not None:
+        needed = capability.in_project(request)
     project = Project(folder) if capability.on_project and needed else None
     place = (project,) if capability.on_project else ()
     result = capability.function(*place, **capability.arguments(request), progress=progress)

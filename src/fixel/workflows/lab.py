@@ -6,7 +6,7 @@ They run what the commands run, with the same numbers.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 from fixel.database.project import Project
 from fixel.domain.domain import DomainMap
@@ -15,10 +15,9 @@ from fixel.model.selection import parse_filter
 from fixel.progress import ProgressOption
 from fixel.uncertainty.posterior import Posterior
 from fixel.workflows.calibration.calibration import Calibration
+from fixel.workflows.capabilities import call
 from fixel.workflows.domain.request import DomainRequest
 from fixel.workflows.domain.run import map_stored
-from fixel.workflows.uncertainty.report import store_uncertainty
-from fixel.workflows.uncertainty.run import UncertaintyRequest, find_uncertainty
 
 Fit = Calibration | int | None
 
@@ -89,16 +88,12 @@ def posterior(
         As for `fixel.posterior`.
     """
     keys = project.experiments(filter).keys if filter else ()
-    request = UncertaintyRequest(
-        experiments=keys,
-        calibration=_id_of(project, fit),
-        samples=samples,
-        model_error=model_error,
-        seed=seed,
+    options = {"samples": samples, "model_error": model_error, "seed": seed}
+    fit = _id_of(project, fit)
+    found = call(
+        project, "uncertainty", experiments=keys, calibration=fit, **options, progress=progress
     )
-    found = find_uncertainty(project, request, progress)
-    store_uncertainty(project, found)
-    return found.posterior
+    return cast(Posterior, found.posterior)
 
 
 def _id_of(project: Project, fit: Fit) -> int | None:

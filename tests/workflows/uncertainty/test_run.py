@@ -19,8 +19,9 @@ from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.calibration.stored import CalibratedValues
+from fixel.workflows.capabilities import run
 from fixel.workflows.uncertainty import report
-from fixel.workflows.uncertainty.run import UncertaintyRequest, find_uncertainty
+from fixel.workflows.uncertainty.run import UNCERTAINTY
 
 FIT = ("tripod_radius_mm=20:60",)
 
@@ -83,11 +84,15 @@ def test_it_is_kept_as_an_analysis(folder, answered):
 
 
 def test_the_cameras_noise_is_found_out(folder):
-    wanted = UncertaintyRequest(experiments=("push-1",), fit=FIT, motion="quasistatic", samples=50)
-    found = find_uncertainty(Project(folder), wanted)
+    found = _asked(folder, motion="quasistatic", samples=50)
     assert found.posterior.noise.position_m == pytest.approx(5e-5, rel=0.4)
     assert found.posterior.noise.angle_rad == pytest.approx(2e-3, rel=0.4)
     assert np.isfinite(found.posterior.points).all()
+
+
+def _asked(folder, **changes):
+    request = UNCERTAINTY.request({"experiments": ("push-1",), "fit": FIT, **changes})
+    return run(UNCERTAINTY, request, folder, progress=False).result
 
 
 @pytest.mark.parametrize(
@@ -96,24 +101,14 @@ def test_the_cameras_noise_is_found_out(folder):
         ({"held_out": ("push-1",)}, "held_out"),
         ({"motion": "magic"}, "motion: found"),
         ({"experiments": ()}, "found none"),
+        ({"samples": 9}, "samples: found 9, expected at least 10"),
+        ({"noise": {"position_m": 1e-4}}, "noise.angle_rad: found only one of them"),
+        ({"experiments": ("nothing",)}, "nothing"),
     ],
 )
 def test_questions_that_make_no_sense_are_refused(folder, changes, words):
-    asked = UncertaintyRequest(**({"experiments": ("push-1",), "fit": FIT} | changes))
-    with pytest.raises(InvalidInput, match=words):
-        find_uncertainty(Project(folder), asked)
-
-
-def test_an_experiment_that_is_not_there(folder):
-    with pytest.raises(NotStored):
-        find_uncertainty(Project(folder), UncertaintyRequest(experiments=("nothing",)))
-
-
-def test_half_a_noise_is_refused(folder):
-    words = ["uncertainty", "push-1", "--noise-mm", "0.1", "--project", str(folder)]
-    result = CliRunner().invoke(app, words)
-    assert isinstance(result.exception, InvalidInput)
-    assert "--noise-mrad" in str(result.exception)
+    with pytest.raises((InvalidInput, NotStored), match=words):
+        _asked(folder, **changes)
 
 
 def _beside(low, high, quantiles, of=1):
@@ -128,17 +123,19 @@ def _beside(low, high, quantiles, of=1):
         members=tuple(Member(k, 1.0, 1.0) for k in range(21)),
         provenance=Provenance(version="1", command="fixel calibrate", seed=0),
         estimates=(estimate,),
+        request={"level": 0.5},
     )
     found = SimpleNamespace(
         compared=CalibratedValues(7, record),
         predicted=[SimpleNamespace(held_out=False, prediction=SimpleNamespace(failed=0, unseen=()))]
         * of,
-        request=SimpleNamespace(samples=1, model_error=True),
+        requested=1,
         posterior=SimpleNamespace(
             labels=("mu_pusher",),
             units=("-",),
-            quantiles=lambda: np.array(quantiles)[:, None],
+            quantiles=lambda *_: np.array(quantiles)[:, None],
             effective=1.0,
+            model_error=True,
             failed=0,
             evaluations=1,
         ),
@@ -155,6 +152,7 @@ def test_a_posterior_repeats_the_misfit_of_the_calibration():
 def test_a_posterior_does_not_contradict_the_calibration_silently():
     _, apart = _beside(0.15, 0.36, (0.4, 0.42, 0.44))
     assert apart.startswith("mu_pusher contradicts calibration 7: this posterior of 1 experiment")
+    assert " (50 %), the calibration of 21 has" in apart
     assert apart.endswith("quote the calibration.")
     _, beside = _beside(0.15, None, (0.1, 0.14, 0.2), of=21)
     assert beside.startswith("mu_pusher disagrees with calibration 7")

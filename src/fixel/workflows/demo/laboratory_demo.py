@@ -20,18 +20,14 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.table import Table
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import Notify
-from fixel.uncertainty.starts import StartError
 from fixel.units import displayed
 from fixel.workflows.calibration.project import select_experiments
 from fixel.workflows.calibration.request import LEAST_SQUARES
 from fixel.workflows.calibration.run import calibrate
+from fixel.workflows.capabilities import call
 from fixel.workflows.domain.request import DomainRequest
 from fixel.workflows.domain.run import map_stored
 from fixel.workflows.report.write import Report
-from fixel.workflows.sensitivity.request import SensitivityRequest
-from fixel.workflows.sensitivity.run import analyse_sensitivity
-from fixel.workflows.uncertainty.report import store_uncertainty
-from fixel.workflows.uncertainty.run import UncertaintyRequest, find_uncertainty
 
 # One shape in one layout: the nominal pose, and steps along x, y and theta.
 EXPERIMENTS: Final = 21
@@ -40,7 +36,6 @@ SEED: Final = 1
 ABOUT: Final = (1, 8, 19)
 # The push whose posterior is sampled, and a push that is predicted from it.
 FROM, PREDICTED = 19, 20
-START_ERROR: Final = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5), kind="uniform")
 
 
 @final
@@ -85,10 +80,18 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     notify("mapping the domain of applicability")
     map_stored(project, DomainRequest(calibration=number), command=f"fixel domain {at}")
     notify("computing the sensitivity to the start pose")
-    _ask_starts(project, number, at)
+    keys = tuple(map(str, ABOUT))
+    call(project, "sensitivity", experiments=keys, samples=500, calibration=number)
     notify("computing the posterior and predictions")
     try:
-        _ask_posterior(project, number, at)
+        call(
+            project,
+            "uncertainty",
+            experiments=(str(FROM),),
+            held_out=(str(PREDICTED),),
+            calibration=number,
+            samples=300,
+        )
     except InvalidInput as missing:  # the package that samples posteriors
         notify(f"skipped: {missing}")
     notify("writing the report")
@@ -151,22 +154,3 @@ def true_mean(label: str, experiments: Sequence[Experiment]) -> float | None:
             nominal = scene.friction(body.name, thing.name)
         found.append(nominal * float(experiment.conditions[f"{TRUTH}{kind}_friction_ratio"]))
     return float(np.mean(found))
-
-
-def _ask_starts(project: Project, number: int, at: str) -> None:
-    keys = [str(k) for k in ABOUT]
-    analyse_sensitivity(
-        keys,
-        SensitivityRequest(error=START_ERROR, samples=500, calibration=number),
-        lambda: project,
-        command=f"fixel sensitivity {' '.join(keys)} --samples 500 {at}",
-    )
-
-
-def _ask_posterior(project: Project, number: int, at: str) -> None:
-    request = UncertaintyRequest(
-        experiments=(str(FROM),), held_out=(str(PREDICTED),), calibration=number, samples=300
-    )
-    found = find_uncertainty(project, request)
-    asked = f"{FROM} --held-out {PREDICTED} --calibration {number} --samples 300"
-    store_uncertainty(project, found, f"fixel uncertainty {asked} {at}")

@@ -2,65 +2,130 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 
+from fixel.database.project import Project
 from fixel.drawing.sensitivity import EnsembleChart, IndicesChart
+from fixel.errors import InvalidInput
+from fixel.formats.scene_model import scene_content
 from fixel.model import Parameters
+from fixel.simulation.motion import motion_model
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
-from fixel.uncertainty.outcomes import FLAGS, MEANING
-from fixel.workflows.analysis import Analysis
+from fixel.uncertainty.outcomes import FLAGS, MEANING, Sensitivity
+from fixel.uncertainty.starts import StartError
+from fixel.workflows.analysis import (
+    Analysis,
+    AnalysisReport,
+    StoredAnalysis,
+    StoredAnswer,
+    store_analysis,
+)
 from fixel.workflows.figures import Picture
-from fixel.workflows.sensitivity.request import Finding, SensitivityRequest
+from fixel.workflows.sensitivity.pushes import Finding, RankedPushes, Subject
+from fixel.workflows.sensitivity.run import SENSITIVITY
 from fixel.workflows.sentences import rounded, sentences
 
 MAX_SENTENCES: Final = 3  # pushes with sentences in the headline
 MAX_PICTURES: Final = 12  # of the pushes to avoid first; the table has all
 
 
-def analysis_of(
-    found: Sequence[Finding],
-    skipped: Mapping[str, str],
-    request: SensitivityRequest,
-    command: str,
-    seconds: float,
-) -> Analysis:
-    """Return the analysis to store, with the push to avoid first in front."""
+def report_of(answer: RankedPushes) -> AnalysisReport:
+    """Return headline, warnings, tables, charts and numbers, the push to avoid first in front."""
+    found, error = answer.findings, answer.error
+    first = found[0].sensitivity
     keys = [finding.subject.key for finding in found]
     title = keys[0] if len(keys) == 1 else f"{len(keys)} pushes"
-    return Analysis(
+    more = () if first.indices is None else ("saltelli2010", "herman2017")
+    samples = len(first.prediction.drawn)
+    analysis = Analysis(
         kind="sensitivity",
         title=f"Sensitivity to the start: {title}",
-        question=request.question(sorted(keys)),
-        headline=_headline(found, request),
-        warnings=sentences("sensitivity", "warnings", found=found, skipped=skipped),
+        question={
+            "experiments": sorted(finding.subject.source for finding in found),
+            "calibration": answer.calibration,
+        },
+        headline=_headline(found, error),
+        warnings=sentences("sensitivity", "warnings", found=found, skipped=answer.skipped),
         tables=tuple(_tables(found)),
-        methods=sentences("sensitivity", "methods", one=found[0], request=request),
-        references=("asme2006", *(("saltelli2010", "herman2017") if request.indices else ())),
+        methods=sentences("sensitivity", "methods", one=found[0], samples=samples, error=error),
+        references=("asme2006", *more),
         numbers={
             "start_error": {
-                "x_m": request.error.x,
-                "y_m": request.error.y,
-                "theta_rad": request.error.theta,
-                "kind": request.error.kind,
+                "x_m": error.x,
+                "y_m": error.y,
+                "theta_rad": error.theta,
+                "kind": error.kind,
             },
-            "samples": request.samples,
+            "samples": samples,
             "pushes": [_numbers(finding) for finding in found],
-            "skipped": dict(skipped),
+            "skipped": dict(answer.skipped),
         },
-        calibrations=() if request.calibration is None else (request.calibration,),
+        calibrations=() if answer.calibration is None else (answer.calibration,),
         experiments=tuple(f.subject.id for f in found if f.subject.id is not None),
-        command=command,
-        seed=request.seed,
-        seconds=seconds,
+        seed=first.prediction.seed,
     )
+    return AnalysisReport(analysis, pictures_of(found), arrays_of(found))
 
 
-def _headline(found: Sequence[Finding], request: SensitivityRequest) -> tuple[str, ...]:
+def content(done: StoredAnswer) -> dict[str, Any]:
+    """Return the content of `--json`."""
+    return {
+        "headline": list(done.analysis.headline),
+        "warnings": list(done.analysis.warnings),
+        **done.analysis.numbers,
+        "folder": None if done.folder is None else str(done.folder),
+        "files": [str(path) for path in done.files.values()],
+    }
+
+
+def next_words(done: StoredAnswer) -> list[str]:
+    """Return the words of the command that most users need next."""
+    own = done.result.findings[0].sensitivity
+    if not done.drawn:
+        return [*done.again, "--plot", "sensitivity"]
+    if own.indices is None:
+        return [*done.again, "--indices"]
+    if done.folder is not None:
+        return ["report"]
+    return [*done.again, "--samples", str(10 * len(own.prediction.reasons))]
+
+
+def store_sensitivity(project: Project, found: Sensitivity) -> StoredAnalysis:
+    """Store the sensitivity of one push in a project, named by a mark of its scene."""
+    own = found.prediction
+    if own.error is None:
+        raise InvalidInput("what", found="no start error", expected="a result of fixel.sensitivity")
+    scene = json.dumps(scene_content(own.scene), sort_keys=True)
+    values = {name: float(x) for name, x in own.parameters.items() if np.ndim(x) == 0}
+    key = f"scene-{hashlib.sha256(scene.encode()).hexdigest()[:8]}"
+    subject = Subject(
+        key=key,
+        source=key,
+        id=None,
+        scene=own.scene,
+        values=values,
+        ranges={},
+        motion=motion_model(own.motion),
+        stepper=None,
+        banner="",
+    )
+    more = {"indices": found.indices is not None, "seed": own.seed}
+    request = SENSITIVITY.request({"samples": len(own.drawn), "values": values, **more})
+    report = report_of(RankedPushes([Finding(subject, found)], {}, own.error))
+    error = {"start_error": [*own.error.size.tolist(), own.error.kind]}
+    question = SENSITIVITY.question(request) | report.analysis.question | error
+    analysis = report.analysis.model_copy(update={"question": question})
+    return store_analysis(project, analysis, report.pictures, report.arrays)
+
+
+def _headline(found: Sequence[Finding], error: StartError) -> tuple[str, ...]:
     flags = [finding.sensitivity.flag for finding in found]
     return sentences(
         "sensitivity",
@@ -69,7 +134,7 @@ def _headline(found: Sequence[Finding], request: SensitivityRequest) -> tuple[st
         found=found[:MAX_SENTENCES],
         counts=", ".join(f"{flags.count(flag)} {flag}" for flag in FLAGS if flag in flags),
         meaning=MEANING,
-        error=request.error,
+        error=error,
         largest=[_largest_share(finding) for finding in found[:MAX_SENTENCES]],
     )
 

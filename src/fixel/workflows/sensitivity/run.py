@@ -2,72 +2,30 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import time as clock
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
-from pathlib import Path
-from typing import Any, Final, final
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-import numpy as np
-
-from fixel.calibration.target import target_of
-from fixel.database.project import Project
-from fixel.database.store import Store
+from fixel.capability.capability import Capability
+from fixel.capability.options import Door
+from fixel.capability.usual import Seed, Threads
 from fixel.errors import InvalidInput
-from fixel.formats import load_scene
-from fixel.formats.scene_model import scene_content
-from fixel.model import Experiment, Scene
-from fixel.model.fields import instance
-from fixel.model.selection import ExperimentQuery
-from fixel.model.space import split_label
-from fixel.progress import ProgressOption, show_progress
-from fixel.simulation import AbstractMotionModel
-from fixel.simulation.motion import motion_model, stated_name
-from fixel.simulation.simulate import SceneWithMethod
-from fixel.simulation.stepper import AbstractStepper
-from fixel.simulation.trust import permit
-from fixel.uncertainty.indices import indices_of
-from fixel.uncertainty.outcomes import FLAGS, Sensitivity, sensitivity_of
-from fixel.uncertainty.push import push_of
-from fixel.uncertainty.start_ensemble import simulate_starts
-from fixel.uncertainty.starts import StartError
-from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
-from fixel.workflows.calibration.stored import (
-    CalibratedValues,
-    load_values,
-    newest_calibration,
-)
-from fixel.workflows.figures import Picture
-from fixel.workflows.sensitivity.report import analysis_of, arrays_of, pictures_of
-from fixel.workflows.sensitivity.request import Finding, SensitivityRequest, Subject
+
+if TYPE_CHECKING:
+    from fixel.database.project import Project
+    from fixel.model import Experiment, Scene
+    from fixel.progress import ProgressOption
+    from fixel.simulation import AbstractMotionModel
+    from fixel.simulation.simulate import SceneWithMethod
+    from fixel.simulation.stepper import AbstractStepper
+    from fixel.uncertainty.outcomes import Sensitivity
+    from fixel.uncertainty.starts import StartError
+    from fixel.workflows.sensitivity.pushes import RankedPushes
 
 SCENE_ENDINGS: Final = (".yaml", ".yml", ".json")
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SensitivityAnswer:
-    """Sensitivity of pushes, with the push to avoid first in front.
-
-    Attributes
-    ----------
-    findings : tuple of Finding
-    skipped : dict of str to str
-        Pushes that could not be analysed, and why.
-    analysis : Analysis
-    pictures : tuple of Picture
-    kept : StoredAnalysis, optional
-        Analysis stored in a project.
-    """
-
-    findings: tuple[Finding, ...]
-    skipped: Mapping[str, str]
-    analysis: Analysis
-    pictures: tuple[Picture, ...]
-    kept: StoredAnalysis | None
 
 
 def sensitivity(
@@ -75,14 +33,14 @@ def sensitivity(
     start: StartError,
     model: Mapping[str, float] | None = None,
     *,
-    samples: int = 1000,
-    vary: Mapping[str, tuple[float, float]] | None = None,
+    samples: Annotated[int, Door(least=50)] = 1000,
+    vary: Annotated[Mapping[str, tuple[float, float]] | None, Door(metavar="NAME=LOW:HIGH")] = None,
     indices: bool = False,
     base: int = 128,
     motion: AbstractMotionModel | str | None = None,
     stepper: AbstractStepper | None = None,
-    seed: int = 0,
-    threads: int | None = None,
+    seed: Seed = 0,
+    threads: Threads = None,
     progress: ProgressOption = None,
 ) -> Sensitivity:
     """Compute how errors of the start pose grow in a push.
@@ -140,6 +98,15 @@ def sensitivity(
     >>> found.flag
     'insensitive'
     """
+    from fixel.model.fields import instance
+    from fixel.progress import show_progress
+    from fixel.simulation.trust import permit
+    from fixel.uncertainty.indices import indices_of
+    from fixel.uncertainty.outcomes import sensitivity_of
+    from fixel.uncertainty.push import push_of
+    from fixel.uncertainty.start_ensemble import simulate_starts
+    from fixel.uncertainty.starts import StartError
+
     instance(start, StartError, "start", "a StartError")
     permit(motion)
     push = push_of(scene, model, motion)
@@ -161,101 +128,102 @@ def sensitivity(
         return replace(found, indices=indices_of(push.scene, start, ranges, base, **method))
 
 
-def analyse_sensitivity(
-    things: Sequence[str],
-    request: SensitivityRequest,
-    project: Callable[[], Project],
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartSizes:
+    """Start error with the same size along x and y, as a request states it.
+
+    Attributes
+    ----------
+    place : float
+        Size of the start error along x and y, with --uniform or --normal; 0.3 by default.
+    angle : float
+        Size of the start error of the angle, with --uniform or --normal; 0.5 by default.
+    uniform : bool, optional
+        Sizes are half-widths (uniform) or standard deviations (normal). A size needs one of them;
+        without any size the default is uniform.
+    """
+
+    place: Annotated[float, Door(flag="--start-error-mm", unit="mm")] = 1e-3 * 0.3
+    angle: Annotated[float, Door(flag="--start-error-deg", unit="deg")] = math.radians(0.5)
+    uniform: Annotated[bool | None, Door(flag="--uniform/--normal")] = None
+
+    def build(self) -> StartError:
+        """Return the start error for Python."""
+        from fixel.uncertainty.starts import StartError
+
+        if self.uniform is None:
+            kinds = "--uniform (they are half-widths) or --normal (standard deviations)"
+            raise InvalidInput("start_error", found="sizes alone", expected=kinds)
+        kind: Any = "uniform" if self.uniform else "normal"
+        return StartError(x=self.place, y=self.place, theta=self.angle, kind=kind)
+
+
+StartOption = Annotated["StartError | None", Door(plain=StartSizes | None)]
+
+
+def sensitivity_of_pushes(
+    project: Project | None,
+    experiments: Annotated[tuple[str, ...], Door(metavar="[EXPERIMENT|SCENE.yaml]...")] = (),
     *,
-    command: str = "",
-    ready: Callable[[Scene], None] | None = None,
-) -> SensitivityAnswer:
-    """Analyse stored experiments or scene files; store the result if there is a project.
+    calibration: Annotated[
+        int | None, Door(metavar="ID", usual="the newest; nominal values if there is none")
+    ] = None,
+    engine: Annotated[str | None, Door(metavar="NAME", program=True)] = None,
+    values: Annotated[Mapping[str, float] | None, Door(flag="--set", metavar="NAME=VALUE")] = None,
+    start_error: StartOption = None,
+    preset: str | None = None,
+    progress: ProgressOption = None,
+    **options: Any,
+) -> RankedPushes:
+    """Report how start errors grow, and pushes with several ends.
 
     Parameters
     ----------
-    things : sequence of str
-        Keys of experiments, or scene files; by default all experiments with a scene.
-    request : SensitivityRequest
-    project : callable
-        Opens the project; not called for scene files without a calibration.
-    command : str
-        Command as typed.
-    ready : callable, optional
-        Called with the first scene before anything is simulated.
+    project : Project, optional
+        Not needed for scene files without a calibration.
+    experiments : tuple of str
+        Experiments (id, name or DATASET/NAME) or scene files; by default all experiments with a
+        scene.
+    calibration : int, optional
+        Stored calibration whose parameters are used.
+    engine : str, optional
+        Use the newest calibration by this engine, such as mujoco, which also simulates scene files.
+    values : mapping of str to float, optional
+        Value of a parameter; may be repeated.
+    start_error : StartError, optional
+        Distribution of the start pose about that of the scene.
+    preset : str, optional
+        Preset start error instead: asme (+-5 um, +-0.5 deg) or rpi-camera (noise of the camera at
+        RPI).
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
+    **options
+        Options of `sensitivity`.
 
     Raises
     ------
     InvalidInput
         Nothing can be simulated.
+    NotStored
+        There is no such experiment or calibration.
     """
-    begun = clock.perf_counter()
-    files = [thing for thing in things if is_scene_file(thing)]
-    stored = len(files) < len(things) or not things or request.calibration is not None
-    opened = project() if stored else None
-    if opened is not None and request.calibration is None:
-        with opened.store() as store:
-            newest = newest_calibration(store, engine=request.engine)
-            request = replace(request, calibration=newest)
-    if request.engine and request.calibration is None:
-        request = replace(request, engine=stated_name(request.engine))
-    subjects, skipped = _subjects(things, request, opened)
-    if not subjects:
-        why = "; ".join(f"{key}: {reason}" for key, reason in list(skipped.items())[:3])
-        raise InvalidInput(
-            "experiments", found=why or "none", expected="a push that can be simulated"
-        )
-    if ready is not None:
-        ready(subjects[0].scene)
-    found = []
-    for subject in subjects:
-        try:
-            found.append(Finding(subject, _analysed(subject, request)))
-        except InvalidInput as problem:
-            if len(subjects) == 1:
-                raise
-            skipped[subject.key] = str(problem)
-    if not found:
-        raise InvalidInput("experiments", found=next(iter(skipped.values())), expected="an outcome")
-    found.sort(key=_badness)
-    pictures = pictures_of(found)
-    analysis = analysis_of(found, skipped, request, command, clock.perf_counter() - begun)
-    kept = None if opened is None else store_analysis(opened, analysis, pictures, arrays_of(found))
-    return SensitivityAnswer(
-        findings=tuple(found),
-        skipped=skipped,
-        analysis=analysis if kept is None else kept.analysis,
-        pictures=tuple(pictures),
-        kept=kept,
-    )
+    from fixel.uncertainty.starts import preset as named
+    from fixel.workflows.sensitivity.pushes import PushSelection, ranked
+
+    if preset is not None and start_error is not None:
+        raise InvalidInput("preset", found="a preset and a start error", expected="one of them")
+    usual = replace(StartSizes(), uniform=True)
+    error = named(preset) if preset is not None else start_error or usual.build()
+    ranges = options.pop("vary", None) or {}
+    own = PushSelection(project, experiments, calibration, engine or "", values or {}, ranges)
+    options["indices"] = options.get("indices") or bool(ranges)
+    return ranked(own, error, progress=progress, **options)
 
 
-def store_sensitivity(project: Project, found: Sensitivity) -> StoredAnalysis:
-    """Store the sensitivity of one push in a project, named by a mark of its scene."""
-    own = found.prediction
-    if own.error is None:
-        raise InvalidInput("what", found="no start error", expected="a result of fixel.sensitivity")
-    scene = json.dumps(scene_content(own.scene), sort_keys=True)
-    values = {name: float(x) for name, x in own.parameters.items() if np.ndim(x) == 0}
-    subject = Subject(
-        key=f"scene-{hashlib.sha256(scene.encode()).hexdigest()[:8]}",
-        id=None,
-        scene=own.scene,
-        values=values,
-        ranges={},
-        motion=motion_model(own.motion),
-        stepper=None,
-        banner="",
-    )
-    request = SensitivityRequest(
-        error=own.error,
-        samples=len(own.drawn),
-        values=values,
-        indices=found.indices is not None,
-        seed=own.seed,
-    )
-    every = [Finding(subject, found)]
-    analysis = analysis_of(every, {}, request, "", 0.0)
-    return store_analysis(project, analysis, pictures_of(every), arrays_of(every))
+def in_project(request: Any) -> bool:
+    """Return whether a request needs a project: for stored experiments or a calibration."""
+    things = request.experiments
+    return request.calibration is not None or not things or not all(map(is_scene_file, things))
 
 
 def is_scene_file(thing: str) -> bool:
@@ -263,101 +231,17 @@ def is_scene_file(thing: str) -> bool:
     return thing.lower().endswith(SCENE_ENDINGS)
 
 
-def _badness(finding: Finding) -> tuple[int, float, str]:
-    own = finding.sensitivity
-    return FLAGS.index(own.flag), -max(own.amplification, own.gain), finding.subject.key
+def _presentation() -> ModuleType:
+    from fixel.workflows.sensitivity import report
+
+    return report
 
 
-def _analysed(subject: Subject, request: SensitivityRequest) -> Sensitivity:
-    return sensitivity(
-        subject.scene,
-        request.error,
-        subject.values,
-        samples=request.samples,
-        vary=subject.ranges,
-        indices=request.indices,
-        base=request.base,
-        motion=subject.motion,
-        stepper=subject.stepper,
-        seed=request.seed,
-        threads=request.threads,
-    )
-
-
-# --- pushes to analyse --------------------------------------------------------------------------
-
-
-def _subjects(
-    things: Sequence[str], request: SensitivityRequest, project: Project | None
-) -> tuple[list[Subject], dict[str, str]]:
-    if project is None:
-        return [_of_file(thing, request, None) for thing in things], {}
-    with project.store() as store:
-        model = None
-        if request.calibration is not None:
-            model = load_values(store, request.calibration, engine=request.engine)
-        ids = {} if things else _all(store)
-        for thing in things:
-            if not is_scene_file(thing):
-                ids[thing] = store.find(thing)
-        subjects = [_of_file(t, request, model) for t in things if is_scene_file(t)]
-        skipped = {}
-        for key, number in ids.items():
-            try:
-                subjects.append(_of_experiment(number, store.experiment(number), request, model))
-            except InvalidInput as problem:
-                if len(things) == 1:
-                    raise
-                skipped[key] = str(problem)
-    return subjects, skipped
-
-
-def _all(store: Store) -> dict[str, int]:
-    return {summary.key: summary.id for summary in store.experiments(ExperimentQuery()).rows}
-
-
-def _of_file(thing: str, request: SensitivityRequest, model: CalibratedValues | None) -> Subject:
-    file = load_scene(Path(thing))
-    values = {} if model is None else model.values({"experiment": thing})
-    return Subject(
-        key=Path(thing).stem,
-        id=None,
-        scene=file.scene,
-        values=values | dict(request.values),
-        ranges=_ranges(model, values) | dict(request.ranges),
-        motion=motion_model(request.engine or file.motion) if model is None else model.motion,
-        stepper=file.stepper,
-        banner="",
-    )
-
-
-def _of_experiment(
-    number: int, experiment: Experiment, request: SensitivityRequest, model: CalibratedValues | None
-) -> Subject:
-    target = target_of(experiment)
-    scene = replace(target.case.scene, duration=float(target.case.times[-1]))
-    values = {} if model is None else model.values(target.conditions)
-    return Subject(
-        key=experiment.key,
-        id=number,
-        scene=scene,
-        values=values | dict(request.values),
-        ranges=_ranges(model, values) | dict(request.ranges),
-        motion=motion_model(request.engine or None) if model is None else model.motion,
-        stepper=None,
-        banner="" if experiment.real else f"SIMULATED by {experiment.simulated_by}",
-    )
-
-
-def _ranges(
-    model: CalibratedValues | None, values: Mapping[str, float]
-) -> dict[str, tuple[float, float]]:
-    """Intervals of a calibration, if the data determine both ends."""
-    found: dict[str, tuple[float, float]] = {}
-    for estimate in model.record.estimates if model is not None else ():
-        name, _ = split_label(estimate.label)
-        low, high = estimate.low, estimate.high
-        held = low is not None and high is not None and low < high
-        if held and values.get(name) == estimate.value and not name.startswith("start_"):
-            found[name] = (float(low), float(high))  # type: ignore[arg-type]
-    return found
+SENSITIVITY: Final = Capability(
+    name="sensitivity",
+    function=sensitivity_of_pushes,
+    of=sensitivity,
+    leave_out=("scene", "start", "model", "motion", "stepper"),
+    presentation=_presentation,
+    in_project=in_project,
+)

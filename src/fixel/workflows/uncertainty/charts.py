@@ -21,7 +21,7 @@ from fixel.uncertainty.bands import LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.uncertainty.posterior import Posterior
 from fixel.workflows.figures import Picture, banner_of
-from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty
+from fixel.workflows.uncertainty.sampling import ExperimentPrediction, Uncertainty
 
 MAX_PICTURED: Final = 3  # experiments with charts
 # Number of held-out experiments from which a coverage curve is informative.

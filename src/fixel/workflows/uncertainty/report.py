@@ -4,57 +4,76 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict
 from math import degrees
 from typing import Any, Final
 
 import numpy as np
 
+from fixel.capability.usual import StatedNoise
 from fixel.database.project import Project
 from fixel.drawing.chart import display_unit
-from fixel.model.records import CalibrationRecord
+from fixel.simulation.engine_names import compare_words
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.uncertainty.near_optimal import NearOptimal
 from fixel.uncertainty.posterior import Posterior
 from fixel.uncertainty.repetition import PARTS
-from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
-from fixel.workflows.calibration.stored import misfit_of
+from fixel.workflows.analysis import (
+    Analysis,
+    AnalysisReport,
+    StoredAnalysis,
+    StoredAnswer,
+    store_analysis,
+)
+from fixel.workflows.calibration.stored import CalibratedValues, misfit_of
 from fixel.workflows.sentences import rounded, sentences
 from fixel.workflows.uncertainty.charts import curves_of, pictures_of, what_of
-from fixel.workflows.uncertainty.run import ExperimentPrediction, Uncertainty, predicted_by
+from fixel.workflows.uncertainty.run import UNCERTAINTY
+from fixel.workflows.uncertainty.sampling import ExperimentPrediction, Uncertainty, predicted_by
 
 REFERENCES: Final = ("skilling2006", "feroz2009", "speagle2020", "kennedy2001")
 
 
-def store_uncertainty(project: Project, found: Uncertainty, command: str = "") -> StoredAnalysis:
-    """Store the result in its project, with charts."""
+def report_of(found: Uncertainty) -> AnalysisReport:
+    """Return headline, warnings, tables, charts and numbers of a posterior with predictions."""
     posterior = found.posterior
+    n, spread = posterior.evaluations, posterior.log_evidence_error
     analysis = Analysis(
         kind="uncertainty",
         title=f"Uncertainty of {what_of(found)}",
-        question=asdict(found.request) | {"motion": found.motion},
+        question={"experiments": list(posterior.experiments), "motion": posterior.motion},
         headline=_headline(found),
         warnings=_warnings(found),
         tables=tuple(_tables(found)),
-        methods=sentences(
-            "uncertainty",
-            "methods",
-            posterior=posterior,
-            noise=found.posterior.noise,
-            request=found.request,
+        notes=(
+            f"{posterior.effective:.0f} effective samples from {n} simulated points;"
+            f" log evidence {posterior.log_evidence:.2f} +- {spread:.2f}",
         ),
+        methods=sentences("uncertainty", "methods", posterior=posterior),
         references=REFERENCES,
         numbers=numbers_of(found),
         calibrations=() if found.calibration is None else (found.calibration.id,),
         experiments=tuple(one.id for one in found.predicted),
-        command=command,
-        seed=found.request.seed,
+        seed=posterior.seed,
         seconds=posterior.seconds,
     )
     arrays = {"samples": posterior.points, "log_likelihood": posterior.log_likelihood}
-    return store_analysis(project, analysis, list(pictures_of(found)), arrays)
+    return AnalysisReport(analysis, list(pictures_of(found)), arrays)
+
+
+def content(done: StoredAnswer) -> dict[str, Any]:
+    """Return the content of `--json`."""
+    files = [str(path) for path in done.files.values()]
+    return done.analysis.numbers | {"folder": str(done.folder), "pictures": files}
+
+
+def next_words(done: StoredAnswer) -> list[str]:
+    """Return the words of the next command: a comparison with the likeliest values."""
+    posterior, first = done.result.posterior, done.result.predicted[0].target
+    columns = posterior.values(posterior.best[None], first.conditions)
+    values = {name: float(column[0]) for name, column in columns.items()}
+    return compare_words(first.key, values, posterior.motion)
 
 
 def store_posterior(project: Project, found: Posterior) -> StoredAnalysis:
@@ -65,26 +84,39 @@ def store_posterior(project: Project, found: Posterior) -> StoredAnalysis:
     NotStored
         The project does not have one of its experiments.
     """
-    return store_uncertainty(project, predicted_by(project, found))
+    noise = found.noise
+    request = UNCERTAINTY.request(
+        {
+            "experiments": found.experiments,
+            "motion": found.motion,
+            "noise": noise and StatedNoise(noise.position_m, noise.angle_rad),
+            "model_error": found.model_error is not None,
+            "samples": len(found.points),
+            "seed": found.seed,
+        }
+    )
+    report = report_of(predicted_by(project, found))
+    analysis = report.analysis.model_copy(update={"question": UNCERTAINTY.question(request)})
+    return store_analysis(project, analysis, report.pictures, report.arrays)
 
 
 def numbers_of(found: Uncertainty) -> dict[str, Any]:
     """Return plain values in SI units, for `--json`."""
-    posterior, request = found.posterior, found.request
+    posterior = found.posterior
     low, middle, high = posterior.quantiles()
     noise = posterior.noise
     assert noise is not None  # measured poses have noise
     return {
         "unseen": [text for one in found.predicted for text in one.prediction.unseen],
         "experiments": [one.experiment.key for one in found.predicted if not one.held_out],
-        "motion": found.motion,
+        "motion": posterior.motion,
         "noise": {
             "position_m": noise.position_m,
             "angle_rad": noise.angle_rad,
             "source": noise.source,
             "correlation": noise.correlation,
         },
-        "model_error": request.model_error,
+        "model_error": posterior.model_error is not None,
         "parameters": {
             label: {
                 "unit": posterior.units[k],
@@ -111,7 +143,7 @@ def numbers_of(found: Uncertainty) -> dict[str, Any]:
         "seed": posterior.seed,
         "final_pose": [_final(one) for one in found.predicted],
         "coverage": _coverage(found),
-        "near_optimal": _near(found),
+        "near_optimal": _near(found.near),
     }  # fmt: skip
 
 
@@ -147,20 +179,20 @@ def _coverage(found: Uncertainty) -> dict[str, Any] | None:
     }
 
 
-def _near(found: Uncertainty) -> dict[str, Any] | None:
-    near = found.near
+def _near(near: NearOptimal | None) -> dict[str, Any] | None:
     if near is None:
         return None
+
+    def named(values: FloatArray) -> dict[str, float]:
+        return dict(zip(near.names, values.tolist(), strict=True))
+
     return {
         "least_mm2": near.least,
         "rise_mm2": near.rise,
         "evaluations": near.size,
-        "low": dict(zip(found.near_names, near.low.tolist(), strict=True)),
-        "high": dict(zip(found.near_names, near.high.tolist(), strict=True)),
-        "clusters": [
-            {"size": c.size, "best": dict(zip(found.near_names, c.point.tolist(), strict=True))}
-            for c in near.clusters
-        ],
+        "low": named(near.low),
+        "high": named(near.high),
+        "clusters": [{"size": c.size, "best": named(c.point)} for c in near.clusters],
     }
 
 
@@ -186,7 +218,7 @@ def _headline(found: Uncertainty) -> tuple[str, ...]:
 
 
 def _warnings(found: Uncertainty) -> tuple[str, ...]:
-    posterior, request = found.posterior, found.request
+    posterior = found.posterior
     k = posterior.labels.index(LABEL) if LABEL in posterior.labels else None
     at_bound = k is not None and posterior.quantiles((0.5,))[0, k] > 0.5 * posterior.high[k]
     compared = found.compared
@@ -199,10 +231,10 @@ def _warnings(found: Uncertainty) -> tuple[str, ...]:
             for text in one.prediction.unseen
         ],
         posterior=posterior,
-        request=request,
+        requested=found.requested,
         number=None if compared is None else compared.id,
         misfit=[] if compared is None else misfit_of(compared.record)[:1],
-        contradictions=[] if compared is None else list(_contradictions(found, compared.record)),
+        contradictions=[] if compared is None else list(_contradictions(found, compared)),
         own=sum(not one.held_out for one in found.predicted),
         calibrated=0 if compared is None else len(compared.record.members),
         failed=posterior.failed / max(1, posterior.evaluations),
@@ -211,10 +243,12 @@ def _warnings(found: Uncertainty) -> tuple[str, ...]:
     )
 
 
-def _contradictions(found: Uncertainty, record: CalibrationRecord) -> Iterator[dict[str, Any]]:
-    """Parameters whose median is outside the interval of a calibration, for the template."""
-    low, middle, high = found.posterior.quantiles()
-    estimates = {estimate.label: estimate for estimate in record.estimates}
+def _contradictions(found: Uncertainty, compared: CalibratedValues) -> Iterator[dict[str, Any]]:
+    """Parameters whose median is outside the interval of a calibration, at its level."""
+    level = compared.level or 0.95
+    shares = (0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level)
+    low, middle, high = found.posterior.quantiles(shares)
+    estimates = {estimate.label: estimate for estimate in compared.record.estimates}
     for k, label in enumerate(found.posterior.labels):
         estimate = estimates.get(label)
         if estimate is None or not estimate.verdict or estimate.verdict == "frozen":
@@ -226,6 +260,7 @@ def _contradictions(found: Uncertainty, record: CalibrationRecord) -> Iterator[d
         unit = display_unit(found.posterior.units[k])
         yield {
             "label": label,
+            "level": 100.0 * level,
             "apart": high[k] < bottom or low[k] > top,
             "ends": f"{unit.text(low[k])} to {unit.text(high[k])} {unit.name}".rstrip(),
             "value": unit.text(estimate.value),
@@ -250,7 +285,7 @@ def _tables(found: Uncertainty) -> Iterator[Table]:
     yield _parts_table(found)
     yield _bounds_table(found)
     if found.near is not None:
-        yield _near_table(found.near, found.near_names)
+        yield _near_table(found.near)
 
 
 def _mode_table(posterior: Posterior) -> Table:
@@ -266,16 +301,15 @@ def _mode_table(posterior: Posterior) -> Table:
 
 def _parts_table(found: Uncertainty) -> Table:
     first = found.predicted[0]
-    rows = tuple((name, *_spread(first.prediction.shares[name])) for name in (*PARTS, "all"))
+    rows = []
+    for name in (*PARTS, "all"):
+        x, y, theta = first.prediction.shares[name].tolist()
+        rows.append((name, rounded(1e3 * x), rounded(1e3 * y), rounded(degrees(theta))))
     return Table(
         ("from", "x [mm]", "y [mm]", "theta [deg]"),
         rows,
         title=f"Standard deviation of the final pose of {first.experiment.key}, by origin",
     )
-
-
-def _spread(value: FloatArray) -> tuple[str, str, str]:
-    return rounded(1e3 * value[0]), rounded(1e3 * value[1]), rounded(degrees(value[2]))
 
 
 def _bounds_table(found: Uncertainty) -> Table:
@@ -298,9 +332,9 @@ def _bounds_table(found: Uncertainty) -> Table:
     return Table(head, rows, title=title)
 
 
-def _near_table(near: NearOptimal, names: tuple[str, ...]) -> Table:
+def _near_table(near: NearOptimal) -> Table:
     rows = [(k, c.size, c.error, *c.point) for k, c in enumerate(near.clusters[:10], 1)]
-    values = [Column(name, format=".4g") for name in names]
+    values = [Column(name, format=".4g") for name in near.names]
     title = f"Evaluations of the calibration within {near.rise:.3g} mm² of its best, in clusters"
     head: tuple[Column | str, ...] = ("cluster", "points", Column("error", "mm²", ".4g"), *values)
     return Table(head, rows, title=title)

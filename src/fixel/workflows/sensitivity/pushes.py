@@ -1,0 +1,211 @@
+"""Pushes of a sensitivity analysis: where they come from, and their order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fixel.calibration.target import target_of
+from fixel.database.project import Project
+from fixel.database.store import Store
+from fixel.errors import InvalidInput
+from fixel.formats import load_scene
+from fixel.model import Experiment, Parameters, Scene
+from fixel.model.parameters import info_of
+from fixel.model.selection import ExperimentQuery
+from fixel.model.space import split_label
+from fixel.progress import ProgressOption
+from fixel.simulation import AbstractMotionModel
+from fixel.simulation.motion import motion_model, stated_name
+from fixel.simulation.stepper import AbstractStepper
+from fixel.uncertainty.outcomes import FLAGS, Sensitivity
+from fixel.uncertainty.starts import StartError
+from fixel.workflows.calibration.stored import CalibratedValues, load_values, newest_calibration
+from fixel.workflows.compilation import get_ready
+from fixel.workflows.sensitivity.run import is_scene_file, sensitivity
+
+Ranges = Mapping[str, tuple[float, float]]
+
+
+class PushSelection(NamedTuple):
+    """Pushes to analyse, and the source of their parameters."""
+
+    project: Project | None
+    things: Sequence[str]  # keys of experiments, or scene files; empty for all experiments
+    calibration: int | None  # id; of stored experiments by default the newest
+    engine: str  # whose newest calibration is used, and that simulates scene files
+    values: Mapping[str, float]  # override those of a calibration
+    ranges: Ranges  # further inputs of the indices; override a calibration's intervals
+
+
+class Subject(NamedTuple):
+    """Push to analyse."""
+
+    key: str
+    source: str  # key, or scene file
+    id: int | None  # id of a stored experiment
+    scene: Scene
+    values: dict[str, float]
+    ranges: Ranges
+    motion: AbstractMotionModel
+    stepper: AbstractStepper | None
+    banner: str
+
+
+class Finding(NamedTuple):
+    """Sensitivity of one push."""
+
+    subject: Subject
+    sensitivity: Sensitivity
+
+
+class RankedPushes(NamedTuple):
+    """Sensitivity of pushes, with the push to avoid first in front.
+
+    Attributes
+    ----------
+    findings : sequence of Finding
+    skipped : mapping of str to str
+        Pushes that could not be analysed, and why.
+    error : StartError
+    calibration : int or None
+        Id of the calibration whose parameters were used.
+    """
+
+    findings: Sequence[Finding]
+    skipped: Mapping[str, str]
+    error: StartError
+    calibration: int | None = None
+
+
+def ranked(
+    own: PushSelection, error: StartError, *, progress: ProgressOption = None, **options: Any
+) -> RankedPushes:
+    """Analyse pushes, and order them by their sensitivity.
+
+    Parameters
+    ----------
+    own : PushSelection
+    error : StartError
+    progress : bool or callable, optional
+    **options
+        Options of `sensitivity`.
+
+    Raises
+    ------
+    InvalidInput
+        Nothing can be simulated.
+    """
+    for name in own.ranges:
+        info_of(name)
+    own = own._replace(values=Parameters(own.values))
+    if own.project is not None and own.calibration is None:
+        with own.project.store() as store:
+            own = own._replace(calibration=newest_calibration(store, engine=own.engine))
+    if own.engine and own.calibration is None:
+        own = own._replace(engine=stated_name(own.engine))
+    subjects, skipped = _subjects(own)
+    if not subjects:
+        why = "; ".join(f"{key}: {reason}" for key, reason in list(skipped.items())[:3])
+        raise InvalidInput(
+            "experiments", found=why or "none", expected="a push that can be simulated"
+        )
+    get_ready(subjects[0].scene)
+    found = []
+    for one in subjects:
+        method: Any = {"vary": one.ranges, "motion": one.motion, "stepper": one.stepper}
+        try:
+            result = sensitivity(
+                one.scene, error, one.values, **method, **options, progress=progress
+            )
+        except InvalidInput as problem:
+            if len(subjects) == 1:
+                raise
+            skipped[one.key] = str(problem)
+        else:
+            found.append(Finding(one, result))
+    if not found:
+        raise InvalidInput("experiments", found=next(iter(skipped.values())), expected="an outcome")
+    found.sort(key=_badness)
+    return RankedPushes(found, skipped, error, own.calibration)
+
+
+def _badness(finding: Finding) -> tuple[int, float, str]:
+    own = finding.sensitivity
+    return FLAGS.index(own.flag), -max(own.amplification, own.gain), finding.subject.key
+
+
+def _subjects(own: PushSelection) -> tuple[list[Subject], dict[str, str]]:
+    if own.project is None:
+        return [_of_file(thing, own, None) for thing in own.things], {}
+    with own.project.store() as store:
+        model = None
+        if own.calibration is not None:
+            model = load_values(store, own.calibration, engine=own.engine)
+        ids = {} if own.things else _all(store)
+        for thing in own.things:
+            if not is_scene_file(thing):
+                ids[thing] = store.find(thing)
+        subjects = [_of_file(t, own, model) for t in own.things if is_scene_file(t)]
+        skipped = {}
+        for key, number in ids.items():
+            try:
+                subjects.append(_of_experiment(number, store.experiment(number), own, model))
+            except InvalidInput as problem:
+                if len(own.things) == 1:
+                    raise
+                skipped[key] = str(problem)
+    return subjects, skipped
+
+
+def _all(store: Store) -> dict[str, int]:
+    return {summary.key: summary.id for summary in store.experiments(ExperimentQuery()).rows}
+
+
+def _of_file(thing: str, own: PushSelection, model: CalibratedValues | None) -> Subject:
+    file = load_scene(Path(thing))
+    values = {} if model is None else model.values({"experiment": thing})
+    return Subject(
+        key=Path(thing).stem,
+        source=thing,
+        id=None,
+        scene=file.scene,
+        values=values | dict(own.values),
+        ranges=_ranges(model, values) | dict(own.ranges),
+        motion=motion_model(own.engine or file.motion) if model is None else model.motion,
+        stepper=file.stepper,
+        banner="",
+    )
+
+
+def _of_experiment(
+    number: int, experiment: Experiment, own: PushSelection, model: CalibratedValues | None
+) -> Subject:
+    target = target_of(experiment)
+    scene = replace(target.case.scene, duration=float(target.case.times[-1]))
+    values = {} if model is None else model.values(target.conditions)
+    return Subject(
+        key=experiment.key,
+        source=experiment.key,
+        id=number,
+        scene=scene,
+        values=values | dict(own.values),
+        ranges=_ranges(model, values) | dict(own.ranges),
+        motion=motion_model(own.engine or None) if model is None else model.motion,
+        stepper=None,
+        banner="" if experiment.real else f"SIMULATED by {experiment.simulated_by}",
+    )
+
+
+def _ranges(model: CalibratedValues | None, values: Mapping[str, float]) -> dict[str, Any]:
+    """Intervals of a calibration, if the data determine both ends."""
+    found = {}
+    for estimate in model.record.estimates if model is not None else ():
+        name, _ = split_label(estimate.label)
+        low, high = estimate.low, estimate.high
+        held = low is not None and high is not None and low < high
+        if held and values.get(name) == estimate.value and not name.startswith("start_"):
+            found[name] = (low, high)
+    return found

@@ -1,0 +1,282 @@
+"""Experiments of a posterior, its samples, and predictions with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fixel.calibration.assess import Frames, noise_from_repeated
+from fixel.calibration.known_pushes import KnownPushes
+from fixel.calibration.least_squares import LeastSquares, fit
+from fixel.calibration.noise import Noise, correlation_time, noise_from_residuals
+from fixel.calibration.objective import Comparer
+from fixel.calibration.study import box_of
+from fixel.calibration.target import Target, target_of
+from fixel.calibration.usual_parameters import default_unknowns
+from fixel.database.project import Project
+from fixel.database.store import Store
+from fixel.errors import InvalidInput
+from fixel.model import Experiment
+from fixel.model.selection import ExperimentQuery
+from fixel.model.space import ParameterSpace, Unknown
+from fixel.progress import ProgressOption, show_progress
+from fixel.simulation.motion import motion_model
+from fixel.typing import FloatArray
+from fixel.uncertainty.discrepancy import ModelError
+from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
+from fixel.uncertainty.near_optimal import NearOptimal, near_optimal, rise_of
+from fixel.uncertainty.posterior import NestedSampling, Posterior, SamplerProgress
+from fixel.uncertainty.prediction import Prediction
+from fixel.uncertainty.repetition import predict_repetition
+from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.stored import (
+    CalibratedValues,
+    load_values,
+    newest_calibration,
+    searched_space,
+)
+
+# Noise assumed by the rough fit from which the noise is estimated.
+FIRST_NOISE: Final = Noise(position_m=5e-4, angle_rad=5e-3)
+FIRST_STARTS: Final = 4
+DRAWS: Final = 400
+
+
+class Selected(NamedTuple):
+    """Experiments of a project to sample and predict: those used, then those held out."""
+
+    ids: list[int]
+    experiments: list[Experiment]
+    n_used: int
+    comparer: Comparer
+    calibration: CalibratedValues | None
+    compared: CalibratedValues | None  # the same, or the newest one with the first experiment
+
+
+class ExperimentPrediction(NamedTuple):
+    """Experiment with draws of its predicted motion."""
+
+    id: int
+    experiment: Experiment
+    target: Target
+    held_out: bool
+    prediction: Prediction
+    levels: tuple[float, float]  # of the smallest bounds that contain the last position and angle
+
+
+class Uncertainty(NamedTuple):
+    """Result of an uncertainty analysis.
+
+    Attributes
+    ----------
+    posterior : Posterior
+    predicted : tuple of ExperimentPrediction
+        Predictions of the experiments used, then of those held out.
+    requested : int
+        Number of effective samples that was requested.
+    near : NearOptimal, optional
+        Near-optimal sets among the calibration's evaluations.
+    calibration : CalibratedValues, optional
+    compared : CalibratedValues, optional
+        The same, or else the newest one with the first experiment as a member; differences to the
+        posterior are reported as warnings.
+    """
+
+    posterior: Posterior
+    predicted: tuple[ExperimentPrediction, ...]
+    requested: int
+    near: NearOptimal | None = None
+    calibration: CalibratedValues | None = None
+    compared: CalibratedValues | None = None
+
+    @property
+    def held_out(self) -> tuple[ExperimentPrediction, ...]:
+        """Experiments that were only predicted."""
+        return tuple(one for one in self.predicted if one.held_out)
+
+
+def selected(
+    project: Project,
+    keys: Sequence[str],
+    calibration: int | None,
+    settings: Sequence[str],
+    held_out: Sequence[str],
+    motion: str | None,
+) -> Selected:
+    """Load the experiments of a request, with the parameters and the motion model to compare by."""
+    with project.store() as store:
+        one = None if calibration is None else load_values(store, calibration)
+        ids = _ids(store, keys, one)
+        held = list(dict.fromkeys(store.find(key) for key in held_out))
+        if set(ids) & set(held):
+            raise InvalidInput(
+                "held_out",
+                found="an experiment from which the posterior is computed",
+                expected="others",
+            )
+        experiments = [store.experiment(number) for number in (*ids, *held)]
+        compared = one or _newest(store, ids[0])
+    targets = [target_of(experiment) for experiment in experiments]
+    unknowns = _unknowns(project, settings, one, targets[: len(ids)])
+    if motion is None and one is not None:
+        motion = one.motion.name
+    comparer = Comparer(
+        targets, ParameterSpace(unknowns=tuple(unknowns)), motion=motion_model(motion)
+    )
+    return Selected([*ids, *held], experiments, len(ids), comparer, one, compared)
+
+
+def sample(
+    comparer: Comparer,
+    n_used: int,
+    noise: Noise | None,
+    model_error: bool | ModelError,
+    samples: int,
+    seed: int,
+    progress: ProgressOption,
+) -> tuple[Posterior, FloatArray]:
+    """Return the posterior of the first experiments of a comparer, and the point of a rough fit."""
+    members = list(range(n_used))
+    error = model_error if isinstance(model_error, ModelError) else ModelError()
+    own = None if model_error is False else error
+    with show_progress(progress, "sampling") as report:
+        point = _rough_fit(comparer, members, seed)
+        known = noise or _noise(comparer, members, point, own is not None)
+        likelihood = LogLikelihood(comparer, members, known, own)
+        done = 0
+
+        def show(now: SamplerProgress) -> None:
+            nonlocal done
+            done = max(done, min(round(1000.0 * now.share), 1000 if now.remaining == 0.0 else 999))
+            report(done, 1000, f"{now.evaluations} points")
+
+        found = NestedSampling(samples=samples).sample(likelihood, likelihood.prior, seed, show)
+    used = comparer.targets[:n_used]
+    return replace(
+        found,
+        space=comparer.space,
+        noise=known,
+        model_error=own,
+        motion=comparer.ensemble.motion.name,
+        experiments=tuple(target.key for target in used),
+        known=KnownPushes.of(used),
+    ), point
+
+
+def with_predictions(
+    own: Selected, found: Posterior, requested: int, point: FloatArray | None = None
+) -> Uncertainty:
+    """Predict the experiments of a posterior, and those that are held out.
+
+    Parameters
+    ----------
+    own : Selected
+    found : Posterior
+    requested : int
+        Number of effective samples that was requested.
+    point : (n_free,) float64, optional
+        Rough fit, for the near-optimal sets of a calibration.
+    """
+    predicted = []
+    for k, (number, experiment) in enumerate(zip(own.ids, own.experiments, strict=True)):
+        target, held_out = own.comparer.targets[k], k >= own.n_used
+        prediction = predict_repetition(own.comparer, k, found, draws=DRAWS, seed=found.seed)
+        if held_out and found.known is not None:
+            prediction = replace(prediction, unseen=found.known.texts(target))
+        levels = prediction.levels_of(target.pose[-1])
+        predicted.append(
+            ExperimentPrediction(number, experiment, target, held_out, prediction, levels)
+        )
+    near = None if point is None else _near(own, point)
+    return Uncertainty(found, tuple(predicted), requested, near, own.calibration, own.compared)
+
+
+def predicted_by(project: Project, found: Posterior) -> Uncertainty:
+    """Return a posterior with predictions of its experiments, which the project has."""
+    with project.store() as store:
+        ids = [store.find(key) for key in found.experiments]
+        experiments = [store.experiment(number) for number in ids]
+        compared = _newest(store, ids[0])
+    targets = [target_of(experiment) for experiment in experiments]
+    comparer = Comparer(targets, found.searched, motion=motion_model(found.motion))
+    own = Selected(ids, experiments, len(ids), comparer, None, compared)
+    return with_predictions(own, found, len(found.points))
+
+
+def _newest(store: Store, experiment: int) -> CalibratedValues | None:
+    known = newest_calibration(store, experiment)
+    return None if known is None else load_values(store, known)
+
+
+def _ids(store: Store, keys: Sequence[str], one: CalibratedValues | None) -> list[int]:
+    if keys:
+        return list(dict.fromkeys(store.find(key) for key in keys))
+    if one is not None:
+        return sorted(one.members)
+    listed = store.experiments(ExperimentQuery(limit=2)).rows
+    if len(listed) == 1:
+        return [listed[0].id]
+    raise InvalidInput(
+        "experiments",
+        found="none",
+        expected="at least one, or a calibration whose experiments are used",
+        hint="fixel list shows all experiments",
+    )
+
+
+def _unknowns(
+    project: Project,
+    settings: Sequence[str],
+    one: CalibratedValues | None,
+    targets: Sequence[Target],
+) -> list[Unknown]:
+    """Return the requested parameters, a calibration's with its bounds, or the usual ones."""
+    scenes = [target.case.scene for target in targets]
+    if settings:
+        return searched_unknowns(settings, scenes)
+    if one is None:
+        return default_unknowns(scenes)
+    space = searched_space(project, one, scenes)
+    return [u for u in space.unknowns if any(u.covers(t.conditions) for t in targets)]
+
+
+def _rough_fit(comparer: Comparer, members: list[int], seed: int) -> FloatArray:
+    residuals = Frames(comparer, np.asarray(members, np.int64)).residuals(FIRST_NOISE)
+    search = LeastSquares(loss="soft_l1", width=3.0, starts=FIRST_STARTS, most_iterations=20)
+    return np.asarray(fit(search.start(box_of(comparer.space), seed), residuals).point)
+
+
+def _noise(comparer: Comparer, members: list[int], point: FloatArray, of_camera: bool) -> Noise:
+    """Return the noise of the camera alone, or of all residuals of a rough fit."""
+    if of_camera:
+        return camera_noise(comparer, members, point)
+    own = np.asarray(members, np.int64)
+    repeated = noise_from_repeated(comparer, own)
+    if repeated is not None:
+        return repeated
+    series = comparer.residuals_at(own, point)
+    if not series:
+        raise InvalidInput(
+            "noise",
+            found="no experiment that could be simulated",
+            expected="an experiment from which the noise can be estimated",
+            hint="state the noise: noise=...",
+        )
+    return noise_from_residuals(series, len(point))
+
+
+def _near(own: Selected, point: FloatArray) -> NearOptimal | None:
+    """Return near-optimal sets among the stored evaluations of a calibration."""
+    kept = None if own.calibration is None else own.calibration.record.evaluations
+    if kept is None or kept.unit != "mm2" or not np.isfinite(kept.error).any():
+        return None
+    series = own.comparer.residuals_at(list(range(own.n_used)), point)
+    if not series:
+        return None
+    count = 3.0 * sum(map(len, series)) / correlation_time(series)
+    least = float(kept.error[np.isfinite(kept.error)].min())
+    rise = rise_of(least, count, len(kept.names))
+    return near_optimal(np.array(kept.values), np.array(kept.error), rise, names=kept.names)
