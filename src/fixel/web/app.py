@@ -32,6 +32,7 @@ from fixel.web.security import (
     SecurityHeaders,
     form_fields,
 )
+from fixel.web.words import FILTERS
 
 HERE: Final = Path(str(files("fixel.web")))
 API: Final = "/api/v1"
@@ -61,8 +62,9 @@ class Page:
     context : mapping
         Context of the template, in addition to title and pages.
     fill : callable, optional
-        Returns the rest of the context for a request; a `title` in it names the window. A
-        `FixelError` that it raises becomes a page with the error.
+        Returns the rest of the context for a request; a `title` in it names the window, a
+        `status` is that of the response. A `FixelError` that it raises becomes a page with the
+        error.
     post : callable, optional
         Called with a request and the fields of a posted form. It returns the path to which the
         browser goes, or the context of the same page, with `status` and errors.
@@ -186,6 +188,7 @@ def _renderer(pages: Sequence[Page], name: str, gate: Gate, has_docs: bool) -> A
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters.update(FILTERS)
     common = {
         "pages": sorted((page for page in pages if page.listed), key=lambda page: page.place),
         "project": name,
@@ -205,7 +208,7 @@ def _renderer(pages: Sequence[Page], name: str, gate: Gate, has_docs: bool) -> A
 def _shown(page: Page, render: Any) -> Any:
     def show(request: Request) -> HTMLResponse:
         more = {} if page.fill is None else page.fill(request)
-        return HTMLResponse(render(page, more, request.url.path))
+        return HTMLResponse(render(page, more, request.url.path), more.get("status", 200))
 
     return show
 

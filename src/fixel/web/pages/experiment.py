@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
 from math import degrees
 from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import urlencode
 
 from fastapi import Request
 
 from fixel.errors import NotStored
 from fixel.model import Experiment
 from fixel.testbed.simulated import TRUTH
-from fixel.units import displayed, split_unit
 from fixel.web.values import MAX_ID
+from fixel.web.words import condition, fixed, instant, touched
 from fixel.workflows.project.compare import compare_path, summary
+from fixel.workflows.project.filters import view_of
 
 if TYPE_CHECKING:
     from fixel.web.context import ProjectContext
@@ -37,16 +40,25 @@ def number_in(request: Request, what: str, hint: str) -> int:
 
 
 def experiment_page(context: ProjectContext, request: Request) -> dict[str, Any]:
-    """Fill `/experiments/{number}`."""
+    """Fill `/experiments/{number}?filter=&sort=&descending=`, a row of that table."""
     number = number_in(request, "experiment", "the page Experiments lists all")
-    experiment = context.store.experiment(number)
+    store, experiment = context.store, context.store.experiment(number)
+    asked = {name: request.query_params.get(name, "") for name in ("filter", "sort", "descending")}
+    given = {name: value for name, value in asked.items() if value}
+    previous, following = _neighbours(context, number, given)
     return {
         "title": experiment.key,
         "number": number,
         "key": experiment.key,
+        "query": f"?{urlencode(given)}" if given else "",
+        "previous": previous,
+        "following": following,
         "real": experiment.real,
         "simulated_by": experiment.simulated_by,
-        "deleted": context.store.deleted(number),
+        "deleted": store.deleted(number),
+        "flags": experiment.flags,
+        "flag_names": list(store.flags()),
+        "notes": store.notes(number),
         "has_scene": experiment.scene is not None,
         "has_video": bool(experiment.video),
         "facts": facts(experiment),
@@ -59,22 +71,40 @@ def experiment_page(context: ProjectContext, request: Request) -> dict[str, Any]
     }
 
 
+def _neighbours(
+    context: ProjectContext, number: int, given: Mapping[str, str]
+) -> tuple[int | None, int | None]:
+    """Return the experiments before and after one in the table that it was opened from."""
+    view = view_of(
+        given.get("filter", ""),
+        sort=given.get("sort", "id"),
+        descending=bool(given.get("descending")),
+    )
+    ids = context.store.experiment_ids(view)
+    if number not in ids:
+        ids = context.store.experiment_ids(view_of(""))
+    if number not in ids:
+        return None, ids[0] if ids else None
+    place = ids.index(number)
+    return (ids[place - 1] if place else None), (ids[place + 1] if place + 1 < len(ids) else None)
+
+
 def facts(experiment: Experiment) -> list[Fact]:
     """Facts on what was measured, in units for display."""
     known = summary(experiment)
     rate, useful = known["rate_hz"], known["effective_s"]
     found = [
-        Fact("time", _fixed(known["duration_s"], 2), "s"),
+        Fact("time", fixed(known["duration_s"], 2), "s"),
         Fact("frames", f"{known['frames']}" + ("" if rate is None else f" at {rate:.3g} Hz")),
-        Fact("way", _fixed(1e3 * known["travelled_m"], 1), "mm"),
-        Fact("turned", _fixed(degrees(known["turned_rad"]), 1), "deg"),
+        Fact("way", fixed(1e3 * known["travelled_m"], 1), "mm"),
+        Fact("turned", fixed(degrees(known["turned_rad"]), 1), "deg"),
         Fact("start", *_pose(known["start"])),
         Fact("end", *_pose(known["end"])),
     ]
     if useful is not None:
-        found.append(Fact("useful", f"{_fixed(useful[0], 2)} to {_fixed(useful[1], 2)}", "s"))
+        found.append(Fact("useful", f"{fixed(useful[0], 2)} to {fixed(useful[1], 2)}", "s"))
     if known["contact_mode"]:
-        found.append(Fact("contacts at the end", _touched(known["contact_mode"])))
+        found.append(Fact("contacts at the end", touched(known["contact_mode"])))
     channels = ", ".join(channel.name for channel in experiment.channels)
     return [*found, Fact("signals", channels)] if channels else found
 
@@ -86,13 +116,13 @@ def published_facts(context: ProjectContext, number: int, experiment: Experiment
         return []
     found = compare_path(experiment, context.store.simulation(simulation))
     shown = [
-        Fact("error, root of E", _fixed((found.error_mm2 or 0.0) ** 0.5, 2), "mm"),
-        Fact("distance, rms", _fixed(1e3 * (found.position_rms or 0.0), 2), "mm"),
-        Fact("distance, end", _fixed(1e3 * (found.final_position or 0.0), 2), "mm"),
-        Fact("angle, end", _fixed(degrees(found.final_angle or 0.0), 2), "deg"),
+        Fact("error, root of E", fixed((found.error_mm2 or 0.0) ** 0.5, 2), "mm"),
+        Fact("distance, rms", fixed(1e3 * (found.position_rms or 0.0), 2), "mm"),
+        Fact("distance, end", fixed(1e3 * (found.final_position or 0.0), 2), "mm"),
+        Fact("angle, end", fixed(degrees(found.final_angle or 0.0), 2), "deg"),
     ]
     mode = found.contact_mode
-    return [*shown, Fact("contacts at the end", _touched(mode))] if mode else shown
+    return [*shown, Fact("contacts at the end", touched(mode))] if mode else shown
 
 
 def conditions(experiment: Experiment, truth: bool) -> list[Fact]:
@@ -102,41 +132,20 @@ def conditions(experiment: Experiment, truth: bool) -> list[Fact]:
         for name, value in experiment.conditions.items()
         if name.startswith(TRUTH) == truth
     ]
-    return [_condition(name.removeprefix(TRUTH), value) for name, value in chosen]
-
-
-def _touched(mode: str) -> str:
-    touched = [str(k) for k, digit in enumerate(mode, 1) if digit == "1"]
-    return "fixel " + " and ".join(touched) if touched else "no fixel"
+    return [Fact(*condition(name.removeprefix(TRUTH), value)) for name, value in chosen]
 
 
 def _pose(pose: list[float]) -> tuple[str, str]:
     x, y, angle = pose
-    place = f"{_fixed(1e3 * x, 1)}, {_fixed(1e3 * y, 1)} mm"
-    return f"{place}, {_fixed(degrees(angle), 1)}", "deg"
-
-
-def _fixed(value: float, digits: int) -> str:
-    """Format a number with a true minus sign, and none before a zero."""
-    text = f"{abs(value):.{digits}f}"
-    return f"\u2212{text}" if value < 0.0 and float(text) else text
-
-
-def _condition(name: str, value: str | float) -> Fact:
-    """Format a condition, as `condition` of units.js does."""
-    if isinstance(value, str):
-        return Fact(name.replace("_", " "), value)
-    stem, si = split_unit(name)
-    unit, factor = displayed(si)
-    text = f"{factor * value:.4g}".replace("-", "\u2212", 1)
-    return Fact(stem.removesuffix("_ratio").replace("_", " "), text, unit)
+    place = f"{fixed(1e3 * x, 1)}, {fixed(1e3 * y, 1)} mm"
+    return f"{place}, {fixed(degrees(angle), 1)}", "deg"
 
 
 def provenance(experiment: Experiment) -> list[Fact]:
     """Facts on the origin of an experiment."""
     origin = experiment.provenance
     given = (
-        ("stored", _instant(origin.created)),
+        ("stored", f"{instant(origin.created)} UTC"),
         ("fixel version", origin.version),
         ("command", origin.command),
         ("simulated by", experiment.simulated_by),
@@ -151,10 +160,6 @@ def provenance(experiment: Experiment) -> list[Fact]:
 def _short(name: str, value: str) -> str:
     """Shorten checksums to their beginning, which identifies them; the JSON has all of it."""
     return f"{value[:16]}\u2026" if name.endswith("SHA-256") else value
-
-
-def _instant(iso: str) -> str:
-    return f"{iso[:10]} {iso[11:16]} UTC" if len(iso) >= 16 else iso
 
 
 def command(context: ProjectContext, experiment: Experiment) -> str:

@@ -19,6 +19,7 @@ from fixel.simulation.engine_names import installed_engines
 from fixel.web.app import API, Page
 from fixel.web.context import ProjectContext
 from fixel.web.pages import calibration, experiment, run
+from fixel.web.pages.listing import experiments_page
 from fixel.web.views import next_view, plan_view, scene_editor
 from fixel.web.views.system_status import system_status
 from fixel.workflows.analysis import load_with_errors
@@ -33,7 +34,7 @@ def project_pages(context: ProjectContext) -> list[Page]:
     """Return all pages, in the order of the navigation."""
     # Address, title, template, place in the navigation, function that fills the template.
     listed = [
-        ("/experiments", "Experiments", "experiments.html", 10, None),
+        ("/experiments", "Experiments", "experiments.html", 10, experiments_page),
         ("/compare", "Compare", "compare.html", 20, compare_page),
         ("/calibrations", "Calibrations", "calibrations.html", 30, None),
         ("/domain", "Domain", "domain.html", 40, domain_page),

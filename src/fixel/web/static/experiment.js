@@ -1,14 +1,14 @@
 // @ts-check
 // One experiment: its motion and a simulation of it, in step with charts and video.
 
-import { complain, copy, get, send, undoNewest } from "./api.js";
+import { complain, get, send, undoNewest } from "./api.js";
 import { Charts, inStep, usualPanels } from "./charts.js";
-import { ROOT, at, make, typing } from "./dom.js";
+import { at, make, typing } from "./dom.js";
 import * as marks from "./marks.js";
 import { Motion } from "./motion.js";
 import { calibratedOf } from "./offered.js";
+import { renew } from "./page.js";
 import { Player } from "./player.js";
-import { tags } from "./rows.js";
 import { deg, fixed, mm } from "./units.js";
 import { Film } from "./video.js";
 import { stylesOf, swatch } from "./view.js";
@@ -141,63 +141,19 @@ async function film(player) {
   }
 }
 
-// --- marks --------------------------------------------------------------------------------------
-
-async function refresh() {
-  const known = await get(address);
-  /** @type {{name: string, detail: string, fault: boolean}[]} */
-  const flags = [...known.flags.map((/** @type {any} */ one) => ({ ...one, fault: true })), ...known.remarks.map((/** @type {any} */ one) => ({ ...one, fault: false }))];
-  at("flags").replaceChildren(...tags(flags).map((tag, k) => {
-    tag.append(make("button", { type: "button", "aria-label": `Remove the flag ${flags[k].name}`, onclick: () => marks.unflag([number], flags[k], changed) }, "\u2715"));
-    return tag;
-  }));
-  at("notes").replaceChildren(...known.notes.map((/** @type {{id: number, text: string, created_utc: string}} */ note) => make("li", {},
-    make("p", {}, note.text),
-    make("button", { type: "button", class: "quiet", "aria-label": "Delete this note", onclick: () => marks.deleteNote(note.id, changed) }, "\u2715"),
-    make("small", {}, new Date(note.created_utc).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" })))));
-  if (!known.notes.length) at("notes").append(make("li", {}, make("p", {}, "No notes. Press n to write one.")));
-  at("deleted").hidden = !known.deleted;
-  at("delete").textContent = known.deleted ? "Restore" : "Delete";
-}
-
-const changed = () => {
-  refresh().catch(complain);
-};
+// --- marks and keys -----------------------------------------------------------------------------
 
 const acts = {
-  flag: () => marks.flag([number], changed),
-  note: () => marks.note([number], changed),
-  delete: () => (at("deleted").hidden ? marks.remove([number], changed) : marks.restore([number], changed)),
+  flag: () => marks.flag([number], renew),
+  note: () => marks.note([number], renew),
+  delete: () => marks.remove([number], renew, Boolean(at("marks").dataset.deleted)),
 };
-at("flag").addEventListener("click", acts.flag);
-at("note").addEventListener("click", acts.note);
-at("delete").addEventListener("click", acts.delete);
-for (const [id, what] of [["copy-command", "the command"], ["copy-python", "the Python code"]]) {
-  at(id).addEventListener("click", () => copy(at(id).dataset.text ?? "", what));
-}
-
-// --- neighbours -----------------------------------------------------------------------------------
-
-async function neighbours() {
-  const list = sessionStorage.getItem("fixel-list") ?? "";
-  const found = new URLSearchParams(list);
-  const query = { filter: found.get("filter"), sort: found.get("sort"), descending: found.get("descending") };
-  let { ids } = await get("/experiments/ids", query);
-  if (!ids.includes(number)) ({ ids } = await get("/experiments/ids"));
-  const place = ids.indexOf(number);
-  link("previous", ids[place - 1]);
-  link("next", place < 0 ? undefined : ids[place + 1]);
-}
-
-/** @param {string} id @param {number | undefined} to */
-function link(id, to) {
-  const node = at(id);
-  node.toggleAttribute("data-ready", true);
-  if (to === undefined) {
-    node.setAttribute("aria-disabled", "true");
-    node.removeAttribute("href");
-  } else node.setAttribute("href", `${ROOT}/experiments/${to}`);
-}
+document.addEventListener("click", ({ target }) => {
+  if (!(target instanceof HTMLElement)) return;
+  if (target.id in acts) acts[/** @type {keyof typeof acts} */ (target.id)]();
+  if (target.dataset.flag) marks.unflag([number], JSON.parse(target.dataset.flag), renew);
+  if (target.dataset.note) marks.deleteNote(Number(target.dataset.note), renew);
+});
 
 document.addEventListener("keydown", (event) => {
   if (document.querySelector("dialog[open]") || typing(event)) return;
@@ -213,17 +169,13 @@ document.addEventListener("keydown", (event) => {
     f: acts.flag,
     n: acts.note,
     Delete: acts.delete,
-    Escape: () => location.assign(`${ROOT}/experiments?${sessionStorage.getItem("fixel-list") ?? ""}`),
+    Escape: () => location.assign(root.dataset.list ?? ""),
   };
-  const act = keys[event.key];
-  if (act) {
-    event.preventDefault();
-    act();
-  }
+  if (!keys[event.key]) return;
+  event.preventDefault();
+  keys[event.key]();
 });
 
-refresh().catch(complain);
-neighbours().catch(complain);
 if (root.dataset.scene) show().catch(complain);
 else {
   at("judged").hidden = true;

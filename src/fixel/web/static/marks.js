@@ -1,135 +1,80 @@
 // @ts-check
 // Flags, notes and deletions, each with a way back.
 
-import { complain, get, send, toast } from "./api.js";
-import { at, input, make } from "./dom.js";
-import { several } from "./units.js";
+import { complain, send, toast } from "./api.js";
+import { at, input, several } from "./dom.js";
+
+/** @typedef {() => unknown} After what follows a change */
 
 /**
- * Asks in a dialog; gives whether it was done.
+ * Send a change, say what was done, and offer the way back.
+ * @param {string} path
+ * @param {Record<string, any>} body
+ * @param {After} after
+ * @param {(changed: number[]) => string} words
+ * @param {(changed: number[]) => [string, Record<string, any>]} back path and body that undo it
+ */
+async function mark(path, body, after, words, back) {
+  try {
+    const { changed } = await send(path, body);
+    await after();
+    const undo = async () => {
+      await send(...back(changed));
+      await after();
+    };
+    toast(words(changed), changed.length ? { undo } : {});
+  } catch (problem) {
+    complain(problem);
+  }
+}
+
+/**
+ * Ask in a dialog; return whether it was confirmed.
  * @param {string} id of the dialog
+ * @param {string} title
  * @returns {Promise<boolean>}
  */
-function asked(id) {
-  const dialog = /** @type {HTMLDialogElement} */ (at(id));
+function asked(id, title) {
+  const dialog = /** @type {HTMLDialogElement} */ (at(`${id}-dialog`));
+  at(`${id}-title`).textContent = title;
   dialog.returnValue = "";
   dialog.showModal();
-  for (const button of dialog.querySelectorAll("[data-close]")) {
-    /** @type {HTMLButtonElement} */ (button).onclick = () => dialog.close("");
-  }
   return new Promise((answer) => {
     dialog.addEventListener("close", () => answer(dialog.returnValue === "do"), { once: true });
   });
 }
 
-/**
- * @param {number[]} ids
- * @param {() => void} after what has changed
- */
+/** @param {number[]} ids @param {After} after */
 export async function flag(ids, after) {
-  if (!ids.length) return;
-  at("flag-title").textContent = `Flag ${several(ids.length, "experiment")}`;
-  get("/project").then(({ flags }) => {
-    at("flag-names").replaceChildren(...Object.keys(flags).map((name) => make("option", { value: name })));
-  }, complain);
-  if (!(await asked("flag-dialog"))) return;
+  if (!ids.length || !(await asked("flag", `Flag ${several(ids.length, "experiment")}`))) return;
   const name = input("flag-name").value.trim();
   const body = { ids, name, detail: input("flag-detail").value.trim(), fault: input("flag-fault").checked };
-  try {
-    const { changed } = await send("/experiments/flag", body);
-    after();
-    if (!changed.length) toast(`All of them already have the flag ${name}.`);
-    else {
-      toast(`Flagged ${several(changed.length, "experiment")} as ${name}.`, {
-        undo: () => send("/experiments/unflag", { ids: changed, name }).then(after),
-      });
-    }
-  } catch (problem) {
-    complain(problem);
-  }
+  await mark("/experiments/flag", body, after,
+    (changed) => (changed.length ? `Flagged ${several(changed.length, "experiment")} as ${name}.` : `All of them already have the flag ${name}.`),
+    (changed) => ["/experiments/unflag", { ids: changed, name }]);
 }
 
-/**
- * @param {number[]} ids
- * @param {{name: string, detail: string, fault: boolean}} old
- * @param {() => void} after
- */
-export async function unflag(ids, old, after) {
-  try {
-    const { changed } = await send("/experiments/unflag", { ids, name: old.name });
-    after();
-    toast(`Removed the flag ${old.name}.`, {
-      undo: () => send("/experiments/flag", { ids: changed, ...old }).then(after),
-    });
-  } catch (problem) {
-    complain(problem);
-  }
-}
+/** @param {number[]} ids @param {{name: string, detail: string, fault: boolean}} old @param {After} after */
+export const unflag = (ids, old, after) => mark("/experiments/unflag", { ids, name: old.name }, after,
+  () => `Removed the flag ${old.name}.`, (changed) => ["/experiments/flag", { ids: changed, ...old }]);
 
-/**
- * @param {number[]} ids
- * @param {() => void} after
- */
+/** @param {number[]} ids @param {After} after */
 export async function note(ids, after) {
-  if (!ids.length) return;
-  at("note-title").textContent = `Note on ${several(ids.length, "experiment")}`;
   input("note-text").value = "";
-  if (!(await asked("note-dialog"))) return;
-  try {
-    const { changed } = await send("/experiments/note", { ids, text: input("note-text").value });
-    after();
-    toast(`Added a note to ${several(ids.length, "experiment")}.`, {
-      undo: () => send("/notes/delete", { ids: changed }).then(after),
-    });
-  } catch (problem) {
-    complain(problem);
-  }
+  if (!ids.length || !(await asked("note", `Note on ${several(ids.length, "experiment")}`))) return;
+  await mark("/experiments/note", { ids, text: input("note-text").value }, after,
+    () => `Added a note to ${several(ids.length, "experiment")}.`, (changed) => ["/notes/delete", { ids: changed }]);
 }
 
-/**
- * @param {number} id of the note
- * @param {() => void} after
- */
-export async function deleteNote(id, after) {
-  try {
-    await send("/notes/delete", { ids: [id] });
-    after();
-    toast("Deleted the note.", { undo: () => send("/notes/undelete", { ids: [id] }).then(after) });
-  } catch (problem) {
-    complain(problem);
-  }
-}
+/** @param {number} id of the note @param {After} after */
+export const deleteNote = (id, after) => mark("/notes/delete", { ids: [id] }, after,
+  () => "Deleted the note.", () => ["/notes/undelete", { ids: [id] }]);
 
-/**
- * @param {number[]} ids
- * @param {() => void} after
- */
-export async function remove(ids, after) {
+/** @param {number[]} ids @param {After} after @param {boolean} restore whether they are deleted now */
+export async function remove(ids, after, restore) {
+  const [path, back] = restore ? ["undelete", "delete"] : ["delete", "undelete"];
   if (!ids.length) return;
-  try {
-    const { changed } = await send("/experiments/delete", { ids });
-    after();
-    toast(`Deleted ${several(changed.length, "experiment")}.`, {
-      undo: () => send("/experiments/undelete", { ids: changed }).then(after),
-    });
-  } catch (problem) {
-    complain(problem);
-  }
-}
-
-/**
- * @param {number[]} ids
- * @param {() => void} after
- */
-export async function restore(ids, after) {
-  if (!ids.length) return;
-  try {
-    const { changed } = await send("/experiments/undelete", { ids });
-    after();
-    toast(`Restored ${several(changed.length, "experiment")}.`, {
-      undo: () => send("/experiments/delete", { ids: changed }).then(after),
-    });
-  } catch (problem) {
-    complain(problem);
-  }
+  await mark(`/experiments/${path}`, { ids }, after,
+    (changed) => `${restore ? "Restored" : "Deleted"} ${several(changed.length, "experiment")}.`,
+    (changed) => [`/experiments/${back}`, { ids: changed }]);
 }

@@ -110,6 +110,7 @@ class LiveComparison:
     def __init__(self, store: Store) -> None:
         self._store = store
         self._keeping = threading.Lock()
+        self.refused: dict[int, str] = {}  # reasons why experiments cannot be simulated
         self.experiment = lru_cache(MAX_KEPT)(store.experiment)  # an experiment never changes
         self.sliders = lru_cache(MAX_KEPT)(self._sliders)
         self._known = lru_cache(MAX_SETS)(self._known_pushes)
@@ -248,6 +249,7 @@ class LiveComparison:
                     stored.append(experiment_id)
                 except InvalidInput as problem:
                     refused[experiment_id] = str(problem)
+            self.refused |= refused
         return NewSimulations(stored=stored, refused=refused)
 
 

@@ -115,14 +115,8 @@ def coverage(
         Columns or conditions with numbers; by default offsets along x and y, or else the start of
         the object.
     """
-    noted = store.conditions()
-    known = tuple(
-        name
-        for name, values in sorted(noted.items())
-        if values.numbers and not name.startswith("truth_")
-    )
-    usual = OFFSETS if {*OFFSETS} <= {*known} else PLACES
-    x, y = x or usual[0], y or usual[1]
+    noted, known = store.conditions(), numeric_conditions(store)
+    x, y = coverage_axes(store, x, y)
     tally = store.tally(view, (x, y))
     placed = [row for row in tally if isinstance(row[0], _NUMBER) and isinstance(row[1], _NUMBER)]
     points = np.array(placed, dtype=np.float64).reshape(-1, 3)
@@ -135,6 +129,18 @@ def coverage(
     without = sum(row[2] for row in tally) - sum(row[2] for row in placed)
     number = count.astype(int).tolist()
     return Coverage(across, up, number, shapes, layouts, table, [*PLACES, *known], without)
+
+
+def numeric_conditions(store: Store) -> list[str]:
+    """Return the conditions that have numbers, but for the truths of a simulated testbed."""
+    found = sorted(store.conditions().items())
+    return [name for name, one in found if one.numbers and not name.startswith("truth_")]
+
+
+def coverage_axes(store: Store, x: str | None, y: str | None) -> tuple[str, str]:
+    """Return the axes of the coverage: those that are given, or else the usual ones."""
+    usual = OFFSETS if {*OFFSETS} <= {*numeric_conditions(store)} else PLACES
+    return x or usual[0], y or usual[1]
 
 
 def _axis(name: str, values: FloatArray) -> CoverageAxis:

@@ -1,0 +1,128 @@
+// @ts-check
+// What every page does: forms are sent as JSON, and parts that the server renders are fetched again.
+//
+// <form data-send="/path">   its fields are sent to the API, then the parts of the page are renewed;
+//   data-said   words for the message afterwards, {name} from the answer
+//   data-then   page to open instead of renewing, {name} from the answer
+// <form data-live>           a filter: the parts change as one types, and with every choice
+// <a data-renew>             a link that changes parts of this page only
+// <div id data-part>         is replaced by what the server renders; data-every: again after [ms]
+// <button data-copy>         copies a text
+// <select data-sets="ID">    its value is written into the field of that id
+
+import { complain, copy, send, toast } from "./api.js";
+import { ROOT, settled } from "./dom.js";
+
+let newest = 0;
+let timer = 0;
+
+/**
+ * Fetch this page, or one that it leads to, and show its parts.
+ * @param {string} [address]
+ */
+export async function renew(address = location.href) {
+  newest += 1;
+  const mine = newest;
+  const answer = await fetch(address, { redirect: "error" });
+  const text = await answer.text();
+  if (mine !== newest) return; // something else is wanted meanwhile
+  const fresh = new DOMParser().parseFromString(text, "text/html");
+  if (!fresh.querySelector("[data-part]")) throw new Error(`The server answered with status ${answer.status}.`);
+  if (address !== location.href) history.replaceState(null, "", address);
+  const focused = document.activeElement?.id;
+  for (const part of document.querySelectorAll("[data-part]")) {
+    const other = fresh.getElementById(part.id);
+    if (!other || part.isEqualNode(other)) continue;
+    const scrolled = [...part.querySelectorAll("[id]")].filter(({ scrollTop }) => scrollTop).map(({ id, scrollTop }) => ({ id, scrollTop }));
+    part.replaceWith(document.adoptNode(other));
+    for (const { id, scrollTop } of scrolled) document.getElementById(id)?.scrollTo({ top: scrollTop });
+  }
+  for (const field of document.querySelectorAll("form[data-live] input")) {
+    const other = fresh.getElementById(field.id);
+    if (field instanceof HTMLInputElement && other instanceof HTMLInputElement && field !== document.activeElement) field.value = other.value;
+  }
+  if (focused && document.activeElement?.id !== focused) document.getElementById(focused)?.focus({ preventScroll: true });
+  document.dispatchEvent(new Event("renewed"));
+  wait();
+}
+
+/** Renew the page once more where a part of it says so. */
+function wait() {
+  clearTimeout(timer);
+  const part = document.querySelector("[data-every]");
+  if (!part) return;
+  const every = Number(part.getAttribute("data-every"));
+  timer = window.setTimeout(() => {
+    if (document.hidden) wait();
+    else renew().catch(wait);
+  }, every);
+}
+
+/** Fields of a form as the JSON that the API expects. @param {HTMLFormElement} form */
+export function fieldsOf(form) {
+  /** @type {Record<string, any>} */
+  const body = JSON.parse(form.dataset.body ?? "{}");
+  for (const field of form.elements) {
+    if (!(field instanceof HTMLInputElement || field instanceof HTMLSelectElement || field instanceof HTMLTextAreaElement)) continue;
+    if (!field.name || field.disabled) continue;
+    if (field.type === "checkbox") body[field.name] = /** @type {HTMLInputElement} */ (field).checked;
+    else if (field.type === "radio" && !(/** @type {HTMLInputElement} */ (field).checked)) continue;
+    else if (field.value !== "") body[field.name] = field.type === "number" ? Number(field.value) : field.value;
+  }
+  return body;
+}
+
+/** @param {string} words @param {any} answer */
+const filled = (words, answer) => words.replace(/\{(\w+)\}/g, (_, name) => String(answer?.[name] ?? ""));
+
+/** @param {HTMLFormElement} form */
+async function sent(form) {
+  const button = form.querySelector("button:not([type=button])");
+  const busy = form.querySelector(".busy");
+  if (button instanceof HTMLButtonElement) button.disabled = true;
+  if (busy instanceof HTMLElement) busy.hidden = false;
+  try {
+    const answer = await send(form.dataset.send ?? "", fieldsOf(form));
+    if (form.dataset.said) toast(filled(form.dataset.said, answer));
+    if (form.dataset.then) location.assign(ROOT + filled(form.dataset.then, answer));
+    else await renew();
+  } catch (problem) {
+    complain(problem);
+  }
+  if (button instanceof HTMLButtonElement) button.disabled = false;
+  if (busy instanceof HTMLElement) busy.hidden = true;
+}
+
+/** Show what a filter selects. @param {HTMLFormElement} form */
+function searched(form) {
+  const fields = [...new FormData(form)].filter(([, value]) => value !== "");
+  const query = new URLSearchParams(/** @type {[string, string][]} */ (fields));
+  renew(`${location.pathname}${query.size ? `?${query}` : ""}`).catch(complain);
+}
+
+const typed = settled(searched, 150);
+
+document.addEventListener("submit", (event) => {
+  const form = /** @type {HTMLFormElement} */ (event.target);
+  if (!form.matches("[data-send], [data-live]")) return;
+  event.preventDefault();
+  if (form.dataset.send) sent(form);
+  else searched(form);
+});
+document.addEventListener("input", ({ target }) => {
+  if (target instanceof HTMLInputElement && target.form?.matches("[data-live]")) typed(target.form);
+});
+document.addEventListener("change", ({ target }) => {
+  if (!(target instanceof HTMLSelectElement) || !target.form) return;
+  const field = document.getElementById(target.dataset.sets ?? "");
+  if (field instanceof HTMLInputElement) field.value = target.value;
+  if (target.form.matches("[data-live]")) searched(target.form);
+});
+document.addEventListener("click", (event) => {
+  const target = /** @type {Element} */ (event.target).closest("a[data-renew], button[data-copy]");
+  if (!target || event.ctrlKey || event.metaKey || event.shiftKey) return;
+  event.preventDefault();
+  if (target.matches("a")) renew(new URL(target.getAttribute("href") ?? "", location.href).href).catch(complain);
+  else copy(target.getAttribute("data-copy") ?? "", target.getAttribute("data-what") ?? "the command");
+});
+wait();
