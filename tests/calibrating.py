@@ -34,5 +34,6 @@ def run(folder, progress=None):
 
 def collect(project, folder, command, left_out):
     """Store what a job has found, once."""
-    plan = replace(stored_run.plan_in(folder), command=command, left_out=left_out)
-    return add_to_project(project, stored_run.collect(plan, folder))
+    plan = replace(stored_run.plan_in(folder), left_out=left_out)
+    found = stored_run.collect(plan, folder)
+    return add_to_project(project, replace(found, command=command))

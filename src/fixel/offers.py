@@ -92,6 +92,8 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "save_scene": "fixel.formats:save_scene",
         "thumbnail": "fixel.drawing.thumbnail:thumbnail",
     },
+    # Capabilities whose commands results repeat.
+    "capability": {"calibrate": "fixel.workflows.calibration.run:CALIBRATE"},
     # Modules with functions that files of a job may name.
     "jobs": {
         "calibration": "fixel.workflows.calibration.job",

@@ -20,7 +20,6 @@ SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
         (["domain", "growth", "explore"], "threshold", "--threshold"),
         (["domain"], "nominal side", "--nominal side"),
         (["domain"], "facets", "--by"),
-        (["calibrate", "push"], "optimiser least-squares", "--optimiser least-squares"),
         (["simulate", "scene.yaml"], "overrides duration", "--set duration"),
         (["simulate", "scene.yaml"], "nominal", "nominal"),
         (["calibrate"], "bodies[0].mass", "bodies[0].mass"),

@@ -60,6 +60,11 @@ class Capability:
         chunks: it gets the folder of the job's inputs as `inputs`, and returns the result.
     settled : callable, optional
         `(project, request) -> request` that a job does, which no later record or file can change.
+    prepare : callable, optional
+        `(project, **arguments) -> folder` prepares the job of a function that runs and stores its
+        own jobs; no analysis is stored for it.
+    after : str
+        Function of jobs that stores the result of such a job.
     group : str
         Command whose sub-command it is.
     verb : str
@@ -78,6 +83,8 @@ class Capability:
     plot: Literal["folder", "file", ""] = "folder"
     rounds: Callable[..., Any] | None = None
     settled: Callable[..., Any] | None = None
+    prepare: Callable[..., Any] | None = None
+    after: str = ""
     group: str = ""
     verb: str = ""
     in_project: Callable[[Any], bool] | None = None

@@ -12,7 +12,7 @@ from fixel.errors import InvalidInput
 OPTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     name: (f"--{name.replace('_', '-')}",)
     for name in (
-        *("axes", "base", "budget", "confidence", "error", "folds", "held_out", "leave_out"),
+        *("axes", "base", "budget", "confidence", "error", "fit", "folds", "held_out", "leave_out"),
         *("level", "mode", "motion", "name", "nominal", "optimiser", "relative", "samples"),
         "workers",
     )

@@ -208,7 +208,7 @@ def _row(job: "JobStatus") -> tuple[str, ...]:
         left = "" if job.left_s is None else seconds(job.left_s)
         running = (str(job.workers), f"{job.rate:.3g}", left)
     counts = (str(job.done), _total(job), str(job.failed))
-    return (job.folder, job.state, *counts, *running, job.reason or job.note)
+    return (job.folder, job.state, *counts, *running, job.reason or job.words)
 
 
 def _total(status: "JobStatus") -> str:

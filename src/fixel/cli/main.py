@@ -81,7 +81,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
         "export": project.export,
     },
     "Calibrate and assess": {
-        "calibrate": calibration.calibrate,
+        "calibrate": typer_command(CAPABILITIES["calibrate"]),
         "calibrations": calibration.calibrations,
         "domain": domain.app,
         "sensitivity": typer_command(CAPABILITIES["sensitivity"]),

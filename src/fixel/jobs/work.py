@@ -65,7 +65,9 @@ class Round(NamedTuple):
         It may be called again for the same payload, and must then return the same.
     chunks : sequence of Chunk
     note : str
-        Text of a progress bar: `"best 2.31 mm"`.
+        Text of a progress bar: `"least squares"`.
+    best : float, optional
+        Smallest error so far [m].
     left : int, optional
         Chunks of the rounds after this one, known or estimated; None where the work may grow by
         any number. Without it a progress bar shows no share and no time left.
@@ -75,6 +77,7 @@ class Round(NamedTuple):
     chunks: Sequence[Chunk]
     note: str = ""
     left: int | None = None
+    best: float | None = None
 
 
 Answers = dict[str, Answer]
@@ -97,6 +100,8 @@ class JobProgress(BaseModel):
         unknown.
     note : str
         Note of the current round.
+    best : float, optional
+        Smallest error so far [m].
     workers : int
         Number of processes that compute now.
     deaths, again : int
@@ -120,6 +125,7 @@ class JobProgress(BaseModel):
         default=None, description="finished share of the work; null if unknown"
     )
     note: str = Field(default="", description="note on the progress")
+    best: float | None = Field(default=None, description="smallest error so far [m]")
     workers: int = Field(default=0, description="number of workers that are computing")
     deaths: int = Field(default=0, description="number of workers that died while computing")
     again: int = Field(default=0, description="number of chunks that were computed again")
@@ -129,6 +135,11 @@ class JobProgress(BaseModel):
     updated_utc: str = ""
 
     @property
+    def words(self) -> str:
+        """Note with the smallest error."""
+        return ", ".join(Progress(self.note, 0, best=self.best).words)
+
+    @property
     def text(self) -> str:
         """Progress in words, the same in terminals and on pages."""
         share = f"{self.done} chunks done" if self.share is None else f"{int(100 * self.share)} %"
@@ -136,7 +147,7 @@ class JobProgress(BaseModel):
         left = f"about {time_text(self.left_s)} left" if self.left_s else ""
         failed = f"{self.failed} failed" if self.failed else ""
         share = share if self.done or self.share is not None else ""
-        return ", ".join(part for part in (share, self.note, rate, left, failed) if part)
+        return ", ".join(part for part in (share, self.words, rate, left, failed) if part)
 
 
 Batch = list[tuple[str, Answer]]
@@ -292,6 +303,7 @@ class _Tally:
         self._engine = engine
         self._done = self._total = self._failed = 0
         self._note = ""
+        self._best: float | None = None
         self._open, self._ended = True, False
         self._recent = deque([(time.monotonic(), 0)])
         self._fresh = 0
@@ -300,13 +312,13 @@ class _Tally:
 
     def stage(self, now: Progress) -> None:
         """Report what is computed besides chunks."""
-        self._stage, self._note = now, ", ".join(now.words)
+        self._stage, self._note, self._best = now, ", ".join(now.words), None
         if time.monotonic() - self._shown >= BETWEEN_STAGES_S or now.share == 1.0:
             self._shown = time.monotonic()
             self._report()
 
     def begin(self, turn: Round, known: Answers) -> None:
-        self._note, self._stage = turn.note, Progress("", 0)
+        self._note, self._best, self._stage = turn.note, turn.best, Progress("", 0)
         self._open, self._ended = turn.left is None, False
         self._total = self._done + len(turn.chunks) + (turn.left or 0)
         self._count(known)
@@ -347,6 +359,7 @@ class _Tally:
                 rate=rate,
                 left_s=left,
                 note=self._note,
+                best=self._best,
                 workers=self._engine.workers,
                 share=self._share(),
             )

@@ -10,7 +10,7 @@ import datetime
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
@@ -147,7 +147,7 @@ class AnalysisReport(NamedTuple):
     """Analysis with the figures and arrays stored with it, and files that were written already."""
 
     analysis: Analysis
-    pictures: Sequence[Picture] = ()
+    pictures: Iterable[Picture] = ()
     arrays: Mapping[str, Any] = {}
     files: Mapping[str, Path] = {}
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from fixel.capability.capability import Capability
 from fixel.errors import InvalidInput
 from fixel.jobs.functions import callable_by_jobs
+from fixel.workflows.calibration.run import CALIBRATE
 from fixel.workflows.filtering.run import FILTER
 from fixel.workflows.next_pushes.run import NEXT
 from fixel.workflows.planning.run import PLAN
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
 
 CAPABILITIES: Final[Mapping[str, Capability]] = {
-    one.name: one for one in (FILTER, NEXT, PLAN, SAMPLE, SENSITIVITY, UNCERTAINTY)
+    one.name: one
+    for one in (CALIBRATE, FILTER, NEXT, PLAN, SAMPLE, SENSITIVITY, UNCERTAINTY)
 }
 MAKER: Final = "capability:run_request"
 
@@ -75,7 +77,7 @@ def run(
     return _reported(capability, request, project, result, time.monotonic() - begun, plot)
 
 
-def call(project: Project, name: str, *, progress: ProgressOption = None, **options: Any) -> Any:
+def call(project: Project, name: str, /, *, progress: ProgressOption = None, **options: Any) -> Any:
     """Run a capability on a project for Python, which may name a program, and return its result.
 
     Parameters
@@ -122,8 +124,8 @@ def _reported(
         }
     )
     kept = None
-    if project is not None and getattr(request, "save", True):
-        kept = store_analysis(project, analysis, report.pictures, report.arrays)
+    if project is not None and capability.prepare is None and getattr(request, "save", True):
+        kept = store_analysis(project, analysis, tuple(report.pictures), report.arrays)
         analysis = kept.analysis
         if hasattr(present, "add_files"):
             present.add_files(result, kept.folder)
@@ -227,6 +229,9 @@ def prepare(capability: Capability, request: BaseModel, project: Project) -> Pat
 
     if not capability.on_project:
         raise InvalidInput("job", found=capability.name, expected="a capability on a project")
+    if capability.prepare is not None:
+        job: Path = capability.prepare(project, **capability.arguments(request))
+        return job
     if capability.settled is not None:
         request = capability.settled(project, request)
     content = request.model_dump(mode="json")
@@ -247,6 +252,7 @@ def begin(capability: Capability, request: BaseModel, project: Project) -> Path:
     from fixel.workflows import jobs
 
     folder = prepare(capability, request, project)
-    jobs.arrange(folder)
-    jobs.run_detached(folder)
+    if jobs.status_of(folder).state != "done":
+        jobs.arrange(folder)
+        jobs.run_detached(folder, capability.after)
     return folder

@@ -2,7 +2,6 @@
 
 import json
 import math
-import shlex
 from dataclasses import replace
 from itertools import pairwise
 
@@ -31,7 +30,6 @@ from fixel.workflows.calibration.stored import load_values, parameters_of, searc
 from fixel.workflows.demo.laboratory_demo import _beside_truth
 from fixel.workflows.report.calibration import calibration_warnings, parameters_section
 
-COMMAND = "fixel calibrate --optimiser least-squares"
 LARGER = ("pressure_spread", "friction_centre_x", "friction_centre_y")
 
 
@@ -51,7 +49,7 @@ def found(tmp_path_factory):
     )
     folder = run.prepare(project, chosen, request)
     run.run(folder)
-    return project, run.collect(project, folder, COMMAND, {})
+    return project, run.collect(project, folder, "", {})
 
 
 def test_misfit_is_said_before_anything_else(found):
@@ -109,15 +107,17 @@ def test_the_radius_of_a_tripod_that_is_not_there_is_effective(found):
 
 def test_a_larger_model_is_offered_as_a_command_once(found):
     _, done = found
-    words = shlex.split(enlarged_command(COMMAND, done.request))
-    assert [b for a, b in pairwise(words) if a == "--fit"] == ["mu_pusher", *LARGER]
-    own = f"{COMMAND} --fit=mu_pusher=0:1 --fit tripod_radius_mm=20:75:40 --set start_x=0"
-    longer = enlarged_command(own, done.request)
+    options = {"optimiser": "least-squares", "project": "lab"}
+    command = "fixel calibrate --optimiser least-squares"
     added = " ".join(f"--fit {name}" for name in LARGER)
-    assert longer == f"{COMMAND} --fit mu_pusher=0:1 --set start_x=0 {added}"
-    larger = [done.request.unknowns[0], *(replace_name(done.request, name) for name in LARGER)]
-    assert enlarged_command(longer, done.request.model_copy(update={"unknowns": larger})) == ""
-    assert enlarged_command(f"{COMMAND} --space a.yaml", done.request) == ""
+    larger = enlarged_command(options, done.request)
+    assert larger == f"{command} --fit mu_pusher {added} --project lab"
+    own = {"fit": ["mu_pusher=0:1", "tripod_radius_mm=20:75:40"], "fixed": ["start_x=0"]}
+    longer = enlarged_command(options | own, done.request)
+    assert longer == f"{command} --fit mu_pusher=0:1 {added} --set start_x=0 --project lab"
+    whole = [done.request.unknowns[0], *(replace_name(done.request, name) for name in LARGER)]
+    assert enlarged_command(options, done.request.model_copy(update={"unknowns": whole})) == ""
+    assert enlarged_command(options | {"space": "a.yaml"}, done.request) == ""
 
 
 def replace_name(request, name):
@@ -135,7 +135,7 @@ def enlarged(found):
     request = done.request.model_copy(update={"unknowns": unknowns})
     folder = run.prepare(project, chosen, request)
     run.run(folder)
-    return run.collect(project, folder, COMMAND, {})
+    return run.collect(project, folder, "", {})
 
 
 def test_pressure_under_the_whole_body_misfits_less(found, enlarged):
@@ -181,7 +181,7 @@ def test_truth_stands_beside_what_was_found(found):
 
 def test_a_job_that_is_continued_asks_for_nothing_twice(found, tmp_path):
     project, done = found
-    again = run.collect(project, done.folder, COMMAND, {})
+    again = run.collect(project, done.folder, "", {})
     one, other = again.outcome.found[-1], done.outcome.found[-1]
     assert (one.misfit, one.misfit_ratio) == (other.misfit, other.misfit_ratio)
     assert replace(one.estimates[0]) == other.estimates[0]

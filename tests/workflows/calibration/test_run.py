@@ -6,7 +6,6 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ from fixel.simulation.uneven_table import TABLE_NAMES
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import list_calibrations
 from fixel.workflows.calibration import job
-from fixel.workflows.calibration.commands import command_of
+from fixel.workflows.calibration.commands import command_of, options_of
 from fixel.workflows.calibration.parameter_options import (
     fixed_unknowns,
     read_space,
@@ -463,13 +462,14 @@ def test_the_command_for_the_same_calibration_says_all_of_it(chosen):
         noise_angle=2e-3,
         motion="quasistatic",
     )
-    words = command_of(Path("lab"), request, ["3"])
-    for said in ("--error end-pose", "--angle-scale-mm 50", "--noise-mm 0.1", "--noise-mrad 2",
+    words = command_of(options_of(request, ["3"]) | {"project": "lab"})
+    assert words.startswith("fixel calibrate 3 ")
+    assert words.endswith(" --project lab")
+    for said in ("--error end-pose", "--angle-scale-mm 50.0", "--noise-mm 0.1", "--noise-mrad 2.0",
                  "--motion quasistatic"):  # fmt: skip
         assert said in words
-    by_engine = command_of(Path("lab"), _request(chosen, motion="pymunk:step=0.01"), ["3"])
-    assert "--engine pymunk:step=0.01" in by_engine
-    assert "--motion" not in by_engine
+    by_engine = command_of(options_of(_request(chosen, motion="pymunk:step=0.01"), ["3"]))
+    assert "--motion pymunk:step=0.01" in by_engine
 
 
 def test_parameters_that_no_experiment_could_inform(chosen):

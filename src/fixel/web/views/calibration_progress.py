@@ -22,7 +22,7 @@ from fixel.jobs import folder as files
 from fixel.typing import FloatArray
 from fixel.web.values import Answer, Finite
 from fixel.workflows import jobs
-from fixel.workflows.calibration.commands import command_of
+from fixel.workflows.calibration.commands import command_of, options_of
 from fixel.workflows.calibration.job import ROLLOUTS_A_CHUNK
 from fixel.workflows.calibration.project import collected, experiments_of, stored_ids
 from fixel.workflows.calibration.request import CalibrationRequest
@@ -180,7 +180,10 @@ class ProgressReader:
             start=_start(np.array(nominal), request),
             started_utc=status.started_utc,
             stored=stored,
-            command=command_of(self._project.folder.resolve(), request, [str(id_) for id_ in ids]),
+            command=command_of(
+                options_of(request, [str(id_) for id_ in ids])
+                | {"project": str(self._project.folder.resolve())}
+            ),
             since=since,
             objective=[*objective[since:]],
             singles=[

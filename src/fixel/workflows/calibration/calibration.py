@@ -441,7 +441,7 @@ class Calibration(Result, Mapping[str, float]):
         return Analysis(
             kind="calibrate",
             title=f"Calibration of {self._subject}",
-            question=run.request.model_dump(mode="json"),
+            question={},
             headline=(
                 self._heading(),
                 self._error_note(),
@@ -532,7 +532,9 @@ class Calibration(Result, Mapping[str, float]):
         """Number of solutions, and the command that calibrates a larger model after a misfit."""
         n = len(self.found.solutions)
         notes = [f"{n} distinct parameter sets fit almost equally well"] if n > 1 else []
-        larger = self.found.misfit_ratio >= WARNED and enlarged_command(self.command, self.request)
+        if not self.found.misfit_ratio >= WARNED:
+            return notes
+        larger = enlarged_command(self.run.asked, self.request)
         return [*notes, f"a larger model may fit better: {larger}"] if larger else notes
 
     def _details(self) -> dict[str, str]:
@@ -580,6 +582,8 @@ class Calibrations(Result, Sequence[Calibration]):
         Python expression of the experiments.
     command : str
         Shell command of the same run.
+    asked : mapping
+        Options of the command or page, as plain content; empty for other calls.
     left_out : mapping from name to reason
         Experiments that were skipped.
     folder : Path, optional
@@ -606,6 +610,7 @@ class Calibrations(Result, Sequence[Calibration]):
     targets: Sequence[Target]
     source: str = "experiments"
     command: str = ""
+    asked: Mapping[str, Any] = field(default_factory=dict, compare=False)
     left_out: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = field(default=None, compare=False)
     ids: Sequence[int] = field(default=(), compare=False)
@@ -716,7 +721,7 @@ class Calibrations(Result, Sequence[Calibration]):
         return Analysis(
             kind="calibrate",
             title=f"{len(self)} calibrations of {n} experiments",
-            question=self.request.model_dump(mode="json"),
+            question={},
             headline=(f"{len(self)} calibrations of {n} experiments{ended}", *self.sample_note),
             warnings=(*self.skipped, *(w for p in parts for w in p.warnings)),
             tables=(

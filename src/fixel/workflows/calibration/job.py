@@ -215,8 +215,8 @@ def _evaluate_study(
     objective: Objective | None = None,
     state: SearchState | None = None,
 ) -> Rounds[T]:
-    """Answer a study in rounds of chunks; with an objective, the note shows its best."""
-    note, best = stage, math.inf
+    """Answer a study in rounds of chunks; with an objective, progress shows its best."""
+    best, shown = math.inf, None
     try:
         ask = next(study)
         while True:
@@ -231,7 +231,7 @@ def _evaluate_study(
                 )
                 for k, at in enumerate(starts)
             ]
-            answers = yield Round("calibration:evaluate", chunks, note=note)
+            answers = yield Round("calibration:evaluate", chunks, stage, best=shown)
             if state is not None:
                 state.add(answers)
             parts = [
@@ -245,18 +245,13 @@ def _evaluate_study(
                 if state is not None:
                     state.record(ask.points[:: table.shape[1]], combined)
                 best = min(best, float(combined.min()))
-                note = f"{stage}, {_best_shown(best, objective)}"
+                shared = best / len(objective.members) if objective.combine == "sum" else best
+                shown = 1e-3 * length_of(shared, objective.comparer.error.unit)
             reasons = [reason for part in parts for reason in part.reasons]
             ask = study.send(Evaluation(errors, reasons))
     except StopIteration as end:
         result: T = end.value
         return result
-
-
-def _best_shown(best: float, objective: Objective) -> str:
-    """The best combined error so far, per experiment and as a length."""
-    shared = best / len(objective.members) if objective.combine == "sum" else best
-    return f"best RMS {length_of(shared, objective.comparer.error.unit):.4g} mm"
 
 
 def _evaluated(answer: bytes | Failure, n: int) -> Evaluation:
@@ -471,10 +466,10 @@ def _by_squares(
     while not search.done:
         wanted = search.ask()
         points = wanted[: request.max_evaluations and request.max_evaluations - state.evaluations]
-        note = "least squares"
-        if tried[1:]:
-            note += f", best RMS {math.sqrt(best / divisor):.4g} mm"
-        table = yield from _rows("residuals", "squares", points, len(members), state, note=note)
+        shown = 1e-3 * math.sqrt(best / divisor) if tried[1:] else None
+        table = yield from _rows(
+            "residuals", "squares", points, len(members), state, note="least squares", best=shown
+        )
         if len(points) == len(wanted):
             search.tell(table)
         tried.append(points)
@@ -512,6 +507,7 @@ def _rows(
     *,
     note: str,
     left: int | None = None,
+    best: float | None = None,
     **arrays: Any,
 ) -> Rounds[FloatArray]:
     """Let chunks answer for points (k, n_free) of all members: one row for each point.
@@ -533,7 +529,7 @@ def _rows(
         for k, at in enumerate(range(0, len(points), size))
     ]
     rounds = None if left is None else math.ceil(left / size)
-    answers = yield Round(f"calibration:{function}", chunks, note=note, left=rounds)
+    answers = yield Round(f"calibration:{function}", chunks, note, rounds, best)
     state.add(answers)
     tables: list[FloatArray] = []
     for chunk in chunks:

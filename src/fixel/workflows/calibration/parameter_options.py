@@ -41,7 +41,7 @@ def _fit(setting: str, scenes: Sequence[Scene]) -> Unknown:
         numbers = []
     if len(numbers) not in (2, 3):
         raise InvalidInput(
-            f"--fit {written}", found=repr(limits), expected="LOW:HIGH or LOW:HIGH:START"
+            f"fit {written}", found=repr(limits), expected="LOW:HIGH or LOW:HIGH:START"
         )
     low, high = numbers[0], numbers[1]
     unknown = usual_in(name, scenes, (low, high))
@@ -57,7 +57,7 @@ def _check_unit(written: str, usual: Unknown, low: float, high: float) -> None:
     ending, word, limit = _TOO_FAR[usual.unit]
     if max(abs(low), abs(high)) > max(limit, 2.0 * abs(usual.low), 2.0 * abs(usual.high)):
         raise InvalidInput(
-            f"--fit {written}",
+            f"fit {written}",
             found=f"{low:g} to {high:g} {usual.unit}",
             expected=f"bounds in {word}, such as {usual.low:g} to {usual.high:g}",
             hint=f"write {usual.name}{ending}=LOW:HIGH for other units",
@@ -73,7 +73,7 @@ def fixed_unknowns(settings: Sequence[str]) -> list[Unknown]:
         try:
             value = factor * float(text)
         except ValueError:
-            raise InvalidInput("--set", found=repr(setting), expected="NAME=NUMBER") from None
+            raise InvalidInput("fixed", found=repr(setting), expected="NAME=NUMBER") from None
         found.append(Unknown.fixed(name, value))
     return found
 

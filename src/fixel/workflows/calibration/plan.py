@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +12,7 @@ from typing import Any, Final, Self, final
 import numpy as np
 from pydantic import ValidationError
 
-from fixel.calibration.noise import Noise
-from fixel.calibration.objective import AbstractError, Comparer, EndPose
-from fixel.calibration.optimiser import AbstractOptimiser
+from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.study import at_points, run_study
 from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space, search_space
@@ -26,8 +23,7 @@ from fixel.kernels import codes
 from fixel.model import Experiment, Scene
 from fixel.model.space import ParameterSpace
 from fixel.progress import Progress, Reporter
-from fixel.simulation.motion import AbstractMotionModel, stated_name
-from fixel.simulation.trust import permit
+from fixel.simulation.motion import stated_name
 from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.job import (
     CHUNKS,
@@ -38,9 +34,8 @@ from fixel.workflows.calibration.job import (
 )
 from fixel.workflows.calibration.request import (
     CalibrationRequest,
-    Combine,
     Mode,
-    NamedOptions,
+    named_options,
     usual_optimiser,
 )
 from fixel.workflows.calibration.result import (
@@ -53,9 +48,6 @@ from fixel.workflows.calibration.result import (
 PREFLIGHT: Final = 16  # experiments that are simulated before any work starts
 JAMMED: Final = codes.STATUS_NAMES[codes.JAMMED]
 SINGLES: Final = "calibration:calibrate_alone"  # chunks that calibrate single experiments
-_BEST: Final = re.compile(r", best RMS (\S+) mm")
-
-Named = Mapping[str, Any] | str
 
 
 @final
@@ -69,8 +61,8 @@ class CalibrationPlan:
     targets : sequence of Target
     source : str
         Python expression of the experiments.
-    command : str
-        Shell command that was typed, if any.
+    asked : mapping
+        Options of the command or page, as plain content; empty for other calls.
     left_out : mapping from name to reason
         Experiments that were skipped.
     """
@@ -78,7 +70,7 @@ class CalibrationPlan:
     request: CalibrationRequest
     targets: Sequence[Target]
     source: str = "experiments"
-    command: str = ""
+    asked: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     left_out: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @classmethod
@@ -87,37 +79,27 @@ class CalibrationPlan:
         mode: Mode,
         experiments: Iterable[Experiment | Target],
         parameters: Space = None,
+        /,
         *,
-        error: Named | AbstractError = "mean-square",
-        combine: Combine = "sum",
-        optimiser: Named | AbstractOptimiser = "auto",
         start: Mapping[str, float] | None = None,
-        noise: Noise | None = None,
-        motion: str | AbstractMotionModel = "dynamic",
-        **others: Any,
+        **options: Any,
     ) -> Self:
         """Return the plan for arguments of `calibrate`, checked."""
-        permit(motion)
         targets = targets_of(experiments)
         space = search_space(parameters, targets, start)
-        kind = _named(error, "error")
-        search = _named(optimiser, "optimiser")
+        own = {name: v for name, v in options.items() if name in CalibrationRequest.model_fields}
+        kind = named_options(options["error"], "error")
+        search = named_options(options["optimiser"], "optimiser")
         if search.name == "auto":
-            usual = usual_search(mode, combine, kind.name, targets, space)
+            usual = usual_search(mode, options["combine"], kind.name, targets, space)
             search = search.model_copy(update={"name": usual})
+        own |= {"mode": mode, "unknowns": list(space.unknowns), "error": kind, "optimiser": search}
+        if (noise := options["noise"]) is not None:
+            own |= {"noise_position": noise.position_m, "noise_angle": noise.angle_rad}
+        own["motion"] = stated_name(options["motion"])
+        own["sample_of"] = getattr(experiments, "sample_of", None)
         try:
-            request = CalibrationRequest(
-                mode=mode,
-                unknowns=list(space.unknowns),
-                error=kind,
-                combine=combine,
-                optimiser=search,
-                noise_position=None if noise is None else noise.position_m,
-                noise_angle=None if noise is None else noise.angle_rad,
-                motion=stated_name(motion),
-                sample_of=getattr(experiments, "sample_of", None),
-                **others,
-            )
+            request = CalibrationRequest(**own)
         except ValidationError as problem:
             first = problem.errors(include_url=False)[0]
             where = ".".join(map(str, first["loc"]))
@@ -128,7 +110,6 @@ class CalibrationPlan:
             request=request,
             targets=targets,
             source=str(getattr(experiments, "call", "experiments")),
-            command=str(getattr(experiments, "command", "")),
             left_out=getattr(experiments, "left_out", {}),
         )
 
@@ -177,7 +158,7 @@ class CalibrationPlan:
             outcome=outcome,
             targets=tuple(self.targets),
             source=self.source,
-            command=self.command,
+            asked=self.asked,
             left_out=self.left_out,
             **more,
         )
@@ -251,13 +232,12 @@ def reporting(report: Reporter) -> Show:
     """Return a callback that reports the progress of rounds."""
 
     def show(progress: JobProgress) -> None:
-        best = _BEST.search(progress.note)
         report.show(
             Progress(
-                stage=_BEST.sub("", progress.note) or report.stage,
+                stage=progress.note or report.stage,
                 done=progress.done,
                 total=None if progress.share is None else progress.total,
-                best=None if best is None else 1e-3 * float(best[1]),
+                best=progress.best,
                 left=progress.left_s,
             )
         )
@@ -278,19 +258,3 @@ def usual_search(
     frames = sum(1 if ends else len(target.pose) for target in targets)
     several = mode if len(targets) > 1 else "each"
     return usual_optimiser(several, combine, error, 3 * frames, len(space.free))
-
-
-def _named(choice: Any, where: str) -> NamedOptions:
-    """Return a method by name with its options, from a name, a mapping or the object itself."""
-    if isinstance(choice, NamedOptions):
-        return choice
-    if isinstance(choice, str):
-        return NamedOptions(name=choice)
-    if isinstance(choice, Mapping) and "name" in choice:
-        options = {key: value for key, value in choice.items() if key != "name"}
-        return NamedOptions(name=str(choice["name"]), options=options)
-    if isinstance(choice, AbstractError | AbstractOptimiser):
-        names = [own.name for own in dataclasses.fields(choice)]  # type: ignore[arg-type]
-        options = {name: getattr(choice, name) for name in names}
-        return NamedOptions(name=choice.name, options=options)
-    raise InvalidInput(where, found=choice, expected="a name, or a mapping with a name and options")

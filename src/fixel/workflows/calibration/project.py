@@ -14,6 +14,7 @@ from typing import Any, Final, final, overload
 
 import numpy as np
 
+from fixel.calibration.objective import MeanSquare
 from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
@@ -31,7 +32,7 @@ from fixel.model.space import ParameterSpace, Unknown
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
-from fixel.workflows.calibration.commands import command_of
+from fixel.workflows.calibration.commands import command_of, options_of
 from fixel.workflows.calibration.request import TARGETS, CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.result import (
     RUN,
@@ -47,6 +48,7 @@ from fixel.workflows.calibration.stored_run import collect, job_of, plan_in
 from fixel.workflows.project.filters import check_known_names
 
 STORE_RESULT: Final = "calibration-result:store_result"  # what follows a job in the background
+VERSION: Final = 1  # of stored requests; those without one are as of version 1
 STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
 MEMBERS_A_GROUP: Final = 5  # experiments for each value of a condition that a sample is spread over
 
@@ -64,15 +66,12 @@ class ExperimentSelection:
         Those that cannot be compared.
     sample_of : int, optional
         Number of experiments that these were drawn from at random; None where they are all.
-    command : str
-        Shell command that selected them.
     """
 
     ids: list[int]
     targets: list[Target]
     left_out: Mapping[str, str]
     sample_of: int | None = None
-    command: str = ""
 
     def __iter__(self) -> Iterator[Target]:
         return iter(self.targets)
@@ -207,8 +206,9 @@ def add_to_project(
     with project.store() as store:
         experiments = [store.find(key) for key in run.outcome.keys]
         words = [str(number) for number in experiments]
-        command = run.command or command_of(project.folder.resolve(), run.request, words)
-        run = replace(run, command=command)
+        usual = options_of(run.request, words) | {"project": str(project.folder.resolve())}
+        asked = run.asked or usual
+        run = replace(run, asked=asked, command=run.command or command_of(asked))
         if run.folder is None:
             ids = [store.add_calibration(record) for record in _records(run, experiments)]
         else:
@@ -256,8 +256,8 @@ def stored_run(project: Project, number: int, record: CalibrationRecord) -> Cali
         folder = job_of(project, record)
         if not ((folder / files.RESULT).is_file() and (folder / STORED).is_file()):
             return None
-        plan = replace(plan_in(folder), command=record.provenance.command)
-        return add_to_project(project, collect(plan, folder))
+        run = collect(plan_in(folder), folder)
+        return add_to_project(project, replace(run, command=record.provenance.command))
     with project.store() as store:
         summaries = store.calibration_summaries().items()
         own = [k for k, other in summaries if other.method.get(RUN) == record.method.get(RUN)]
@@ -321,6 +321,7 @@ def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Cal
             targets=targets,
             source=str(result.get("source", "")),
             command=ordered[0].provenance.command,
+            asked=dict(result.get("asked", {})),
             left_out=dict(result.get("left_out", {})),
             ids=ids,
         )
@@ -343,30 +344,35 @@ def _nominal(record: CalibrationRecord) -> FloatArray:
 def _request_of(record: CalibrationRecord) -> CalibrationRequest:
     """Return the request of a record; of an earlier version, without the level."""
     if record.request is not None:
-        return CalibrationRequest.model_validate(record.request)
-    method = record.method
+        content = dict(record.request)
+        if content.pop("version", VERSION) > VERSION:
+            raise ValueError("a newer version of fixel stored its request")
+        return CalibrationRequest.model_validate(content)
+    method = dict(record.method)
     searched = json.loads(str(method.get(SEARCHED, "[]")))
-    unknowns = [Unknown(**own) for own in searched] or [
+    kinds = {"error": MeanSquare.name, "optimiser": "unknown"}
+    named = {
+        kind: NamedOptions(
+            name=str(method.get(kind, usual)),
+            options={k.removeprefix(f"{kind}."): v for k, v in method.items()
+                     if k.startswith(f"{kind}.")},
+        )
+        for kind, usual in kinds.items()
+    }  # fmt: skip
+    own = {k: v for k, v in method.items() if k in ("motion", "starts", "combine")}
+    unknowns = [Unknown(**one) for one in searched] or [
         Unknown.fixed(name, value) for name, value in record.parameters.items()
     ]
-    options: dict[str, dict[str, Any]] = {"error": {}, "optimiser": {}}
-    for name, value in method.items():
-        kind, _, option = name.partition(".")
-        if option and kind in options:
-            options[kind][option] = value
-    return CalibrationRequest(
-        name=record.name.partition(":")[0],
-        unknowns=unknowns,
-        error=NamedOptions(name=str(method.get("error", "mean-square")), options=options["error"]),
-        motion=str(method.get("motion", "dynamic")),
-        optimiser=NamedOptions(
-            name=str(method.get("optimiser", "unknown")), options=options["optimiser"]
-        ),
-        starts=int(method.get("starts", 1)),
-        combine=str(method.get("combine", "sum")),  # type: ignore[arg-type]
-        seed=record.provenance.seed or 0,
-        level=None,
-        verdicts=bool(record.estimates),
+    return CalibrationRequest.model_validate(
+        {
+            **own,
+            **named,
+            "name": record.name.partition(":")[0],
+            "unknowns": unknowns,
+            "seed": record.provenance.seed or 0,
+            "level": None,
+            "verdicts": bool(record.estimates),
+        }
     )
 
 
@@ -459,12 +465,13 @@ def _records(run: Calibrations, experiments: Sequence[int]) -> Iterator[Calibrat
         yield replace(
             record,
             method={**record.method, RUN: checksum},
-            request=json.loads(request),
+            request={"version": VERSION, **json.loads(request)},
             result={
                 "place": place,
                 "set": set_content(own),
                 "nominal": [error if math.isfinite(error) else None for error in before.tolist()],
                 "source": run.source,
+                "asked": dict(run.asked),
                 "left_out": dict(run.left_out),
             },
         )
@@ -510,27 +517,29 @@ def _without_defaults(unknown: Unknown) -> dict[str, Any]:
 
 
 def _method(run: Calibrations, one: ParameterSet) -> dict[str, str | float]:
-    request = run.request
+    """Return the method for lists; everything about it is in the request."""
     nominal = run.outcome.nominal[list(one.members)]
-    options = {f"optimiser.{k}": v for k, v in request.optimiser.options.items()}
-    options |= {f"error.{k}": v for k, v in request.error.options.items()}
-    return {
+    found: dict[str, str | float] = {
         "how": one.how,
-        "mode": request.mode,
-        **({} if request.sample_of is None else {"sample_of": float(request.sample_of)}),
-        **({} if request.budget is None else {"budget_s": request.budget}),
-        "error": request.error.name,
-        "error_unit": request.made_error.unit,
-        "motion": request.motion,
-        "optimiser": request.optimiser.name,
-        "starts": float(request.starts),
-        "combine": request.combine,
-        **({} if run.folder is None else {"job": run.folder.name}),
-        SEARCHED: json.dumps([_without_defaults(unknown) for unknown in request.unknowns]),
+        "error_unit": run.request.made_error.unit,
+        SEARCHED: json.dumps([_without_defaults(unknown) for unknown in run.request.unknowns]),
         "seconds": one.seconds,
         "nominal_error": float(nominal.mean()),
         "ended": "" if one.trace is None else one.trace.ended,
+        **({} if run.folder is None else {"job": run.folder.name}),
         **({"misfit": "\n".join(one.misfit)} if one.misfit else {}),
         **({"misfit_ratio": one.misfit_ratio} if math.isfinite(one.misfit_ratio) else {}),
-        **{k: v if isinstance(v, str | float | int) else str(v) for k, v in options.items()},
     }
+    for name, value in run.request.listed().items():
+        if isinstance(value, NamedOptions):
+            found[name] = value.name
+            found |= {f"{name}.{k}": _listed_value(v) for k, v in value.options.items()}
+        elif value is not None:
+            found[name] = _listed_value(value)
+    return found
+
+
+def _listed_value(value: Any) -> str | float:
+    if isinstance(value, str):
+        return value
+    return float(value) if isinstance(value, int | float) else str(value)

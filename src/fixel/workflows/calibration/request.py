@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -29,7 +29,6 @@ from fixel.simulation.rollouts import RolloutCase
 
 Mode = Literal["each", "joint", "campaign", "stored"]
 Combine = Literal["sum", "mean", "largest"]
-
 
 LEAST_SQUARES: Final = "least-squares"
 PATTERN_SEARCH: Final = PatternSearch.name
@@ -63,40 +62,43 @@ class NamedOptions(_RequestLevel):
     options: dict[str, Any] = {}
 
 
+def named_options(choice: Any, where: str) -> NamedOptions:
+    """Return a method by name with its options, from a name, a mapping or the object itself."""
+    if isinstance(choice, NamedOptions):
+        return choice
+    if isinstance(choice, str):
+        return NamedOptions(name=choice)
+    if isinstance(choice, Mapping) and "name" in choice:
+        options = {key: value for key, value in choice.items() if key != "name"}
+        return NamedOptions(name=str(choice["name"]), options=options)
+    if isinstance(choice, AbstractError | AbstractOptimiser):
+        names = [own.name for own in dataclasses.fields(choice)]  # type: ignore[arg-type]
+        options = {name: getattr(choice, name) for name in names}
+        return NamedOptions(name=choice.name, options=options)
+    raise InvalidInput(where, found=choice, expected="a name, or a mapping with a name and options")
+
+
 class CalibrationRequest(_RequestLevel):
     """A calibration to be.
 
+    Its other fields are options of `fixel.calibrate`.
+
     Attributes
     ----------
-    name : str
     mode : str
         `"each"`: every experiment by itself. `"joint"`: one set of parameters for all.
         `"campaign"`: each, then neighbours' values, then one set in every way of the thesis.
         `"stored"`: no search, but the one of `stored` whose largest error is smallest.
     unknowns : list of Unknown
-    error, motion, optimiser : NamedOptions
-    starts : int
-        Of the search; more than one begin at random feasible points.
-    combine : str
-        How errors of several experiments become one.
-    seed : int
     noise_position, noise_angle : float, optional
         Standard deviations of the measured poses [m, rad]; found out where left out.
     level : float, optional
-        Confidence level of the intervals; None only in records of earlier versions, which do not
-        have it.
-    verdicts : bool
-        Whether to find out what the data determine.
+        None only in records of earlier versions, which do not have it.
     stored : list of list of float
         Values of the free unknowns in earlier calibrations.
-    budget : float, optional
-        Computing time, of all processes together [s]: half of it for the search where verdicts are
-        wanted. Nothing is cut off within a round, so it is exceeded a little.
     sample_of : int, optional
         Number of experiments that those calibrated were drawn from at random; None where all of
         them are.
-    max_evaluations : int, optional
-        Evaluations of one set of parameters after which its search ends.
     """
 
     name: str = "calibration"
@@ -162,6 +164,11 @@ class CalibrationRequest(_RequestLevel):
         if self.noise_position is None or self.noise_angle is None:
             return None
         return Noise(position_m=self.noise_position, angle_rad=self.noise_angle, source="stated")
+
+    def listed(self) -> dict[str, Any]:
+        """Return the fields that lists of calibrations show, by name."""
+        names = ("mode", "error", "motion", "optimiser", "starts", "combine", "sample_of")
+        return {name: getattr(self, name) for name in names} | {"budget_s": self.budget}
 
     def check(self) -> None:
         """Refuse what cannot be, before any work starts."""

@@ -1,85 +1,78 @@
-"""Calibrate experiments: `calibrate`, `calibrate_each` and `calibrate_campaign`."""
+"""Calibrate experiments: `calibrate`, `calibrate_each`, `calibrate_campaign`; and in a project."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypedDict, Unpack
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from fixel.calibration.noise import Noise
-from fixel.calibration.objective import AbstractError
-from fixel.calibration.optimiser import AbstractOptimiser
-from fixel.calibration.target import Target, targets_of
-from fixel.calibration.usual_parameters import Space, search_space
-from fixel.errors import Interrupted, InvalidInput
-from fixel.jobs.work import run_work
-from fixel.model import Experiment
-from fixel.progress import ProgressOption, show_progress
-from fixel.simulation.motion import AbstractMotionModel
-from fixel.workflows.calibration.calibration import Calibration, Calibrations
-from fixel.workflows.calibration.job import SearchState, calibration_rounds, comparer_of
-from fixel.workflows.calibration.plan import (
-    CalibrationPlan,
-    DirectEngine,
-    Named,
-    best_so_far,
-    reporting,
-)
-from fixel.workflows.calibration.request import Combine, Mode
-from fixel.workflows.calibration.result import outcome_of
+from fixel.capability.capability import Capability
+from fixel.capability.options import Door
+from fixel.capability.usual import Level, NoiseOption, Seed, Threads, Where
 
 if TYPE_CHECKING:
     from os import PathLike
 
+    from fixel.calibration.objective import AbstractError
+    from fixel.calibration.optimiser import AbstractOptimiser
+    from fixel.calibration.target import Target
+    from fixel.calibration.usual_parameters import Space
     from fixel.database.project import Project
     from fixel.jobs.site import Site
+    from fixel.model import Experiment
+    from fixel.progress import ProgressOption
+    from fixel.simulation.motion import AbstractMotionModel
+    from fixel.workflows.calibration.calibration import Calibration, Calibrations
 
-PROJECT_FILE: Final = "fixel.yaml"  # makes a folder a project
+Named = Mapping[str, Any] | str
+Mode = Literal["each", "joint", "campaign", "stored"]
+Combine = Literal["sum", "mean", "largest"]
 
 
-class CalibrationOptions(TypedDict, total=False):
-    """Options of `calibrate`, `calibrate_each` and `calibrate_campaign`."""
+def _errors() -> list[str]:
+    from fixel.calibration.objective import ERRORS
 
-    error: Named | AbstractError
-    combine: Combine
-    optimiser: Named | AbstractOptimiser
-    starts: int
-    start: Mapping[str, float] | None
-    noise: Noise | None
-    level: float
-    verdicts: bool
-    max_evaluations: int | None
-    motion: str | AbstractMotionModel
-    seed: int
-    threads: int | None
-    workers: int
-    site: PathLike[str] | str | Site | None
-    store: PathLike[str] | str | Project | None
-    budget: float | None
-    progress: ProgressOption
-    name: str
+    return [kind.name for kind in ERRORS]
+
+
+def _searches() -> list[str]:
+    from fixel.calibration import OPTIMISERS
+    from fixel.workflows.calibration.request import LEAST_SQUARES
+
+    return ["auto", LEAST_SQUARES, *(kind.name for kind in OPTIMISERS)]
+
+
+ErrorName = Annotated["Named | AbstractError", Door(plain=str, among=_errors)]
+SearchName = Annotated["Named | AbstractOptimiser", Door(plain=str, among=_searches)]
+SiteFile = Annotated["PathLike[str] | str | Site | None", Door(plain=Path | None, effort=True)]
+MotionName = Annotated[
+    "str | AbstractMotionModel",
+    Door(plain=str, metavar="NAME", also=("--engine",), program=True),
+]
 
 
 def calibrate(
     experiments: Iterable[Experiment | Target],
     parameters: Space = None,
     *,
-    error: Named | AbstractError = "mean-square",
+    error: ErrorName = "mean-square",
     combine: Combine = "sum",
-    optimiser: Named | AbstractOptimiser = "auto",
-    starts: int = 1,
+    optimiser: SearchName = "auto",
+    starts: Annotated[int, Door(least=1)] = 1,
     start: Mapping[str, float] | None = None,
-    noise: Noise | None = None,
-    level: float = 0.95,
+    noise: NoiseOption = None,
+    level: Level = 0.95,
     verdicts: bool = True,
-    max_evaluations: int | None = None,
-    motion: str | AbstractMotionModel = "dynamic",
-    seed: int = 0,
-    threads: int | None = None,
-    workers: int = 0,
-    site: PathLike[str] | str | Site | None = None,
+    max_evaluations: Annotated[int | None, Door(least=1)] = None,
+    motion: MotionName = "dynamic",
+    seed: Seed = 0,
+    threads: Threads = None,
+    workers: Annotated[int, Door(least=0, effort=True)] = 0,
+    site: SiteFile = None,
     store: PathLike[str] | str | Project | None = None,
-    budget: float | None = None,
+    budget: Annotated[float | None, Door(flag="--budget", unit="s", above=0.0)] = None,
     progress: ProgressOption = None,
     name: str = "calibration",
 ) -> Calibration:
@@ -164,35 +157,14 @@ def calibrate(
     >>> print(f"{fit['mu_pusher']:.2f}")
     0.25
     """
-    return _calibrated(
-        "joint",
-        experiments,
-        parameters,
-        error=error,
-        combine=combine,
-        optimiser=optimiser,
-        starts=starts,
-        start=start,
-        noise=noise,
-        level=level,
-        verdicts=verdicts,
-        max_evaluations=max_evaluations,
-        motion=motion,
-        seed=seed,
-        threads=threads,
-        workers=workers,
-        site=site,
-        store=store,
-        budget=budget,
-        progress=progress,
-        name=name,
-    )[-1]
+    options = locals()
+    from fixel.workflows.calibration.execution import calibrate_in
+
+    return calibrate_in("joint", **options)[-1]
 
 
 def calibrate_each(
-    experiments: Iterable[Experiment | Target],
-    parameters: Space = None,
-    **options: Unpack[CalibrationOptions],
+    experiments: Iterable[Experiment | Target], parameters: Space = None, **options: Any
 ) -> Calibrations:
     """Calibrate every experiment by itself.
 
@@ -217,13 +189,13 @@ def calibrate_each(
     >>> [round(fit["mu_pusher"], 2) for fit in fits]
     [0.25, 0.25]
     """
-    return _calibrated("each", experiments, parameters, **options)
+    from fixel.workflows.calibration.execution import calibrate_in
+
+    return calibrate_in("each", **_with_defaults(experiments, parameters, options))
 
 
 def calibrate_campaign(
-    experiments: Iterable[Experiment | Target],
-    parameters: Space = None,
-    **options: Unpack[CalibrationOptions],
+    experiments: Iterable[Experiment | Target], parameters: Space = None, **options: Any
 ) -> Calibrations:
     """Calibrate every experiment by itself, then all together, with the steps of the RPI thesis.
 
@@ -248,83 +220,114 @@ def calibrate_campaign(
     >>> round(fits.joint["mu_pusher"], 2)
     0.25
     """
-    return _calibrated("campaign", experiments, parameters, **options)
+    from fixel.workflows.calibration.execution import calibrate_in
+
+    return calibrate_in("campaign", **_with_defaults(experiments, parameters, options))
 
 
-def calibrate_stored(
-    experiments: Iterable[Experiment | Target],
-    parameters: Space = None,
-    **options: Unpack[CalibrationOptions],
-) -> Calibrations:
-    """Select the stored calibration of a project whose largest error is smallest; no search.
+def _with_defaults(
+    experiments: Iterable[Experiment | Target], parameters: Space, options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return all arguments of `calibrate`; raise `TypeError` for unknown ones."""
+    found = signature(calibrate).bind(experiments, parameters, **options)
+    found.apply_defaults()
+    return found.arguments
+
+
+def calibrate_in_project(
+    project: Project,
+    experiments: Annotated[tuple[str, ...], Door(metavar="EXPERIMENT")] = (),
+    *,
+    mode: Annotated[Mode | None, Door(usual="each for one experiment, else joint")] = None,
+    fit: Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH[:START]]")] = (),
+    fixed: Annotated[tuple[str, ...], Door(flag="--set", metavar="NAME=VALUE")] = (),
+    space: Path | None = None,
+    dakota: Path | None = None,
+    angle_scale: Annotated[float, Door(unit="mm", above=0.0)] = 0.035,
+    option: Annotated[tuple[str, ...], Door(metavar="NAME=VALUE")] = (),
+    sample: Annotated[int | None, Door(least=1)] = None,
+    dataset: str | None = None,
+    where: Where = (),
+    faulty: Annotated[bool, Door(flag="--all")] = False,
+    prepare: Annotated[bool, Door(flag="--prepare", effort=True)] = False,
+    progress: ProgressOption = None,
+    **options: Any,
+) -> Calibrations | Path:
+    """Estimate parameters from experiments, with verdicts.
+
+    Finished evaluations are stored: repeat the command after an interruption to continue.
 
     Parameters
     ----------
-    experiments, parameters
-        As for `calibrate`.
+    project : Project
+    experiments : tuple of str
+        Ids or names of experiments; by default all that match the options.
+    mode : str, optional
+        Kind of calibration. each: one set per experiment; joint: one set for all; campaign: each,
+        then joint, with the intermediate steps of the thesis; stored: the best of the stored sets.
+    fit : tuple of str
+        Parameter to calibrate, in SI units or with the suffix _mm, _deg or _mrad; may be repeated.
+    fixed : tuple of str
+        Parameter with a fixed value; may be repeated.
+    space : path, optional
+        File with the parameters, instead of parameters to calibrate.
+    dakota : path, optional
+        Input file of Dakota's pattern search, for search and parameters.
+    angle_scale : float
+        Weight of angles in the error, per radian.
+    option : tuple of str
+        Option of the optimiser; may be repeated.
+    sample : int, optional
+        Number of experiments in a random sample, spread over their conditions.
+    dataset : str, optional
+        Dataset whose experiments are selected.
+    where : tuple of str
+        Filter that experiments match, such as "surface=abs error>5 real"; may be repeated.
+    faulty : bool
+        Whether to include experiments whose data have faults.
+    prepare : bool
+        Whether only to prepare the job, for fixel jobs submit.
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
     **options
-        Options of `calibrate`; `store` is the project.
+        Options of `calibrate`.
+
+    Returns
+    -------
+    Calibrations or Path
+        The stored calibrations, or the folder of a job that was only prepared.
+
+    Raises
+    ------
+    NotStored
+        There is no such experiment.
+    InvalidInput
+        No experiment matches, or the options do not fit together.
     """
-    from fixel.workflows.calibration.project import stored_points
+    asked = {k: own for k, own in locals().items() if k not in ("project", "progress", "options")}
+    from fixel.workflows.calibration.execution import run_in_project
 
-    project: Any = options.get("store")
-    points = stored_points(project, search_space(parameters, targets_of(experiments)))
-    options["verdicts"] = False
-    return _calibrated("stored", experiments, parameters, stored=points, **options)
+    return run_in_project(project, asked | options, progress)
 
 
-def _calibrated(
-    mode: Mode,
-    experiments: Iterable[Experiment | Target],
-    parameters: Space,
-    *,
-    threads: int | None = None,
-    workers: int = 0,
-    site: PathLike[str] | str | Site | None = None,
-    store: PathLike[str] | str | Project | None = None,
-    progress: ProgressOption = None,
-    **options: Any,
-) -> Calibrations:
-    """Calibrate in one of the modes of a request."""
-    if workers and workers < 0:
-        raise InvalidInput("workers", found=workers, expected="0 or more")
-    plan = CalibrationPlan.of(mode, experiments, parameters, **options)
-    plan = plan.rehearse(threads)
-    if store is not None or workers or site is not None:
-        return _in_store(plan, store, threads, workers, site, progress)
-    comparer = comparer_of(plan.request, plan.targets, threads)
-    state = SearchState(plan.request)
-    work = calibration_rounds(plan.request, comparer, state)
-    engine = DirectEngine(plan.request, comparer)
-    with show_progress(progress, "searching") as report:
-        try:
-            result = run_work(work, engine, Path(), None, progress=reporting(report))
-        except KeyboardInterrupt:
-            hint = "with store='FOLDER' the same call would continue"
-            found = best_so_far(plan, comparer, state, engine.alone)
-            best = found[-1] if found and mode == "joint" else found
-            raise Interrupted(best, hint) from None
-    return plan.result(outcome_of(result))
+def _prepare(project: Project, **asked: Any) -> Path:
+    from fixel.workflows.calibration.execution import prepare_in_project
+
+    return prepare_in_project(project, asked)
 
 
-def _in_store(
-    plan: CalibrationPlan,
-    store: PathLike[str] | str | Project | None,
-    threads: int | None,
-    workers: int,
-    site: PathLike[str] | str | Site | None,
-    progress: ProgressOption,
-) -> Calibrations:
-    """Calibrate in a folder with a journal; in a project, store the result."""
-    from fixel.workflows.calibration.stored_run import job_folder, run_stored
+def _presentation() -> ModuleType:
+    from fixel.workflows.calibration import report
 
-    given = None if store is None else Path(getattr(store, "folder", store))  # type: ignore[arg-type]
-    in_project = given is not None and (given / PROJECT_FILE).is_file()
-    folder = job_folder(given, plan) if given is not None and in_project else given
-    run = run_stored(plan, folder, threads, workers, site, progress)
-    if given is None or not in_project:
-        return run
-    from fixel.database.project import Project
-    from fixel.workflows.calibration.project import add_to_project
+    return report
 
-    return add_to_project(Project(given), run)
+
+CALIBRATE: Final = Capability(
+    name="calibrate",
+    function=calibrate_in_project,
+    of=calibrate,
+    leave_out=("experiments", "parameters", "start", "store"),
+    presentation=_presentation,
+    prepare=_prepare,
+    after="calibration-result:store_result",
+)

@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -29,11 +29,9 @@ from fixel.typing import Notify, ProgressCallback
 from fixel.workflows.acquisition.film import ARRAYS, FilmSettings, film
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
 from fixel.workflows.analysis import Analysis, store_analysis
-from fixel.workflows.calibration.request import (
-    LEAST_SQUARES,
-)
+from fixel.workflows.capabilities import call
 from fixel.workflows.demo.emulated_bench import record_film
-from fixel.workflows.demo.laboratory_demo import calibrate_jointly, true_mean
+from fixel.workflows.demo.laboratory_demo import true_mean
 from fixel.workflows.figures import Picture
 from fixel.workflows.report.write import Report
 
@@ -149,14 +147,9 @@ def run_camera_tour(
             store.add_experiment(twin)
         runs.append(run)
     notify("calibrating friction and support to the tracked poses, and to the true ones")
-    command = f"fixel calibrate --dataset %s --optimiser {LEAST_SQUARES} --project lab"
+    own: dict[str, Any] = {"optimiser": "least-squares", "faulty": True, "progress": False}
     numbers = [
-        calibrate_jointly(
-            project,
-            command % dataset,
-            ExperimentQuery(dataset=dataset, include_faulty=True),
-            dataset,
-        )
+        call(project, "calibrate", dataset=dataset, name=dataset, **own).ids[-1]
         for dataset in (TRUE, TRACKED)
     ]
     with project.store() as store:

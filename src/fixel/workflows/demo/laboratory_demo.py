@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
@@ -21,9 +21,6 @@ from fixel.table import Table
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import Notify
 from fixel.units import displayed
-from fixel.workflows.calibration.project import select_experiments
-from fixel.workflows.calibration.request import LEAST_SQUARES
-from fixel.workflows.calibration.run import calibrate
 from fixel.workflows.capabilities import call
 from fixel.workflows.domain.request import DomainRequest
 from fixel.workflows.domain.run import map_stored
@@ -75,8 +72,7 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     with project.store() as store:
         _perform(store)
     notify("calibrating friction and support, with verdicts")
-    command = f"fixel calibrate --optimiser {LEAST_SQUARES} {at}"
-    number = calibrate_jointly(project, command, ExperimentQuery())
+    number = call(project, "calibrate", optimiser="least-squares", progress=False).ids[-1]
     notify("mapping the domain of applicability")
     map_stored(project, DomainRequest(calibration=number), command=f"fixel domain {at}")
     notify("computing the sensitivity to the start pose")
@@ -107,16 +103,6 @@ def _perform(store: Store) -> None:
         planned = thesis_plan().experiments[:EXPERIMENTS]
         for experiment in SimulatedTestbed(seed=SEED).run(planned):
             store.add_experiment(experiment)
-
-
-def calibrate_jointly(
-    project: Project, command: str, query: ExperimentQuery, name: str = "calibration"
-) -> int:
-    """Calibrate the usual parameters to the experiments of a query; return the calibration's id."""
-    with project.store() as store:
-        chosen = replace(select_experiments(store, (), query), command=command)
-    fit = calibrate(chosen, optimiser=LEAST_SQUARES, store=project, name=name, progress=False)
-    return fit.run.ids[-1]
 
 
 def _beside_truth(project: Project, number: int) -> Table:
