@@ -75,16 +75,16 @@ def specimen(
 # A capability without a project whose options have every form.
 SPECIMEN = Capability(group="try", name="specimen", function=specimen, presentation=lambda: None)
 REGISTERED = pytest.mark.parametrize("capability", CAPABILITIES.values(), ids=[*CAPABILITIES])
-# Those whose report is stored as an analysis; others store records, which make the report again.
-STORED = {name: own for name, own in CAPABILITIES.items() if own.prepare is None}
-WITH_ANALYSIS = pytest.mark.parametrize("capability", STORED.values(), ids=[*STORED])
 EVERY = pytest.mark.parametrize(
     "capability", [SPECIMEN, *CAPABILITIES.values()], ids=["specimen", *CAPABILITIES]
 )
 HEAVY = {"numpy", "numba", "scipy", "matplotlib", "sqlalchemy", "pyarrow", "rich"}
 NAMES = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
 FINITE = st.floats(-1e6, 1e6, allow_subnormal=False)
-STORING = pytest.mark.parametrize("name", [k for k, own in CAPABILITIES.items() if own.on_project])
+# Capabilities with jobs of their own store records, which make their report again.
+STORING = pytest.mark.parametrize(
+    "name", [k for k, own in CAPABILITIES.items() if own.on_project and own.prepare is None]
+)
 # A short run of each.
 GOAL = {"pose": {"pose_mm_deg": [0, 0, 0], "position_mm": 200}}
 SHORT = {
@@ -281,14 +281,9 @@ def project(tmp_path_factory):
     return project_of(tmp_path_factory.mktemp("projects") / "lab", [*pushes, *parts])
 
 
-<<<<<<< HEAD
 @STORING
 def test_a_stored_result_prints_the_same_text_in_a_new_process(name, project):
     capability = CAPABILITIES[name]
-=======
-@WITH_ANALYSIS
-def test_a_stored_result_prints_the_same_text_in_a_new_process(capability, project):
->>>>>>> ef39e658 (Make calibrate a capability, with its options in one signature)
     request = capability.request(SHORT[capability.name])
     done = run(capability, request, project.folder, progress=False)
     (kept,) = load_analyses(project, capability.name)
@@ -309,14 +304,9 @@ def test_a_stored_result_prints_the_same_text_in_a_new_process(capability, proje
     assert printed.splitlines() == done.analysis.lines()
 
 
-<<<<<<< HEAD
 @STORING
 def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, project):
     capability = CAPABILITIES[name]
-=======
-@WITH_ANALYSIS
-def test_a_job_stores_the_same_analysis_and_shows_its_progress(capability, project):
->>>>>>> ef39e658 (Make calibrate a capability, with its options in one signature)
     request = capability.request(SHORT[capability.name])
     here = run(capability, request, project.folder, progress=False).analysis
     shown = []
