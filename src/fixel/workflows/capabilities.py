@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
 
 CAPABILITIES: Final[Mapping[str, Capability]] = {
-    one.name: one
-    for one in (CALIBRATE, FILTER, NEXT, PLAN, SAMPLE, SENSITIVITY, UNCERTAINTY)
+    one.name: one for one in (CALIBRATE, FILTER, NEXT, PLAN, SAMPLE, SENSITIVITY, UNCERTAINTY)
 }
 MAKER: Final = "capability:run_request"
 
