@@ -10,7 +10,7 @@ import datetime
 import hashlib
 import json
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
@@ -216,7 +216,7 @@ class StoredAnswer(NamedTuple):
 def store_analysis(
     project: Project,
     analysis: Analysis,
-    pictures: Sequence[Picture] = (),
+    pictures: Iterable[Picture] = (),
     arrays: Mapping[str, Any] | None = None,
 ) -> StoredAnalysis:
     """Write an analysis into its project; its main file comes last, so it is complete or absent.
@@ -226,12 +226,13 @@ def store_analysis(
     project : Project
     analysis : Analysis
         `pictures`, `version` and `created` are filled in here.
-    pictures : sequence of Picture
+    pictures : iterable of Picture
         Charts with captions.
     arrays : mapping of name to array, optional
     """
     folder = project.folder / ANALYSES / _name_of(analysis)
     make_folder(folder)
+    pictures = tuple(pictures)
     (folder / CONTENT).unlink(missing_ok=True)
     for picture in pictures:
         write_picture(folder, picture)

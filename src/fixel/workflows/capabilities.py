@@ -124,7 +124,7 @@ def _reported(
     )
     kept = None
     if project is not None and capability.prepare is None and getattr(request, "save", True):
-        kept = store_analysis(project, analysis, tuple(report.pictures), report.arrays)
+        kept = store_analysis(project, analysis, report.pictures, report.arrays)
         analysis = kept.analysis
         if hasattr(present, "add_files"):
             present.add_files(result, kept.folder)
