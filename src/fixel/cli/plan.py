@@ -103,12 +103,12 @@ def held(
 ) -> None:
     """Compare stated with held success on left-out experiments."""
     from fixel.units import deg, mm
-    from fixel.workflows.planning.held_out import held_success_of
+    from fixel.workflows.planning.check import stored_held_success
 
     project = _project(folder)
     if project is None:
         raise InvalidInput("--project", found=str(folder), expected="a project with a calibration")
-    found = held_success_of(
+    found = stored_held_success(
         project, calibration, position=position_mm * mm, angle=angle_deg * deg, seed=seed
     )
     print_answer(as_json, found.to_dict, lambda: str(found))

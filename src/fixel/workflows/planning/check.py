@@ -6,15 +6,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
+from fixel.model import Experiment
 from fixel.model.goals import BodyTrack
 from fixel.model.scene import Scene
 from fixel.planning.belief import Belief
+from fixel.planning.held_out import HeldSuccess, held_success
 from fixel.planning.plan import PushPlan, simulator_of
 from fixel.planning.pushes import FreePushes
 from fixel.planning.seen import belief_after
@@ -23,7 +25,10 @@ from fixel.planning.trials import Trials
 from fixel.progress import ProgressOption
 from fixel.typing import FloatArray
 from fixel.uncertainty.starts import RPI_CAMERA, StartError
-from fixel.workflows.planning.request import FoundPlan, inputs_of, warnings_of
+from fixel.workflows.calibration.calibration import Calibration
+from fixel.workflows.calibration.run import calibrate
+from fixel.workflows.calibration.stored import newest_calibration
+from fixel.workflows.planning.request import FoundPlan, inputs_of, warnings_of, with_experiments
 from fixel.workflows.planning.run import plan
 from fixel.workflows.planning.stored import load_plan, load_trials
 
@@ -124,6 +129,40 @@ def success_under(plan: PushPlan, belief: Belief) -> SuccessProbability:
     runs = simulator.run(plan.planned(), np.zeros(scenarios.n, np.int64), scenarios)
     margins = simulator.margins(runs)
     return SuccessProbability.of(margins.reshape(WORLDS, WORLDS))
+
+
+def held_out_success(
+    calibration: Calibration, experiments: Sequence[Experiment], **options: Any
+) -> HeldSuccess:
+    """Compare stated with held success for the parameters and the motion of a calibration.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    experiments : sequence of Experiment
+    **options
+        Options of `held_success`.
+    """
+    space = {
+        own.label: own.nominal if own.frozen else (own.low, own.high)
+        for own in calibration.space.unknowns
+    }
+
+    def fit(train: Sequence[Experiment], seed: int) -> Calibration:
+        return calibrate(train, space, motion=calibration.motion, seed=seed, progress=False)
+
+    return held_success(fit, experiments, **options)
+
+
+def stored_held_success(project: Project, number: int | None = None, **options: Any) -> HeldSuccess:
+    """Compare stated with held success for a stored calibration; by default the newest."""
+    with project.store() as store:
+        number = newest_calibration(store) if number is None else number
+        if number is None:
+            hint = "fixel calibrate makes one"
+            raise InvalidInput("project", found="no calibration", expected="one", hint=hint)
+    calibration, experiments = with_experiments(project, number)
+    return held_out_success(calibration, experiments, **options)
 
 
 def seen_pose(text: str, where: str = "--seen") -> FloatArray:

@@ -151,12 +151,10 @@ def inputs_of(
             number = newest_calibration(store)
     if number is not None and project is None:
         raise InvalidInput("project", found="none", expected="the project of the calibration")
-    belief, warnings, experiments = file.belief, [], []
+    belief, warnings = file.belief, list[str]()
+    experiments: list[Experiment] = []
     if number is not None and project is not None:
-        calibrated = stored_calibration(project, number)
-        with project.store() as store:
-            members = store.calibration(number).members
-            experiments = [store.experiment(own.experiment_id) for own in members]
+        calibrated, experiments = with_experiments(project, number)
         belief = replace(belief, parameters=calibrated)
         if file.run_to_run:
             scatter, note = _run_to_run(calibrated, experiments)
@@ -172,6 +170,14 @@ def inputs_of(
         goal=dict(file.raw), folder=str(folder), scene=str(scene or ""), experiment=experiment
     )
     return PlanInputs(file, request, own, belief, number, tuple(warnings))
+
+
+def with_experiments(project: Project, number: int) -> tuple[Calibration, list[Experiment]]:
+    """Return a stored calibration and its experiments."""
+    with project.store() as store:
+        members = store.calibration(number).members
+        experiments = [store.experiment(own.experiment_id) for own in members]
+    return stored_calibration(project, number), experiments
 
 
 def found_plan(own: PlanInputs, found: PushPlan, untrusted: bool) -> FoundPlan:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Iterator, MutableMapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -113,29 +112,15 @@ def add_trials(path: Path, file: PlanFile, *trials: PlanTrial) -> Trials:
 
 
 @final
-class StoredAnswers(MutableMapping[str, FloatArray]):
-    """Arrays by name in a journal, each durable once it is set."""
+class StoredAnswers(dict[str, FloatArray]):
+    """Arrays by name, each durable in a journal once it is set."""
 
     def __init__(self, journal: Journal) -> None:
+        super().__init__((name, array_of(journal.get(name) or b"")) for name in journal)
         self._journal = journal
-
-    def __getitem__(self, name: str) -> FloatArray:
-        data = self._journal.get(name)
-        if data is None:
-            raise KeyError(name)
-        answer: FloatArray = array_of(data)
-        return answer
 
     def __setitem__(self, name: str, array: FloatArray) -> None:
         stream = io.BytesIO()
         np.save(stream, array, allow_pickle=False)
         self._journal.append([(name, stream.getvalue())])
-
-    def __delitem__(self, name: str) -> None:
-        raise TypeError("answers are not deleted")
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._journal)
-
-    def __len__(self) -> int:
-        return len(self._journal)
+        super().__setitem__(name, array)

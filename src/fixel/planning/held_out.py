@@ -8,15 +8,14 @@ that they depend on no recorded end.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 
 from fixel.calibration.target import Target, target_of
-from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Probability, wrapped
 from fixel.model.fields import positive
@@ -26,13 +25,10 @@ from fixel.results import Result, Summary
 from fixel.simulation.vary import composed, inverted
 from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray
+from fixel.uncertainty.push import CalibratedModel
 from fixel.uncertainty.run_to_run import learn_run_to_run, rest_at
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.units import deg, mm
-from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.calibration.project import stored_calibration
-from fixel.workflows.calibration.run import calibrate
-from fixel.workflows.calibration.stored import newest_calibration
 
 FOLDS: Final = 5
 LEAST: Final = 20  # experiments from which the comparison is made
@@ -40,6 +36,8 @@ GOALS: Final = 200  # of each fold
 WORLDS, RUNS = 32, 8
 # One half of the draws chooses and the other states, so that choosing does not raise the statement.
 BINS: Final = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.0)
+
+Fit = Callable[[Sequence[Experiment], int], CalibratedModel]
 
 
 @final
@@ -101,7 +99,7 @@ class HeldSuccess(Result):
 
 
 def held_success(
-    calibration: Calibration,
+    fit: Fit,
     experiments: Sequence[Experiment],
     *,
     position: float = 3 * mm,
@@ -113,13 +111,14 @@ def held_success(
 
     Parameters
     ----------
-    calibration : Calibration
-        Calibration whose parameters and motion model are used; each fold has its own fit.
+    fit : callable
+        Function `(experiments, seed) -> calibrated model` that calibrates each fold.
     experiments : sequence of Experiment
         Pushes, at least 20.
     position, angle : float
         Tolerances of the goals [m], [rad].
     seed : int
+        Seed of the random numbers.
     progress : bool or callable, optional
 
     Raises
@@ -143,35 +142,16 @@ def held_success(
             train = [own for own, at in zip(experiments, fold, strict=True) if at != k]
             rows = np.flatnonzero(fold == k)
             left = [experiments[int(row)] for row in rows]
-            stated, held, chosen = _choices(calibration, train, left, (position, angle), rng, seed)
+            stated, held, chosen = _choices(
+                fit(train, seed), train, left, (position, angle), rng, seed
+            )
             parts.append((stated, held, rows[chosen]))
     stated, held, chosen = (np.concatenate(own) for own in zip(*parts, strict=True))
     return HeldSuccess(stated=stated, held=held, push=chosen, position=position, angle=angle)
 
 
-def held_success_of(project: Project, number: int | None = None, **options: Any) -> HeldSuccess:
-    """Compare stated with held success for a stored calibration; by default the newest.
-
-    Parameters
-    ----------
-    project : Project
-    number : int, optional
-        Id of the calibration.
-    **options
-        Options of `held_success`.
-    """
-    with project.store() as store:
-        number = newest_calibration(store) if number is None else number
-        if number is None:
-            hint = "fixel calibrate makes one"
-            raise InvalidInput("project", found="no calibration", expected="one", hint=hint)
-        members = store.calibration(number).members
-        experiments = [store.experiment(own.experiment_id) for own in members]
-    return held_success(stored_calibration(project, number), experiments, **options)
-
-
 def _choices(
-    calibration: Calibration,
+    fit: CalibratedModel,
     train: Sequence[Experiment],
     left: Sequence[Experiment],
     tolerance: tuple[float, float],
@@ -179,11 +159,8 @@ def _choices(
     seed: int,
 ) -> tuple[FloatArray, BoolArray, np.ndarray]:
     """Return stated and held success (GOALS,) of the chosen pushes, and which these are."""
-    space = {
-        u.label: u.nominal if u.frozen else (u.low, u.high) for u in calibration.space.unknowns
-    }
-    fit = calibrate(train, space, motion=calibration.motion, seed=seed, progress=False)
-    scatter = learn_run_to_run(train, fit, fitted=min(len(fit), 3 * len(train) - 1), seed=seed)
+    n_fitted = min(len(fit.estimates), 3 * len(train) - 1)
+    scatter = learn_run_to_run(train, fit, fitted=n_fitted, seed=seed)
     belief = Belief(parameters=fit, run_to_run=scatter)
     targets = [target_of(own) for own in left]
     draws = np.array([_ends(belief, own, seed) for own in targets])
@@ -212,7 +189,7 @@ def _ends(belief: Belief, target: Target, seed: int) -> FloatArray:
     return np.where(found.ended[:, None], _motion(target, ends), np.nan)
 
 
-def _nominal(fit: Calibration, target: Target) -> FloatArray:
+def _nominal(fit: CalibratedModel, target: Target) -> FloatArray:
     found = simulate_starts(
         target.case.scene, None, 1, values=Belief(parameters=fit).nominal(target.case.scene),
         times=target.case.times[-1:], motion=fit.motion,

@@ -5,9 +5,10 @@ import pytest
 
 import fixel
 from fixel import InvalidInput
+from fixel.planning.held_out import HeldSuccess
 from fixel.testing.pushes import example_pushes
 from fixel.units import deg, mm
-from fixel.workflows.planning.held_out import HeldSuccess, held_success
+from fixel.workflows.planning.check import held_out_success
 
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
 
@@ -16,7 +17,7 @@ def test_pushes_of_a_right_model_hold_what_is_stated():
     """Recorded by the model itself, so that what is left out ends where it is predicted."""
     pushes = example_pushes(20, duration=0.6)
     fit = fixel.calibrate(pushes, SPACE, verdicts=False, progress=False)
-    found = held_success(fit, pushes, position=5 * mm, angle=5 * deg, progress=False)
+    found = held_out_success(fit, pushes, position=5 * mm, angle=5 * deg, progress=False)
     assert len(found.stated) == len(found.held) == 1000
     assert found.held[found.stated > 0.9].mean() > 0.9
     assert "choices among" in repr(found)
@@ -36,4 +37,4 @@ def test_too_few_pushes_are_refused():
     pushes = example_pushes(3, duration=0.3)
     fit = fixel.calibrate(pushes, SPACE, verdicts=False, progress=False)
     with pytest.raises(InvalidInput, match="found 3 pushes, expected 20 or more"):
-        held_success(fit, pushes, progress=False)
+        held_out_success(fit, pushes, progress=False)
