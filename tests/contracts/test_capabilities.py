@@ -276,9 +276,14 @@ def test_help_loads_no_numerics(capability):
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
+    return project_of_all(tmp_path_factory.mktemp("projects") / "lab")
+
+
+def project_of_all(folder):
+    """Project for a short run of every capability."""
     pushes = [replace(push(seed=k, duration=2.0), name=f"push-{k}") for k in (1, 2)]
     parts = example_parts(4, 8)[:-4]
-    return project_of(tmp_path_factory.mktemp("projects") / "lab", [*pushes, *parts])
+    return project_of(folder, [*pushes, *parts])
 
 
 @STORING

@@ -1,4 +1,4 @@
-"""The page of next pushes, in a real browser."""
+"""The form of next pushes and its result, in a real browser."""
 
 import pytest
 from tests.fixtures import project_of
@@ -18,29 +18,16 @@ def project(tmp_path_factory):
 def test_pushes_are_proposed_and_shown_with_what_is_unseen_first(browser_page, server):
     page = browser_page
     page.click("nav >> text=Next pushes")
-    assert "no proposal yet" in page.inner_text("#content")
-    page.wait_for_load_state()  # before its scripts have run, the button does nothing
-    page.select_option("#part", "part-2")
+    assert page.locator("#offered-part option").count() == 4
+    page.fill("#part", "part-2")
     page.fill("#number", "4")
-    page.click("#start")
-    page.wait_for_selector("svg.pushes", timeout=90_000)
-    page.wait_for_load_state()  # before its styles have arrived, the table is wider than a phone
-    assert page.locator("svg.pushes .head").count() == 4
-    assert "only 14 pushes of it" in page.inner_text("#unseen li >> nth=0")
-    rows = page.locator("table.listing tbody tr")
+    page.click("text=Start")
+    page.click("#result", timeout=120_000)
+    page.wait_for_selector(".problems")
+    assert "only 14 pushes of it" in page.inner_text(".problems li >> nth=0")
+    rows = page.locator("table tbody tr")
     assert rows.count() == 4
     assert " / " in rows.nth(0).inner_text()  # both bounds
     for width in (1280, 390):
         page.set_viewport_size({"width": width, "height": 800})
         assert page.evaluate("document.documentElement.scrollWidth") <= width
-
-
-def test_the_same_question_again_shows_the_stored_proposal(browser_page, server):
-    page = browser_page
-    page.goto(server.home + "next")
-    page.select_option("#part", "part-2")
-    page.fill("#number", "4")
-    with page.expect_navigation(timeout=60_000):
-        page.click("#start")
-    assert page.locator("svg.pushes .head").count() == 4
-    assert page.locator("#which").count() == 0  # one proposal

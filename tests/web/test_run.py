@@ -2,13 +2,10 @@
 
 import json
 import re
-from dataclasses import replace
 from html import unescape
 
 import pytest
-from tests.contracts.test_capabilities import SHORT
-from tests.filtering.recordings import push
-from tests.fixtures import project_of
+from tests.contracts.test_capabilities import SHORT, project_of_all
 from tests.web.bench import Bench
 
 from fixel.jobs.folder import read_job
@@ -23,8 +20,7 @@ EVIL = "<script>window.hacked = 1</script>"
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    pushes = (replace(push(seed=k, duration=2.0), name=f"push-{k}") for k in (1, 2))
-    made = Bench(project_of(tmp_path_factory.mktemp("projects") / "lab", pushes).folder)
+    made = Bench(project_of_all(tmp_path_factory.mktemp("projects") / "lab").folder)
     yield made
     made.close()
 

@@ -46,6 +46,8 @@ class Door:
         Returns all allowed texts, for choices that are registered elsewhere.
     effort : bool
         Whether the option changes the effort, but no result.
+    content : bool
+        Whether the option is the name of a file or its content in JSON, which a page states.
     commas : bool
         Whether one text lists several values with commas between them.
     writes : bool
@@ -66,6 +68,7 @@ class Door:
     below: float | None = None
     among: Callable[[], Sequence[str]] | None = None
     effort: bool = False
+    content: bool = False
     commas: bool = False
     writes: bool = False
     program: bool = False

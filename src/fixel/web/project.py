@@ -20,7 +20,6 @@ from fixel.web.api import (
     domain,
     experiments,
     jobs,
-    next_pushes,
     planning,
     scenes,
     system,
@@ -34,7 +33,7 @@ from fixel.web.views.live_comparison import warm_up
 ROUTERS: Final = tuple(
     resource.router
     for resource in (
-        analyses, calibration, changes, compare, domain, experiments, jobs, next_pushes,
+        analyses, calibration, changes, compare, domain, experiments, jobs,
         planning, scenes, system,
     )
 )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ from urllib.parse import quote
 
 from fastapi import Request
 
+from fixel.calibration.known_pushes import PARTS, SURFACES
 from fixel.capability.capability import Capability, named
 from fixel.capability.options import Option
 from fixel.errors import FixelError, InvalidInput, NotStored
@@ -20,6 +22,7 @@ from fixel.simulation.trust import check_named
 from fixel.web.context import ProjectContext
 from fixel.web.problems import problem_of
 from fixel.web.views import job_list
+from fixel.web.views.plan_view import trials_of
 from fixel.workflows import capabilities, jobs
 from fixel.workflows.analysis import StoredAnalysis, load_with_errors
 from fixel.workflows.jobs import JobStatus
@@ -44,21 +47,33 @@ class Field:
         Texts that are filled in.
     error : str
         Why they were refused.
+    offered : list of str
+        Texts that a list offers.
     """
 
     option: Option
     texts: list[str] = field(default_factory=list)
     error: str = ""
+    offered: list[str] = field(default_factory=list)
 
     @property
     def form(self) -> str:
         """Form of the input: `choice`, `lines` or `text`."""
-        if self.option.many:
+        if self.option.many or self.option.door.content:
             return "lines"
         return "choice" if self.option.choices else "text"
 
 
 # --- forms ----------------------------------------------------------------------------------------
+
+
+def plan_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/plan?experiment=KEY`: the form of a plan, with a stage for its goal."""
+    capability = FORMS["plan"]
+    texts = {name: o.texts(o.default) for name, o in capability.shown.items()}
+    if key := request.query_params.get("experiment", ""):
+        texts["experiment"] = [key]
+    return _form(context, capability, texts)
 
 
 def form_page(context: ProjectContext, request: Request) -> dict[str, Any]:
@@ -76,9 +91,9 @@ def start(
     context: ProjectContext, request: Request, fields: dict[str, list[str]]
 ) -> str | dict[str, Any]:
     """Start the job of a posted form; return the path of its page, or the form with errors."""
-    capability = _capability(request)
-    texts = {name: texts_of(capability, name, own) for name, own in fields.items()}
+    capability, texts = _capability(request), fields
     try:
+        texts = {name: texts_of(capability, name, own) for name, own in fields.items()}
         asked = capability.from_texts(texts)
         for name in capability.programs(asked):
             check_named(name)
@@ -101,7 +116,10 @@ def texts_of(capability: Capability, name: str, texts: list[str]) -> list[str]:
     if option is None or not option.on_page:
         raise InvalidInput("form", found=f"a field {name}", expected="the fields of the page")
     lines = [line for text in texts for line in (text.splitlines() if option.many else [text])]
-    return [line.strip() for line in lines if line.strip()]
+    found = [line.strip() for line in lines if line.strip()]
+    if option.door.content and not all(text.startswith("{") for text in found):
+        raise InvalidInput(name, found="no object", expected="the content of a file in JSON")
+    return found
 
 
 def _form(
@@ -110,7 +128,12 @@ def _form(
     texts: Mapping[str, list[str]],
     error: FixelError | None = None,
 ) -> dict[str, Any]:
-    shown = [Field(o, texts.get(name, [])) for name, o in capability.shown.items() if o.on_page]
+    offered = _offered(context)
+    shown = [
+        Field(o, texts.get(name, []), offered=offered.get(name, []))
+        for name, o in capability.shown.items()
+        if o.on_page
+    ]
     status, trouble = 200, ""
     if error is not None:
         status = problem_of(error).status
@@ -131,12 +154,25 @@ def _form(
         "trouble": trouble,
         "opened": any(own.error for own in shown if not own.option.place),
         "status": status,
-        "keys": [row.key for row in context.store.experiments(ExperimentQuery(limit=OFFERED)).rows],
     }
 
 
+def _offered(context: ProjectContext) -> dict[str, list[str]]:
+    """Return what the project has for options by their names."""
+    known = context.store.conditions()
+
+    def values(names: tuple[str, ...]) -> list[str]:
+        counts = {name: sum(known[name].texts.values()) for name in names if name in known}
+        most = max(counts, key=lambda name: counts[name], default="")
+        return sorted(known[most].texts) if most else []
+
+    rows = context.store.experiments(ExperimentQuery(limit=OFFERED)).rows
+    keys = [row.key for row in rows]
+    return {"experiment": keys, "part": values(PARTS), "surface": values(SURFACES)}
+
+
 def _capability(request: Request) -> Capability:
-    name = request.path_params["name"]
+    name = request.url.path.rpartition("/")[2]
     if name not in FORMS:
         raise NotStored(f"form {name!r}", hint="the page Results lists all")
     return FORMS[name]
@@ -164,6 +200,8 @@ def result_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "name": kept.folder.name,
         "analysis": analysis,
         "again": analysis.kind if analysis.kind in FORMS and analysis.request else "",
+        "place": shlex.quote(str(kept.folder)),
+        "trials": trials_of(kept.folder) if analysis.kind == "plan" else [],
     }
 
 

@@ -20,10 +20,9 @@ from fixel.web.app import API, Page
 from fixel.web.context import ProjectContext
 from fixel.web.pages import calibration, experiment, run
 from fixel.web.pages.listing import experiments_page
-from fixel.web.views import next_view, plan_view, scene_editor
+from fixel.web.views import scene_editor
 from fixel.web.views.system_status import system_status
 from fixel.workflows.analysis import load_with_errors
-from fixel.workflows.planning.run import PLAN
 
 OFFERED: Final = 300  # names in the list of experiments
 FIRST: Final = "grasp"  # example that is shown first
@@ -38,8 +37,7 @@ def project_pages(context: ProjectContext) -> list[Page]:
         ("/compare", "Compare", "compare.html", 20, compare_page),
         ("/calibrations", "Calibrations", "calibrations.html", 30, None),
         ("/domain", "Domain", "domain.html", 40, domain_page),
-        ("/next", "Next pushes", "next.html", 45, next_page),
-        ("/plan", "Plan", "plan.html", 47, plan_page),
+        ("/plan", "Plan", "plan.html", 47, run.plan_page),
         ("/simulate", "Simulate", "simulate.html", 50, simulate_page),
         ("/results", "Results", "results.html", 55, run.results_page),
         ("/jobs", "Jobs", "jobs.html", 60, run.jobs_page),
@@ -71,6 +69,8 @@ def project_pages(context: ProjectContext) -> list[Page]:
                  fill=partial(fill, context))
             for path, title, template, fill in others
         ),
+        Page(path="/run/next", title="Next pushes", template="run.html", place=45,
+             fill=partial(run.form_page, context), post=partial(run.start, context)),
         *(
             Page(path=path, title=title, template=template, listed=False,
                  fill=partial(fill, context), post=partial(take, context))
@@ -113,46 +113,6 @@ def domain_page(context: ProjectContext, request: Request) -> dict[str, Any]:
             if one.analysis.kind not in ("domain", "next", "plan")
         ],
         "unreadable": [str(problem) for problem in unreadable],
-    }
-
-
-def next_page(context: ProjectContext, request: Request) -> dict[str, Any]:
-    """Fill `/next?proposal=NAME`; by default with the newest proposal."""
-    every, unreadable = load_with_errors(context.project, "next")
-    wanted = request.query_params.get("proposal", "")
-    chosen = next((one for one in every if one.folder.name == wanted), every[0] if every else None)
-    numbers = {} if chosen is None else chosen.analysis.numbers
-    parts, surfaces = next_view.choices(context.store)
-    return {
-        "name": "" if chosen is None else chosen.folder.name,
-        "chosen": None if chosen is None else chosen.analysis,
-        "numbers": numbers,
-        "picture": next_view.push_picture(numbers) if numbers else None,
-        "proposals": [(one.folder.name, one.analysis) for one in every],
-        "unreadable": [str(problem) for problem in unreadable],
-        "parts": parts,
-        "surfaces": surfaces,
-        "wanted_part": numbers.get("part", ""),
-        "wanted_surface": numbers.get("surface", ""),
-    }
-
-
-def plan_page(context: ProjectContext, request: Request) -> dict[str, Any]:
-    """Fill `/plan?plan=NAME&experiment=KEY`; by default with the newest plan."""
-    every, unreadable = load_with_errors(context.project, "plan")
-    wanted = request.query_params.get("plan", "")
-    chosen = next((one for one in every if one.folder.name == wanted), every[0] if every else None)
-    question = {} if chosen is None else chosen.analysis.question
-    listed = context.store.experiments(ExperimentQuery(limit=OFFERED)).rows
-    return {
-        "name": "" if chosen is None else chosen.folder.name,
-        "chosen": None if chosen is None else chosen.analysis,
-        "plans": [(one.folder.name, one.analysis) for one in every],
-        "rollouts": PLAN.options["rollouts"].default,
-        "trials": [] if chosen is None else plan_view.trials_of(chosen.folder),
-        "unreadable": [str(problem) for problem in unreadable],
-        "keys": [row.key for row in listed],
-        "key": request.query_params.get("experiment", "") or question.get("experiment", ""),
     }
 
 

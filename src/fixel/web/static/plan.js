@@ -1,14 +1,12 @@
 // @ts-check
-// Plan: the goal is dragged on a stage; starts a search and shows its progress until it is stored.
+// Plan: the goal is dragged on a stage, and becomes the content of a goal file in the form.
 
-import { complain, get, send } from "./api.js";
-import { ROOT, at, input, settled, svg } from "./dom.js";
-import { listenToButtons, search } from "./search.js";
+import { complain, get } from "./api.js";
+import { at, input, settled, svg } from "./dom.js";
 
 /** @typedef {{name: string, outline: number[][]}} Fixel */
 /** @typedef {{outline: number[][], start: number[], fixels: Fixel[], round: boolean}} PlanScene */
 
-const EVERY = 500; // [ms]
 const RAD = Math.PI / 180;
 /** @type {PlanScene | null} */
 let scene = null;
@@ -154,39 +152,28 @@ function listen() {
   });
 }
 
-document.getElementById("goal-form")?.addEventListener("submit", async (event) => {
-  event.preventDefault();
-  await search("/plan", {
-    experiment: input("experiment").value,
-    x_mm: number("x_mm"), y_mm: number("y_mm"), angle_deg: number("angle_deg"),
-    position_mm: number("position_mm"), tolerance_deg: number("tolerance_deg"), symmetry: number("symmetry"),
-    fixels: [...wanted], pushes: number("pushes"), rig: input("kind").value === "rig",
-    start_mm: number("start_mm"), start_deg: number("start_deg"), start_kind: input("start_kind").value,
-    rollouts: number("rollouts"), untrusted: input("untrusted").checked,
-  }, {
-    what: "search", every: EVERY, result: () => `${ROOT}/plan?experiment=${encodeURIComponent(input("experiment").value)}`,
-  });
-});
+/** Content of a goal file for the fields of the page. */
+function content() {
+  const [x, y, angle] = goal();
+  const pose = {
+    pose_mm_deg: [x, y, angle], position_mm: number("position_mm"), angle_deg: number("tolerance_deg"),
+    symmetry: number("symmetry"),
+  };
+  const free = { free: { most: number("pushes") } };
+  const rig = { rig: { y_mm: [-30, 30], theta_deg: [-45, 45] } };
+  const [mm, deg] = [number("start_mm"), number("start_deg")];
+  const start = { x_mm: mm, y_mm: mm, theta_deg: deg, kind: input("start_kind").value };
+  return {
+    fixel: 1,
+    goal: wanted.size ? { seated: { fixels: [...wanted] } } : { pose },
+    choose: input("kind").value === "rig" ? rig : free,
+    belief: mm || deg ? { start } : {},
+  };
+}
 
-document.getElementById("try")?.addEventListener("click", async (event) => {
-  const button = /** @type {HTMLButtonElement} */ (event.currentTarget);
-  button.disabled = true;
-  try {
-    const name = at("planning").getAttribute("data-name") ?? "";
-    const answer = await send(`/plan/${encodeURIComponent(name)}/trials`);
-    at("trials").textContent = answer.lines.join("\n");
-  } catch (problem) {
-    complain(problem);
-  }
-  button.disabled = false;
+document.getElementById("goal-form")?.addEventListener("submit", () => {
+  input("goal").value = JSON.stringify(content());
 });
-
-document.getElementById("which")?.addEventListener("change", () => {
-  const chosen = /** @type {HTMLSelectElement} */ (at("which")).value;
-  location.assign(`${ROOT}/plan?plan=${encodeURIComponent(chosen)}`);
-});
-
-listenToButtons("/plan");
 
 if (document.getElementById("goal-form")) {
   listen();

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel
 
@@ -61,26 +60,3 @@ def trials_of(folder: Path) -> list[str]:
     except FixelError as problem:
         return [str(problem)]
     return str(trials).splitlines() if trials.n else []
-
-
-def as_question(wanted: Any) -> dict[str, Any]:
-    """Return the content of a goal file for a form."""
-    goal: dict[str, Any]
-    if wanted.fixels:
-        goal = {"seated": {"fixels": wanted.fixels}}
-    else:
-        goal = {
-            "pose": {
-                "pose_mm_deg": [wanted.x_mm, wanted.y_mm, wanted.angle_deg],
-                "position_mm": wanted.position_mm,
-                "angle_deg": wanted.tolerance_deg,
-                "symmetry": wanted.symmetry,
-            }
-        }
-    choose: dict[str, Any] = {"free": {"most": wanted.pushes}}
-    if wanted.rig:
-        choose = {"rig": {"y_mm": [-30.0, 30.0], "theta_deg": [-45.0, 45.0]}}
-    mm, deg, kind = wanted.start_mm, wanted.start_deg, wanted.start_kind
-    start = {"x_mm": mm, "y_mm": mm, "theta_deg": deg, "kind": kind}
-    belief = {"start": start} if mm or deg else {}
-    return {"fixel": 1, "goal": goal, "choose": choose, "belief": belief}

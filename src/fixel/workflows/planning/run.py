@@ -161,7 +161,7 @@ class PlanAnswer(NamedTuple):
 
 def plan_goal(
     project: Project | None,
-    goal: Annotated[str, Door(metavar="GOAL")],
+    goal: Annotated[str, Door(metavar="GOAL", content=True)],
     *,
     scene: Annotated[
         Path | None, Door(usual="that of the goal file, else of the calibration")
