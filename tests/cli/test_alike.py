@@ -186,5 +186,5 @@ def test_small_parts_are_read_in_micrometres(capsys, lab):
     assert "x [um]" in out
     assert "path length 25.00 um" in out
     _, out, _ = fixel(capsys, "compare", "micro/push", "--project", lab)
-    assert " um\n" in out
-    assert " mm" not in out
+    assert "[um]" in out
+    assert "mm" not in out

@@ -124,7 +124,7 @@ def test_no_such_scene_exits_2(tmp_path, capsys):
     code, _, err = call(capsys, "simulate", tmp_path / "none.yaml")
 
     assert code == 2
-    assert "does not exist" in err
+    assert "no such file" in err
 
 
 def test_people_get_a_table_and_a_next_command(scene, tmp_path, capsys):

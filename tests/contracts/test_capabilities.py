@@ -88,6 +88,7 @@ STORING = pytest.mark.parametrize(
 # A short run of each.
 GOAL = {"pose": {"pose_mm_deg": [0, 0, 0], "position_mm": 200}}
 SHORT = {
+    "compare": {"experiment": "push-1", "parameters": {"mu_support": 0.3}, "save": True},
     "filter": {"experiment": "push-1", "particles": 20, "occlusion": (0.5, 1.0)},
     "next": {"part": "part-4", "contacts": 2, "number": 2},
     "plan": {
@@ -293,10 +294,7 @@ def test_a_stored_result_prints_the_same_text_in_a_new_process(name, project):
     done = run(capability, request, project.folder, progress=False)
     (kept,) = load_analyses(project, capability.name)
 
-    # The subject may be stored by its full name.
-    places = {k for k, option in capability.options.items() if option.place}
-    own = {k: v for k, v in SHORT[capability.name].items() if k in places}
-    assert capability.request({**kept.analysis.question, **own}) == request
+    assert capability.request(kept.analysis.request) == request
     assert kept.analysis.command == capability.command(request, project.folder)
     code = (
         "import sys; from fixel.database.project import Project\n"

@@ -33,6 +33,12 @@ def begun(monkeypatch):
     return folders
 
 
+def shown(capability):
+    """Return a request that a page can make."""
+    every = SHORT[capability.name].items()
+    return capability.request({k: v for k, v in every if capability.options[k].on_page})
+
+
 def fields_of(capability, request):
     """The fields that a browser posts."""
     shown = {name: option for name, option in capability.shown.items() if option.on_page}
@@ -73,7 +79,7 @@ def test_a_form_shows_every_option_with_its_default_and_meaning(capability, benc
 
 @EVERY
 def test_a_posted_form_starts_the_job_of_the_same_request(capability, bench, begun):
-    request = capability.request(SHORT[capability.name])
+    request = shown(capability)
     answer = bench.submit(f"/run/{capability.name}", **fields_of(capability, request))
 
     (folder,) = begun

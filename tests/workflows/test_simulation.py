@@ -78,7 +78,7 @@ def test_all_files_are_written(scene, tmp_path):
 
 
 def test_impossible_files_are_refused_before_anything_is_simulated(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("fixel.workflows.simulation.get_ready", lambda *_: pytest.fail("too late"))
+    monkeypatch.setattr("fixel.workflows.compilation.get_ready", lambda *_: pytest.fail("too late"))
 
     for outputs in (
         Outputs(plot=tmp_path / "a.bmp"),

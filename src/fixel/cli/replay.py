@@ -1,11 +1,10 @@
 """`fixel replay`: recorded pushes, simulated."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from fixel.cli.options import AsJson, option, required, with_options
 from fixel.cli.screen import command_of, counting_bar, print_answer, table
-from fixel.cli.simulation import MotionChoice
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ def replay(
         "--set",
         metavar="NAME=VALUE",
     ),
-    motion: MotionChoice | None = option(
+    motion: Literal["dynamic", "quasistatic", "first-order"] | None = option(
         None, "Motion model; by default that of the dataset.", show_default=False
     ),
     window: float = option(
@@ -62,7 +61,7 @@ def replay(
         select=columns_and_values(select or ()),
         limit=limit,
         settings=names_and_numbers(set_ or ()),
-        motion=None if motion is None else motion.value,
+        motion=motion,
         everything=everything,
         window=window,
     )

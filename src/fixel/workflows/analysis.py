@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, InstanceOf, PlainSerializer
@@ -24,22 +24,10 @@ from fixel.errors import FixelError
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import each_readable, readable
+from fixel.results import Result
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.workflows.figures import ENDINGS, Picture, make_folder, write_picture
-
-Kind = Literal[
-    "tracking",
-    "calibrate",
-    "filter",
-    "growth",
-    "domain",
-    "sensitivity",
-    "uncertainty",
-    "next",
-    "plan",
-    "sample",
-]
 
 ANALYSES: Final = "analyses"
 CONTENT: Final = "analysis.json"
@@ -115,7 +103,7 @@ class Analysis(_StoredFigure):
         Duration of the computation [s].
     """
 
-    kind: Kind
+    kind: str
     title: str
     question: dict[str, Any]
     request: dict[str, Any] = {}
@@ -137,10 +125,36 @@ class Analysis(_StoredFigure):
 
     def lines(self) -> list[str]:
         """Return the text for people: warnings, since they limit the rest, results, tables."""
-        lines = [*(f"Warning: {sentence}" for sentence in self.warnings), *self.headline]
+        lines = [
+            sentence if sentence.startswith("Unseen") else f"Warning: {sentence}"
+            for sentence in self.warnings
+        ]
+        lines += self.headline
         for table in self.tables:
             lines += ["", *([table.title] if table.title else []), *table.lines()]
         return [*lines, *(["", *self.notes] if self.notes else [])]
+
+
+def analysis_of(kind: str, result: Result, **more: Any) -> Analysis:
+    """Return the analysis with the texts and tables that a result prints.
+
+    Parameters
+    ----------
+    kind : str
+    result : Result
+    **more
+        Other fields of the analysis, such as `numbers`.
+    """
+    said = result._summary()
+    texts = {
+        "title": said.heading,
+        "question": {},
+        "headline": (said.heading,),
+        "warnings": tuple(f"Unseen: {text}" for text in said.unseen),
+        "tables": tuple(said.tables),
+        "notes": tuple(said.notes),
+    }
+    return Analysis(kind=kind, **(texts | more))
 
 
 class AnalysisReport(NamedTuple):
@@ -251,7 +265,7 @@ def store_analysis(
     return StoredAnalysis(folder, done)
 
 
-def load_analyses(project: Project, kind: Kind | None = None) -> list[StoredAnalysis]:
+def load_analyses(project: Project, kind: str | None = None) -> list[StoredAnalysis]:
     """Load the analyses of a project, newest first.
 
     Raises
@@ -266,7 +280,7 @@ def load_analyses(project: Project, kind: Kind | None = None) -> list[StoredAnal
 
 
 def load_with_errors(
-    project: Project, kind: Kind | None = None
+    project: Project, kind: str | None = None
 ) -> tuple[list[StoredAnalysis], list[FixelError]]:
     """Load the analyses of a project, newest first, and the errors of unreadable ones."""
     paths = sorted((project.folder / ANALYSES).glob(f"*/{CONTENT}"))

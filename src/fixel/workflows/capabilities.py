@@ -13,11 +13,13 @@ from fixel.capability.capability import Capability
 from fixel.errors import InvalidInput
 from fixel.jobs.functions import callable_by_jobs
 from fixel.workflows.calibration.run import CALIBRATE
+from fixel.workflows.compare.run import COMPARE
 from fixel.workflows.filtering.run import FILTER
 from fixel.workflows.next_pushes.run import NEXT
 from fixel.workflows.planning.run import PLAN
 from fixel.workflows.sampling import SAMPLE
 from fixel.workflows.sensitivity.run import SENSITIVITY
+from fixel.workflows.simulation import SIMULATE
 from fixel.workflows.uncertainty.run import UNCERTAINTY
 
 if TYPE_CHECKING:
@@ -29,7 +31,18 @@ if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
 
 CAPABILITIES: Final[Mapping[str, Capability]] = {
-    one.name: one for one in (CALIBRATE, FILTER, NEXT, PLAN, SAMPLE, SENSITIVITY, UNCERTAINTY)
+    one.name: one
+    for one in (
+        CALIBRATE,
+        COMPARE,
+        FILTER,
+        NEXT,
+        PLAN,
+        SAMPLE,
+        SENSITIVITY,
+        SIMULATE,
+        UNCERTAINTY,
+    )
 }
 MAKER: Final = "capability:run_request"
 
@@ -105,8 +118,9 @@ def _reported(
     result: Any,
     seconds: float,
     plot: Path | None = None,
+    keep: bool = False,
 ) -> StoredAnswer:
-    """Report a result, and store the report unless the request states otherwise."""
+    """Report a result; store the report to `keep` it, or unless the request states otherwise."""
     from fixel.workflows.analysis import StoredAnswer, store_analysis
     from fixel.workflows.figures import write_picture
 
@@ -123,7 +137,8 @@ def _reported(
         }
     )
     kept = None
-    if project is not None and capability.prepare is None and getattr(request, "save", True):
+    wanted = capability.prepare is None and (keep or getattr(request, "save", True))
+    if project is not None and wanted:
         kept = store_analysis(project, analysis, report.pictures, report.arrays)
         analysis = kept.analysis
         if hasattr(present, "add_files"):
@@ -208,8 +223,10 @@ def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
         result = yield from capability.rounds(
             project, **arguments, inputs=inputs, progress=report_stage
         )
-    folder = _reported(capability, request, project, result, time.monotonic() - begun).folder
-    return b"" if folder is None else folder.name.encode()
+    seconds = time.monotonic() - begun
+    folder = _reported(capability, request, project, result, seconds, keep=True).folder
+    assert folder is not None
+    return folder.name.encode()
 
 
 def prepare(capability: Capability, request: BaseModel, project: Project) -> Path:

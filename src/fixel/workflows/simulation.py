@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, final
 
-from fixel.drawing.animation import FILM_ENDINGS
-from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
-from fixel.drawing.picture import draw_simulation
-from fixel.formats import SceneFile
-from fixel.formats.trajectory_file import refuse_trajectory_ending, save_trajectory
-from fixel.io.atomic import refuse_unwritable, written_whole
-from fixel.simulation import AbstractStepper, Newton, Simulation, simulate
-from fixel.simulation.motion import named_part
-from fixel.simulation.simulate import check_method
-from fixel.simulation.solver import SOLVERS
-from fixel.workflows.compilation import get_ready
+from fixel.capability.capability import Capability
+from fixel.capability.options import Door
+from fixel.capability.usual import Motion
+
+if TYPE_CHECKING:
+    from fixel.formats import SceneFile
+    from fixel.progress import ProgressOption
+    from fixel.simulation import AbstractStepper, Simulation
+    from fixel.workflows.analysis import AnalysisReport, StoredAnswer
+
+Written = Annotated[Path | None, Door(writes=True, effort=True)]
 
 
 @final
@@ -30,17 +32,27 @@ class Outputs:
 
     def check(self) -> None:
         """Reject invalid endings and folders before anything is simulated."""
+        from fixel.drawing.animation import FILM_ENDINGS
+        from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending
+        from fixel.formats.trajectory_file import refuse_trajectory_ending
+        from fixel.io.atomic import refuse_unwritable
+
         if self.trajectory:
             refuse_trajectory_ending(self.trajectory)
         if self.plot:
             refuse_ending(self.plot, PICTURE_ENDINGS, "picture")
         if self.animate:
             refuse_ending(self.animate, FILM_ENDINGS, "film")
-        for path in self.files.values():
-            refuse_unwritable(path)
+        for path in (self.trajectory, self.plot, self.animate):
+            if path:
+                refuse_unwritable(path)
 
     def write(self, simulation: Simulation) -> None:
         """Write the requested files, each completely or not at all."""
+        from fixel.drawing.picture import draw_simulation
+        from fixel.formats.trajectory_file import save_trajectory
+        from fixel.io.atomic import written_whole
+
         if self.trajectory:
             save_trajectory(simulation, self.trajectory)
         if self.plot:
@@ -48,12 +60,6 @@ class Outputs:
                 draw_simulation(simulation, temporary)
         if self.animate:
             simulation.animate(self.animate)
-
-    @property
-    def files(self) -> dict[str, Path]:
-        """Files that will be written, by their option."""
-        asked = {"trajectory": self.trajectory, "plot": self.plot, "animate": self.animate}
-        return {name: path for name, path in asked.items() if path is not None}
 
 
 def simulate_file(
@@ -81,6 +87,12 @@ def simulate_file(
     InvalidInput
         Invalid scene, method or file name.
     """
+    from fixel.simulation import Newton, simulate
+    from fixel.simulation.motion import named_part
+    from fixel.simulation.simulate import check_method
+    from fixel.simulation.solver import SOLVERS
+    from fixel.workflows.compilation import get_ready
+
     outputs = outputs or Outputs()
     part = named_part(solver or Newton.name, SOLVERS, "solver")
     check_method(file.scene, part)
@@ -89,3 +101,110 @@ def simulate_file(
     simulation = simulate(file, motion=motion, stepper=stepper, solver=part, plain=plain)
     outputs.write(simulation)
     return simulation
+
+
+def simulate_scene(
+    scene: Annotated[Path, Door(metavar="SCENE")],
+    *,
+    trajectory: Written = None,
+    changes: Annotated[
+        Sequence[str], Door(flag="--set", metavar="PATH=VALUE", plain=tuple[str, ...])
+    ] = (),
+    plot: Written = None,
+    animate: Written = None,
+    motion: Motion = None,
+    step: Annotated[float | None, Door(metavar="SECONDS")] = None,
+    tolerance: Annotated[float | None, Door(flag="--tolerance", unit="mm", metavar="MM")] = None,
+    solver: Literal["newton", "gauss-seidel", "lemke"] = "newton",
+    plain: bool = False,
+    progress: ProgressOption = None,
+) -> Simulation:
+    """Simulate a scene file and report its end.
+
+    Parameters
+    ----------
+    scene : path
+        Scene file, YAML or JSON.
+    trajectory : path, optional
+        Write the trajectory to this file: .csv or .parquet.
+    changes : sequence of str
+        Change one value of the scene, e.g. bodies.0.mass=0.2; may be repeated.
+    plot : path, optional
+        Draw the motion: .png, .svg or .pdf.
+    animate : path, optional
+        Animate the motion: .mp4 or .gif.
+    motion : str, optional
+        Motion model (dynamic, quasistatic or first-order) or another engine (mujoco, drake, pymunk,
+        box2d, or the path of a program; with choices as in mujoco:step=0.001); that of the scene
+        file by default.
+    step : float, optional
+        Fixed time step [s]; that of the scene file by default.
+    tolerance : float, optional
+        Position error allowed per step; selects the adaptive stepper.
+    solver : str
+        Solver; lemke needs support_directions in the scene.
+    plain : bool
+        Whether to run the steps in Python, slowly, as a cross-check.
+    progress : bool or callable, optional
+        Not used.
+
+    Raises
+    ------
+    InvalidInput
+        Invalid scene, method or file name.
+    """
+    from fixel.formats import load_scene
+    from fixel.simulation.stepper import stepper_of
+
+    return simulate_file(
+        load_scene(scene, changes),
+        Outputs(trajectory=trajectory, plot=plot, animate=animate),
+        motion=motion if motion is None else str(motion),
+        stepper=stepper_of(step, tolerance),
+        solver=solver,
+        plain=plain,
+    )
+
+
+def report_of(simulation: Simulation) -> AnalysisReport:
+    """Return the end of a simulation, for people and for `--json`."""
+    from fixel.workflows.analysis import AnalysisReport, analysis_of
+
+    seconds = simulation.wall_time_s
+    return AnalysisReport(
+        analysis_of("simulate", simulation, numbers=simulation.summary(), seconds=seconds)
+    )
+
+
+def content(done: StoredAnswer) -> dict[str, Any]:
+    """Return the content of `--json`."""
+    return done.analysis.numbers | {"files": {k: str(path) for k, path in done.files.items()}}
+
+
+def failed(simulation: Simulation) -> bool:
+    """Whether the simulation stopped early."""
+    return not simulation.converged
+
+
+def next_words(done: StoredAnswer) -> list[str]:
+    """Return the words of the command that most users need next."""
+    simulation, scene = done.result, Path(done.request.scene)
+    again = ["simulate", str(scene)]
+    rigid = [p.name for p in simulation.scene.pushers if p.drive.force_limit is None]
+    if simulation.status == "jammed" and rigid:
+        return [*again, "--set", f"pushers.{rigid[0]}.drive.force_limit=34.3"]
+    if simulation.status in ("max_iterations", "step_too_small"):
+        return [*again, "--step", "0.001"]
+    for name, ending in (("plot", ".png"), ("animate", ".mp4"), ("trajectory", ".csv")):
+        if name not in done.files:
+            return [*again, f"--{name}", scene.stem + ending]
+    body = simulation.scene.bodies[0]
+    return [*again, "--set", f"bodies.{body.name}.mass={2.0 * body.mass:g}"]
+
+
+SIMULATE: Final = Capability(
+    name="simulate",
+    function=simulate_scene,
+    presentation=lambda: sys.modules[__name__],
+    plot="",
+)

@@ -14,7 +14,6 @@ from fixel.web.values import Answer
 from fixel.workflows.analysis import (
     Analysis,
     AnalysisFigure,
-    Kind,
     StoredAnalysis,
     load_with_errors,
 )
@@ -56,7 +55,7 @@ class AnalysisList(Answer):
 
 
 @router.get("", summary="List stored analyses")
-def analyses(context: Context, kind: Kind | None = None) -> AnalysisList:
+def analyses(context: Context, kind: str | None = None) -> AnalysisList:
     every, unreadable = load_with_errors(context.project, kind)
     return AnalysisList(
         analyses=[

@@ -19,7 +19,7 @@ from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.results import Result
 from fixel.typing import Notify
-from fixel.workflows.analysis import Kind, StoredAnalysis, load_analyses
+from fixel.workflows.analysis import StoredAnalysis, load_analyses
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.project import stored_calibration, stored_run
 from fixel.workflows.calibration.stored import CalibratedValues, load_values
@@ -46,7 +46,7 @@ PER_INCH: Final = 116  # of a picture, on the page [pixel]: a figure of two colu
 WIDEST: Final = 1500  # largest width of a picture on the page [pixel]; its PDF has full detail
 
 # Kinds of analyses in the order of a report, with the titles of their sections.
-WANTED: Final[dict[Kind, str]] = {
+WANTED: Final[dict[str, str]] = {
     "tracking": "Tracked poses and true poses",
     "domain": "Domain of applicability",
     "growth": "Domain of applicability, grown as in the thesis",

@@ -1,0 +1,1 @@
+"""Comparison of a stored experiment with its simulation: run and report."""

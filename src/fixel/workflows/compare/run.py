@@ -1,0 +1,132 @@
+"""Compare an experiment of a project with a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
+
+from fixel.capability.capability import Capability
+from fixel.capability.options import Door
+from fixel.capability.usual import Motion, Save
+
+if TYPE_CHECKING:
+    from fixel.database.project import Project
+    from fixel.database.store import Store
+    from fixel.model import Experiment
+    from fixel.progress import ProgressOption
+    from fixel.workflows.project.compare import PathComparison, RunComparison
+
+
+class StoredComparison(NamedTuple):
+    """Experiment of a project, compared with simulations.
+
+    Attributes
+    ----------
+    experiment_id : int
+    experiment : Experiment
+    run : RunComparison or None
+        Simulation by fixel; None for an experiment without a scene.
+    published : PathComparison or None
+        Simulation by the publisher of the experiment, if one is stored.
+    unseen : tuple of str
+        What no experiment of the calibration has.
+    calibration : int or None
+        Id of the calibration whose parameters were used.
+    simulation_id : int or None
+        Id of the stored simulation.
+    """
+
+    experiment_id: int
+    experiment: Experiment
+    run: RunComparison | None
+    published: PathComparison | None
+    unseen: tuple[str, ...] = ()
+    calibration: int | None = None
+    simulation_id: int | None = None
+
+
+def compare_stored(
+    project: Project,
+    experiment: Annotated[str, Door(metavar="EXPERIMENT")],
+    *,
+    parameters: Annotated[
+        Mapping[str, float] | None, Door(flag="--set", metavar="NAME=NUMBER")
+    ] = None,
+    calibration: Annotated[int | None, Door(metavar="ID", least=1)] = None,
+    motion: Motion = None,
+    save: Save = False,
+    progress: ProgressOption = None,
+) -> StoredComparison:
+    """Simulate an experiment and compare it with its measurement.
+
+    Parameters
+    ----------
+    project : Project
+    experiment : str
+        Experiment: its id, its name, or DATASET/NAME.
+    parameters : mapping of str to float, optional
+        Parameter of the simulation, such as mu_support=0.3; may be repeated.
+    calibration : int, optional
+        Id of a stored calibration, whose parameters and motion model are used; other options
+        override them.
+    motion : str, optional
+        Motion model: dynamic (default), quasistatic or first-order; or another engine: mujoco,
+        drake, pymunk, box2d, or the path of a program, with choices as in mujoco:step=0.001.
+    save : bool
+        Whether to store the simulation.
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
+
+    Raises
+    ------
+    NotStored
+        There is no such experiment or calibration.
+    InvalidInput
+        The experiment has no scene or no motion to compare with, or a parameter changes nothing.
+    """
+    from fixel.model import Parameters
+    from fixel.simulation.motion import motion_model
+    from fixel.workflows.calibration.stored import parameters_of, unseen_by
+    from fixel.workflows.compilation import get_ready
+    from fixel.workflows.project.compare import RunComparison
+    from fixel.workflows.project.comparison import compare
+
+    asked = {"experiment": experiment, "parameters": parameters, "calibration": calibration}
+    request = COMPARE.request({**asked, "motion": motion, "save": save})
+    with project.store() as store:
+        number = store.find(experiment)
+        own = store.experiment(number)
+        published = _published(store, number, own)
+        if own.scene is None and published is not None and not save:
+            return StoredComparison(number, own, None, published)
+        model = motion_model(motion) if motion else None
+        values, unseen = Parameters(parameters or {}), []
+        if calibration is not None:
+            values, model = parameters_of(store, calibration, own, values, model)
+            unseen = unseen_by(store, calibration, own)
+        if own.scene is not None:
+            get_ready(own.scene)  # compile before the clock runs
+        run = compare(own, {"given": values}, motion=model, progress=False).rows[0].run
+        assert isinstance(run, RunComparison)
+        command = COMPARE.command(request, project.folder)
+        stored = store.add_simulation(run.record(number, command)) if save else None
+    return StoredComparison(number, own, run, published, tuple(unseen), calibration, stored)
+
+
+def _published(store: Store, number: int, experiment: Experiment) -> PathComparison | None:
+    from fixel.workflows.project.compare import compare_path
+
+    simulation = store.published_simulations().get(number)
+    return None if simulation is None else compare_path(experiment, store.simulation(simulation))
+
+
+def _presentation() -> ModuleType:
+    from fixel.workflows.compare import report
+
+    return report
+
+
+COMPARE: Final = Capability(
+    name="compare", function=compare_stored, presentation=_presentation, plot="file"
+)
