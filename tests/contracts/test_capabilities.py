@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.filtering.recordings import push
 from tests.fixtures import project_of
+from typer.testing import CliRunner
 
 from fixel.capability.capability import Capability, named
 from fixel.capability.options import FACTORS, Door, _bare
@@ -24,6 +25,7 @@ from fixel.cli.capability import texts_of, typer_command
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
+from fixel.jobs.folder import read_job
 from fixel.testing.pushes import example_parts
 from fixel.workflows import jobs
 from fixel.workflows.analysis import load_analyses
@@ -322,3 +324,11 @@ def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, project):
     assert [one.text() for one in kept.analysis.tables] == [one.text() for one in here.tables]
     assert kept.analysis.request == json.loads(request.model_dump_json())
     assert any(one.text for one in shown)
+
+
+def test_a_command_can_only_prepare_its_job(project):
+    words = ["filter", "push-1", "--seed", "3", "--prepare", "--project", str(project.folder)]
+    answer = CliRunner().invoke(app, [*words, "--json"])
+
+    job = read_job(Path(json.loads(answer.stdout)["job"]))
+    assert CAPABILITIES["filter"].request(job.options["request"]).seed == 3

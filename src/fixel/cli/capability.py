@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from inspect import Parameter, Signature, cleandoc
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +13,9 @@ from fixel.cli.options import AsJson, ProjectFolder, require_folder, require_pic
 from fixel.cli.screen import command_of, paragraphs, print_answer, seconds, wrote
 from fixel.errors import InvalidInput
 
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
 DOT = "__"  # for the dot of `group.field`, which no parameter of Python has
 NOT_SOLVED = 3  # exit code of a simulation that stopped early
 _PLOT = {
@@ -20,6 +23,9 @@ _PLOT = {
     "folder": typer.Option(help="Folder for charts as PNG and PDF, and their data.",
                            metavar="FOLDER"),
 }  # fmt: skip
+_PREPARE = Annotated[
+    bool, typer.Option("--prepare", help="Only prepare a job, for fixel jobs submit.")
+]
 
 
 def typer_command(capability: Capability) -> Callable[..., None]:
@@ -30,9 +36,14 @@ def typer_command(capability: Capability) -> Callable[..., None]:
     ) -> None:
         if context.invoked_subcommand is not None:
             return
-        plot = given.pop("plot") if capability.plot else None
+        plot = given.pop("plot", None)
+        prepare_only = given.pop("prepare_only", False)
         try:
-            _run(capability, given, project, plot, as_json)
+            request = _request(capability, given)
+            if prepare_only:
+                _prepare(capability, request, project, as_json)
+            else:
+                _run(capability, request, project, plot, as_json)
         except InvalidInput as error:
             raise named(error, capability.flags()) from None
 
@@ -40,6 +51,8 @@ def typer_command(capability: Capability) -> Callable[..., None]:
     parameters.append(_keyword("context", typer.Context, Parameter.empty))
     if capability.on_project:
         parameters.append(_keyword("project", ProjectFolder, Path()))
+        if "prepare" not in capability.options:  # of a capability that makes its own jobs
+            parameters.append(_keyword("prepare_only", _PREPARE, False))
     if capability.plot:
         parameters.append(_keyword("plot", Annotated[Path | None, _PLOT[capability.plot]], None))
     parameters.append(_keyword("as_json", AsJson, False))
@@ -88,15 +101,30 @@ def texts_of(capability: Capability, given: Mapping[str, Any]) -> dict[str, list
     return {name: texts(option) for name, option in capability.shown.items()}
 
 
-def _run(
-    capability: Capability, given: dict[str, Any], folder: Path, plot: Path | None, as_json: bool
-) -> None:
+def _request(capability: Capability, given: Mapping[str, Any]) -> "BaseModel":
+    """Return the checked request, and permit programs that the user of this command has typed."""
     from fixel.simulation.trust import permit
-    from fixel.workflows.capabilities import run
 
     request = capability.from_texts(texts_of(capability, given))
     for program in capability.programs(request):
-        permit(program)  # the user of this command has typed it
+        permit(program)
+    return request
+
+
+def _prepare(capability: Capability, request: "BaseModel", folder: Path, as_json: bool) -> None:
+    from fixel.database.project import Project
+    from fixel.workflows.capabilities import prepare
+
+    job = prepare(capability, request, Project(folder))
+    submit = command_of("jobs", "submit", job)
+    print_answer(as_json, lambda: {"job": str(job)}, lambda: [f"Prepared {job}", f"Next: {submit}"])
+
+
+def _run(
+    capability: Capability, request: "BaseModel", folder: Path, plot: Path | None, as_json: bool
+) -> None:
+    from fixel.workflows.capabilities import run
+
     (require_picture if capability.plot == "file" else require_folder)(plot)
     done = run(capability, request, folder, plot=plot)
     analysis, present = done.analysis, capability.presentation()

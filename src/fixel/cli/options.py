@@ -248,15 +248,3 @@ class MeasurementNoise:
 
     noise_mm: NoiseMm = None
     noise_mrad: NoiseMrad = None
-
-
-def engine_or_motion(engine: str | None, motion: str | None) -> str | None:
-    """Return the engine or the motion model that was chosen; raise for both."""
-    if engine and motion:
-        raise InvalidInput(
-            "--engine and --motion",
-            found=f"{engine} and {motion}",
-            expected="one of them",
-            hint="other engines have their own equations of motion",
-        )
-    return engine or motion

@@ -60,11 +60,6 @@ def notify(sentence: str) -> None:
     print(sentence, file=sys.stderr, flush=True)
 
 
-def notice(as_json: bool) -> Callable[[str], None] | None:
-    """Return `notify` for use on a terminal or without --json; else None."""
-    return notify if sys.stderr.isatty() or not as_json else None
-
-
 def command_line() -> str:
     """Return the running command as it can be typed again."""
     return shlex.join(["fixel", *sys.argv[1:]])

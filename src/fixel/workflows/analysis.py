@@ -213,7 +213,7 @@ class StoredAnswer(NamedTuple):
     """
 
     capability: Capability
-    request: BaseModel
+    request: Any
     result: Any
     analysis: Analysis
     folder: Path | None

@@ -6,8 +6,6 @@ from its journal.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import shlex
 import shutil
@@ -198,32 +196,6 @@ def run_detached(folder: Path, then: str = "") -> JobStatus:
     threading.Thread(target=_wait_for, args=(process.pid,), daemon=True).start()
     process.returncode = process.returncode or 0
     return status_of(folder)
-
-
-def begin_for_page(project: Path, kind: str, maker: str, question: Any, command: str) -> Path:
-    """Start a job in its own process for a page; the same question continues the same job.
-
-    Parameters
-    ----------
-    project : Path
-        Folder of the project.
-    kind : str
-        Start of the job's name.
-    maker : str
-        As for `prepare_job`; its options are the `question` and the `command`.
-    question : mapping, or sequence of a mapping and marks
-        JSON content; marks are part of the question, but not given to the maker.
-    command : str
-        The command that does the same.
-    """
-    digest = hashlib.sha256(json.dumps(question).encode()).hexdigest()[:10]
-    folder = project / JOBS / f"{kind}-{digest}"
-    if not (folder / "job.json").is_file():
-        asked = question if isinstance(question, Mapping) else question[0]
-        prepare_job(folder, maker=maker, options={"question": asked, "command": command})
-    arrange(folder)
-    run_detached(folder)
-    return folder
 
 
 def _wait_for(pid: int) -> None:

@@ -69,7 +69,7 @@ def next_words(done: StoredAnswer) -> list[str]:
 
 
 def _numbers(found: StoredComparison) -> dict[str, Any]:
-    own = {"experiment": found.experiment.key}
+    own: dict[str, Any] = {"experiment": found.experiment.key}
     if found.run is not None:
         own = {"unseen": list(found.unseen)} | found.run.summary()
         own |= {"simulation_id": found.simulation_id}
@@ -117,5 +117,6 @@ def _tables(found: StoredComparison) -> Iterator[Table]:
     ]
     lengths = (Column(f"position, {which}", unit, ".3f") for which in ("rms", "at end"))
     weighed = [Column("E, 35 mm/rad", "mm^2", ".3f")] if unit == "mm" else []
+    columns: tuple[Column | str, ...]
     columns = ("simulation by", *lengths, Column("angle, at end", "deg", ".3f"), *weighed)
     yield Table(columns, rows)

@@ -74,15 +74,12 @@ def run_demo(folder: Path) -> Demo:
         reason = os_reason(problem)
         raise InvalidInput(str(folder), found=reason, expected="a folder to write to") from None
     scene = folder / f"{EXAMPLE}.yaml"
-    outputs = Outputs(
-        trajectory=scene.with_suffix(".csv"),
-        plot=scene.with_suffix(".png"),
-        animate=scene.with_suffix(".mp4"),
-    )
+    endings = {"trajectory": ".csv", "plot": ".png", "animate": ".mp4"}
+    files = {name: scene.with_suffix(ending) for name, ending in endings.items()}
     with written_whole(scene) as temporary:
         temporary.write_text(example_text(EXAMPLE), encoding="utf-8")
-    simulation = simulate_file(load_scene(scene), outputs)
-    return Demo(simulation, motion_events(simulation), {"scene": scene, **outputs.files})
+    simulation = simulate_file(load_scene(scene), Outputs(**files))
+    return Demo(simulation, motion_events(simulation), {"scene": scene, **files})
 
 
 class MotionEvent(NamedTuple):
