@@ -36,7 +36,7 @@ def typer_command(capability: Capability) -> Callable[..., None]:
     ) -> None:
         if context.invoked_subcommand is not None:
             return
-        plot = given.pop("plot", None)
+        plot = given.pop("plot") if capability.plot else None
         prepare_only = given.pop("prepare_only", False)
         try:
             request = _request(capability, given)
