@@ -152,7 +152,7 @@ def _kind(value: Mapping) -> str:
     """Return the type of a key, with links to the tables of records."""
     if "$ref" in value:
         name = value["$ref"].rpartition("/")[2].removesuffix("Record")
-        return f"[{name}](#{name.lower()})" if name != "None" else "empty"
+        return f"[{name}](#{name.lower()})" if name != "NoSupport" else "empty"
     if "anyOf" in value:
         return " or ".join(_kind(form) for form in value["anyOf"] if form.get("type") != "null")
     if "enum" in value or "const" in value:

@@ -254,7 +254,7 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         (
             {"bodies.0.shape": {"disk": 0}},
             "bodies[0].shape.disk",
-            "greater than 0 (radius of a disk [m])",
+            "greater than 0 (radius of the disk [m])",
         ),
         (
             {"bodies.0.support.tripod.friction": -0.1},

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
 
+from fixel.docstrings import meanings
 from fixel.errors import InvalidInput, unknown_name
 
 # SI units in one unit that a door shows; the product is the value of the option.
@@ -235,19 +236,6 @@ def members(option: Option) -> list[Option]:
         Option(name=f"{option.name}.{name}", plain=hint, default=None, meaning=said[name])
         for name, hint in hints.items()
     ]
-
-
-def meanings(docstring: str | None) -> dict[str, str]:
-    """Return the meaning of each parameter or attribute in a docstring of NumPy layout."""
-    text = inspect.cleandoc(docstring or "")
-    section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w+\n-+$|\Z)", text, re.M | re.S)
-    body = f"{section[1]}\n" if section else ""
-    entries = re.findall(r"^(\S.*?) : .*\n((?:[ ]+.*\n?|\n)*)", body, re.M)
-    return {
-        name: " ".join(text.replace("`", "").split())
-        for names, text in entries
-        for name in names.split(", ")
-    }
 
 
 def is_group(kind: Any) -> bool:

@@ -12,8 +12,7 @@ import numpy as np
 import sqlalchemy as sa
 
 from fixel.database import arrays
-from fixel.formats.scene_model import scene_content, scene_of
-from fixel.formats.scene_schema import SceneRecord
+from fixel.formats.scene_schema import SceneRecord, scene_content, scene_of
 from fixel.model import (
     Channel,
     Experiment,

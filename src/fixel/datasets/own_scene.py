@@ -17,8 +17,7 @@ from fixel.datasets.contact import (
 )
 from fixel.datasets.plausible import WORDS, hint_of, rescaled
 from fixel.errors import InvalidInput
-from fixel.formats.scene_model import scene_of
-from fixel.formats.scene_schema import FILL_IN, scene_record
+from fixel.formats.scene_schema import FILL_IN, scene_of, scene_record
 from fixel.io.document import read_document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
 from fixel.model.fields import instance

@@ -18,10 +18,11 @@ from fixel.formats.records import (
     Point,
     Positive,
     Triple,
-    built,
+    arguments,
+    keys_of,
+    made,
     only_form,
-    si_fields,
-    unit_content,
+    record_of,
     validated,
     within,
 )
@@ -34,20 +35,15 @@ Size = Annotated[list[Annotated[int, Field(gt=0)]], Field(min_length=2, max_leng
 Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
 
 
-class LensRecord(FileRecord):
-    image_size_px: Size = Field(description="width and height of the pictures [px]")
-    focal_px: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
-        description="focal lengths along u, v [px]"
-    )
-    centre_px: Point = Field(description="principal point: u, v [px]")
-    skew: Number = Field(0.0, description="skew: alpha_c of the MATLAB toolbox [-]")
-    distortion: Annotated[list[Number], Field(max_length=8)] = Field(
-        [],
-        description="distortion coefficients k1 k2 p1 p2 k3 k4 k5 k6, or k1 to k4 with fisheye [-]",
-    )
-    fisheye: bool = Field(
-        False, description="whether the lens has the equidistant model of Kannala and Brandt"
-    )
+LensRecord: Any = record_of(
+    Lens,
+    "lens",
+    units=True,
+    names={"image_size": "image_size_px"},
+    image_size=Size,
+    focal=Annotated[list[Positive], Field(min_length=2, max_length=2)],
+    distortion=Annotated[list[Number], Field(max_length=8)],
+)
 
 
 class LookingRecord(FileRecord):
@@ -59,9 +55,9 @@ class LookingRecord(FileRecord):
     )
 
 
-class MatrixRecord(FileRecord):
-    rotation: Matrix = Field(description="rotation camera_from_world: x right, y down, z away")
-    translation_mm: Triple = Field(description="world origin in camera axes [mm]")
+MatrixRecord: Any = record_of(
+    Camera, "camera", title="MatrixRecord", units=True, leave_out=["lens"], rotation=Matrix
+)
 
 
 class PlaceRecord(FileRecord):
@@ -71,17 +67,15 @@ class PlaceRecord(FileRecord):
     matrix: MatrixRecord | None = Field(None, description="pose as rotation and translation")
 
 
-class MeasuredRecord(FileRecord):
-    names: list[str] = Field([], description="names of the estimated parameters: fx, k1, tz, ...")
-    covariance: list[list[Number]] = Field(
-        [], description="covariance of these parameters [px, -, rad, m]"
-    )
-    noise_px: Positive | None = Field(
-        None, description="standard deviation of a corner along each axis [px]"
-    )
-    seen: list[list[NonNegative]] = Field(
-        [], description="number of board corners by cell of the picture"
-    )
+MeasuredRecord: Any = record_of(
+    MeasuredCamera,
+    "measured",
+    title="MeasuredRecord",
+    units=True,
+    leave_out=["lens", "camera", "source"],
+    covariance=list[list[Number]],
+    seen=list[list[NonNegative]],
+)
 
 
 class CameraRecord(FileRecord):
@@ -119,18 +113,17 @@ def load_camera(path: str | Path) -> MeasuredCamera:
 def camera_from_dict(raw: Any) -> MeasuredCamera:
     """Build a camera from the content of a camera file, as dicts and lists."""
     record = validated(CameraRecord, raw, "camera")
-    lens = _lens(record.lens)
-    measured = record.measured or MeasuredRecord.model_validate({})
-    with within("measured", "measured."):
-        return MeasuredCamera(
-            lens=lens,
-            camera=_camera(lens, record.place),
-            names=tuple(measured.names),
-            covariance=_rows(measured.covariance, "covariance"),
-            noise=measured.noise_px,
-            seen=_rows(measured.seen, "seen"),
-            source=record.source,
-        )
+    # The default has eight coefficients, of which a fisheye has four.
+    usual = {} if "distortion" in record.lens.model_fields_set else {"distortion": [0.0]}
+    size = tuple(record.lens.image_size_px)
+    lens = made(record.lens, "lens", image_size=size, **usual)
+    measured = {} if record.measured is None else arguments(record.measured)
+    with within("measured", "measured"):
+        for name in ("covariance", "seen"):
+            if len({len(row) for row in measured.get(name, ())}) > 1:
+                raise InvalidInput(name, found="rows of several lengths", expected="equal rows")
+        camera = _camera(lens, record.place)
+        return MeasuredCamera(lens=lens, camera=camera, source=record.source, **measured)
 
 
 def camera_dict(camera: MeasuredCamera) -> dict[str, Any]:
@@ -138,9 +131,9 @@ def camera_dict(camera: MeasuredCamera) -> dict[str, Any]:
     content: dict[str, Any] = {"fixel_camera": 1}
     if camera.source:
         content["source"] = camera.source
-    content["lens"] = unit_content(camera.lens, LensRecord)
+    content["lens"] = keys_of(camera.lens, LensRecord)
     if camera.camera is not None:
-        content["place"] = {"matrix": unit_content(camera.camera, MatrixRecord)}
+        content["place"] = {"matrix": keys_of(camera.camera, MatrixRecord)}
     measured: dict[str, Any] = {}
     if camera.names:
         measured |= {"names": list(camera.names), "covariance": camera.covariance.tolist()}
@@ -157,25 +150,11 @@ def save_camera(camera: MeasuredCamera, path: str | Path) -> None:
         unfinished.write_text(yaml_text(camera_dict(camera)), encoding="utf-8")
 
 
-def _lens(record: LensRecord) -> Lens:
-    width, height = record.image_size_px
-    distortion = record.distortion or [0.0]
-    size = width, height
-    return built(Lens, record, "lens", "lens.", image_size=size, distortion=distortion)
-
-
 def _camera(lens: Lens, record: PlaceRecord | None) -> Camera | None:
     if record is None:
         return None
     only_form(record, "place")
-    with within("place", "camera."):
+    with within("place", "camera"):
         if record.matrix:
-            return Camera(lens=lens, **si_fields(record.matrix))
-        assert record.looking is not None
-        return Camera.looking_down(lens, **si_fields(record.looking))
-
-
-def _rows(rows: list[list[float]], where: str) -> Any:
-    if len({len(row) for row in rows}) > 1:
-        raise InvalidInput(where, found="rows of several lengths", expected="equal rows")
-    return rows
+            return Camera(lens=lens, **arguments(record.matrix))
+        return Camera.looking_down(lens, **arguments(record.looking))

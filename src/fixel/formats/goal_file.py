@@ -16,17 +16,15 @@ from pydantic import Field
 
 from fixel.errors import InvalidInput
 from fixel.formats.records import (
+    Corners,
     FileRecord,
     Fraction,
-    NonNegative,
     Number,
-    Point,
-    Positive,
-    Triple,
-    built,
+    choice_of,
+    made,
     only_form,
+    record_of,
     si_field,
-    si_fields,
     validated,
     within,
 )
@@ -50,134 +48,67 @@ from fixel.planning.pushes import FreePushes, RigPushes
 from fixel.uncertainty.starts import StartError, preset
 
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
-Corners = Annotated[list[Point], Field(min_length=3)]
+Names = Annotated[list[str], Field(min_length=1)]
 Values = dict[str, Number | Range]
 
-ON_PART: Final = "free body; by default the only one"
 ENDINGS: Final = {"m": "_mm", "rad": "_deg"}  # of keys of parameters, by unit
-_KINDS: Final[dict[str, Any]] = {"pose": PoseRegion, "inside": Inside, "beyond": Beyond}
-GAP: Final = "largest gap that counts as contact [mm]; by default 0.1 % of the part's size"
+
+record_of(PoseRegion, "goal", units=True, symmetry=Annotated[int, Field(ge=1)])
+_SEATED: Any = record_of(Seated, "goal", units=True, fixels=Names)
+_SEATED.makes = lambda fixels, **own: Seated(*fixels, **own)
+record_of(Beyond, "goal", units=True)
+record_of(Contact, "goal", units=True)
+for _kind in (Inside, Exit):
+    record_of(_kind, "goal", units=True, names={"region": "region_mm"}, region=Corners)
+EventRecord: Any = choice_of("EventRecord", contact=Contact, exit=Exit, force_above=ForceAbove)
+_GoalForms: Any = choice_of(
+    "_GoalForms", pose=PoseRegion, seated=Seated, inside=Inside, beyond=Beyond
+)
 
 
-class PoseGoalRecord(FileRecord):
-    pose_mm_deg: Triple = Field(description="pose of the part: x, y [mm], angle [deg]")
-    position_mm: Positive | None = Field(None, description="allowed distance of the centroid [mm]")
-    angle_deg: Positive | None = Field(None, description="allowed difference of angles [deg]")
-    symmetry: int = Field(1, ge=1, description="rotations by which the outline covers itself")
-    body: str | None = Field(None, description=ON_PART)
-
-
-class SeatedRecord(FileRecord):
-    fixels: Annotated[list[str], Field(min_length=1)] = Field(description="fixels to touch")
-    only: bool = Field(False, description="whether no other fixel may be touched")
-    stalled: bool = Field(False, description="whether the drive must have stalled")
-    tolerance_mm: Positive | None = Field(None, description=GAP)
-    body: str | None = Field(None, description=ON_PART)
-
-
-class RegionRecord(FileRecord):
-    region_mm: Corners = Field(description="corners x, y of a region in the world [mm]")
-    tolerance_mm: Positive | None = Field(None, description="allowed protrusion [mm]")
-    body: str | None = Field(None, description=ON_PART)
-
-
-class BeyondRecord(FileRecord):
-    line_mm: Annotated[list[Point], Field(min_length=2, max_length=2)] = Field(
-        description="two points; the goal is left of the way from the first to the second [mm]"
-    )
-    feature_mm: Point | None = Field(
-        None, description="point of the part [mm]; by default its whole outline"
-    )
-    tolerance_mm: Positive | None = Field(None, description="allowed shortfall [mm]")
-    body: str | None = Field(None, description=ON_PART)
-
-
-class ContactRecord(FileRecord):
-    fixel: str = Field(description="fixel that must not be touched")
-    tolerance_mm: Positive | None = Field(None, description=GAP)
-    body: str | None = Field(None, description=ON_PART)
-
-
-class EventRecord(FileRecord):
-    """Event that must never happen, in exactly one form."""
-
-    contact: ContactRecord | None = Field(None, description="the part touches a fixel")
-    exit: RegionRecord | None = Field(None, description="the part leaves a region")
-    force_above: Positive | None = Field(None, description="force of the drive [N]")
-
-
-class GoalRecord(FileRecord):
+class GoalRecord(_GoalForms):  # type: ignore[misc]
     """Goal, in exactly one form, with events that must never happen."""
 
-    pose: PoseGoalRecord | None = Field(None, description="the part ends near a pose")
-    seated: SeatedRecord | None = Field(None, description="the part touches fixels")
-    inside: RegionRecord | None = Field(None, description="the part is inside a region")
-    beyond: BeyondRecord | None = Field(None, description="the part is beyond a line")
     all: list[GoalRecord] | None = Field(None, description="goals to meet together")
     any: list[GoalRecord] | None = Field(None, description="goals of which one suffices")
     never: list[EventRecord] = Field([], description="events that must never happen")
 
 
-class ToolRecord(FileRecord):
-    """Shape of a tool, in exactly one form."""
-
-    disk_mm: Positive | None = Field(None, description="radius of a disk [mm]")
-    polygon_mm: Corners | None = Field(
-        None, description="corners of a polygon whose x axis points along the push [mm]"
-    )
-
-
-class FreePushesRecord(FileRecord):
-    most: int = Field(1, ge=1, le=4, description="largest number of pushes in sequence")
-    tool: ToolRecord | None = Field(None, description="tool; by default the scene's pusher")
-    length_mm: Range | None = Field(None, description="least and largest way after contact [mm]")
-    angle_deg: NonNegative = Field(30.0, description="largest angle to the normal [deg]")
-    clearance_mm: Positive | None = Field(None, description="gap where the tool is put down [mm]")
-    retract_mm: NonNegative | None = Field(None, description="way back before lifting [mm]")
-    speed: Positive = Field(0.02, description="speed of the tool [m/s]")
-    friction: NonNegative | None = Field(None, description="friction of the tool on the part")
-    force_limit: Positive | None = Field(None, description="force at which the drive stalls [N]")
-
-
-class RigPushesRecord(FileRecord):
-    x_mm: Range = Field([0.0, 0.0], description="range of the placement along x [mm]")
-    y_mm: Range = Field([0.0, 0.0], description="range of the placement along y [mm]")
-    theta_deg: Range = Field([0.0, 0.0], description="range of the placement's angle [deg]")
-    stroke_mm: Range | None = Field(None, description="least and largest stroke [mm]")
-    fixels_mm: dict[str, Annotated[list[Range], Field(min_length=2, max_length=2)]] = Field(
-        {}, description="ranges along x and y in which fixels may be displaced [mm]"
-    )
-    retract_mm: NonNegative = Field(0.0, description="way back before the end [mm]")
-
-
-class ChooseRecord(FileRecord):
-    """Pushes that may be chosen, in exactly one form."""
-
-    free: FreePushesRecord | None = Field(None, description="pushes of a tool that can be lifted")
-    rig: RigPushesRecord | None = Field(None, description="placement and stroke on one axis")
-
-
-class StartRecord(FileRecord):
-    """Error of the start pose: a preset, or sizes of errors."""
-
-    preset: str | None = Field(None, description="asme or rpi-camera")
-    x_mm: NonNegative = Field(0.0, description="size of the error of x [mm]")
-    y_mm: NonNegative = Field(0.0, description="size of the error of y [mm]")
-    theta_deg: NonNegative = Field(0.0, description="size of the error of the angle [deg]")
-    kind: Literal["uniform", "normal"] | None = Field(
-        None,
-        description="required with sizes: half-widths (uniform) or standard deviations (normal)",
-    )
-
-
-class RigErrorRecord(FileRecord):
-    path_mm: NonNegative = Field(0.0, description="standard deviation across the path [mm]")
-    heading_deg: NonNegative = Field(0.0, description="standard deviation of the heading [deg]")
-    travel_mm: NonNegative = Field(0.0, description="standard deviation along the path [mm]")
-    fixels_mm: NonNegative = Field(0.0, description="standard deviation of places of fixels [mm]")
+record_of(
+    FreePushes,
+    "choose",
+    units=True,
+    names={"length": "length_mm"},
+    most=Annotated[int, Field(ge=1, le=4)],
+    tool=choice_of("ToolRecord", disk_mm=Disk, polygon_mm=Polygon),
+    length=Range,
+)
+_AXES: Final = {"x": "x_mm", "y": "y_mm", "theta": "theta_deg"}
+record_of(
+    RigPushes,
+    "choose",
+    units=True,
+    names=_AXES | {"stroke": "stroke_mm", "fixels": "fixels_mm"},
+    fixels=dict[str, Annotated[list[Range], Field(min_length=2, max_length=2)]],
+    x=Range,
+    y=Range,
+    theta=Range,
+    stroke=Range,
+)
+ChooseRecord: Any = choice_of("ChooseRecord", free=FreePushes, rig=RigPushes)
+StartRecord: Any = record_of(
+    StartError,
+    "start_error",
+    units=True,
+    kind=Literal["uniform", "normal"],
+    more={"preset": (str | None, Field(None, description="asme or rpi-camera"))},
+)
+RigErrorRecord: Any = record_of(RigError, "belief.rig", units=True)
 
 
 class BeliefRecord(FileRecord):
+    """Unknowns of a plan."""
+
     calibration: int | None = Field(None, ge=1, description="id of a stored calibration")
     parameters: Values = Field(
         {},
@@ -193,6 +124,8 @@ class BeliefRecord(FileRecord):
 
 
 class WantRecord(FileRecord):
+    """Wanted success probability."""
+
     success: Fraction = Field(0.95, description="wanted success probability")
     confidence: Fraction = Field(0.95, description="confidence level of its bound")
 
@@ -276,7 +209,7 @@ def goal_file_from_dict(raw: Any, folder: Path | None = None) -> GoalFile:
     known = record.belief
     return GoalFile(
         goal=_goal(record.goal, "goal"),
-        choose=None if record.choose is None else _choice(record.choose, "choose"),
+        choose=None if record.choose is None else made(record.choose, "choose"),
         belief=Belief() if known is None else _belief(known, "belief"),
         calibration=None if known is None else known.calibration,
         run_to_run=known is None or known.run_to_run == "learned",
@@ -300,77 +233,31 @@ def goal_json_schema() -> dict[str, Any]:
 # --- from records ---------------------------------------------------------------------------------
 
 
-def _goal(record: GoalRecord, path: str) -> Goal:
-    forms = ("pose", "seated", "inside", "beyond", "all", "any")
-    form = only_form(record, path, forms)
+def _goal(record: Any, path: str) -> Goal:
+    form = only_form(record, path, [key for key in type(record).model_fields if key != "never"])
     inner: Any = getattr(record, form)
     where = f"{path}.{form}"
-    never = [_event(one, f"{path}.never[{k}]") for k, one in enumerate(record.never)]
+    never = [made(one, f"{path}.never[{k}]") for k, one in enumerate(record.never)]
     goal: Goal
     if isinstance(inner, list):
         parts = [_goal(one, f"{where}[{k}]") for k, one in enumerate(inner)]
-        with within(where, "goal", "."):
+        with within(where, "goal"):
             if form == "all":
                 return AllOf(*parts, never=never)
             goal = AnyOf(*parts)
-    elif isinstance(inner, SeatedRecord):
-        fields = si_fields(inner)
-        with within(where, "goal."):
-            goal = Seated(*fields.pop("fixels"), **fields)
     else:
-        goal = built(_KINDS[form], inner, where, "goal.")
+        goal = made(inner, where)
     return AllOf(goal, never=never) if never else goal
-
-
-def _event(record: EventRecord, path: str) -> Any:
-    form = only_form(record, path)
-    inner: Any = getattr(record, form)
-    if form == "force_above":
-        return ForceAbove(inner)
-    return built(Contact if form == "contact" else Exit, inner, f"{path}.{form}", "goal.")
-
-
-def _choice(record: ChooseRecord, path: str) -> FreePushes | RigPushes:
-    form = only_form(record, path)
-    path = f"{path}.{form}"
-    if record.free is not None:
-        tool = record.free.tool
-        return built(
-            FreePushes,
-            record.free,
-            path,
-            "choose.",
-            tool=None if tool is None else _tool(tool, f"{path}.tool"),
-            length=_pair(si_fields(record.free)["length"]),
-        )
-    own = record.rig
-    assert own is not None
-    fields = si_fields(own)
-    pairs = {name: _pair(fields[name]) for name in ("x", "y", "theta", "stroke")}
-    moved = {name: (_pair(x), _pair(y)) for name, (x, y) in fields["fixels"].items()}
-    return built(RigPushes, own, path, "choose.", **pairs, fixels=moved or None)
-
-
-def _tool(record: ToolRecord, path: str) -> Disk | Polygon:
-    only_form(record, path)
-    own = si_fields(record)
-    with within(path):
-        return Disk(own["disk"]) if own["disk"] is not None else Polygon(own["polygon"])
-
-
-def _pair(values: Any) -> Any:
-    return None if values is None else tuple(values)
 
 
 def _belief(record: BeliefRecord, path: str) -> Belief:
     if record.calibration is not None and record.parameters:
         raise InvalidInput(path, found="calibration and parameters", expected="one of them")
-    start, rig = record.start, record.rig
-    with within(path, "belief."):
+    with within(path, "belief"):
         return Belief(
             parameters=_parameters(record.parameters) or None,
-            start=None if start is None else _start(start),
-            rig=None if rig is None else RigError(**si_fields(rig)),
+            start=None if record.start is None else _start(record.start),
+            rig=None if record.rig is None else made(record.rig, "rig"),
             conditions=record.conditions,
         )
 
@@ -388,13 +275,11 @@ def _parameters(given: Values) -> dict[str, Any]:
     return found
 
 
-def _start(record: StartRecord) -> StartError:
-    own = si_fields(record)
-    name = own.pop("preset")
-    if name is None:
-        with within("start", "start_error."):
-            return StartError(**own | {"kind": record.kind or ""})
-    if own["x"] or own["y"] or own["theta"] or record.kind:
+def _start(record: Any) -> StartError:
+    if record.preset is None:
+        error: StartError = made(record, "start")
+        return error
+    if any(own != type(record).model_fields[key].default for key, own in record if key != "preset"):
         raise InvalidInput("start", found="a preset and sizes", expected="one of them")
     with within("start"):
-        return preset(name)
+        return preset(record.preset)

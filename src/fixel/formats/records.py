@@ -1,20 +1,38 @@
-"""Records of files: pydantic classes with the keys and kinds of value, and errors as sentences.
+"""Records of files: pydantic classes made from dataclasses, and errors as sentences.
 
-A record contains only what a text editor could check; everything else is checked in the model.
+The dataclass is the schema: names, types, defaults and limits of its fields are those of the keys,
+and its docstring has their meaning. A record contains only what a text editor could check;
+everything else is checked by the constructor of the dataclass.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from dataclasses import MISSING, fields, is_dataclass
+from functools import reduce
+from operator import or_
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, Final, TypeVar, Union, get_args, get_origin
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
+from fixel.docstrings import meanings
 from fixel.errors import InvalidInput, did_you_mean
+from fixel.model.fields import (
+    FieldType,
+    Value,
+    field_types,
+    finite,
+    fraction,
+    non_negative,
+    positive,
+    table,
+    vector,
+)
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -22,10 +40,22 @@ NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
 Point = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Triple = Annotated[list[Number], Field(min_length=3, max_length=3)]
+Corners = Annotated[list[Point], Field(min_length=3)]
 KeyPath = tuple[str | int, ...]
 
 T = TypeVar("T")
 
+_NUMBERS: Final[Mapping[Any, Any]] = {
+    positive: Positive,
+    non_negative: NonNegative,
+    fraction: Fraction,
+    finite: Number,
+}
+# Keys that are not written for a default; files show all others.
+_OMITTED: Final = frozenset(
+    {"velocity", "force", "restitution", "plane", "pushers", "fixels", "contact_friction"}
+)
+_ENDINGS: Final = {"m": "_mm", "rad": "_deg", "px": "_px"}  # of keys, by unit
 _UNIT = re.compile("(_mm|_deg|_px)+$")
 _PHRASES = {
     "missing": "a value: this key is required",
@@ -48,62 +78,264 @@ class FileRecord(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
+    makes: ClassVar[Any] = None  # dataclass or function that the keys are the arguments of
+    word: ClassVar[str] = ""  # its name in its own errors
+    field_names: ClassVar[Mapping[str, str]] = {}  # keys -> fields of other names
+    forms: ClassVar[Mapping[str, Any]] = {}  # of a choice: key -> class
+
+
+class ChoiceRecord(FileRecord):
+    """Base of records with exactly one of several keys."""
+
+    model_config = ConfigDict(
+        json_schema_extra=lambda schema: schema.update(
+            oneOf=[{"required": [form]} for form in schema["properties"]]
+        )
+    )
+
 
 R = TypeVar("R", bound=FileRecord)
 
+# Records by what they make: a dataclass, or a union of those; and the key of each class in a union.
+_RECORDS: Final[dict[Any, type[FileRecord]]] = {}
+_FORMS: Final[dict[Any, str]] = {}
 
-class NoneRecord(FileRecord):
-    """Record without keys."""
+
+# --- records from dataclasses ---------------------------------------------------------------------
 
 
-def validated(root: type[R], raw: Any, name: str) -> R:
-    """Validate every key and kind of value in the raw content of a file.
+def record_of(
+    kind: Any,
+    word: str,
+    /,
+    *,
+    title: str = "",
+    units: bool = False,
+    names: Mapping[str, str] | None = None,
+    required: Sequence[str] = (),
+    leave_out: Sequence[str] = (),
+    more: Mapping[str, Any] | None = None,
+    first: Sequence[str] = (),
+    **types: Any,
+) -> Any:
+    """Make the record of a dataclass, which `made` and `content` convert.
 
     Parameters
     ----------
-    root : type
-        Record of the whole file.
-    raw : Any
-        Content as dicts, lists and plain values.
-    name : str
-        Name of the whole in errors: `"scene"`.
-
-    Raises
-    ------
-    InvalidInput
-        The first error, with the path of its key.
+    kind : type
+        Dataclass whose fields have a `Value`, or a type that files can hold.
+    word : str
+        Its name in its own errors.
+    title : str
+        Name of the record, of several for one class.
+    units : bool
+        Whether keys name their unit, and values are in millimetres and degrees.
+    names : mapping of str to str, optional
+        Keys, by the name of their field.
+    required : sequence of str
+        Fields that files must state, though they have a default.
+    leave_out : sequence of str
+        Fields that files do not have.
+    more : mapping of str to (type, FieldInfo), optional
+        Keys that are no field of the class.
+    first : sequence of str
+        Keys that files show before the others.
+    **types
+        Types of keys that do not follow from their fields.
     """
-    try:
-        return root.model_validate(raw)
-    except ValidationError as problems:
-        raise _explained(problems, root, raw, name) from None
+    said, own_names = meanings(kind.__doc__), dict(names or {})
+    keys: dict[str, Any] = dict(more or {})
+    for field in (one for one in fields(kind) if one.init and one.name not in leave_out):
+        name, own = field.name, field_types(kind)[field.name]
+        key = own_names.get(name) or name + (_ending(own.value) if units else "")
+        hint = types[name] if name in types else _file_type(own)
+        default = _default_of(field)
+        if name in required:
+            default = ...
+        elif default is None or (default is ... and own.optional):
+            hint, default = hint | None, None
+        elif default is not ...:
+            default = _scaled(key, default, _from_si)
+        meaning = _description(said.get(name, ""), units=units)
+        keys[key] = hint, Field(default, description=meaning)
+    keys = {key: keys[key] for key in first} | keys
+    record = create_model(title or f"{kind.__name__}Record", __base__=FileRecord, **keys)
+    record.makes, record.word = kind, word
+    record.field_names = {key: name for name, key in own_names.items()}
+    _RECORDS.setdefault(kind, record)
+    return record
 
 
-def built(kind: type[T], record: FileRecord, path: str, *prefixes: str, **fields: Any) -> T:
-    """Build an object of the model from the fields of a record; some may be given instead.
+def use_record(record: type[FileRecord], *kinds: Any) -> None:
+    """Use a record that was written by hand for fields of some types."""
+    _RECORDS.update(dict.fromkeys(kinds, record))
 
-    Its errors are reported at the path of the record, see `within`.
+
+def choice_of(title: str, kinds: Any = None, /, **forms: Any) -> Any:
+    """Make the record of a choice, with exactly one of several keys.
+
+    Parameters
+    ----------
+    title : str
+        Name of the record.
+    kinds : type, optional
+        Union of the classes, where fields of this type are of this record.
+    **forms
+        Class by key: one with a record, or one with a single argument, whose value the file has.
     """
-    with within(path, *prefixes):
-        return kind(**{**si_fields(record), **fields})
+    keys: dict[str, Any] = {}
+    for key, kind in forms.items():
+        hint, text = _RECORDS.get(kind), (kind.__doc__ or "").partition("\n")[0]
+        if hint is None:
+            name, own = next(iter(field_types(kind).items()))
+            hint, text = _file_type(own), meanings(kind.__doc__)[name]
+        about = _description(text, units=_UNIT.search(key) is not None)
+        keys[key] = hint | None, Field(None, description=about)
+    record = create_model(title, __base__=ChoiceRecord, **keys)
+    record.forms = forms
+    if kinds is not None:
+        _FORMS.update({kind: form for form, kind in forms.items()})
+        _RECORDS[kinds] = record
+    return record
 
 
-def si_fields(record: FileRecord) -> dict[str, Any]:
-    """Return the fields of a record in metres and radians, without the units in their names."""
-    return dict(si_field(key, value) for key, value in record)
+def _default_of(field: Any) -> Any:
+    """Return the default of a field as files have it: None for an object of another class."""
+    if field.default is MISSING:
+        return ... if field.default_factory is MISSING else None
+    if isinstance(field.default, float) and math.isinf(field.default):
+        return None
+    return list(field.default) if isinstance(field.default, tuple) else field.default
+
+
+def _file_type(own: FieldType) -> Any:
+    if own.value is None:
+        return _plain_type(own.hint)
+    if own.value.check in _NUMBERS:
+        return _NUMBERS[own.value.check]
+    assert own.value.check in (vector, table)
+    width = own.value.unit.count(",") + 1
+    row = Annotated[list[Number], Field(min_length=width, max_length=width)]
+    return row if own.value.check is vector else list[row]
+
+
+def _plain_type(hint: Any) -> Any:
+    inner = [one for one in get_args(hint) if one is not NoneType]
+    if get_origin(hint) in (Union, UnionType):
+        hint = reduce(or_, inner)
+    if hint in _RECORDS:
+        return _RECORDS[hint]
+    if get_origin(hint) is tuple:
+        item = _plain_type(inner[0])
+        fixed: Any = {} if inner[1] is ... else {"min_length": len(inner), "max_length": len(inner)}
+        return Annotated[list[item], Field(**fixed)]  # type: ignore[valid-type]
+    return Number if hint is float else hint
+
+
+def _ending(value: Value | None) -> str:
+    """Return the unit at the end of a key."""
+    unit = value.unit if value else ""
+    units = re.findall(r"\[(.*?)\]", unit) or [unit]
+    return "".join(dict.fromkeys(_ENDINGS.get(unit, "") for unit in units))
+
+
+def _description(meaning: str, *, units: bool) -> str | None:
+    """Return the first sentence of a meaning, with the units of files."""
+    first = re.split(r"[.;:](?:\s|$)", meaning)[0]
+    if units:
+        shown = {"m": "mm", "rad": "deg"}
+        first = re.sub(
+            r"\[([^]]*)\]$",
+            lambda own: f"[{', '.join(shown.get(unit, unit) for unit in own[1].split(', '))}]",
+            first,
+        )
+    return first[:1].lower() + first[1:] or None
+
+
+# --- between records and objects ------------------------------------------------------------------
+
+
+def made(record: Any, path: str = "", **given: Any) -> Any:
+    """Build the object that a validated record describes; errors have the path of their key.
+
+    Some of its arguments may be `given` instead.
+    """
+    kind = type(record)
+    if kind.forms:
+        return _chosen(record, path)
+    values = arguments(record, path) | given
+    with within(path, f"{kind.word} {values.get('name')!r}", kind.word):
+        return kind.makes(**values)
+
+
+def arguments(record: Any, path: str = "") -> dict[str, Any]:
+    """Return the arguments that the keys of a record state, in SI units."""
+    kind: Any = type(record)
+    known = [one.name for one in fields(kind.makes)] if is_dataclass(kind.makes) else None
+    values = {}
+    for key, value in record:
+        name = kind.field_names.get(key) or _UNIT.sub("", key)
+        if value is not None and (known is None or name in known):
+            values[name] = _inner(_scaled(key, value, _to_si), f"{path}.{key}".removeprefix("."))
+    return values
+
+
+def _chosen(record: Any, path: str) -> Any:
+    form = only_form(record, path)
+    kind, value = type(record).forms[form], getattr(record, form)
+    if isinstance(value, FileRecord):
+        return made(value, f"{path}.{form}")
+    with within(path):
+        return kind() if value is None else kind(_scaled(form, value, _to_si))
+
+
+def _inner(value: Any, path: str) -> Any:
+    if isinstance(value, FileRecord):
+        return made(value, path)
+    if isinstance(value, dict):
+        return {name: _inner(item, f"{path}.{name}") for name, item in value.items()}
+    if isinstance(value, list) and value and isinstance(value[0], FileRecord):
+        return tuple(made(item, f"{path}[{k}]") for k, item in enumerate(value))
+    return value
+
+
+def content(value: Any) -> Any:
+    """Convert objects to dicts, lists and plain values, as in files; inverse of `made`."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, tuple):
+        return [content(item) for item in value]
+    kind = type(value)
+    record = _RECORDS.get(kind)
+    if record is None and kind not in _FORMS:
+        return value
+    own = keys_of(value, record) if record else content(getattr(value, fields(kind)[0].name))
+    return {_FORMS[kind]: own} if kind in _FORMS else own
+
+
+def keys_of(value: Any, record: type[FileRecord]) -> dict[str, Any]:
+    """Return the keys of a record that the fields of an object state."""
+    defaults = {
+        field.name: field.default if field.default_factory is MISSING else field.default_factory()
+        for field in fields(value)
+        if field.name in _OMITTED
+    }
+    found = {}
+    for key in record.model_fields:
+        name = record.field_names.get(key) or _UNIT.sub("", key)
+        item = getattr(value, name, None)
+        if item is None or (isinstance(item, float) and math.isinf(item)):
+            continue
+        if name not in defaults or np.any(item != defaults[name]):
+            found[key] = _scaled(key, content(item), _from_si)
+    if "drive" in found:
+        found["drive"] = found.pop("drive")  # last, since it may have many waypoints
+    return found
 
 
 def si_field(key: str, value: Any) -> tuple[str, Any]:
     """Return a key without its unit, and its value in metres and radians."""
     return _UNIT.sub("", key), _scaled(key, value, _to_si)
-
-
-def unit_content(value: object, record: type[FileRecord]) -> dict[str, Any]:
-    """Return the fields of an object under the keys of its record; inverse of `si_fields`."""
-    return {
-        key: _scaled(key, getattr(value, _UNIT.sub("", key)), _from_si)
-        for key in record.model_fields
-    }
 
 
 def plain(number: float) -> float:
@@ -142,6 +374,8 @@ def only_form(record: FileRecord, path: str, forms: Sequence[str] = ()) -> str:
     """
     forms = forms or list(type(record).model_fields)
     given = [form for form in forms if getattr(record, form) is not None]
+    # In YAML, `none:` has no value.
+    given = given or [form for form in record.model_fields_set if not _takes_value(record, form)]
     if len(given) != 1:
         raise InvalidInput(
             path,
@@ -151,18 +385,50 @@ def only_form(record: FileRecord, path: str, forms: Sequence[str] = ()) -> str:
     return given[0]
 
 
+def _takes_value(record: FileRecord, form: str) -> bool:
+    return form not in record.forms or bool(fields(record.forms[form]))
+
+
 @contextmanager
-def within(path: str, *prefixes: str) -> Iterator[None]:
-    """Report errors of built objects at a key of the file, with prefixes of the place removed."""
+def within(path: str, *words: str) -> Iterator[None]:
+    """Report errors of built objects at a key of the file, without their own first word."""
     try:
         yield
     except InvalidInput as problem:
         where = problem.where
-        for prefix in prefixes:
-            where = where.removeprefix(prefix)
-        raise InvalidInput(
-            where, found=problem.found, expected=problem.expected, hint=problem.hint
-        ).within(path) from None
+        for word in filter(None, words):
+            if where.startswith(word) and where[len(word) : len(word) + 1] in ("", ".", "["):
+                where = where[len(word) :].removeprefix(".")
+        moved = InvalidInput(
+            where or path, found=problem.found, expected=problem.expected, hint=problem.hint
+        )
+        raise (moved.within(path) if where and path else moved) from None
+
+
+# --- validation -----------------------------------------------------------------------------------
+
+
+def validated(root: type[R], raw: Any, name: str) -> R:
+    """Validate every key and kind of value in the raw content of a file.
+
+    Parameters
+    ----------
+    root : type
+        Record of the whole file.
+    raw : Any
+        Content as dicts, lists and plain values.
+    name : str
+        Name of the whole in errors: `"scene"`.
+
+    Raises
+    ------
+    InvalidInput
+        The first error, with the path of its key.
+    """
+    try:
+        return root.model_validate(raw)
+    except ValidationError as problems:
+        raise _explained(problems, root, raw, name) from None
 
 
 def written(path: KeyPath) -> str:

@@ -6,78 +6,77 @@ thesis, whatever the shape; `part` and `probe` under the microscope.
 
 from __future__ import annotations
 
-import math
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from pydantic import Field
 
 from fixel.errors import InvalidInput
 from fixel.formats.camera_file import camera_dict, camera_from_dict, load_camera
 from fixel.formats.records import (
-    FileRecord,
-    NonNegative,
-    Point,
-    Positive,
-    Triple,
-    built,
-    plain,
-    unit_content,
+    arguments,
+    content,
+    keys_of,
+    made,
+    record_of,
     validated,
     within,
 )
 from fixel.io.atomic import written_whole
 from fixel.io.document import read_document, yaml_text
 from fixel.vision.camera import MeasuredCamera
-from fixel.vision.marks import COLOURS, FAMILIES, THESIS_BITS, MarkedPart, Rig, Sticker, Tag
+from fixel.vision.marks import MarkedPart, Rig, Sticker, Tag
 
 EXAMPLES = ("thesis-tags", "thesis-stickers", "microscope")
 
 
-class TagRecord(FileRecord):
-    id: int = Field(ge=0, description="number of the tag in its family")
-    size_mm: Positive = Field(description="side of the black square [mm]")
-    pose_mm_deg: Triple = Field([0.0] * 3, description="pose of the centre: x, y [mm], angle [deg]")
-    height_mm: NonNegative = Field(description="height of the upper face above the plate [mm]")
-    family: str = Field(FAMILIES[0], description=f"family of the tag: {', '.join(FAMILIES)}")
-
-
-class StickerRecord(FileRecord):
-    colour: str = Field(description=f"colour of the sticker: {', '.join(COLOURS)}")
-    diameter_mm: Positive = Field(description="diameter [mm]")
-    place_mm: Point = Field(description="position of the centre: x, y [mm]")
-    height_mm: NonNegative = Field(description="height of the upper face above the plate [mm]")
-
-
-class PartRecord(FileRecord):
-    height_mm: Positive = Field(description="height of the upper face above the plate [mm]")
-    tags: list[TagRecord] = Field([], description="tags, in the frame of the part")
-    stickers: list[StickerRecord] = Field([], description="stickers, in the frame of the part")
-
-
-class PlacementRecord(FileRecord):
-    position_mm: Positive = Field(1.0, description="allowed position error [mm]")
-    angle_deg: Positive = Field(1.0, description="allowed angle error [deg]")
-
-
-class RigRecord(FileRecord):
-    """Content of a rig file."""
-
-    fixel_rig: Literal[1] = Field(description="version of the format")
-    name: str = Field(description="name of the bench")
-    camera: Any = Field(description="camera, or name of a camera file next to this file")
-    parts: dict[str, PartRecord] = Field({}, description="parts by the names of body and pusher")
-    plate: list[TagRecord] = Field([], description="tags on the plate, at poses in the world")
-    fixel_height_mm: Positive = Field(
-        51.08, description="height of the fixels above the plate [mm]"
-    )
-    tactile_bits: list[str] = Field(
-        list(THESIS_BITS), description="name of the fixel of each bit, lowest first"
-    )
-    placement: PlacementRecord = Field(
-        PlacementRecord(position_mm=1.0, angle_deg=1.0), description="tolerance for placing parts"
-    )
+TagRecord: Any = record_of(Tag, "tag", units=True)
+StickerRecord: Any = record_of(Sticker, "sticker", units=True)
+PartRecord: Any = record_of(
+    MarkedPart,
+    "part",
+    units=True,
+    leave_out=["marks"],
+    more={
+        "tags": (list[TagRecord], Field([], description="tags, in the frame of the part")),
+        "stickers": (
+            list[StickerRecord],
+            Field([], description="stickers, in the frame of the part"),
+        ),
+    },
+)
+PartRecord.makes = lambda height, tags, stickers: MarkedPart(
+    height=height, marks=(*tags, *stickers)
+)
+_PLACEMENT: Final = {"position_tolerance": "position_mm", "angle_tolerance": "angle_deg"}
+PlacementRecord: Any = record_of(
+    Rig,
+    "rig",
+    title="PlacementRecord",
+    names=_PLACEMENT,
+    leave_out=[name for name in Rig.__dataclass_fields__ if name not in _PLACEMENT],
+)
+RigRecord: Any = record_of(
+    Rig,
+    "",
+    units=True,
+    names={"tactile": "tactile_bits"},
+    leave_out=["camera", "parts", "measured", *_PLACEMENT],
+    more={
+        "fixel_rig": (Literal[1], Field(description="version of the format")),
+        "camera": (Any, Field(description="camera, or name of a camera file next to this file")),
+        "parts": (
+            dict[str, PartRecord],
+            Field({}, description="parts by the names of body and pusher"),
+        ),
+        "placement": (
+            PlacementRecord,
+            Field(PlacementRecord(), description="tolerance for placing parts"),
+        ),
+    },
+    first=["fixel_rig", "name", "camera", "parts"],
+)
 
 
 def rig_of(name_or_path: str | Path) -> Rig:
@@ -106,7 +105,9 @@ def plate_of(name_or_path: str | Path) -> tuple[Tag, ...]:
     """Load the tags on the plate of a rig, whose camera need not be placed yet; see `rig_of`."""
     if str(name_or_path) in EXAMPLES:
         return rig_of(name_or_path).plate
-    return _plate(validated(RigRecord, read_document(Path(name_or_path), "rig file"), "rig"))
+    record = validated(RigRecord, read_document(Path(name_or_path), "rig file"), "rig")
+    plate: tuple[Tag, ...] = tuple(arguments(record)["plate"])
+    return plate
 
 
 def load_rig(path: str | Path) -> Rig:
@@ -125,17 +126,13 @@ def rig_from_dict(raw: Any, folder: Path | None = None) -> Rig:
     """Build a rig from the content of a rig file; camera files are searched in `folder`."""
     record = validated(RigRecord, raw, "rig")
     measured = _camera(record.camera, folder)
-    return Rig(
-        name=record.name,
+    rig: Rig = made(
+        record,
         camera=measured.placed(),
         measured=measured if measured.names else None,
-        parts={name: _part(part, f"parts.{name}") for name, part in record.parts.items()},
-        fixel_height=record.fixel_height_mm / 1e3,
-        plate=_plate(record),
-        tactile=tuple(record.tactile_bits),
-        position_tolerance=record.placement.position_mm / 1e3,
-        angle_tolerance=math.radians(record.placement.angle_deg),
+        **arguments(record.placement),
     )
+    return rig
 
 
 def rig_dict(rig: Rig) -> dict[str, Any]:
@@ -144,16 +141,10 @@ def rig_dict(rig: Rig) -> dict[str, Any]:
     camera = camera_dict(measured)
     return {
         "fixel_rig": 1,
-        "name": rig.name,
+        **keys_of(rig, RigRecord),
         "camera": {key: value for key, value in camera.items() if key != "fixel_camera"},
         "parts": {name: _part_content(part) for name, part in rig.parts.items()},
-        "plate": [unit_content(tag, TagRecord) for tag in rig.plate],
-        "fixel_height_mm": plain(1e3 * rig.fixel_height),
-        "tactile_bits": list(rig.tactile),
-        "placement": {
-            "position_mm": plain(1e3 * rig.position_tolerance),
-            "angle_deg": plain(math.degrees(rig.angle_tolerance)),
-        },
+        "placement": keys_of(rig, PlacementRecord),
     }
 
 
@@ -168,7 +159,7 @@ def _camera(raw: Any, folder: Path | None) -> MeasuredCamera:
         raise InvalidInput(
             "camera", found=raw, expected="a lens and a pose, or the name of a camera file"
         )
-    with within("camera", "camera."):
+    with within("camera", "camera"):
         if isinstance(raw, dict):
             found = camera_from_dict(raw)
         else:
@@ -177,27 +168,8 @@ def _camera(raw: Any, folder: Path | None) -> MeasuredCamera:
         return found
 
 
-def _plate(record: RigRecord) -> tuple[Tag, ...]:
-    return tuple(_tag(tag, f"plate[{k}]") for k, tag in enumerate(record.plate))
-
-
-def _part(record: PartRecord, path: str) -> MarkedPart:
-    tags = [_tag(tag, f"{path}.tags[{k}]") for k, tag in enumerate(record.tags)]
-    stickers = [
-        built(Sticker, sticker, f"{path}.stickers[{k}]", "sticker.")
-        for k, sticker in enumerate(record.stickers)
-    ]
-    with within(path, "part."):
-        return MarkedPart(height=record.height_mm / 1e3, marks=(*tags, *stickers))
-
-
-def _tag(record: TagRecord, path: str) -> Tag:
-    return built(Tag, record, path, "tag.")
-
-
 def _part_content(part: MarkedPart) -> dict[str, Any]:
-    content: dict[str, Any] = {"height_mm": plain(1e3 * part.height)}
-    for key, kind, record in (("tags", Tag, TagRecord), ("stickers", Sticker, StickerRecord)):
-        marks = [unit_content(mark, record) for mark in part.marks if isinstance(mark, kind)]
-        content |= {key: marks} if marks else {}
-    return content
+    tags = [content(mark) for mark in part.marks if isinstance(mark, Tag)]
+    stickers = [content(mark) for mark in part.marks if isinstance(mark, Sticker)]
+    found = keys_of(part, PartRecord)
+    return found | ({"tags": tags} if tags else {}) | ({"stickers": stickers} if stickers else {})

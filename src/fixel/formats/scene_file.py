@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any, final, get_origin
 
 from fixel.errors import InvalidInput
-from fixel.formats import scene_schema as schema
 from fixel.formats.records import KeyPath, annotation_at, record_at, unknown_key, written
-from fixel.formats.scene_model import scene_content, scene_of
-from fixel.formats.scene_schema import SceneRecord
+from fixel.formats.scene_schema import SceneRecord, scene_content, scene_of, scene_record
 from fixel.io.atomic import written_whole
 from fixel.io.document import parse_yaml, read_document, yaml_text
 from fixel.model import Scene
@@ -87,7 +85,7 @@ def scene_file_from_dict(raw: Mapping[str, Any], overrides: Sequence[str] = ()) 
     changed = copy.deepcopy(raw) if overrides else raw
     for override in overrides:
         apply_override(changed, override)
-    record = schema.scene_record(changed)
+    record = scene_record(changed)
     return SceneFile(
         scene=scene_of(record),
         motion=record.motion,
@@ -124,7 +122,7 @@ def scene_json_schema() -> dict[str, Any]:
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "fixel scene file",
-        **{k: v for k, v in schema.SceneRecord.model_json_schema().items() if k != "title"},
+        **{k: v for k, v in SceneRecord.model_json_schema().items() if k != "title"},
     }
 
 

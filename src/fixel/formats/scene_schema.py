@@ -1,4 +1,4 @@
-"""Schema of scene files: keys, kinds of value, units."""
+"""Schema of scene files: the classes of the model, and what files state otherwise."""
 
 from __future__ import annotations
 
@@ -10,112 +10,77 @@ from pydantic import ConfigDict, Field
 from fixel.errors import InvalidInput
 from fixel.formats.records import (
     FileRecord,
-    Fraction,
     KeyPath,
-    NoneRecord,
     NonNegative,
     Number,
     Point,
     Positive,
-    Triple,
+    choice_of,
+    content,
     description_at,
+    made,
     record_at,
+    record_of,
+    use_record,
     validated,
     written,
+)
+from fixel.model import (
+    Body,
+    Disk,
+    Drive,
+    Ellipsoid,
+    Fixel,
+    FrictionMap,
+    LineDrive,
+    NoSupport,
+    PairFriction,
+    PathDrive,
+    Plane,
+    Polygon,
+    Pusher,
+    Scene,
+    Shape,
+    Spring,
+    Support,
+    SupportPoints,
+    Tripod,
+    UniformPressure,
 )
 
 MAX_KEYS = 1000  # maximum number of keys in one mapping; scenes have about ten
 
 Waypoint = Annotated[list[Number], Field(min_length=4, max_length=4)]
+Pair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
 
 # Placeholder in a template for a value that only the user knows.
 FILL_IN: Final = "FILL_IN"
 
 
-def _one_of(*forms: str) -> dict[str, Any]:
-    return {"oneOf": [{"required": [form]} for form in forms]}
-
-
-class ShapeRecord(FileRecord):
-    """Shape, in exactly one form."""
-
-    model_config = ConfigDict(json_schema_extra=_one_of("polygon", "disk"))
-    polygon: list[Point] | None = Field(None, description="corners x, y of a polygon [m]")
-    disk: Positive | None = Field(None, description="radius of a disk [m]")
-
-
-class TripodRecord(FileRecord):
-    radius: Positive = Field(description="distance of the points from the centre of mass [m]")
-    friction: NonNegative = Field(description="friction coefficient against the plane")
-    angle: Number = Field(0.0, description="direction of the first point, from body x [rad]")
-
-
-class PointsRecord(FileRecord):
-    at: list[Point] = Field(description="positions of the points in the frame of the shape [m]")
-    friction: NonNegative | list[NonNegative] = Field(
-        description="friction coefficient of all points or of each"
-    )
-    loads: list[NonNegative] | None = Field(None, description="normal force at each point [N]")
-
-
-class UniformRecord(FileRecord):
-    friction: NonNegative = Field(description="friction coefficient against the plane")
-    n_points: int = Field(
-        64, ge=3, le=100_000, description="approximate number of quadrature points"
-    )
-
-
-class EllipsoidRecord(FileRecord):
-    force: Positive = Field(description="largest friction force [N]")
-    torque: Positive = Field(description="largest friction torque [N m]")
-    centre: Point = Field([0.0, 0.0], description="centre of friction in the shape's frame [m]")
-
-
-class SupportRecord(FileRecord):
-    """Support of a body, in exactly one form."""
-
-    model_config = ConfigDict(
-        json_schema_extra=_one_of("tripod", "points", "uniform", "ellipsoid", "none")
-    )
-    tripod: TripodRecord | None = Field(None, description="three points about the centre of mass")
-    points: PointsRecord | None = Field(None, description="support at given points")
-    uniform: UniformRecord | None = Field(None, description="uniform pressure over the footprint")
-    ellipsoid: EllipsoidRecord | None = Field(None, description="ellipsoidal limit surface")
-    none: NoneRecord | None = Field(None, description="no friction with the plane")
-
-
-class SpringRecord(FileRecord):
-    stiffness: Positive = Field(description="spring constant [N/m]")
-    anchor: Point = Field(description="end of the spring in the world [m]")
-
-
-class BodyRecord(FileRecord):
-    name: str
-    shape: ShapeRecord
-    mass: Positive = Field(description="mass [kg]")
-    inertia: Positive | None = Field(
-        None, description="moment of inertia about the centre of mass [kg m^2]"
-    )
-    centre_of_mass: Point | None = Field(
-        None, description="centre of mass in the frame of the shape [m]"
-    )
-    pose: Triple = Field(
-        description="pose of the shape's frame at t = 0: x [m], y [m], angle [rad]"
-    )
-    velocity: Triple = Field(
-        [0.0] * 3, description="velocity at t = 0: vx [m/s], vy [m/s], omega [rad/s]"
-    )
-    support: SupportRecord | None = Field(None, description="support of the body on the plane")
-    force: Triple = Field([0.0] * 3, description="constant wrench: fx [N], fy [N], tau [N m]")
-    spring: SpringRecord | None = Field(
-        None, description="spring that pulls the centre of mass to a point"
-    )
+def _drive(**given: Any) -> Drive:
+    forms = [form for form in ("direction", "waypoints") if form in given]
+    if len(forms) != 1:
+        found = " and ".join(forms) or None
+        raise InvalidInput("drive", found=found, expected="exactly one of direction, waypoints")
+    if forms == ["direction"]:
+        if "speed" not in given:
+            raise InvalidInput("drive.speed", found=None, expected="a speed [m/s]")
+        return LineDrive(**given)
+    for key in ("speed", "travel"):
+        if key in given:
+            found = f"a {key} in addition to waypoints"
+            raise InvalidInput(f"drive.{key}", found=found, expected="only waypoints")
+    return PathDrive(**given)
 
 
 class DriveRecord(FileRecord):
     """Drive of a pusher: either a direction with a speed, or waypoints."""
 
-    model_config = ConfigDict(json_schema_extra=_one_of("direction", "waypoints"))
+    model_config = ConfigDict(
+        json_schema_extra={"oneOf": [{"required": ["direction"]}, {"required": ["waypoints"]}]}
+    )
+    makes, word = staticmethod(_drive), "drive"
+
     direction: Point | None = Field(None, description="direction of the motion in world axes")
     speed: NonNegative | None = Field(None, description="speed of the motion [m/s]")
     travel: NonNegative | None = Field(None, description="distance after which the drive stops [m]")
@@ -125,77 +90,71 @@ class DriveRecord(FileRecord):
     force_limit: Positive | None = Field(None, description="force at which the drive stalls [N]")
 
 
-class PusherRecord(FileRecord):
-    name: str
-    shape: ShapeRecord
-    pose: Triple | None = Field(None, description="pose at t = 0: x [m], y [m], angle [rad]")
-    drive: DriveRecord
-    friction: NonNegative = Field(description="friction coefficient against every free body")
-    restitution: Fraction = Field(
-        0.0, description="coefficient of restitution against every free body"
-    )
+use_record(DriveRecord, LineDrive, PathDrive, Drive)
+ShapeRecord: Any = choice_of("ShapeRecord", Shape, polygon=Polygon, disk=Disk)
+NoneRecord: Any = record_of(NoSupport, "none")
+TripodRecord: Any = record_of(Tripod, "tripod")
+PointsRecord: Any = record_of(
+    SupportPoints,
+    "points",
+    names={"points": "at"},
+    friction=NonNegative | list[NonNegative],
+    loads=list[NonNegative],
+)
+UniformRecord: Any = record_of(
+    UniformPressure, "uniform", n_points=Annotated[int, Field(ge=3, le=100_000)]
+)
+record_of(Ellipsoid, "ellipsoid")
+SupportRecord: Any = choice_of(
+    "SupportRecord",
+    Support,
+    tripod=Tripod,
+    points=SupportPoints,
+    uniform=UniformPressure,
+    ellipsoid=Ellipsoid,
+    none=NoSupport,
+)
+record_of(Spring, "spring")
+record_of(Body, "body", required=["pose"])
+record_of(Pusher, "pusher", required=["drive"])
+record_of(Fixel, "fixel")
+record_of(PairFriction, "contact_friction")
+record_of(FrictionMap, "friction_map", cell=Pair, factor=list[list[Positive]])
+record_of(Plane, "plane", anisotropy=Pair)
+SceneRecord: Any = record_of(
+    Scene,
+    "",
+    first=["fixel", "gravity", "duration"],
+    required=["duration"],
+    support_directions=Annotated[int, Field(ge=4)],
+    more={
+        "fixel": (Literal[1], Field(1, description="version of the format")),
+        "motion": (Literal["dynamic", "quasistatic", "first-order"], "dynamic"),
+        "step": (
+            Positive | None,
+            Field(None, description="time step [s]; by default the stepper chooses"),
+        ),
+        "output_interval": (
+            Positive | None,
+            Field(
+                None,
+                description="time between two samples of the trajectory [s]; by default every step",
+            ),
+        ),
+    },
+)
 
 
-class FixelRecord(FileRecord):
-    name: str
-    shape: ShapeRecord
-    pose: Triple = Field(description="pose: x [m], y [m], angle [rad]")
-    friction: NonNegative = Field(description="friction coefficient against every free body")
-    restitution: Fraction = Field(
-        0.0, description="coefficient of restitution against every free body"
-    )
+def scene_of(record: Any) -> Scene:
+    """Build the scene that a validated record describes; errors have the path of their key."""
+    scene: Scene = made(record)
+    return scene
 
 
-class PairRecord(FileRecord):
-    pair: Annotated[list[str], Field(min_length=2, max_length=2)] = Field(
-        description="names of the two bodies; * and ? match as in a shell"
-    )
-    friction: NonNegative = Field(description="friction coefficient of the pair")
-    restitution: Fraction | None = Field(None, description="coefficient of restitution of the pair")
-
-
-class FrictionMapRecord(FileRecord):
-    origin: Point = Field(description="world position of node [0, 0] [m]")
-    cell: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
-        description="distance between neighbouring nodes along x and y [m]"
-    )
-    factor: list[list[Positive]] = Field(description="friction multiplier at each node, row by row")
-
-
-class PlaneRecord(FileRecord):
-    anisotropy: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
-        [1.0, 1.0], description="friction factors along the principal axis and across it"
-    )
-    axis: Number = Field(0.0, description="angle of the first principal axis from world x [rad]")
-    friction_map: FrictionMapRecord | None = Field(
-        None, description="friction multiplier that depends on the position"
-    )
-
-
-class SceneRecord(FileRecord):
-    """Content of a scene file."""
-
-    fixel: Literal[1] = Field(1, description="version of the format")
-    gravity: NonNegative = Field(9.81, description="gravitational acceleration [m/s^2]")
-    duration: Positive = Field(description="simulated time [s]")
-    motion: Literal["dynamic", "quasistatic", "first-order"] = "dynamic"
-    step: Positive | None = Field(None, description="time step [s]; by default the stepper chooses")
-    output_interval: Positive | None = Field(
-        None, description="time between two samples of the trajectory [s]; by default every step"
-    )
-    support_directions: Annotated[int, Field(ge=4)] | None = Field(
-        None,
-        description="number of directions of linearised friction; exact friction disc by default",
-    )
-    plane: PlaneRecord | None = Field(
-        None, description="friction of the plane, if it depends on direction or position"
-    )
-    bodies: list[BodyRecord] = Field(description="free bodies")
-    pushers: list[PusherRecord] = Field([], description="driven bodies")
-    fixels: list[FixelRecord] = Field([], description="fixed bodies")
-    contact_friction: list[PairRecord] = Field(
-        [], description="friction of named pairs, which overrides the default"
-    )
+def scene_content(scene: Scene) -> dict[str, Any]:
+    """Return a scene as the keys of a scene file, mostly without defaults."""
+    found: dict[str, Any] = content(scene)
+    return found
 
 
 def scene_record(raw: Any) -> SceneRecord:

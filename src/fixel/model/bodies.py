@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, field
 from math import hypot, inf, pi
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Annotated, Final, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model.fields import (
     Comparable,
+    Value,
+    check_fields,
     fraction,
     frozen,
     instance,
     name_of,
     non_negative,
-    optional_positive,
     positive,
     settle,
     table,
@@ -30,6 +31,7 @@ from fixel.typing import ArrayField, FloatArray, OptionalArrayField
 # Largest deviation of the length of a direction from 1 at which it is not scaled: a few roundings
 # of a float64, so that scaling a direction twice changes no bit.
 UNIT_LENGTH = 1e-15
+POSE: Final = "x [m], y [m], angle [rad]"
 
 
 @final
@@ -45,15 +47,11 @@ class Spring(Comparable):
         Point in the world [m].
     """
 
-    stiffness: float
-    anchor: FloatArray
+    stiffness: Annotated[float, Value(positive, "N/m")]
+    anchor: Annotated[FloatArray, Value(vector, "x [m], y [m]")]
 
     def __post_init__(self) -> None:
-        settle(
-            self,
-            stiffness=positive(self.stiffness, "spring.stiffness", "N/m"),
-            anchor=vector(self.anchor, "spring.anchor", "x [m], y [m]"),
-        )
+        check_fields(self, "spring")
 
 
 @final
@@ -97,13 +95,17 @@ class Body(Comparable):
     name: str
     shape: Shape
     _: KW_ONLY
-    mass: float
-    pose: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    mass: Annotated[float, Value(positive, "kg")]
+    pose: Annotated[ArrayField, Value(vector, POSE)] = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     support: Support = field(default_factory=NoSupport)
-    inertia: float | None = None
-    centre_of_mass: OptionalArrayField = None  # type: ignore[assignment]
-    velocity: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
-    force: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    inertia: Annotated[float | None, Value(positive, "kg m^2")] = None
+    centre_of_mass: Annotated[OptionalArrayField, Value(vector, "x [m], y [m]")] = None  # type: ignore[assignment]
+    velocity: Annotated[ArrayField, Value(vector, "vx [m/s], vy [m/s], omega [rad/s]")] = (
+        0.0,
+        0.0,
+        0.0,
+    )  # type: ignore[assignment]
+    force: Annotated[ArrayField, Value(vector, "fx [N], fy [N], tau [N m]")] = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     spring: Spring | None = None
 
     def __post_init__(self) -> None:
@@ -115,16 +117,7 @@ class Body(Comparable):
 
     def _check(self) -> None:
         instance(self.shape, Shape, "shape", "a Polygon or a Disk")
-        inertia, com = self.inertia, self.centre_of_mass
-        settle(
-            self,
-            mass=positive(self.mass, "mass", "kg"),
-            pose=vector(self.pose, "pose", "x [m], y [m], angle [rad]"),
-            inertia=None if inertia is None else positive(inertia, "inertia", "kg m^2"),
-            centre_of_mass=None if com is None else vector(com, "centre_of_mass", "x [m], y [m]"),
-            velocity=vector(self.velocity, "velocity", "vx [m/s], vy [m/s], omega [rad/s]"),
-            force=vector(self.force, "force", "fx [N], fy [N], tau [N m]"),
-        )
+        check_fields(self)
         instance(self.support, Support, "support", "a support, or NoSupport()")
         instance(self.spring, Spring | None, "spring", "a Spring, or None")
         _check_balance(self)
@@ -169,15 +162,15 @@ class LineDrive(Comparable):
     array([ 0., -1.])
     """
 
-    direction: ArrayField = (1.0, 0.0)  # type: ignore[assignment]
+    direction: Annotated[ArrayField, Value(vector, "x, y")] = (1.0, 0.0)  # type: ignore[assignment]
     _: KW_ONLY
-    speed: float
-    travel: float = inf
-    force_limit: float | None = None
+    speed: Annotated[float, Value(non_negative, "m/s")]
+    travel: Annotated[float, Value(non_negative, "m")] = inf
+    force_limit: Annotated[float | None, Value(positive, "N")] = None
 
     def __post_init__(self) -> None:
-        direction = vector(self.direction, "drive.direction", "x, y")
-        length = hypot(*direction)
+        check_fields(self, "drive", ("travel",) if self.travel == inf else ())
+        length = hypot(*self.direction)
         if length == 0.0:
             raise InvalidInput(
                 "drive.direction",
@@ -186,15 +179,7 @@ class LineDrive(Comparable):
                 hint="for a drive at rest, use any direction and speed 0",
             )
         if abs(length - 1.0) > UNIT_LENGTH:
-            direction = frozen(direction / length)
-        travel = self.travel
-        settle(
-            self,
-            direction=direction,
-            speed=non_negative(self.speed, "drive.speed", "m/s"),
-            travel=inf if travel == inf else non_negative(travel, "drive.travel", "m"),
-            force_limit=optional_positive(self.force_limit, "drive.force_limit", "N"),
-        )
+            settle(self, direction=frozen(self.direction / length))
 
 
 @final
@@ -217,23 +202,18 @@ class PathDrive(Comparable):
     array([0.01, 0.  , 0.  ])
     """
 
-    waypoints: FloatArray
+    waypoints: Annotated[FloatArray, Value(table, f"t [s], {POSE}")]
     _: KW_ONLY
-    force_limit: float | None = None
+    force_limit: Annotated[float | None, Value(positive, "N")] = None
 
     if TYPE_CHECKING:  # what may be given; the fields are what is kept
 
         def __init__(self, waypoints: ArrayLike, *, force_limit: float | None = None) -> None: ...
 
     def __post_init__(self) -> None:
-        rows = table(self.waypoints, "drive.waypoints", "t [s], x [m], y [m], angle [rad]")
-        _check_times(rows[:, 0])
-        _check_angles(rows[:, 3])
-        settle(
-            self,
-            waypoints=rows,
-            force_limit=optional_positive(self.force_limit, "drive.force_limit", "N"),
-        )
+        check_fields(self, "drive")
+        _check_times(self.waypoints[:, 0])
+        _check_angles(self.waypoints[:, 3])
 
     def pose_at(self, time: float) -> FloatArray:
         """Return the pose (3,) of the path at a time [m, m, rad]."""
@@ -280,21 +260,17 @@ class Pusher(Comparable):
     name: str
     shape: Shape
     _: KW_ONLY
-    pose: ArrayField = None  # type: ignore[assignment]
+    pose: Annotated[ArrayField, Value(vector, POSE)] = None  # type: ignore[assignment]
     drive: Drive = None  # type: ignore[assignment]
-    friction: float
-    restitution: float = 0.0
+    friction: Annotated[float, Value(non_negative)]
+    restitution: Annotated[float, Value(fraction)] = 0.0
 
     def __post_init__(self) -> None:
         name_of(self.name, "pusher.name")
         try:
             instance(self.shape, Shape, "shape", "a Polygon or a Disk")
-            settle(
-                self,
-                pose=self._start(),
-                friction=non_negative(self.friction, "friction"),
-                restitution=fraction(self.restitution, "restitution"),
-            )
+            settle(self, pose=self._start())
+            check_fields(self, leave_out=("pose",))
         except InvalidInput as problem:
             raise problem.within(f"pusher {self.name!r}") from None
 
@@ -306,14 +282,14 @@ class Pusher(Comparable):
 
     def _start(self) -> FloatArray:
         given: object = self.pose
-        pose = None if given is None else vector(self.pose, "pose", "x [m], y [m], angle [rad]")
+        pose = None if given is None else vector(self.pose, "pose", POSE)
         if self.is_template:
             return pose  # type: ignore[return-value]
         instance(self.drive, LineDrive | PathDrive, "drive", "a LineDrive or a PathDrive")
         if isinstance(self.drive, PathDrive):
             return frozen(self.drive.pose_at(0.0))
         if pose is None:
-            raise InvalidInput("pose", found=None, expected="x [m], y [m], angle [rad]")
+            raise InvalidInput("pose", found=None, expected=POSE)
         return pose
 
 
@@ -370,9 +346,9 @@ class Fixel(Comparable):
     name: str
     shape: Shape
     _: KW_ONLY
-    pose: FloatArray
-    friction: float
-    restitution: float = 0.0
+    pose: Annotated[FloatArray, Value(vector, POSE)]
+    friction: Annotated[float, Value(non_negative)]
+    restitution: Annotated[float, Value(fraction)] = 0.0
 
     if TYPE_CHECKING:  # what may be given; the fields are what is kept
 
@@ -390,11 +366,6 @@ class Fixel(Comparable):
         name_of(self.name, "fixel.name")
         try:
             instance(self.shape, Shape, "shape", "a Polygon or a Disk")
-            settle(
-                self,
-                pose=vector(self.pose, "pose", "x [m], y [m], angle [rad]"),
-                friction=non_negative(self.friction, "friction"),
-                restitution=fraction(self.restitution, "restitution"),
-            )
+            check_fields(self)
         except InvalidInput as problem:
             raise problem.within(f"fixel {self.name!r}") from None

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from functools import cache
 from numbers import Real
-from types import UnionType
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,6 +39,54 @@ def settle(instance: object, **values: object) -> None:
     """Write checked values into a frozen instance, from its `__post_init__` only."""
     for name, value in values.items():
         object.__setattr__(instance, name, value)
+
+
+class Value(NamedTuple):
+    """Annotation of a field: the check of its value, with the unit or the labels of columns.
+
+    Constructors check it with `check_fields`. Files have the same limits, and keys with the unit.
+    """
+
+    check: Callable[..., Any]  # `positive`, `vector`, ... of this module
+    unit: str = ""
+
+
+class FieldType(NamedTuple):
+    """Type of a field as its annotation states it."""
+
+    hint: Any
+    value: Value | None
+    optional: bool  # whether None is allowed
+
+
+@cache
+def field_types(kind: Any) -> Mapping[str, FieldType]:
+    """Return the types of the fields of a dataclass, by name."""
+    hints = get_type_hints(kind, include_extras=True)
+    found = {}
+    for field in dataclasses.fields(kind):
+        hint = hints[field.name]
+        own = next(
+            (one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Value)), None
+        )
+        hint = get_args(hint)[0] if own else hint
+        optional = field.default is None or NoneType in get_args(hint)
+        found[field.name] = FieldType(hint, own, optional)
+    return found
+
+
+def check_fields(instance: Any, where: str = "", leave_out: Collection[str] = ()) -> None:
+    """Check the annotated fields of an instance, from its `__post_init__`, and store them.
+
+    `where` is the prefix of the fields in errors; the class itself checks those in `leave_out`.
+    """
+    prefix = f"{where}." if where else ""
+    kind: Any = type(instance)
+    for name, (_, own, optional) in field_types(kind).items():
+        value = getattr(instance, name)
+        if own is not None and name not in leave_out and not (optional and value is None):
+            units = (own.unit,) if own.unit else ()
+            object.__setattr__(instance, name, own.check(value, prefix + name, *units))
 
 
 def name_of(value: object, where: str) -> str:

@@ -6,16 +6,25 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import degrees, pi
-from typing import Any, ClassVar, Final, NamedTuple, final
+from typing import Annotated, Any, ClassVar, Final, NamedTuple, final
 
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput, unknown_name
-from fixel.model.bodies import Body
-from fixel.model.fields import Comparable, finite, optional_positive, positive, settle, vector
-from fixel.model.fields import table as rows_of
+from fixel.model.bodies import POSE, Body
+from fixel.model.fields import (
+    Comparable,
+    Value,
+    check_fields,
+    finite,
+    optional_positive,
+    positive,
+    settle,
+    table,
+    vector,
+)
 from fixel.model.overlap import overlaps, turned
 from fixel.model.scene import Scene
 from fixel.model.shape import Disk, Polygon, placed
@@ -186,20 +195,15 @@ class PoseRegion(Clause):
     False
     """
 
-    pose: FloatArray
-    position: float | None = None
-    angle: float | None = None
+    pose: Annotated[FloatArray, Value(vector, POSE)]
+    position: Annotated[float | None, Value(positive, "m")] = None
+    angle: Annotated[float | None, Value(positive, "rad")] = None
     symmetry: int = 1
     body: str | None = None
 
     def __post_init__(self) -> None:
-        settle(
-            self,
-            pose=vector(self.pose, "goal.pose", "x [m], y [m], angle [rad]"),
-            position=optional_positive(self.position, "goal.position", "m"),
-            angle=optional_positive(self.angle, "goal.angle", "rad"),
-            symmetry=_whole(self.symmetry, "goal.symmetry"),
-        )
+        check_fields(self, "goal")
+        settle(self, symmetry=_whole(self.symmetry, "goal.symmetry"))
         if self.position is None and self.angle is None:
             raise InvalidInput(
                 "goal.pose", found="a pose without tolerances", expected="position=, angle= or both"
@@ -264,10 +268,10 @@ class Seated(Clause):
     """
 
     fixels: tuple[str, ...]
-    only: bool
-    stalled: bool
-    tolerance: float | None
-    body: str | None
+    only: bool = False
+    stalled: bool = False
+    tolerance: Annotated[float | None, Value(positive, "m")] = None
+    body: str | None = None
 
     def __init__(
         self,
@@ -348,16 +352,13 @@ class Inside(Clause):
     """
 
     region: Polygon
-    tolerance: float | None = None
+    tolerance: Annotated[float | None, Value(positive, "m")] = None
     body: str | None = None
 
     def __post_init__(self) -> None:
         region: Any = self.region
-        settle(
-            self,
-            region=region if isinstance(region, Polygon) else Polygon(region),
-            tolerance=optional_positive(self.tolerance, "goal.tolerance", "m"),
-        )
+        settle(self, region=region if isinstance(region, Polygon) else Polygon(region))
+        check_fields(self, "goal")
 
     def _margins(
         self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
@@ -395,22 +396,16 @@ class Beyond(Clause):
     True
     """
 
-    line: FloatArray
-    feature: FloatArray | None = None
-    tolerance: float | None = None
+    line: Annotated[FloatArray, Value(table, "x [m], y [m]")]
+    feature: Annotated[FloatArray | None, Value(vector, "x [m], y [m]")] = None
+    tolerance: Annotated[float | None, Value(positive, "m")] = None
     body: str | None = None
 
     def __post_init__(self) -> None:
-        line = rows_of(self.line, "goal.line", "x [m], y [m]")
-        if line.shape != (2, 2) or not np.ptp(line, axis=0).any():
-            raise InvalidInput("goal.line", found=line.tolist(), expected="two different points")
-        feature = self.feature
-        settle(
-            self,
-            line=line,
-            feature=None if feature is None else vector(feature, "goal.feature", "x [m], y [m]"),
-            tolerance=optional_positive(self.tolerance, "goal.tolerance", "m"),
-        )
+        check_fields(self, "goal")
+        if self.line.shape != (2, 2) or not np.ptp(self.line, axis=0).any():
+            found = self.line.tolist()
+            raise InvalidInput("goal.line", found=found, expected="two different points")
 
     @property
     def half_plane(self) -> tuple[FloatArray, FloatArray]:
@@ -460,11 +455,11 @@ class Contact(Clause):
 
     whole_motion: ClassVar[bool] = True
     fixel: str
-    tolerance: float | None = None
+    tolerance: Annotated[float | None, Value(positive, "m")] = None
     body: str | None = None
 
     def __post_init__(self) -> None:
-        settle(self, tolerance=optional_positive(self.tolerance, "goal.tolerance", "m"))
+        check_fields(self, "goal")
 
     def _margins(
         self, scene: Scene, body: Body, poses: FloatArray, fixels: FloatArray | None
@@ -502,7 +497,7 @@ class Exit(Clause):
 
     whole_motion: ClassVar[bool] = True
     region: Polygon
-    tolerance: float | None = None
+    tolerance: Annotated[float | None, Value(positive, "m")] = None
     body: str | None = None
 
     def __post_init__(self) -> None:
@@ -539,7 +534,7 @@ class ForceAbove(Clause):
     """
 
     whole_motion: ClassVar[bool] = True
-    newton: float
+    newton: Annotated[float, Value(positive, "N")]
     body: str | None = None
 
     def __post_init__(self) -> None:

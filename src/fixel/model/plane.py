@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, finite, frozen, instance, settle, table, vector
+from fixel.model.fields import (
+    Comparable,
+    Value,
+    check_fields,
+    finite,
+    frozen,
+    instance,
+    settle,
+    table,
+    vector,
+)
 from fixel.typing import ArrayField, FloatArray
 
 
@@ -30,22 +40,18 @@ class FrictionMap(Comparable):
         Multiplier at each node, row by row from low y to high [-].
     """
 
-    origin: FloatArray
-    cell: FloatArray
+    origin: Annotated[FloatArray, Value(vector, "x [m], y [m]")]
+    cell: Annotated[FloatArray, Value(vector, "x [m], y [m]")]
     factor: FloatArray
 
     def __post_init__(self) -> None:
-        cell = vector(self.cell, "friction_map.cell", "x [m], y [m]")
-        if (cell <= 0.0).any():
+        check_fields(self, "friction_map")
+        if (self.cell <= 0.0).any():
+            found = self.cell.tolist()
             raise InvalidInput(
-                "friction_map.cell", found=cell.tolist(), expected="numbers greater than 0 [m]"
+                "friction_map.cell", found=found, expected="numbers greater than 0 [m]"
             )
-        settle(
-            self,
-            origin=vector(self.origin, "friction_map.origin", "x [m], y [m]"),
-            cell=cell,
-            factor=_positive_grid(self.factor),
-        )
+        settle(self, factor=_positive_grid(self.factor))
 
     def at(self, position: ArrayLike) -> FloatArray:
         """Interpolate the multipliers (...) at world positions (..., 2) [m]."""
@@ -82,20 +88,18 @@ class Plane(Comparable):
     array([1.1, 0.9])
     """
 
-    anisotropy: ArrayField = (1.0, 1.0)  # type: ignore[assignment]
-    axis: float = 0.0
+    anisotropy: Annotated[ArrayField, Value(vector, "along the axis, across it")] = (1.0, 1.0)  # type: ignore[assignment]
+    axis: Annotated[float, Value(finite, "rad")] = 0.0
     friction_map: FrictionMap | None = None
 
     def __post_init__(self) -> None:
-        anisotropy = vector(self.anisotropy, "plane.anisotropy", "along the axis, across it")
-        if (anisotropy <= 0.0).any():
-            raise InvalidInput(
-                "plane.anisotropy", found=anisotropy.tolist(), expected="factors greater than 0"
-            )
+        check_fields(self, "plane")
+        if (self.anisotropy <= 0.0).any():
+            found = self.anisotropy.tolist()
+            raise InvalidInput("plane.anisotropy", found=found, expected="factors greater than 0")
         instance(
             self.friction_map, FrictionMap | None, "plane.friction_map", "a FrictionMap, or None"
         )
-        settle(self, anisotropy=anisotropy, axis=finite(self.axis, "plane.axis", "rad"))
 
 
 def _positive_grid(factor: ArrayLike) -> FloatArray:

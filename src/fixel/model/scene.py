@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, final
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, final
 
 import numpy as np
 
@@ -14,11 +14,13 @@ from fixel.errors import InvalidInput, unknown_name
 from fixel.model.bodies import Body, Fixel, Pusher
 from fixel.model.fields import (
     Comparable,
+    Value,
+    check_fields,
     fraction,
     instance,
     name_of,
     non_negative,
-    optional_positive,
+    positive,
     settle,
 )
 from fixel.model.overlap import boxes, overlap_depth, pairs_of_boxes
@@ -55,8 +57,8 @@ class PairFriction(Comparable):
 
     pair: tuple[str, str]
     _: KW_ONLY
-    friction: float
-    restitution: float | None = None
+    friction: Annotated[float, Value(non_negative)]
+    restitution: Annotated[float | None, Value(fraction)] = None
 
     def __post_init__(self) -> None:
         first, second = _two_names(self.pair)
@@ -143,8 +145,8 @@ class Scene(Comparable):
     _: KW_ONLY
     contact_friction: tuple[PairFriction, ...] = ()
     plane: Plane = field(default_factory=Plane)
-    gravity: float = 9.81
-    duration: float = None  # type: ignore[assignment]
+    gravity: Annotated[float, Value(non_negative, "m/s^2")] = 9.81
+    duration: Annotated[float, Value(positive, "s")] = None  # type: ignore[assignment]
     support_directions: int | None = None
 
     if TYPE_CHECKING:  # what may be given; the fields are what is kept
@@ -169,9 +171,8 @@ class Scene(Comparable):
             pushers=_members(self.pushers, Pusher, "pushers"),
             fixels=_members(self.fixels, Fixel, "fixels"),
             contact_friction=_members(self.contact_friction, PairFriction, "contact_friction"),
-            gravity=non_negative(self.gravity, "gravity", "m/s^2"),
-            duration=optional_positive(self.duration, "duration", "s"),
         )
+        check_fields(self)
         if not self.bodies:
             raise InvalidInput("bodies", found="no free body", expected="at least one")
         instance(self.plane, Plane, "plane", "a Plane")

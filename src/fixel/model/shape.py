@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import hypot, pi
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Annotated, final
 
 import numpy as np
 import shapely
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
 from fixel.model.decomposition import Piece, convex_pieces, is_convex
-from fixel.model.fields import Comparable, frozen, positive, settle, table
+from fixel.model.fields import Comparable, Value, frozen, positive, settle, table
 from fixel.typing import FloatArray
 
 # Share of the size of a polygon below which two points are one, and a vertex lies on a straight
@@ -66,7 +66,7 @@ class Polygon(Comparable):
     0.005000000000000001
     """
 
-    vertices: FloatArray
+    vertices: Annotated[FloatArray, Value(table, "x [m], y [m]")]
     area: float = field(init=False, repr=False, compare=False)
     centroid: FloatArray = field(init=False, repr=False, compare=False)
     unit_inertia: float = field(init=False, repr=False, compare=False)
@@ -148,7 +148,7 @@ class Disk(Comparable):
     Parameters
     ----------
     radius : float
-        Radius [m].
+        Radius of the disk [m].
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ class Disk(Comparable):
     0.005
     """
 
-    radius: float
+    radius: Annotated[float, Value(positive, "m")]
 
     def __post_init__(self) -> None:
         settle(self, radius=positive(self.radius, "disk", "m"))

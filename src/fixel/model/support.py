@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model.fields import (
     Comparable,
+    Value,
+    check_fields,
     finite,
     frozen,
     non_negative,
@@ -49,17 +51,12 @@ class Tripod(Comparable):
     0.038
     """
 
-    radius: float
-    friction: float
-    angle: float = 0.0
+    radius: Annotated[float, Value(positive, "m")]
+    friction: Annotated[float, Value(non_negative)]
+    angle: Annotated[float, Value(finite, "rad")] = 0.0
 
     def __post_init__(self) -> None:
-        settle(
-            self,
-            radius=positive(self.radius, "tripod.radius", "m"),
-            friction=non_negative(self.friction, "tripod.friction"),
-            angle=finite(self.angle, "tripod.angle", "rad"),
-        )
+        check_fields(self, "tripod")
 
 
 @final
@@ -85,7 +82,7 @@ class SupportPoints(Comparable):
     (3, 2)
     """
 
-    points: FloatArray
+    points: Annotated[FloatArray, Value(table, "x [m], y [m]")]
     friction: float | FloatArray
     loads: FloatArray | None = None
 
@@ -123,7 +120,7 @@ class UniformPressure(Comparable):
     64
     """
 
-    friction: float
+    friction: Annotated[float, Value(non_negative)]
     n_points: int = 64
 
     def __post_init__(self) -> None:
@@ -132,11 +129,8 @@ class UniformPressure(Comparable):
             raise InvalidInput(
                 "uniform.n_points", found=self.n_points, expected="a whole number from 3 to 100000"
             )
-        settle(
-            self,
-            friction=non_negative(self.friction, "uniform.friction"),
-            n_points=int(n_points),
-        )
+        check_fields(self, "uniform")
+        settle(self, n_points=int(n_points))
 
 
 @final
@@ -163,17 +157,12 @@ class Ellipsoid(Comparable):
     array([0., 0.])
     """
 
-    force: float
-    torque: float
-    centre: ArrayField = (0.0, 0.0)  # type: ignore[assignment]
+    force: Annotated[float, Value(positive, "N")]
+    torque: Annotated[float, Value(positive, "N m")]
+    centre: Annotated[ArrayField, Value(vector, "x [m], y [m]")] = (0.0, 0.0)  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        settle(
-            self,
-            force=positive(self.force, "ellipsoid.force", "N"),
-            torque=positive(self.torque, "ellipsoid.torque", "N m"),
-            centre=vector(self.centre, "ellipsoid.centre", "x [m], y [m]"),
-        )
+        check_fields(self, "ellipsoid")
 
 
 @final

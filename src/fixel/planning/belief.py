@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple, final
+from typing import Annotated, Any, Final, NamedTuple, final
 
 import numpy as np
 import shapely
@@ -15,7 +15,7 @@ import shapely
 from fixel.calibration.known_pushes import push_target
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
-from fixel.model.fields import instance, non_negative, settle
+from fixel.model.fields import Value, check_fields, instance, non_negative, settle
 from fixel.parts.model import PartModel
 from fixel.parts.prior import NAMES
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
@@ -63,14 +63,13 @@ class RigError:
     0.0
     """
 
-    path: float = 0.0
-    heading: float = 0.0
-    travel: float = 0.0
-    fixels: float = 0.0
+    path: Annotated[float, Value(non_negative, "m")] = 0.0
+    heading: Annotated[float, Value(non_negative, "rad")] = 0.0
+    travel: Annotated[float, Value(non_negative, "m")] = 0.0
+    fixels: Annotated[float, Value(non_negative, "m")] = 0.0
 
     def __post_init__(self) -> None:
-        for name, unit in (("path", "m"), ("heading", "rad"), ("travel", "m"), ("fixels", "m")):
-            settle(self, **{name: non_negative(getattr(self, name), f"belief.rig.{name}", unit)})
+        check_fields(self, "belief.rig")
 
 
 class Scenarios(NamedTuple):

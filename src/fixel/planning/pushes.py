@@ -6,14 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
-from typing import Final, NamedTuple, Protocol, final
+from typing import Annotated, Final, NamedTuple, Protocol, final
 
 import numpy as np
 import shapely
 
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Body, Disk, LineDrive, PathDrive, Pusher, Scene, Shape
-from fixel.model.fields import instance, non_negative, optional_positive, positive, settle
+from fixel.model.fields import Value, check_fields, instance, non_negative, positive, settle
 from fixel.model.overlap import overlaps
 from fixel.simulation.vary import composed
 from fixel.typing import FloatArray
@@ -163,25 +163,19 @@ class FreePushes:
     most: int = 1
     tool: Shape | None = None
     length: Range | None = None
-    angle: float = 30.0 * deg
-    clearance: float | None = None
-    retract: float | None = None
-    speed: float = 0.02
-    friction: float | None = None
-    force_limit: float | None = None
+    angle: Annotated[float, Value(non_negative, "rad")] = 30.0 * deg
+    clearance: Annotated[float | None, Value(positive, "m")] = None
+    retract: Annotated[float | None, Value(non_negative, "m")] = None
+    speed: Annotated[float, Value(positive, "m/s")] = 0.02
+    friction: Annotated[float | None, Value(non_negative)] = None
+    force_limit: Annotated[float | None, Value(positive, "N")] = None
 
     def __post_init__(self) -> None:
         _check_most(self.most)
         instance(self.tool, Shape | None, "choose.tool", "a Polygon or a Disk")
         if self.length is not None:
             settle(self, length=_range(self.length, "choose.length", lowest=0.0))
-        positive(self.speed, "choose.speed", "m/s")
-        settle(
-            self,
-            angle=non_negative(self.angle, "choose.angle", "rad"),
-            clearance=optional_positive(self.clearance, "choose.clearance", "m"),
-            force_limit=optional_positive(self.force_limit, "choose.force_limit", "N"),
-        )
+        check_fields(self, "choose")
         if self.angle >= 0.5 * math.pi:
             raise InvalidInput(
                 "choose.angle",
@@ -282,14 +276,19 @@ class RigPushes:
     theta: Range = (0.0, 0.0)
     stroke: Range | None = None
     fixels: Mapping[str, tuple[Range, Range]] | None = None
-    retract: float = 0.0
+    retract: Annotated[float, Value(non_negative, "m")] = 0.0
 
     def __post_init__(self) -> None:
         for name in ("x", "y", "theta"):
             settle(self, **{name: _range(getattr(self, name), f"choose.{name}")})
         if self.stroke is not None:
             settle(self, stroke=_range(self.stroke, "choose.stroke", lowest=0.0))
-        settle(self, retract=non_negative(self.retract, "choose.retract", "m"))
+        if self.fixels is not None:
+            moved = {
+                k: tuple(_range(one, "choose.fixels") for one in v) for k, v in self.fixels.items()
+            }
+            settle(self, fixels=moved)
+        check_fields(self, "choose")
 
     @property
     def most(self) -> int:

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import prod
-from typing import Final, Literal, get_args
+from typing import Annotated, Final, Literal, get_args
 
 import numpy as np
 
 from fixel.errors import InvalidInput, unknown_name
-from fixel.model.fields import finite, positive, settle, vector
+from fixel.model.fields import Value, finite, positive, settle, vector
 from fixel.typing import FloatArray
 
 AxisName = Literal["x", "y", "theta"]
@@ -80,7 +80,7 @@ class OffsetAxis:
     """
 
     name: AxisName
-    step: float
+    step: Annotated[float, Value(positive)]
     first: int
     last: int
 

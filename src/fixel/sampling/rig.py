@@ -6,18 +6,19 @@ import re
 from dataclasses import dataclass, field
 from functools import cache
 from math import pi, sin
-from typing import Final, final
+from typing import Annotated, Final, final
 
 import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model import Disk, NoSupport, Polygon, Shape, Support, placed
 from fixel.model.fields import (
+    Value,
+    check_fields,
     finite,
     instance,
     name_of,
     non_negative,
-    optional_positive,
     positive,
     settle,
 )
@@ -53,14 +54,14 @@ class RegularPolygon:
     """
 
     sides: int
-    side: float
+    side: Annotated[float, Value(positive, "m")]
 
     def __post_init__(self) -> None:
         if not 3 <= self.sides <= MAX_SIDES:
             raise InvalidInput(
                 "regular.sides", found=self.sides, expected=f"a number from 3 to {MAX_SIDES}"
             )
-        settle(self, side=positive(self.side, "regular.side", "m"))
+        check_fields(self, "regular")
 
     @property
     def circumradius(self) -> float:
@@ -108,18 +109,14 @@ class PlannedShape:
 
     name: str
     outline: Outline
-    mass: float
-    zone_start: float
+    mass: Annotated[float, Value(positive, "kg")]
+    zone_start: Annotated[float, Value(finite, "m")]
     support: Support = field(default_factory=NoSupport)
 
     def __post_init__(self) -> None:
         where = f"shape {plain_name(self.name, 'shape.name')!r}"
         instance(self.outline, Outline, where, "a Polygon, a Disk or a RegularPolygon")
-        settle(
-            self,
-            mass=positive(self.mass, f"{where}.mass", "kg"),
-            zone_start=finite(self.zone_start, f"{where}.zone_start", "m"),
-        )
+        check_fields(self, where)
 
     @property
     def shape(self) -> Shape:
@@ -196,30 +193,19 @@ class SamplingRig:
     """
 
     head: Outline
-    speed: float
-    travel: float
-    force_limit: float | None
-    head_friction: float
-    fixel_friction: float
-    fixel_radius: float
-    zone_side: float
-    gap: float
-    angle: float
+    speed: Annotated[float, Value(positive, "m/s")]
+    travel: Annotated[float, Value(positive, "m")]
+    force_limit: Annotated[float | None, Value(positive, "N")] = None
+    head_friction: Annotated[float, Value(non_negative)]
+    fixel_friction: Annotated[float, Value(non_negative)]
+    fixel_radius: Annotated[float, Value(positive, "m")]
+    zone_side: Annotated[float, Value(positive, "m")]
+    gap: Annotated[float, Value(finite, "m")]
+    angle: Annotated[float, Value(finite, "rad")] = 0.0
 
     def __post_init__(self) -> None:
         instance(self.head, Outline, "head.shape", "a Polygon, a Disk or a RegularPolygon")
-        settle(
-            self,
-            speed=positive(self.speed, "head.speed", "m/s"),
-            travel=positive(self.travel, "head.travel", "m"),
-            force_limit=optional_positive(self.force_limit, "head.force_limit", "N"),
-            head_friction=non_negative(self.head_friction, "head.friction"),
-            fixel_friction=non_negative(self.fixel_friction, "fixels.friction"),
-            fixel_radius=positive(self.fixel_radius, "fixels.radius", "m"),
-            zone_side=positive(self.zone_side, "fixels.zone_side", "m"),
-            gap=finite(self.gap, "nominal.gap", "m"),
-            angle=finite(self.angle, "nominal.angle", "rad"),
-        )
+        check_fields(self, "rig")
 
     @property
     def duration(self) -> float:

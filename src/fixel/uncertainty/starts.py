@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, Literal, cast, final
+from typing import Annotated, Final, Literal, cast, final
 
 import numpy as np
 
 from fixel.errors import InvalidInput, unknown_name
-from fixel.model.fields import non_negative, settle
+from fixel.model.fields import Value, check_fields, non_negative
 from fixel.typing import FloatArray
 
 Kind = Literal["uniform", "normal"]
@@ -44,9 +44,9 @@ class StartError:
     start: +-1 mm, +-2 deg uniform
     """
 
-    x: float = 0.0
-    y: float = 0.0
-    theta: float = 0.0
+    x: Annotated[float, Value(non_negative, "m")] = 0.0
+    y: Annotated[float, Value(non_negative, "m")] = 0.0
+    theta: Annotated[float, Value(non_negative, "rad")] = 0.0
     kind: Kind = NO_KIND
 
     def __post_init__(self) -> None:
@@ -54,12 +54,7 @@ class StartError:
             hint = "the same sizes mean different errors, so there is no default"
             found = str(self.kind) or "none"
             raise InvalidInput("start_error.kind", found=found, expected=MEANINGS, hint=hint)
-        settle(
-            self,
-            x=non_negative(self.x, "start_error.x", "m"),
-            y=non_negative(self.y, "start_error.y", "m"),
-            theta=non_negative(self.theta, "start_error.theta", "rad"),
-        )
+        check_fields(self, "start_error")
         if self.x == self.y == self.theta == 0.0:
             raise InvalidInput(
                 "start_error",

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final, final
+from typing import Annotated, Final, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, frozen, instance, positive, settle, vector
+from fixel.model.fields import (
+    Comparable,
+    Value,
+    check_fields,
+    frozen,
+    instance,
+    positive,
+    settle,
+    vector,
+)
 from fixel.typing import FloatArray
 from fixel.vision.lens import FOCAL, Lens
 
@@ -46,7 +55,7 @@ class Camera(Comparable):
 
     lens: Lens
     rotation: FloatArray
-    translation: FloatArray
+    translation: Annotated[FloatArray, Value(vector, "x [m], y [m], z [m]")]
 
     def __post_init__(self) -> None:
         rotation = frozen(self.rotation)
@@ -64,8 +73,8 @@ class Camera(Comparable):
                 expected="a rotation matrix of determinant 1",
                 hint="the picture may be mirrored, or the y axis of the board reversed",
             )
-        translation = vector(self.translation, "camera.translation", "x [m], y [m], z [m]")
-        settle(self, rotation=rotation, translation=translation)
+        check_fields(self, "camera")
+        settle(self, rotation=rotation)
         if self.position[2] <= 0.0:
             raise InvalidInput(
                 "camera.translation",
@@ -206,7 +215,7 @@ class MeasuredCamera(Comparable):
     camera: Camera | None = None
     names: tuple[str, ...] = ()
     covariance: FloatArray = ()  # type: ignore[assignment]
-    noise: float | None = None
+    noise: Annotated[float | None, Value(positive, "px")] = None
     seen: NDArray[np.float64] = ()  # type: ignore[assignment]
     source: str = ""
 
@@ -224,8 +233,8 @@ class MeasuredCamera(Comparable):
         seen = frozen(self.seen)
         if seen.size and (seen.ndim != 2 or not np.isfinite(seen).all() or seen.min() < 0.0):
             raise InvalidInput("measured.seen", found=seen.tolist(), expected="rows of counts")
-        noise = None if self.noise is None else positive(self.noise, "measured.noise", "px")
-        settle(self, names=names, covariance=covariance, seen=seen, noise=noise)
+        check_fields(self, "measured")
+        settle(self, names=names, covariance=covariance, seen=seen)
 
     @property
     def deviations(self) -> dict[str, float]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, frozen, settle, vector
+from fixel.model.fields import Comparable, Value, check_fields, frozen, settle, vector
 from fixel.typing import FloatArray
 
 # Parameters of the lens, with OpenCV's names.
@@ -58,8 +58,8 @@ class Lens(Comparable):
     """
 
     image_size: tuple[int, int]
-    focal: FloatArray
-    centre: FloatArray
+    focal: Annotated[FloatArray, Value(vector, "along u [px], along v [px]")]
+    centre: Annotated[FloatArray, Value(vector, "u [px], v [px]")]
     skew: float = 0.0
     distortion: FloatArray = (0.0,) * 8  # type: ignore[assignment]
     fisheye: bool = False
@@ -69,13 +69,11 @@ class Lens(Comparable):
             raise InvalidInput(
                 "lens.image_size", found=self.image_size, expected="width and height [px]"
             )
-        focal = vector(self.focal, "lens.focal", "along u [px], along v [px]")
-        if focal.min() <= 0.0:
-            raise InvalidInput("lens.focal", found=focal.tolist(), expected="above 0 [px]")
+        check_fields(self, "lens")
+        if self.focal.min() <= 0.0:
+            raise InvalidInput("lens.focal", found=self.focal.tolist(), expected="above 0 [px]")
         settle(
             self,
-            focal=focal,
-            centre=vector(self.centre, "lens.centre", "u [px], v [px]"),
             skew=float(self.skew),
             distortion=_coefficients(self.distortion, 4 if self.fisheye else 8),
         )

@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final, final
+from typing import Annotated, Final, final
 
 from fixel.errors import InvalidInput
-from fixel.model.fields import Comparable, instance, name_of, non_negative, positive, settle, vector
+from fixel.model.bodies import POSE
+from fixel.model.fields import (
+    Comparable,
+    Value,
+    check_fields,
+    instance,
+    name_of,
+    non_negative,
+    positive,
+    settle,
+    vector,
+)
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera, MeasuredCamera
 
@@ -39,9 +50,9 @@ class Tag(Comparable):
     """
 
     id: int
-    size: float
-    pose: FloatArray = (0.0, 0.0, 0.0)  # type: ignore[assignment]
-    height: float
+    size: Annotated[float, Value(positive, "m")]
+    pose: Annotated[FloatArray, Value(vector, POSE)] = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    height: Annotated[float, Value(non_negative, "m")]
     family: str = FAMILIES[0]
 
     def __post_init__(self) -> None:
@@ -49,12 +60,7 @@ class Tag(Comparable):
             raise InvalidInput("tag.family", found=repr(self.family), expected=", ".join(FAMILIES))
         if isinstance(self.id, bool) or self.id < 0 or self.id != int(self.id):
             raise InvalidInput("tag.id", found=self.id, expected="a whole number of at least 0")
-        settle(
-            self,
-            size=positive(self.size, "tag.size", "m"),
-            pose=vector(self.pose, "tag.pose", "x [m], y [m], angle [rad]"),
-            height=non_negative(self.height, "tag.height", "m"),
-        )
+        check_fields(self, "tag")
 
 
 @final
@@ -75,21 +81,16 @@ class Sticker(Comparable):
     """
 
     colour: str
-    diameter: float
-    place: FloatArray
-    height: float
+    diameter: Annotated[float, Value(positive, "m")]
+    place: Annotated[FloatArray, Value(vector, "x [m], y [m]")]
+    height: Annotated[float, Value(non_negative, "m")]
 
     def __post_init__(self) -> None:
         if self.colour not in COLOURS:
             raise InvalidInput(
                 "sticker.colour", found=repr(self.colour), expected=", ".join(COLOURS)
             )
-        settle(
-            self,
-            diameter=positive(self.diameter, "sticker.diameter", "m"),
-            place=vector(self.place, "sticker.place", "x [m], y [m]"),
-            height=non_negative(self.height, "sticker.height", "m"),
-        )
+        check_fields(self, "sticker")
 
 
 Mark = Tag | Sticker
@@ -108,14 +109,15 @@ class MarkedPart(Comparable):
         Markers of the part. One tag or two stickers determine its pose; more are used together.
     """
 
-    height: float
+    height: Annotated[float, Value(positive, "m")]
     marks: tuple[Mark, ...] = ()
 
     def __post_init__(self) -> None:
         marks = tuple(self.marks)
         for index, mark in enumerate(marks):
             instance(mark, Mark, f"marks[{index}]", "a Tag or a Sticker")
-        settle(self, height=positive(self.height, "part.height", "m"), marks=marks)
+        settle(self, marks=marks)
+        check_fields(self, "part")
 
 
 @final
@@ -145,11 +147,11 @@ class Rig(Comparable):
     name: str
     camera: Camera
     parts: dict[str, MarkedPart] = field(default_factory=dict)
-    fixel_height: float = 0.05108
+    fixel_height: Annotated[float, Value(positive, "m")] = 0.05108
     plate: tuple[Tag, ...] = ()
     tactile: tuple[str, ...] = THESIS_BITS
-    position_tolerance: float = 1e-3
-    angle_tolerance: float = math.radians(1.0)
+    position_tolerance: Annotated[float, Value(positive, "m")] = 1e-3
+    angle_tolerance: Annotated[float, Value(positive, "rad")] = math.radians(1.0)
     measured: MeasuredCamera | None = None
 
     def __post_init__(self) -> None:
@@ -159,15 +161,9 @@ class Rig(Comparable):
             raise InvalidInput(
                 "rig.measured", found="another camera", expected="the errors of rig.camera, or none"
             )
-        settle(
-            self,
-            parts=dict(self.parts),
-            fixel_height=positive(self.fixel_height, "rig.fixel_height", "m"),
-            plate=tuple(self.plate),
-            tactile=_bits(self.tactile),
-            position_tolerance=positive(self.position_tolerance, "rig.position_tolerance", "m"),
-            angle_tolerance=positive(self.angle_tolerance, "rig.angle_tolerance", "rad"),
-        )
+        check_fields(self, "rig")
+        parts, plate = dict(self.parts), tuple(self.plate)
+        settle(self, parts=parts, plate=plate, tactile=_bits(self.tactile))
         for name, part in self.parts.items():
             instance(part, MarkedPart, f"rig.parts[{name_of(name, 'rig.parts')!r}]", "a MarkedPart")
         for index, tag in enumerate(self.plate):
