@@ -13,7 +13,7 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.drawing.sensitivity import EnsembleChart, IndicesChart
 from fixel.errors import InvalidInput
-from fixel.formats.scene_model import scene_content
+from fixel.formats.scene_schema import scene_content
 from fixel.model import Parameters
 from fixel.simulation.motion import motion_model
 from fixel.table import Column, Table
