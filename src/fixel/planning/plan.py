@@ -25,7 +25,7 @@ from fixel.planning.pushes import (
     scene_of_push,
 )
 from fixel.planning.rollout import FAILURES, PlannedMotions, PlanSimulator, Runs
-from fixel.planning.search import Answers, PlanSearch, Rounds, conduct, pose_text
+from fixel.planning.search import WORLDS, PlanSearch, Rounds, pose_text
 from fixel.planning.success import SuccessProbability
 from fixel.progress import Progress
 from fixel.results import Result, Summary
@@ -36,6 +36,7 @@ from fixel.typing import FloatArray
 
 SAMPLES: Final = 12  # poses of each push that goals about the whole motion regard
 MIN_ROLLOUTS: Final = 1000
+FRESH: Final = 1_000_003  # added to the seed of a plan, so that a check draws other scenarios
 MISSED: Final = "misses the goal"
 
 
@@ -213,6 +214,13 @@ class PushPlan(Result):
         found = simulator.run(self.planned(), np.zeros(own.n, np.int64), own, first=push)
         return np.asarray((simulator.margins(found) >= 0.0).reshape(-1, runs).mean(axis=1))
 
+    def success_under(self, belief: Belief) -> SuccessProbability:
+        """Compute the success probability from fresh scenarios of a belief, such as a later one."""
+        scenarios = belief.scenarios(self.scene, worlds=WORLDS, runs=WORLDS, seed=self.seed + FRESH)
+        simulator = replace(self, belief=belief)._simulator(None)
+        runs = simulator.run(self.planned(), np.zeros(scenarios.n, np.int64), scenarios)
+        return SuccessProbability.of(simulator.margins(runs).reshape(WORLDS, WORLDS))
+
     def explain(self) -> Explanation:
         """Return the reasons why the plan fails, and what measuring each unknown is worth.
 
@@ -320,41 +328,6 @@ def simulator_of(
     )
 
 
-def find_plan(
-    scene: Scene,
-    goal: Goal,
-    choose: FreePushes | RigPushes,
-    belief: Belief,
-    *,
-    rollouts: int,
-    seed: int,
-    threads: int | None,
-    motion: AbstractMotionModel | None = None,
-    stepper: AbstractStepper | None = None,
-    untrusted: bool = False,
-    first: Sequence[Sequence[PlanPush | RigPush]] = (),
-    answers: Answers | None = None,
-    report: Callable[[Progress], None] | None = None,
-) -> PushPlan:
-    """Search for a plan, and estimate its success probability from fresh scenarios.
-
-    Parameters
-    ----------
-    scene, goal, choose, belief, rollouts, seed, threads, motion, stepper, untrusted, first
-        As for `fixel.plan`.
-    answers : mutable mapping, optional
-        Margins that were computed before, by what was asked; new ones are added.
-    report : callable, optional
-        Called with the progress of the search.
-    """
-    search = search_of(
-        scene, goal, choose, belief, rollouts=rollouts, seed=seed, threads=threads,
-        motion=motion, stepper=stepper, first=first, report=report,
-    )  # fmt: skip
-    rounds = plan_rounds(search, untrusted=untrusted)
-    return conduct(search, rounds, {} if answers is None else answers)
-
-
 def search_of(
     scene: Scene,
     goal: Goal,
@@ -369,7 +342,7 @@ def search_of(
     first: Sequence[Sequence[PlanPush | RigPush]] = (),
     report: Callable[[Progress], None] | None = None,
 ) -> PlanSearch:
-    """Return the search for a plan, after checks; parameters as for `find_plan`."""
+    """Return the search for a plan, after checks; parameters as for `fixel.plan`."""
     instance(goal, Goal, "goal", "a goal, such as PoseRegion or Seated")
     given: Any = rollouts
     whole = isinstance(given, int | np.integer) and not isinstance(given, bool)

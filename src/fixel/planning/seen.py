@@ -1,17 +1,23 @@
-"""Parameters of a run, from the pose that is seen between two pushes of its plan."""
+"""The rest of a plan, from the pose that is seen between two of its pushes."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from fixel.errors import InvalidInput
+from fixel.model.goals import BodyTrack
 from fixel.model.trajectory import wrapped
 from fixel.planning.belief import Belief
-from fixel.planning.plan import PushPlan
+from fixel.planning.plan import PushPlan, plan_rounds, search_of
+from fixel.planning.pushes import FreePushes
+from fixel.planning.search import conduct
+from fixel.progress import Progress
 from fixel.typing import BoolArray, FloatArray
-from fixel.uncertainty.starts import StartError
+from fixel.uncertainty.starts import RPI_CAMERA, StartError
 
 WORLDS: Final = 2048  # parameter draws that are weighted
 FRESH: Final = 11  # number of their stream of random values
@@ -91,3 +97,75 @@ def _weights(off: FloatArray, deviation: FloatArray, good: BoolArray) -> FloatAr
         if weight.sum() ** 2 >= MIN_EFFECTIVE * np.sum(weight**2) > 0.0:
             return weight
     return None
+
+
+def plan_again(
+    plan: PushPlan,
+    seen: FloatArray,
+    done: int,
+    *,
+    error: StartError = RPI_CAMERA,
+    rollouts: int,
+    untrusted: bool = False,
+    report: Callable[[Progress], None] | None = None,
+) -> tuple[PushPlan, str]:
+    """Plan again from a seen pose, with the pushes that are left.
+
+    Parameters
+    ----------
+    plan : PushPlan
+        Plan with the present belief.
+    seen : (3,) float64
+        Pose of the part [m, m, rad].
+    done : int
+        Number of pushes that were carried out.
+    error : StartError
+        Error of the seen pose; by default that of the stickers' camera.
+    rollouts, untrusted
+        As for `fixel.plan`.
+    report : callable, optional
+        Function that is called with the progress.
+
+    Returns
+    -------
+    plan : PushPlan
+    note : str
+        Why the parameters are as before; empty where they were narrowed.
+
+    Raises
+    ------
+    InvalidInput
+        The seen pose meets the goal, or no push is left.
+    """
+    if _is_met(plan, seen):
+        hint = "no push is needed"
+        raise InvalidInput(
+            "seen", found="a pose that meets the goal", expected="another", hint=hint
+        )
+    left = len(plan.pushes) - done
+    if left < 1:
+        expected = f"less than {len(plan.pushes)}, the plan's pushes"
+        raise InvalidInput("done", found=done, expected=expected)
+    told = belief_after(plan, seen, done, error)
+    choose, body = plan.choose, plan.scene.bodies[0]
+    search = search_of(
+        replace(plan.scene, bodies=(replace(body, pose=np.asarray(seen)),)),
+        plan.goal,
+        replace(choose, most=left) if isinstance(choose, FreePushes) else choose,
+        told.belief,
+        rollouts=rollouts,
+        seed=plan.seed,
+        motion=plan.motion,
+        stepper=plan.stepper,
+        first=[plan.pushes[done:]],
+        report=report,
+    )
+    return conduct(search, plan_rounds(search, untrusted=untrusted), {}), told.note
+
+
+def _is_met(plan: PushPlan, seen: FloatArray) -> bool:
+    """Return whether a seen pose already meets the goal, judged by the pose alone."""
+    try:
+        return bool(plan.goal.met(plan.scene, BodyTrack.of_ends(seen))[0])
+    except InvalidInput:  # the goal needs forces or stalls
+        return False

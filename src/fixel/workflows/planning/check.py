@@ -13,27 +13,19 @@ import numpy as np
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
-from fixel.model.goals import BodyTrack
-from fixel.model.scene import Scene
 from fixel.planning.belief import Belief
 from fixel.planning.held_out import HeldSuccess, held_success
-from fixel.planning.plan import PushPlan, simulator_of
-from fixel.planning.pushes import FreePushes
-from fixel.planning.seen import belief_after
+from fixel.planning.seen import plan_again
 from fixel.planning.success import SuccessProbability
 from fixel.planning.trials import Trials
-from fixel.progress import ProgressOption
+from fixel.progress import ProgressOption, show_progress
 from fixel.typing import FloatArray
-from fixel.uncertainty.starts import RPI_CAMERA, StartError
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.run import calibrate
 from fixel.workflows.calibration.stored import newest_calibration
 from fixel.workflows.planning.request import FoundPlan, inputs_of, warnings_of, with_experiments
-from fixel.workflows.planning.run import plan
 from fixel.workflows.planning.stored import load_plan, load_trials
 
-WORLDS: Final = 64
-FRESH: Final = 1_000_003  # added to the seed of a plan, so that a check draws other scenarios
 QUICK: Final = 12_000  # rollouts of a new plan from a seen pose
 
 
@@ -101,7 +93,7 @@ def check_plan(project: Project | None, path: Path) -> CheckedPlan:
     return CheckedPlan(
         found=file.found,
         id=file.id,
-        now=success_under(file.found.plan, belief),
+        now=file.found.plan.success_under(belief),
         calibration=number,
         changed=number != file.found.calibration,
         trials=trials,
@@ -118,17 +110,6 @@ def present_belief(project: Project | None, found: FoundPlan) -> tuple[Belief, i
         project, given["goal"], Path(given["folder"]), scene, given.get("experiment", "")
     )
     return own.belief, own.calibration
-
-
-def success_under(plan: PushPlan, belief: Belief) -> SuccessProbability:
-    """Compute the success probability of a plan from fresh scenarios of a belief."""
-    scenarios = belief.scenarios(plan.scene, worlds=WORLDS, runs=WORLDS, seed=plan.seed + FRESH)
-    simulator = simulator_of(
-        plan.scene, plan.goal, plan.choose, belief, plan.motion, plan.stepper, None
-    )
-    runs = simulator.run(plan.planned(), np.zeros(scenarios.n, np.int64), scenarios)
-    margins = simulator.margins(runs)
-    return SuccessProbability.of(margins.reshape(WORLDS, WORLDS))
 
 
 def held_out_success(
@@ -184,7 +165,6 @@ def next_plan(
     seen: FloatArray,
     *,
     done: int = 0,
-    error: StartError | None = None,
     rollouts: int = QUICK,
     progress: ProgressOption = None,
 ) -> FoundPlan:
@@ -199,58 +179,21 @@ def next_plan(
         Pose of the part [m, m, rad].
     done : int
         Number of pushes that were carried out.
-    error : StartError, optional
-        Error of the seen pose; by default that of the stickers' camera.
     rollouts : int
         Number of simulated pushes.
     progress : bool or callable, optional
     """
     found = load_plan(path).found
-    old = found.plan
-    if already_met(old, seen):
-        hint = "no push is needed"
-        raise InvalidInput(
-            "--seen", found="a pose that meets the goal", expected="another", hint=hint
-        )
     belief, number = present_belief(project, found)
-    left = len(old.pushes) - done
-    if left < 1:
-        raise InvalidInput(
-            "--done", found=done, expected=f"less than {len(old.pushes)}, the plan's pushes"
+    request = found.request
+    with show_progress(progress, "planning") as report:
+        again, note = plan_again(
+            replace(found.plan, belief=belief),
+            seen,
+            done,
+            rollouts=rollouts,
+            untrusted=request.get("untrusted", False),
+            report=report.show,
         )
-    choose = replace(old.choose, most=left) if isinstance(old.choose, FreePushes) else old.choose
-    scene = at_pose(old.scene, seen)
-    told = belief_after(replace(old, belief=belief), seen, done, error or RPI_CAMERA)
-    again = plan(
-        scene,
-        old.goal,
-        choose,
-        told.belief,
-        rollouts=rollouts,
-        seed=old.seed,
-        motion=old.motion,
-        stepper=old.stepper,
-        untrusted=found.request.get("untrusted", False),
-        first=[old.pushes[done:]],
-        progress=progress,
-    )
-    return FoundPlan(
-        plan=again,
-        request=found.request,
-        calibration=number,
-        wanted=found.wanted,
-        warnings=(*warnings_of(again, found.wanted), *filter(None, [told.note])),
-    )
-
-
-def already_met(plan: PushPlan, seen: FloatArray) -> bool:
-    """Return whether a seen pose already meets the goal, judged by the pose alone."""
-    try:
-        return bool(plan.goal.met(plan.scene, BodyTrack.of_ends(seen))[0])
-    except InvalidInput:  # the goal needs forces or stalls
-        return False
-
-
-def at_pose(scene: Scene, pose: Sequence[float] | FloatArray) -> Scene:
-    """Return a scene with its part at another pose (3,) [m, m, rad]."""
-    return replace(scene, bodies=(replace(scene.bodies[0], pose=np.asarray(pose)),))
+    warnings = (*warnings_of(again, found.wanted), *filter(None, [note]))
+    return replace(found, plan=again, calibration=number, warnings=warnings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -56,27 +57,21 @@ def analysis_of(found: FoundPlan) -> Analysis:
     )
 
 
-def pictures_of(plan: PushPlan) -> list[Picture]:
-    """Return motions, capture regions and causes of failures of a plan."""
-    pictures = [
-        Picture(
-            "paths", PathsChart.of(plan), "",
-            "Simulated motions of the part in samples of what is unknown; failures in colour.",
-        ),
-        Picture(
-            "causes", CausesChart(explanation=plan.explain()), "",
-            "Share of the failures that each unknown explains alone, and the success gained by"
-            " measuring it before choosing among the best plans.",
-        ),
-    ]  # fmt: skip
+def pictures_of(plan: PushPlan) -> Iterator[Picture]:
+    """Yield motions, capture regions and causes of failures of a plan."""
+    caption = "Simulated motions of the part in samples of what is unknown; failures in colour."
+    yield Picture("paths", PathsChart.of(plan), "", caption)
     if plan.pushes:
-        capture = Picture(
-            "capture", CaptureChart.of(plan), "",
+        caption = (
             "Success of the rest of the plan from poses before each push, with the poses in"
-            " samples of what is unknown before and after it.",
-        )  # fmt: skip
-        pictures.insert(1, capture)
-    return pictures
+            " samples of what is unknown before and after it."
+        )
+        yield Picture("capture", CaptureChart.of(plan), "", caption)
+    caption = (
+        "Share of the failures that each unknown explains alone, and the success gained by"
+        " measuring it before choosing among the best plans."
+    )
+    yield Picture("causes", CausesChart(explanation=plan.explain()), "", caption)
 
 
 def add_files(answer: PlanAnswer, folder: Path) -> None:

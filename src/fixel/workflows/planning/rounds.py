@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -32,11 +32,11 @@ def plan_in_rounds(
     *,
     inputs: Path,
     progress: Callable[[Progress], None] | None = None,
-    **options: Any,
+    **_: Any,
 ) -> Generator[Round, Answers, PlanAnswer]:
     """Search for a plan as `plan_goal` does, in rounds of chunks."""
-    own, search = _search(project, goal, options, progress)
-    rounds = plan_rounds(search, untrusted=options["untrusted"])
+    request, own, search = _search(inputs, progress)
+    rounds = plan_rounds(search, untrusted=request.untrusted)
     number = 0
     try:
         wanted = next(rounds)
@@ -46,7 +46,7 @@ def plan_in_rounds(
             wanted = rounds.send(np.concatenate([_margins(answers[own.name]) for own in chunks]))
             number += 1
     except StopIteration as end:
-        return PlanAnswer(found_plan(own, end.value, options["untrusted"]), None)
+        return PlanAnswer(found_plan(own, end.value, request.untrusted), None)
 
 
 @callable_by_jobs
@@ -57,25 +57,21 @@ def margins(inputs: Path, payload: bytes) -> bytes:
 
 @lru_cache(maxsize=1)
 def _worker_search(inputs: Path) -> PlanSearch:
-    request = PLAN.from_json(json.dumps(read_job(inputs.parent).options["request"]))
-    options = PLAN.arguments(request)
-    # The job is in the folder `jobs` of its project.
-    return _search(Project(inputs.resolve().parents[2]), options.pop("goal"), options)[-1]
+    return _search(inputs)[-1]
 
 
 def _search(
-    project: Project,
-    goal: str,
-    options: Mapping[str, Any],
-    report: Callable[[Progress], None] | None = None,
-) -> tuple[PlanInputs, PlanSearch]:
-    names = ("scene", "experiment", "calibration")
-    own = inputs_of(project, *goal_content(goal), **{name: options[name] for name in names})
+    inputs: Path, report: Callable[[Progress], None] | None = None
+) -> tuple[Any, PlanInputs, PlanSearch]:
+    request: Any = PLAN.from_json(json.dumps(read_job(inputs.parent).options["request"]))
+    project = Project(inputs.resolve().parents[2])  # the job is in the folder `jobs` of its project
+    own = inputs_of(
+        project, *goal_content(request.goal), request.scene, request.experiment, request.calibration
+    )
     search = search_of(
-        *own.parts, rollouts=options["rollouts"], seed=options["seed"], threads=threads(),
-        report=report,
-    )  # fmt: skip
-    return own, search
+        *own.parts, rollouts=request.rollouts, seed=request.seed, threads=threads(), report=report
+    )
+    return request, own, search
 
 
 def _split(request: MarginRequest) -> Iterator[MarginRequest]:
