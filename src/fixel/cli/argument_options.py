@@ -12,20 +12,9 @@ from fixel.errors import InvalidInput
 OPTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     name: (f"--{name.replace('_', '-')}",)
     for name in (
-        *(
-            "axes",
-            "base",
-            "budget",
-            "confidence",
-            "done",
-            "error",
-            "fit",
-            "folds",
-            "held_out",
-            "leave_out",
-        ),
-        *("level", "mode", "motion", "name", "nominal", "optimiser", "relative", "samples", "seen"),
-        "workers",
+        *("axes", "base", "budget", "confidence", "error", "fit", "folds", "held_out", "leave_out"),
+        *("level", "mode", "motion", "name", "nominal", "optimiser", "relative", "samples"),
+        *("done", "seen", "workers"),
     )
 } | {
     "cells": ("--step",),
