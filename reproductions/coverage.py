@@ -12,7 +12,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.drawing.uncertainty import CoverageChart
+from fixel.drawing.chart import Chart
+from fixel.drawing.uncertainty import coverage_chart
 from fixel.model import wrapped
 from fixel.replay.base import Row
 from fixel.typing import FloatArray, IntArray
@@ -206,11 +207,11 @@ def _conclusions(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes])
     return sentences
 
 
-def _chart(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes]) -> CoverageChart:
+def _chart(curves: Sequence[CoverageCurve], held: Sequence[HeldOutPushes]) -> Chart:
     keys = list(dict.fromkeys(one.key for one in held))
     names = ("final position", "final angle")
     groups = {
         name: [_curve([one for one in held if one.key == key], k).held for key in keys]
         for k, name in enumerate(names)
     }
-    return CoverageChart(dict(zip(names, curves, strict=True)), groups=groups)
+    return coverage_chart(dict(zip(names, curves, strict=True)), groups=groups)

@@ -18,8 +18,8 @@ PLOTS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "Calibrations": {"parameters": "fixel.workflows.calibration.charts:plot_each"},
     "Comparison": {
-        "errors": "fixel.drawing.comparison:plot_errors",
-        "motion": "fixel.drawing.comparison:plot_motion",
+        "errors": "fixel.drawing.experiment:plot_errors",
+        "motion": "fixel.drawing.experiment:plot_motion",
     },
     "DomainMap": {
         "map": "fixel.drawing.domain:draw_map",
@@ -32,13 +32,13 @@ PLOTS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "Experiments": {"paths": "fixel.drawing.experiment:plot_paths"},
     "Explanation": {
-        "causes": "fixel.drawing.planning_statistics:draw_causes",
-        "success": "fixel.drawing.planning_statistics:draw_success_against",
+        "causes": "fixel.drawing.planning:draw_causes",
+        "success": "fixel.drawing.planning:draw_success_against",
     },
     "FilterRun": {"run": "fixel.drawing.filtering:plot_filter"},
-    "BatchResult": {"ends": "fixel.drawing.runs:plot_ends"},
+    "BatchResult": {"ends": "fixel.drawing.sensitivity:plot_ends"},
     "NextPushes": {"pushes": "fixel.drawing.parts:draw_next"},
-    "OrientingPlan": {"angles": "fixel.drawing.orienting:draw_orienting"},
+    "OrientingPlan": {"angles": "fixel.drawing.planning:draw_orienting"},
     "PartModel": {"errors": "fixel.drawing.parts:draw_errors"},
     "Posterior": {"parameters": "fixel.drawing.uncertainty:draw_posterior"},
     "Prediction": {
@@ -54,8 +54,8 @@ PLOTS: Final[Mapping[str, Mapping[str, str]]] = {
         "indices": "fixel.drawing.sensitivity:draw_indices",
     },
     "Simulation": {"motion": "fixel.drawing.picture:plot_simulation"},
-    "SuccessProbability": {"draws": "fixel.drawing.planning_statistics:draw_success"},
-    "Trials": {"evidence": "fixel.drawing.planning_statistics:draw_trials"},
+    "SuccessProbability": {"draws": "fixel.drawing.planning:draw_success"},
+    "Trials": {"evidence": "fixel.drawing.planning:draw_trials"},
 }
 
 OFFERS: Final[Mapping[str, Mapping[str, str]]] = {

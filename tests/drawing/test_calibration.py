@@ -1,27 +1,23 @@
 """Drawings of calibrations: any number of anything, and data that say what the pictures show."""
 
-import re
-import zlib
 from dataclasses import replace
-from io import BytesIO
 
 import matplotlib as mpl
 import numpy as np
 import pytest
-from fontTools.ttLib import TTFont
 
 from fixel.drawing import palette
 from fixel.drawing.calibration import (
-    ErrorsChart,
-    OffsetsChart,
     OffsetSeries,
     Quantity,
-    SecondsChart,
+    errors_chart,
+    offsets_chart,
+    seconds_chart,
 )
-from fixel.drawing.chart import display_unit, draw_chart, log_scale, positive
-from fixel.drawing.overlay import OverlayChart, Track
-from fixel.drawing.profiles import ParametersChart, ProfilesChart
-from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
+from fixel.drawing.chart import add_banner, display_unit, draw_chart, log_scale, positive
+from fixel.drawing.overlay import Overlay, Track, overlay_chart
+from fixel.drawing.profiles import parameters_chart, profiles_chart
+from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate, ProfileRecord
 from fixel.model.space import Unknown
@@ -33,12 +29,12 @@ SQUARE = np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]])
 
 def search(errors, begins=NONE):
     errors = np.asarray(errors, float)
-    return SearchChart(panels=[SearchPanel("one", errors, np.asarray(begins))], unit="mm^2")
+    return search_chart([SearchPanel("one", errors, np.asarray(begins))], "mm^2")
 
 
 def starts(errors):
     k = len(errors)
-    return StartsChart(
+    return starts_chart(
         title="six starts",
         unit="mm^2",
         errors=np.asarray(errors, float),
@@ -54,7 +50,7 @@ def starts(errors):
 def errors_of(n, seed=0):
     draw = np.random.default_rng(seed)
     before = 10.0 ** draw.normal(1.0, 0.5, n)
-    return ErrorsChart(
+    return errors_chart(
         keys=[f"set/{k:03d}-experiment" for k in range(n)],
         series={"before": before, "each alone": 0.02 * before, "one set for all": 0.3 * before},
         unit="mm^2",
@@ -63,7 +59,7 @@ def errors_of(n, seed=0):
 
 def rows(**changes):
     row = Estimate(label="mu_pusher", unit="-", value=0.3, bounds=(0.0, 1.0), before=0.2)
-    return ParametersChart(title="one", rows=[replace(row, **changes)])
+    return parameters_chart(title="one", rows=[replace(row, **changes)])
 
 
 def profile(widened=False, **changes):
@@ -84,12 +80,12 @@ def profile(widened=False, **changes):
     if widened:
         estimate = Estimate(label="mu_pusher", unit="-", value=0.7, low=0.1)
         estimate = estimate.with_noise(0.3, 0.2, 0.4)
-    return ProfilesChart(title="one", profiles=[own], estimates={"mu_pusher": estimate})
+    return profiles_chart(title="one", profiles=[own], estimates={"mu_pusher": estimate})
 
 
 def seconds(values):
     values = np.asarray(values, float)
-    return SecondsChart(
+    return seconds_chart(
         keys=list("abcdefgh")[: len(values)], seconds=values, evaluations=[1] * len(values)
     )
 
@@ -99,7 +95,7 @@ def offsets(n, groups, axes=True):
     values = np.linspace(0.01, 1.0, n)
     along = [OffsetSeries(name, "m", place, np.tile(np.linspace(-0.04, 0.04, n // groups), groups))
              for name in ("x", "y")]  # fmt: skip
-    return OffsetsChart(
+    return offsets_chart(
         title="parameters",
         keys=[str(k) for k in place],
         groups=[f"layout {k // (n // groups)}" for k in place],
@@ -115,7 +111,6 @@ def overlay(time, **changes):
     pose = np.asarray(time)[:, None] * np.array([0.02, 0.01, 0.3])
     track = Track(np.asarray(time), pose, 1.0)
     content = {
-        "title": "one",
         "outline": SQUARE,
         "measured": track,
         "before": Track(track.time, pose * 0.9, 2.5),
@@ -125,7 +120,7 @@ def overlay(time, **changes):
         "pusher": [0.3 * SQUARE, 0.3 * SQUARE + (0.1, 0.0)],
         "unit": "mm^2",
     }
-    return OverlayChart(**(content | changes))
+    return overlay_chart("one", Overlay(**(content | changes)))
 
 
 TIME = np.linspace(0.0, 2.0, 40)
@@ -142,7 +137,7 @@ CHARTS = {
     "one experiment": errors_of(1),
     "named experiments": errors_of(21),
     "420 experiments": errors_of(420),
-    "no simulation": ErrorsChart(keys=["a", "b"], series={"before": LOST, "after": LOST}, unit="m"),
+    "no simulation": errors_chart(["a", "b"], {"before": LOST, "after": LOST}, "m"),
     "no interval": rows(),
     "an interval": rows(low=0.2, high=0.4, verdict="identified"),
     "half an interval": rows(high=0.4, noise_value=0.1, verdict="trades off with mu_fixel"),
@@ -168,12 +163,7 @@ def test_everything_can_be_drawn(chart, tmp_path):
     draw_chart(chart, tmp_path / "one.png", banner="SIMULATED by a test")
 
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize("chart", CHARTS.values(), ids=CHARTS)
-def test_rows_are_as_wide_as_the_head(chart):
     table = chart.table()
-
     assert len(set(table.head)) == len(table.head)
     assert {len(row) for row in table.rows} <= {len(table.head)}
 
@@ -193,7 +183,7 @@ def test_the_profile_shows_the_value_and_interval_of_the_table():
     assert [patch.get_label() for patch in sound.patches] == ["95 % interval"]
 
 
-@pytest.mark.parametrize("ending", ["pdf", "svg"])
+@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
 def test_the_same_numbers_give_the_same_file(ending, tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
     one, two = tmp_path / f"one.{ending}", tmp_path / f"two.{ending}"
@@ -201,33 +191,21 @@ def test_the_same_numbers_give_the_same_file(ending, tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "100000")
     draw_chart(profile(), two)
 
+    starts = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
+    assert one.read_bytes().startswith(starts[ending])
     assert ending == "svg" or one.read_bytes() == two.read_bytes()
     assert b"1970-01" not in one.read_bytes()
 
 
-def test_fonts_in_pdf_files_have_outlines_and_nothing_for_the_layout_of_text(tmp_path):
-    draw_chart(profile(), tmp_path / "one.pdf")
-    parts = re.findall(
-        rb"stream\r?\n(.*?)endstream", (tmp_path / "one.pdf").read_bytes(), re.DOTALL
-    )
-    streams = [zlib.decompress(part) for part in parts if part.startswith(b"\x78")]
-    fonts = [TTFont(BytesIO(own)) for own in streams if own.startswith(b"\x00\x01\x00\x00")]
-    assert fonts
-    for font in fonts:
-        assert len(font["glyf"].glyphs) > 1
-        assert not {"GDEF", "GPOS", "GSUB", "kern"} & set(font.keys())
-
-
-def test_other_endings_are_refused(tmp_path):
+@pytest.mark.parametrize("name", ["one", "one.bmp", "one.jpg"])
+def test_other_endings_are_refused(name, tmp_path):
     with pytest.raises(InvalidInput, match=r"\.pdf, \.png, \.svg"):
-        draw_chart(search([1.0]), tmp_path / "one.bmp")
+        draw_chart(search([1.0]), tmp_path / name)
 
     assert not list(tmp_path.iterdir())
 
 
 def test_a_banner_stands_clear_of_the_picture():
-    from fixel.drawing.chart import add_banner
-
     for chart in (profile(), overlay(TIME)):
         figure = chart.figure()
         add_banner(figure, "SIMULATED")

@@ -13,7 +13,7 @@ from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.claim import CellVerdict, Claim
 from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
-from fixel.drawing.domain import FILLS, MapChart, SizeChart
+from fixel.drawing.domain import FILLS, map_chart, size_chart
 
 CLAIM = Claim(threshold=2.0)
 
@@ -42,8 +42,7 @@ def _chart(rows, columns, panels, name="{}"):
         domains=lambda claim: [inside] * panels,
         statistic=lambda level: np.ones(counts.shape),
     )
-    return MapChart(domain=domain, claim=CLAIM, verdicts=[own] * panels,
-                    up=1 if rows > 1 else None)  # fmt: skip
+    return map_chart(domain, CLAIM, [own] * panels, up=1 if rows > 1 else None)
 
 
 @pytest.mark.parametrize(("rows", "columns", "panels"), [(1, 11, 20), (6, 11, 4), (2, 7, 1)])
@@ -85,7 +84,7 @@ def test_sizes_against_thresholds(tmp_path):
         cells=range(21),
         curve=lambda claim, thresholds: sizes,
     )
-    chart = SizeChart(domain=domain, claim=CLAIM)
+    chart = size_chart(domain, CLAIM)
     draw_chart(chart, tmp_path / "size.png")
     table = chart.table()
     assert table.head == ("threshold_mm", "cells_square", "cells_pentagon")

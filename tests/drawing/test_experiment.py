@@ -1,11 +1,12 @@
 """Drawings of experiments: everything inside, nothing invented, never a simulation as real."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from tests.drawing.collisions import axes_of, check_page
 
 from fixel.drawing.experiment import (
     comparison_figure,
@@ -13,8 +14,11 @@ from fixel.drawing.experiment import (
     draw_experiment,
     experiment_figure,
 )
+from fixel.drawing.thumbnail import thumbnail
 from fixel.errors import InvalidInput
 from fixel.model import Channel, Experiment, Provenance, Trajectory
+from fixel.sampling import thesis_plan
+from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import grasp
 
 TIME = np.linspace(0.0, 2.0, 61)
@@ -47,65 +51,16 @@ TWO_POSES = replace(REAL, trajectory=ENDS, pusher=None, channels=(), effective=N
 EVERY = {"real": REAL, "simulated": NOT_REAL, "path only": PATH_ONLY, "two poses": TWO_POSES}
 
 
-def words(figure):
-    return " ".join(text.get_text() for text in figure.texts)
-
-
-def axes_of(figure):
-    return {axes.get_label(): axes for axes in figure.axes}
-
-
-@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
-def test_experiments_and_comparisons_can_be_drawn(ending, tmp_path):
-    one, both = tmp_path / f"one.{ending}", tmp_path / f"both.{ending}"
-
-    draw_experiment(REAL, one)
-    draw_comparison(REAL, AWAY, both, TACTILE)
-
-    starts = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
-    for path in (one, both):
-        assert path.read_bytes().startswith(starts[ending])
-
-
-def test_other_endings_are_refused(tmp_path):
-    with pytest.raises(InvalidInput, match=r"\.pdf, \.png, \.svg"):
-        draw_experiment(REAL, tmp_path / "one.bmp")
-    with pytest.raises(InvalidInput, match=r"\.pdf, \.png, \.svg"):
-        draw_comparison(REAL, AWAY, tmp_path / "one.bmp")
-
-    assert not list(tmp_path.iterdir())
+def test_experiments_and_comparisons_can_be_drawn(tmp_path):
+    draw_experiment(REAL, tmp_path / "one.png")
+    draw_comparison(REAL, AWAY, tmp_path / "both.png", TACTILE)
+    assert all(path.stat().st_size > 5000 for path in tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("experiment", EVERY.values(), ids=EVERY)
-def test_only_what_no_camera_has_seen_carries_the_banner(experiment):
+def test_pages_are_complete_and_show_no_simulation_as_real(experiment):
     for figure in (experiment_figure(experiment), comparison_figure(experiment, AWAY)):
-        assert ("SIMULATED by a test" in words(figure)) != experiment.real
-
-
-@pytest.mark.parametrize("experiment", EVERY.values(), ids=EVERY)
-def test_everything_is_inside_the_view(experiment):
-    for figure in (experiment_figure(experiment), comparison_figure(experiment, AWAY)):
-        view = axes_of(figure)["view"]
-        drawn = [line.get_xydata() for line in view.lines]
-        drawn += [
-            path.vertices
-            for collection in view.collections
-            if isinstance(collection, PolyCollection)
-            for path in collection.get_paths()
-        ]
-        points = np.concatenate(drawn)
-        low, high = np.array([view.get_xlim(), view.get_ylim()]).T
-        assert (points >= low).all()
-        assert (points <= high).all()
-
-
-@pytest.mark.parametrize("experiment", EVERY.values(), ids=EVERY)
-def test_no_axes_overlap_nor_leave_the_page(experiment):
-    for figure in (experiment_figure(experiment), comparison_figure(experiment, AWAY)):
-        places = [axes.get_position() for axes in figure.axes]
-        assert all(0.0 < place.y0 < place.y1 < 1.0 for place in places)
-        for above, below in pairwise(places):
-            assert above.y0 > below.y1
+        check_page(figure, "SIMULATED by a test", experiment.real)
 
 
 def test_poses_are_those_measured_in_millimetres_and_degrees():
@@ -169,16 +124,6 @@ def test_a_simulation_of_another_time_is_refused():
 
 def test_start_and_end_alone_are_drawn_as_two_poses(tmp_path, monkeypatch):
     """No line joins them, on the plate or against time: nothing was measured between."""
-    from dataclasses import replace
-
-    from matplotlib.axes import Axes
-
-    from fixel.drawing.experiment import draw_experiment
-    from fixel.drawing.thumbnail import thumbnail
-    from fixel.model import Trajectory
-    from fixel.sampling import thesis_plan
-    from fixel.testbed.simulated import SimulatedTestbed
-
     (whole,) = SimulatedTestbed(seed=1).run(thesis_plan().experiments[:1])
     track = whole.trajectory
     ends = Trajectory(time=track.time[[0, -1]], pose=track.pose[[0, -1]])

@@ -1,15 +1,13 @@
 """Drawings of filter runs: everything inside, the occlusion marked, never a simulation as real."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from matplotlib.collections import PolyCollection
+from tests.drawing.collisions import axes_of, check_page
 from tests.filtering.recordings import push
 
 from fixel.drawing.filtering import HIDDEN, draw_filter, filter_figure
-from fixel.errors import InvalidInput
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.recorded import run_filter
 from fixel.model import Scene
@@ -34,55 +32,14 @@ def runs():
     }
 
 
-def axes_of(figure):
-    return {axes.get_label(): axes for axes in figure.axes}
-
-
-@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
-def test_runs_can_be_drawn(ending, runs, tmp_path):
-    path = tmp_path / f"run.{ending}"
-    draw_filter(*runs["hidden"], path)
-
-    starts = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
-    assert path.read_bytes().startswith(starts[ending])
-
-
-def test_other_endings_are_refused(runs, tmp_path):
-    with pytest.raises(InvalidInput, match=r"\.pdf, \.png, \.svg"):
-        draw_filter(*runs["seen"], tmp_path / "run.bmp")
-    assert not list(tmp_path.iterdir())
+def test_runs_can_be_drawn(runs, tmp_path):
+    draw_filter(*runs["hidden"], tmp_path / "run.png")
+    assert (tmp_path / "run.png").stat().st_size > 5000
 
 
 @pytest.mark.parametrize("name", ["hidden", "seen", "bare"])
-def test_no_axes_overlap_nor_leave_the_page(name, runs):
-    places = [axes.get_position() for axes in filter_figure(*runs[name]).axes]
-
-    assert all(0.0 < place.y0 < place.y1 < 1.0 for place in places)
-    for above, below in pairwise(places):
-        assert above.y0 > below.y1
-
-
-@pytest.mark.parametrize("name", ["hidden", "seen", "bare"])
-def test_everything_is_inside_the_view(name, runs):
-    view = axes_of(filter_figure(*runs[name]))["view"]
-    drawn = [line.get_xydata() for line in view.lines]
-    drawn += [
-        path.vertices
-        for collection in view.collections
-        if isinstance(collection, PolyCollection)
-        for path in collection.get_paths()
-    ]
-    points = np.concatenate(drawn)
-    points = points[np.isfinite(points).all(axis=1)]
-    low, high = np.array([view.get_xlim(), view.get_ylim()]).T
-    assert (points >= low).all()
-    assert (points <= high).all()
-
-
-def test_only_what_no_camera_has_seen_carries_the_banner(runs):
-    for name, real in (("hidden", False), ("seen", True)):
-        words = " ".join(text.get_text() for text in filter_figure(*runs[name]).texts)
-        assert ("SIMULATED by" in words) != real
+def test_pages_are_complete_and_show_no_simulation_as_real(name, runs):
+    check_page(filter_figure(*runs[name]), "SIMULATED by", runs[name][0].real)
 
 
 def test_the_occlusion_is_marked(runs):

@@ -7,7 +7,7 @@ import pytest
 
 from fixel.domain.along_axis import AxisStudy
 from fixel.drawing.chart import draw_chart
-from fixel.drawing.growth import AxisChart, GrowthMatrix, GrowthSteps
+from fixel.drawing.growth import axis_chart, growth_matrix, growth_steps
 
 STEPS = np.arange(-5, 6)
 
@@ -40,7 +40,7 @@ def _growth():
 
 
 def test_every_cell_of_the_matrix_has_its_number():
-    chart = GrowthMatrix(growth=_growth(), unit="mm^2")
+    chart = growth_matrix(_growth(), "mm^2")
     texts = [text.get_text() for text in chart.figure().axes[0].texts]
     assert texts.count("none") == 2
     assert texts[0] == "0.5"
@@ -50,7 +50,7 @@ def test_every_cell_of_the_matrix_has_its_number():
 
 
 def test_steps_have_a_line_a_layout_and_the_average():
-    chart = GrowthSteps(growth=_growth(), threshold=5.0, unit="mm^2")
+    chart = growth_steps(_growth(), 5.0, "mm^2")
     figure = chart.figure()
     assert [axes.get_title() for axes in figure.axes] == ["square", "pentagon"]
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
@@ -59,7 +59,7 @@ def test_steps_have_a_line_a_layout_and_the_average():
 
 
 def test_edges_lie_on_the_drawn_average():
-    chart = AxisChart(studies=[_study()], threshold=4.0, unit="mm^2", length=0.008)
+    chart = axis_chart([_study()], 4.0, "mm^2", 0.008)
     above = chart.figure().axes[0]
     lines = {line.get_label(): line for line in above.get_lines()}
     x, y = lines["average"].get_data()
@@ -74,7 +74,7 @@ def test_edges_lie_on_the_drawn_average():
 
 
 def test_the_table_has_layouts_and_averages():
-    table = AxisChart(studies=[_study()], threshold=4.0, unit="mm^2").table()
+    table = axis_chart([_study()], 4.0, "mm^2").table()
     assert len(table.rows) == 33
     b = next(row for row in table.rows if row[5:7] == ("b", -5))
     assert b[7:] == (None, 0.5, None)
@@ -83,7 +83,7 @@ def test_the_table_has_layouts_and_averages():
 
 
 def test_files_are_the_same_twice(tmp_path):
-    chart = AxisChart(studies=[_study(), _study(5)], threshold=4.0, unit="mm^2", length=0.008)
+    chart = axis_chart([_study(), _study(5)], 4.0, "mm^2", 0.008)
     for name in ("one.png", "two.png"):
         draw_chart(chart, tmp_path / name, banner="SIMULATED by a test")
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()

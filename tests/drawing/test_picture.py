@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 from fixel.drawing import palette
 from fixel.drawing.picture import draw_simulation, force_text
 from fixel.drawing.view import Rectangle, carried, contacts_at, ghosts, round_number, unit_for
-from fixel.errors import InvalidInput
 from fixel.model import Polygon
 from fixel.simulation import QuasiStatic, StewartTrinkle, simulate
 from fixel.testing import scenes
@@ -24,22 +23,9 @@ RUNS = {
 
 
 @pytest.mark.parametrize("name", RUNS)
-@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
-def test_every_kind_of_scene_can_be_drawn(name, ending, tmp_path):
-    path = tmp_path / f"picture.{ending}"
-
-    draw_simulation(RUNS[name](), path)
-
-    starts = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
-    assert path.read_bytes().startswith(starts[ending])
-
-
-@pytest.mark.parametrize("name", ["picture", "picture.bmp", "picture.jpg"])
-def test_other_endings_are_refused(name, tmp_path):
-    with pytest.raises(InvalidInput, match=r"\.pdf, \.png, \.svg"):
-        draw_simulation(RUNS["no pusher"](), tmp_path / name)
-
-    assert not list(tmp_path.iterdir())
+def test_every_kind_of_scene_can_be_drawn(name, tmp_path):
+    draw_simulation(RUNS[name](), tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 5000
 
 
 def test_a_failed_run_is_marked():

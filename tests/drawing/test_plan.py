@@ -3,32 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from matplotlib.collections import PolyCollection
 
 from fixel.drawing.plan import MAX_GHOSTS, MAX_PANELS, draw_plan, plan_figure
-from fixel.errors import InvalidInput
 from fixel.sampling import FixelLayout, Grid, Nominal, thesis_plan
 
 PLAN = thesis_plan()
 ONE = replace(PLAN, shapes=PLAN.shapes[:1], layouts=PLAN.layouts[:1], schemes=(Nominal(),))
 
 
-@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
-def test_plans_can_be_drawn(ending, tmp_path):
-    path = tmp_path / f"plan.{ending}"
-
-    draw_plan(ONE, path)
-
-    starts = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
-    assert path.read_bytes().startswith(starts[ending])
-
-
-def test_other_endings_are_refused(tmp_path):
-    with pytest.raises(InvalidInput, match=r"\.pdf, \.png, \.svg"):
-        draw_plan(ONE, tmp_path / "plan.bmp")
-
-    assert not list(tmp_path.iterdir())
+def test_plans_can_be_drawn(tmp_path):
+    draw_plan(ONE, tmp_path / "plan.png")
+    assert (tmp_path / "plan.png").stat().st_size > 5000
 
 
 def test_every_shape_and_layout_has_its_panel():

@@ -1,5 +1,7 @@
 """Pictures of fans and indices, and the numbers behind them."""
 
+from types import SimpleNamespace
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from tests.uncertainty.forks import fork, grid
 
 from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
-from fixel.drawing.sensitivity import EnsembleChart, IndicesChart
+from fixel.drawing.sensitivity import Ends, ends_chart, indices_chart
 from fixel.uncertainty.indices import Factor, Indices
 
 
@@ -16,8 +18,7 @@ def ensemble_chart():
     drawn = grid(50, 1e-4)
     end = drawn + np.array([0.06, 0.0, 0.1])
     end[40:, 1] += 0.02
-    return EnsembleChart(
-        title="a fork",
+    ends = Ends(
         scene=fork(),
         drawn=drawn,
         end=end,
@@ -25,9 +26,10 @@ def ensemble_chart():
         outcome=(np.arange(50) >= 40).astype(int),
         share=(0.8, 0.2),
     )
+    return ends_chart(ends, "a fork")
 
 
-def indices_chart():
+def a_push():
     table = np.array([[0.6, 0.3]] * 2)
     indices = Indices(
         factors=(Factor("mu_pusher", 0.1, 0.3), Factor("start_x", -1e-4, 1e-4)),
@@ -41,10 +43,10 @@ def indices_chart():
         evaluations=1,
         failed=0,
     )
-    return IndicesChart(title="a push", indices=indices)
+    return indices_chart(SimpleNamespace(indices=indices))
 
 
-@pytest.mark.parametrize("make", [ensemble_chart, indices_chart])
+@pytest.mark.parametrize("make", [ensemble_chart, a_push])
 def test_a_picture_is_drawn_and_has_its_numbers(make, tmp_path):
     chart, file = make(), tmp_path / "one.png"
     draw_chart(chart, file, banner="SIMULATED by a test")
@@ -66,8 +68,7 @@ def test_a_fan_names_its_outcomes_and_keeps_every_start():
 def test_numbers_of_a_fan_do_not_collide(size, turn):
     drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (60, 3)) * (size, size, turn)
     end = drawn * (1.0, 0.01, 1.0) + np.array([0.06, 0.0, -1e-9])
-    chart = EnsembleChart(title="a push", scene=fork(), drawn=drawn, end=end, nominal=end[0],
-                     outcome=np.zeros(60, int), share=(1.0,))  # fmt: skip
+    chart = ends_chart(Ends(fork(), drawn, end, end[0], np.zeros(60, int), (1.0,)))
     with mpl.rc_context(palette.STYLE):
         figure = chart.figure()
     assert not collisions(figure)
@@ -77,7 +78,6 @@ def test_numbers_of_a_fan_do_not_collide(size, turn):
 @pytest.mark.parametrize(("size", "unit"), [(5e-6, "µm"), (2e-3, "mm"), (0.012, "mm")])
 def test_errors_have_the_unit_of_their_size(size, unit):
     errors = size * np.array([[1.0, 0.5, 0.0], [-0.5, 1.0, 0.0], [0.2, -0.3, 0.0]])
-    chart = EnsembleChart(title="", scene=fork(), drawn=errors, end=errors, nominal=np.zeros(3),
-                          outcome=np.zeros(3, int), share=[1.0])  # fmt: skip
+    chart = ends_chart(Ends(fork(), errors, errors, np.zeros(3), np.zeros(3, int), [1.0]))
     labels = [axes.get_xlabel() for axes in chart.figure().axes]
     assert f"start error, x [{unit}]" in labels

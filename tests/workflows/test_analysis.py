@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fixel.database.project import Project
-from fixel.drawing.calibration import SecondsChart
+from fixel.drawing.calibration import seconds_chart
 from fixel.table import Table
 from fixel.workflows.analysis import CONTENT, Analysis, load_analyses, store_analysis
 from fixel.workflows.figures import Picture
@@ -27,7 +27,7 @@ def _analysis(kind="domain", **question):
 
 
 def _chart():
-    return SecondsChart(
+    return seconds_chart(
         keys=("a", "b", "c"), seconds=np.array([0.1, 0.2, 0.3]), evaluations=(1, 2, 3)
     )
 

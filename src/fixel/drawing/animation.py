@@ -17,7 +17,7 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.chart import DisplayUnit, Style, refuse_ending, tint
 from fixel.drawing.picture import force_text
-from fixel.drawing.top_view import DASHED, add_outlines, frame_axes
+from fixel.drawing.top_view import DASHED, add_outlines, fixel_outlines, frame_axes, hollow, solid
 from fixel.drawing.view import (
     Rectangle,
     arrow_length_per_newton,
@@ -125,13 +125,10 @@ class _Stage:
 
     def _draw_fixed(self) -> None:
         scene, pose = self.simulation.scene, self.simulation.pose
-        fixels = [placed(f.shape.outline, f.pose) for f in scene.fixels]
-        style: Style = {"facecolor": palette.FIXEL, "edgecolor": palette.INK, "linewidth": 0.5}
-        add_outlines(self.axes, fixels, self.unit, zorder=3, **style)
+        fixel_outlines(self.axes, scene.fixels, (), self.unit, zorder=3)
         starts = [placed(b.shape.outline, pose[b.name][0]) for b in scene.bodies]
-        dashed: Style = {"facecolor": "none", "edgecolor": palette.BODY, "linewidth": 0.6}
-        dashed |= {"alpha": 0.5, "linestyle": DASHED}
-        add_outlines(self.axes, starts, self.unit, zorder=1, **dashed)
+        style = hollow(palette.BODY, 0.6, alpha=0.5, linestyle=DASHED, zorder=1)
+        add_outlines(self.axes, starts, self.unit, **style)
 
     def _prepare_moving(self) -> None:
         from matplotlib.collections import LineCollection, PolyCollection
@@ -140,17 +137,14 @@ class _Stage:
         self.shapes = shapes_of(run)
         self.trail_points = [centre_path(run, b.name) * self.unit.factor for b in run.scene.bodies]
         thin = 0.5 if len(run.scene.bodies) > 8 else 1.0
-        body: Style = {"facecolor": tint(palette.BODY, 0.3), "edgecolor": palette.BODY}
-        driven: Style = {"facecolor": palette.PUSHER, "edgecolor": palette.INK}
-        self.bodies = PolyCollection([], linewidth=thin, **body)
-        self.pushers = PolyCollection([], linewidth=0.5, **driven)
+        self.bodies = PolyCollection([], **solid(tint(palette.BODY, 0.3), palette.BODY, thin))
+        self.pushers = PolyCollection([], **solid(palette.PUSHER))
         self.trails = LineCollection([], color=palette.BODY, linewidth=0.8 * thin)
         self.arrows = PolyCollection([], facecolor=palette.FORCE, edgecolor="none")
         title: Style = {"transform": self.axes.transAxes, "va": "bottom"}
         self.clock = self.axes.text(0.0, 1.02, "", color=palette.INK, **title)
         self.note = self.axes.text(1.0, 1.02, "", color=palette.FORCE, ha="right", **title)
-        hit: Style = {"facecolor": palette.TOUCHED, "edgecolor": palette.INK, "linewidth": 0.5}
-        self.touched = PolyCollection([], **hit)
+        self.touched = PolyCollection([], **solid(palette.TOUCHED))
         drawn = (self.bodies, self.pushers, self.trails, self.touched, self.arrows)
         for artist in drawn:
             self.axes.add_collection(artist, autolim=False)
@@ -160,9 +154,8 @@ class _Stage:
         known = run.contacts[np.isfinite(run.contacts["normal_force"])]
         # An impact may exceed all later forces by far, so the scale is a high quantile.
         sizes = np.hypot(*forces(known).T) if len(known) else np.zeros(1)
-        largest = float(np.quantile(sizes, 0.98))
-        self.largest = largest
-        self.per_newton = arrow_length_per_newton(largest, self.box.size) * self.unit.factor
+        self.largest = float(np.quantile(sizes, 0.98))
+        self.per_newton = arrow_length_per_newton(self.largest, self.box.size) * self.unit.factor
 
     def frame(self, time: float) -> Any:
         """Draw the frame at a time [s]: (height, width, 4) uint8."""
@@ -244,17 +237,8 @@ def _arrow(tail: FloatArray, along: FloatArray, thick: float) -> FloatArray:
     head = min(3.0 * thick, 0.6 * length)
     neck = tail + (length - head) * ahead
     shaft, barb = 0.3 * thick * aside, 0.4 * head * aside
-    return np.array(
-        [
-            tail + shaft,
-            neck + shaft,
-            neck + barb,
-            tail + along,
-            neck - barb,
-            neck - shaft,
-            tail - shaft,
-        ]
-    )
+    left = [tail + shaft, neck + shaft, neck + barb, tail + along]
+    return np.array([*left, neck - barb, neck - shaft, tail - shaft])
 
 
 def _write_mp4(path: Path, frames: Iterator[Any], rate: int) -> None:

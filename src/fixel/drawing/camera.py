@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, sheet
+from fixel.drawing.chart import WIDE, Chart
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.vision.plane_errors import PlaneErrors
@@ -20,10 +19,8 @@ if TYPE_CHECKING:
 LEVELS: Final = 9
 
 
-@final
-@dataclass(frozen=True)
-class CameraErrorChart(AbstractChart):
-    """Errors of places on the plate in the camera's view, and coverage by calibration boards.
+def camera_error_chart(errors: PlaneErrors, image_size: tuple[int, int], seen: FloatArray) -> Chart:
+    """Draw errors of places on the plate in the camera's view, and the coverage by boards.
 
     Parameters
     ----------
@@ -34,68 +31,65 @@ class CameraErrorChart(AbstractChart):
         Number of board corners in each cell of the picture; empty if unknown.
     """
 
-    errors: PlaneErrors
-    image_size: tuple[int, int]
-    seen: FloatArray
-
-    def figure(self) -> Figure:
-        figure = sheet(WIDE, 2.9)
+    def fill(figure: Figure) -> None:
         left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-        self._errors(figure, left)
-        self._seen(figure, right)
-        return figure
+        _draw_errors(figure, left, errors)
+        _draw_seen(figure, right, image_size, seen)
 
-    def table(self) -> Table:
-        e = self.errors
-        return Table.from_columns(
+    return Chart(
+        size=(WIDE, 2.9),
+        fill=fill,
+        data=Table.from_columns(
             {
-                **{name: e.pixels[..., k].ravel() for k, name in enumerate(("u_px", "v_px"))},
-                **{name: e.places[..., k].ravel() for k, name in enumerate(("x_m", "y_m"))},
-                "height_m": np.full(e.camera.size, e.height),
-                "camera_95_m": e.camera.ravel(),
-                "with_noise_95_m": e.whole.ravel(),
+                **{name: errors.pixels[..., k].ravel() for k, name in enumerate(("u_px", "v_px"))},
+                **{name: errors.places[..., k].ravel() for k, name in enumerate(("x_m", "y_m"))},
+                "height_m": np.full(errors.camera.size, errors.height),
+                "camera_95_m": errors.camera.ravel(),
+                "with_noise_95_m": errors.whole.ravel(),
             }
-        )
+        ),
+    )
 
-    def _errors(self, figure: Figure, axes: Axes) -> None:
-        e = self.errors
-        x, y = 1e3 * e.places[..., 0], 1e3 * e.places[..., 1]
-        size = 1e3 * e.whole
-        shades = axes.contourf(x, y, size, levels=_levels(size), cmap="Blues")
-        edge = np.concatenate([e.places[0], e.places[:, -1], e.places[-1, ::-1], e.places[::-1, 0]])
-        axes.plot(*(1e3 * edge).T, color=palette.INK, linewidth=0.6)
-        worst = np.unravel_index(int(np.argmax(size)), size.shape)
-        axes.plot(x[worst], y[worst], "o", color=palette.FORCE, markersize=4.0, clip_on=False)
-        axes.annotate(
-            f"{size[worst]:.2g} mm",
-            (float(x[worst]), float(y[worst])),
-            xytext=(0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())),
-            textcoords="data",
-            ha="center",
-            color=palette.FORCE,
-            arrowprops={"arrowstyle": "-", "color": palette.FORCE, "linewidth": 0.5},
-        )
-        axes.set_aspect("equal")
-        axes.set(xlabel="x on the plate [mm]", ylabel="y on the plate [mm]")
-        axes.set_title(f"95 % of position errors are below, {1e3 * e.height:g} mm above the plate",
-                       loc="left")  # fmt: skip
-        axes.spines[["top", "right"]].set_visible(False)
-        _bar(figure, shades, axes, "error [mm]")
 
-    def _seen(self, figure: Figure, axes: Axes) -> None:
-        width, height = self.image_size
-        axes.set_aspect("equal")
-        axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="u [px]",
-                 ylabel="v [px]")  # fmt: skip
-        if not self.seen.size:
-            axes.set_title("positions of the boards: unknown", loc="left")
-            return
-        shown = np.ma.masked_equal(self.seen, 0.0)
-        cells = axes.imshow(
-            shown, extent=(-0.5, width - 0.5, height - 0.5, -0.5), cmap="Greens", vmin=0.0
-        )
-        axes.set_title("positions of the boards; white: none", loc="left")
-        _bar(figure, cells, axes, "corners")
+def _draw_errors(figure: Figure, axes: Axes, e: PlaneErrors) -> None:
+    x, y = 1e3 * e.places[..., 0], 1e3 * e.places[..., 1]
+    size = 1e3 * e.whole
+    shades = axes.contourf(x, y, size, levels=_levels(size), cmap="Blues")
+    edge = np.concatenate([e.places[0], e.places[:, -1], e.places[-1, ::-1], e.places[::-1, 0]])
+    axes.plot(*(1e3 * edge).T, color=palette.INK, linewidth=0.6)
+    worst = np.unravel_index(int(np.argmax(size)), size.shape)
+    axes.plot(x[worst], y[worst], "o", color=palette.FORCE, markersize=4.0, clip_on=False)
+    axes.annotate(
+        f"{size[worst]:.2g} mm",
+        (float(x[worst]), float(y[worst])),
+        xytext=(0.5 * (x.min() + x.max()), 0.5 * (y.min() + y.max())),
+        textcoords="data",
+        ha="center",
+        color=palette.FORCE,
+        arrowprops={"arrowstyle": "-", "color": palette.FORCE, "linewidth": 0.5},
+    )
+    axes.set_aspect("equal")
+    axes.set(xlabel="x on the plate [mm]", ylabel="y on the plate [mm]")
+    axes.set_title(f"95 % of position errors are below, {1e3 * e.height:g} mm above the plate",
+                   loc="left")  # fmt: skip
+    axes.spines[["top", "right"]].set_visible(False)
+    _bar(figure, shades, axes, "error [mm]")
+
+
+def _draw_seen(figure: Figure, axes: Axes, image_size: tuple[int, int], seen: FloatArray) -> None:
+    width, height = image_size
+    axes.set_aspect("equal")
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="u [px]",
+             ylabel="v [px]")  # fmt: skip
+    if not seen.size:
+        axes.set_title("positions of the boards: unknown", loc="left")
+        return
+    shown = np.ma.masked_equal(seen, 0.0)
+    cells = axes.imshow(
+        shown, extent=(-0.5, width - 0.5, height - 0.5, -0.5), cmap="Greens", vmin=0.0
+    )
+    axes.set_title("positions of the boards; white: none", loc="left")
+    _bar(figure, cells, axes, "corners")
 
 
 def _levels(values: FloatArray) -> list[float]:

@@ -1,14 +1,17 @@
-"""Base of charts with their data as tables, and helpers for drawing them."""
+"""Charts of panels and marks with their data as tables, and helpers for drawing them."""
 
 from __future__ import annotations
 
-import abc
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
+from dataclasses import dataclass
+from functools import partial, wraps
+from itertools import chain, zip_longest
+from operator import methodcaller
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -24,6 +27,8 @@ if TYPE_CHECKING:
 
 Style = dict[str, Any]
 
+DASHED: Final = (0, (4, 2))
+WHISKER: Final[Style] = {"linewidth": 0.8, "ecolor": palette.INK}
 WIDE: Final = 7.16  # [inch], two columns of text
 HEAD: Final = 0.22  # [inch]
 SCREEN_DPI: Final = 150.0
@@ -31,24 +36,139 @@ BANNER: Final = 0.20  # height of a banner [inch]
 PICTURE_ENDINGS: Final = (".pdf", ".png", ".svg")
 
 
-class AbstractChart(abc.ABC):
-    """Base class of charts: a figure and its data as a table."""
+Mark = Callable[["Axes"], object]  # draws in axes
+Fill = Callable[["Figure"], object]  # draws panels in a figure
 
-    @abc.abstractmethod
+line = partial(methodcaller, "plot")
+steps = partial(methodcaller, "step")
+band = partial(methodcaller, "fill_between")
+bars = partial(methodcaller, "barh")
+histogram = partial(methodcaller, "hist")
+whiskers = partial(methodcaller, "errorbar")
+hline = partial(methodcaller, "axhline")
+vline = partial(methodcaller, "axvline")
+vspan = partial(methodcaller, "axvspan")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chart:
+    """Figure with its data as a table.
+
+    Parameters
+    ----------
+    size : (float, float)
+        Width and height of the figure below its title [inch].
+    fill : callable
+        Function that draws all panels in the figure, as `panels` makes it.
+    data : Table
+        All data that the figure shows, in SI units.
+    title : str
+    """
+
+    size: tuple[float, float]
+    fill: Fill
+    data: Table
+    title: str = ""
+
     def figure(self) -> Figure:
         """Draw the chart as a Matplotlib figure, without a banner."""
+        figure = sheet(*self.size, self.title)
+        self.fill(figure)
+        return figure
 
-    @abc.abstractmethod
     def table(self) -> Table:
         """Return all data that the figure shows, in SI units."""
+        return self.data
 
 
-def draw_chart(chart: AbstractChart, *paths: str | Path, banner: str = "") -> None:
+def panel(
+    *marks: Mark,
+    title: str = "",
+    log: Mapping[str, FloatArray] = MappingProxyType({}),
+    whole: str = "",
+    rows: Sequence[str] = (),
+    **settings: Any,
+) -> Mark:
+    """Return a function that draws a panel: marks, in order, and then its axes.
+
+    Parameters
+    ----------
+    *marks : callable
+        Functions that draw in axes, such as `line(x, y, color=...)`.
+    title : str
+    log : mapping from "x" or "y" to (n,) float64
+        Values on logarithmic axes.
+    whole : str
+        Axes with whole numbers: "x", "y" or both.
+    rows : sequence of str
+        Names of rows, from above.
+    **settings
+        Labels and limits, as for `matplotlib.axes.Axes.set`.
+    """
+
+    def draw(axes: Axes) -> None:
+        for mark in marks:
+            mark(axes)
+        for which, values in log.items():
+            log_scale(axes, which, values)
+        for which in whole:
+            whole_numbers(axes, which)
+        if rows:
+            axes.set_yticks(range(len(rows)), rows)
+            axes.set_ylim(len(rows) - 0.4, -0.6)
+        axes.set(**settings)
+        axes.set_title(title, fontsize=palette.FONT_SIZE)
+        clean(axes)
+
+    return draw
+
+
+def panels(rows: Sequence[Sequence[Mark]], legend: int = 9, **options: Any) -> Fill:
+    """Return a function that draws rows of panels, with one legend below them.
+
+    Parameters
+    ----------
+    rows : sequence of sequence of callable
+        Panels; the last row may be shorter than the others.
+    legend : int
+        Maximum number of labels per row of the legend; 0 for none.
+    **options
+        As for `matplotlib.figure.Figure.subplots`.
+    """
+
+    def fill(figure: Figure) -> None:
+        grid = figure.subplots(len(rows), len(rows[0]), squeeze=False, **options)
+        for axes, draw in zip_longest(grid.flat, chain(*rows)):
+            axes.set_visible(False) if draw is None else draw(axes)
+        figure.align_ylabels(grid[:, 0])
+        if legend:
+            legend_below(figure, grid.flat, legend)
+
+    return fill
+
+
+def in_rows(every: Sequence[Mark], columns: int) -> list[Sequence[Mark]]:
+    """Arrange panels in rows."""
+    return [every[k : k + columns] for k in range(0, len(every), columns)]
+
+
+def plot_of(chart: Callable[..., Chart]) -> Callable[..., Any]:
+    """Return the `plot` function of a result from the function that makes its chart."""
+
+    @wraps(chart)
+    def plot(found: Any, *, ax: Axes | None = None, **options: Any) -> Any:
+        return plot_axes(lambda: chart(found, **options).figure(), ax)
+
+    return plot
+
+
+def draw_chart(chart: Chart, *paths: str | Path, banner: str = "") -> None:
     """Draw a chart and save it to files.
 
     Parameters
     ----------
-    chart : AbstractChart
+    chart : Chart
     *paths : str or Path
         Files to write (`.pdf`, `.svg` or `.png`).
     banner : str
@@ -80,32 +200,8 @@ def save_figure(make: Callable[[], Figure], *paths: str | Path) -> None:
     with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
         figure = _laid_out(make)
         for path in paths:
-            ending = Path(path).suffix.lower()
-            with _fonts_without_layout() if ending == ".pdf" else nullcontext():
-                figure.savefig(path, metadata=known.get(ending))
+            figure.savefig(path, metadata=known.get(Path(path).suffix.lower()))
             figure.set_layout_engine(None)  # all files have the layout of the first
-
-
-@contextmanager
-def _fonts_without_layout() -> Iterator[None]:
-    """Embed fonts without their tables for the layout of text, which PDF files do not use.
-
-    To read these tables and to reduce them takes most of the time of a PDF file.
-    """
-    from fontTools.subset import Subsetter
-
-    whole = Subsetter.subset
-
-    def subset(self: Any, font: Any) -> None:
-        for name in {"GDEF", "GPOS", "GSUB", "kern"}.intersection(font.keys()):
-            del font[name]
-        whole(self, font)
-
-    Subsetter.subset = subset
-    try:
-        yield
-    finally:
-        Subsetter.subset = whole
 
 
 def _laid_out(make: Callable[[], Figure]) -> Figure:
@@ -157,17 +253,6 @@ def new_figure(**options: Any) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(**options)
-
-
-def save_filled(fill: Callable[[Figure], None], path: str | Path) -> None:
-    """Save a figure in the house style with constrained layout, whose content `fill` draws."""
-
-    def make() -> Figure:
-        figure = new_figure(layout="constrained")
-        fill(figure)
-        return figure
-
-    save_figure(make, path)
 
 
 def refuse_ending(path: str | Path, endings: Sequence[str], what: str) -> None:
@@ -242,32 +327,30 @@ def log_scale(axes: Axes, which: str, values: FloatArray) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def room_above(axes: Axes, wanted: bool) -> None:
-    """Raise the upper limit of a logarithmic axis, if wanted, for marks of failures."""
-    if wanted:
-        low, high = axes.get_ylim()
-        axes.set_ylim(low, high * (high / low) ** 0.06)
-
-
-def mark_missing(axes: Axes, places: Any, share: float, which: str = "x", **style: Any) -> None:
-    """Draw crosses for what could not be simulated, at a share of the other axis; none if empty.
+def mark_missing(places: Any, share: float, which: str = "x", **style: Any) -> Mark:
+    """Return a mark with crosses for what could not be simulated, at a share of the other axis.
 
     `which` is the axis that the places belong to.
     """
-    if not len(places):
-        return
     look: Style = {"marker": "x", "color": palette.FORCE, "markersize": 4.0, "linestyle": "none"}
+    look |= style
     far = np.full(len(places), share)
-    if which == "x":
-        axes.plot(places, far, transform=axes.get_xaxis_transform(), **(look | style))
-    else:
-        axes.plot(far, places, transform=axes.get_yaxis_transform(), **(look | style))
+
+    def draw(axes: Axes) -> None:
+        if len(places) and which == "x":
+            axes.plot(places, far, transform=axes.get_xaxis_transform(), **look)
+        elif len(places):
+            axes.plot(far, places, transform=axes.get_yaxis_transform(), **look)
+
+    return draw
 
 
-def whole_numbers(axes: Axes) -> None:
+def whole_numbers(axes: Axes, which: str = "x") -> None:
+    """Label an axis with whole numbers."""
     from matplotlib.ticker import MaxNLocator
 
-    axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True, min_n_ticks=1))
+    locator = MaxNLocator(nbins=6, integer=True, min_n_ticks=1)
+    getattr(axes, f"{which}axis").set_major_locator(locator)
 
 
 def legend_below(figure: Figure, row: Iterable[Axes], most: int = 9) -> None:
@@ -276,6 +359,8 @@ def legend_below(figure: Figure, row: Iterable[Axes], most: int = 9) -> None:
     for axes in row:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
+    if not entries:
+        return
     figure.legend(
         list(entries.values()),
         list(entries),
@@ -338,11 +423,6 @@ def broken(label: str) -> str:
     return label.replace("[", "\n[", 1)
 
 
-def cut_short(text: str, most: int = 44) -> str:
-    """Cut a text to at most `most` characters, with an ellipsis."""
-    return text if len(text) <= most else text[: most - 1] + "…"
-
-
 def tint(colour: str, strength: float) -> tuple[float, float, float]:
     """Mix a colour with white; `strength` is the share of the colour."""
     from matplotlib.colors import to_rgb
@@ -356,13 +436,6 @@ def shorten(text: str, most: int) -> str:
     if len(text) > most:
         text = text.partition("/")[2] or text
     return text if len(text) <= most else "…" + text[1 - most :]
-
-
-def without_common(names: Sequence[str]) -> list[str]:
-    """Remove the dataset from names, if all of them share it."""
-    heads = {name.partition("/")[0] for name in names}
-    alike = len(heads) == 1 and all("/" in name for name in names)
-    return [name.partition("/")[2] if alike else name for name in names]
 
 
 def finite_list(values: FloatArray) -> list[float | None]:

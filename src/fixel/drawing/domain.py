@@ -4,30 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fixel.domain.cells import CellAxis
+from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.claim import CellVerdict, Claim
 from fixel.domain.domain import DomainMap
 from fixel.domain.push_bound import ErrorBound
-from fixel.drawing import palette
-from fixel.drawing.chart import (
-    WIDE,
-    AbstractChart,
-    Style,
-    clean,
-    legend_of,
-    log_scale,
-    plot_axes,
-    sheet,
-    shorten,
-)
+from fixel.drawing import chart, palette
+from fixel.drawing.chart import Chart, Style
 from fixel.errors import InvalidInput
 from fixel.table import Table
-from fixel.typing import FloatArray, IntArray
+from fixel.typing import IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,10 +38,14 @@ LETTER: Final = 0.62 * palette.FONT_SIZE / 72.0  # [inch], width of a letter
 LINE: Final = 1.5 * palette.FONT_SIZE / 72.0  # [inch], distance of lines of text
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MapChart(AbstractChart):
-    """Small multiples of a map of the domain, with one panel per group; the first 30 are drawn.
+def map_chart(
+    domain: DomainMap,
+    claim: Claim,
+    verdicts: list[list[CellVerdict]],
+    across: int = 0,
+    up: int | None = None,
+) -> Chart:
+    """Draw small multiples of a map of the domain, one panel per group; at most 30 are drawn.
 
     Parameters
     ----------
@@ -66,125 +59,111 @@ class MapChart(AbstractChart):
     up : int, optional
         Index of the axis of the rows; without one, the cells through the nominal are drawn.
     """
+    grid, axes, groups = _grid(domain.cells, across, up), domain.cells.axes, domain.groups
+    (n_up, n_across), shown = grid.shape, groups[:MAX_PANELS]
+    ticks, up_ticks = _ticks(axes[across]), [""] if up is None else _ticks(axes[up])
+    columns = min(len(shown), _most_columns(n_up, n_across))
+    lines = math.ceil(len(shown) / columns)
+    width = chart.WIDE if columns > 1 or n_across > 8 else palette.COLUMN + 0.6
+    room = (width - 0.6 - LETTER * max(map(len, up_ticks))) / columns
+    longest = max(map(len, ticks))
+    upwards = LETTER * (longest + 1) > room / n_across
+    side = max(min(0.42, room / n_across), 0.17)
+    height = lines * (side * n_up + 0.42) + 0.75 + (LETTER * longest if upwards else 0.0)
+    places = list(range(0, n_across, math.ceil(LINE * n_across / room)))
+    inside = domain.domains(claim)
 
-    domain: DomainMap
-    claim: Claim
-    verdicts: list[list[CellVerdict]]
-    across: int = 0
-    up: int | None = None
-
-    @property
-    def grid(self) -> IntArray:
-        """Cells (n_row, n_column) to draw, in rows from below."""
-        cells = self.domain.cells
-        number = {index: c for c, index in enumerate(cells.index)}
-        n_up = 1 if self.up is None else len(cells.axes[self.up])
-        found = np.zeros((n_up, len(cells.axes[self.across])), np.int64)
-        for row, column in np.ndindex(*found.shape):
-            index = list(cells.index[cells.nominal])
-            index[self.across] = column
-            if self.up is not None:
-                index[self.up] = row
-            found[row, column] = number[tuple(index)]
-        return found
-
-    def figure(self) -> Figure:
-        groups, axes = self.domain.groups, self.domain.cells.axes
-        shown, (n_up, n_across) = groups[:MAX_PANELS], self.grid.shape
-        ticks, up_ticks = (
-            _ticks(axes[self.across]),
-            [""] if self.up is None else _ticks(axes[self.up]),
-        )
-        columns = min(len(shown), _most_columns(n_up, n_across))
-        lines = math.ceil(len(shown) / columns)
-        width = WIDE if columns > 1 or n_across > 8 else palette.COLUMN + 0.6
-        room = (width - 0.6 - LETTER * max(map(len, up_ticks))) / columns
-        longest = max(map(len, ticks))
-        upwards = LETTER * (longest + 1) > room / n_across
-        side = max(min(0.42, room / n_across), 0.17)
-        height = lines * (side * n_up + 0.42) + 0.75 + (LETTER * longest if upwards else 0.0)
-        more = f" (and {len(groups) - len(shown)} more)" if len(groups) > len(shown) else ""
-        figure = sheet(width, max(height, 1.3), self._heading() + more)
-        places = list(range(0, n_across, math.ceil(LINE * n_across / room)))
-        for k, panel in enumerate(figure.subplots(lines, columns, squeeze=False).flat):
+    def fill(figure: Figure) -> None:
+        for k, own in enumerate(figure.subplots(lines, columns, squeeze=False).flat):
             if k >= len(shown):
-                panel.set_visible(False)
+                own.set_visible(False)
                 continue
             last, labelled = k + columns >= len(shown), k % columns == 0 and n_up > 1
-            self._draw_panel(panel, k)
-            panel.set_yticks(range(n_up), up_ticks if labelled else [""] * n_up)
-            panel.set_xticks(places, [ticks[j] if last else "" for j in places],
+            _draw_cells(own, grid, domain.counts[k], verdicts[k], domain.cells.nominal)
+            _outline(own, np.isin(grid, inside[k]))
+            own.set_yticks(range(n_up), up_ticks if labelled else [""] * n_up)
+            own.set_xticks(places, [ticks[j] if last else "" for j in places],
                              rotation=90 if upwards else 0)  # fmt: skip
-            panel.set_xlabel(_label(axes[self.across]) if last else "")
-            if labelled and self.up is not None:
-                panel.set_ylabel(_label(axes[self.up]))
-            title = shorten(shown[k] or "all experiments", int(room / LETTER))
-            panel.set_title(title, fontsize=palette.FONT_SIZE, pad=2.5)
-        self._legend(figure, len(shown))
-        return figure
+            own.set_xlabel(_label(axes[across]) if last else "")
+            if labelled and up is not None:
+                own.set_ylabel(_label(axes[up]))
+            title = chart.shorten(shown[k] or "all experiments", int(room / LETTER))
+            own.set_title(title, fontsize=palette.FONT_SIZE, pad=2.5)
+        _legend(figure, {own[c].colour for own in verdicts[: len(shown)] for c in grid.flat})
 
-    def _heading(self) -> str:
-        kind = "error" if self.claim.measure == "absolute" else "excess"
-        share = f"{100.0 * self.claim.level:g} % of experiments"
-        return f"held-out {kind} within τ = {self.claim.text()} for {share}"
+    kind = "error" if claim.measure == "absolute" else "excess"
+    share = f"{100.0 * claim.level:g} % of experiments"
+    more = f" (and {len(groups) - len(shown)} more)" if len(groups) > len(shown) else ""
+    return Chart(
+        title=f"held-out {kind} within τ = {claim.text()} for {share}{more}",
+        size=(width, max(height, 1.3)),
+        fill=fill,
+        data=_map_table(domain, claim, verdicts),
+    )
 
-    def _draw_panel(self, axes: Axes, g: int) -> None:
-        from matplotlib.patches import Rectangle
 
-        grid, counts = self.grid, self.domain.counts[g]
-        for (i, j), cell in np.ndenumerate(grid):
-            name, count = self.verdicts[g][cell].colour, int(counts[cell])
-            style = {"edgecolor": "white", "linewidth": 0.6, **FILLS[name]}
-            axes.add_patch(Rectangle((j - 0.5, i - 0.5), 1.0, 1.0, **style))
-            if count and grid.size <= MAX_LETTERS:
-                ink = "white" if name in LIGHT else palette.INK
-                axes.text(j, i, str(count), ha="center", va="center", color=ink,
-                          fontsize=palette.FONT_SIZE - 1.5)  # fmt: skip
-            if cell == self.domain.cells.nominal:
-                # Circle a short number; put the mark next to a long one.
-                place, size = ((j - 0.38, i + 0.3), 5.0) if count > 99 else ((j, i), 9.0)
-                axes.plot(*place, marker="o", markersize=size, markerfacecolor="none",
-                          markeredgecolor="white", markeredgewidth=1.1, zorder=5)  # fmt: skip
-        _outline(axes, np.isin(grid, self.domain.domains(self.claim)[g]))
-        axes.set_xlim(-0.5, grid.shape[1] - 0.5)
-        axes.set_ylim(-0.5, grid.shape[0] - 0.5)
-        axes.tick_params(length=0.0, pad=1.5)
-        axes.spines[:].set_visible(False)
+def _grid(cells: Cells, across: int, up: int | None) -> IntArray:
+    """Cells (n_row, n_column) to draw, in rows from below."""
+    number = {index: c for c, index in enumerate(cells.index)}
+    n_up = 1 if up is None else len(cells.axes[up])
+    found = np.zeros((n_up, len(cells.axes[across])), np.int64)
+    for row, column in np.ndindex(*found.shape):
+        index = list(cells.index[cells.nominal])
+        index[across] = column
+        if up is not None:
+            index[up] = row
+        found[row, column] = number[tuple(index)]
+    return found
 
-    def _legend(self, figure: Figure, n: int) -> None:
-        from matplotlib.lines import Line2D
-        from matplotlib.patches import Patch
 
-        used = {self.verdicts[g][c].colour for g in range(n) for c in self.grid.flat}
-        handles: list[Any] = [
-            Patch(label=name, **{"edgecolor": "white", **style})
-            for name, style in FILLS.items()
-            if name in used or name in ("trusted", "doubtful", "not trusted", "no data")
-        ]
-        ring: Style = {"linestyle": "none", "marker": "o", "markerfacecolor": "none"}
-        handles.append(Line2D([], [], color=palette.INK, linewidth=1.6, label="D(τ)"))
-        handles.append(Line2D([], [], markeredgecolor=palette.INK, label="nominal", **ring))
-        legend_of(figure, handles, 4 if figure.get_figwidth() < 5.0 else len(handles))
+def _map_table(domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]]) -> Table:
+    inside, error = domain.domains(claim), domain.statistic(claim.level)
+    head = ("group", "cell", "members", "error", "confidence", "colour", "in_domain", "reason")
+    rows = [
+        (group, domain.cells.text(c), domain.counts[g, c], error[g, c], verdict.confidence,
+         verdict.colour, int(c in inside[g]), verdict.reason)
+        for g, group in enumerate(domain.groups)
+        for c, verdict in enumerate(verdicts[g])
+    ]  # fmt: skip
+    return Table(head, rows)
 
-    def table(self) -> Table:
-        domain, inside = self.domain, self.domain.domains(self.claim)
-        error = domain.statistic(self.claim.level)
-        head = ("group", "cell", "members", "error", "confidence", "colour", "in_domain", "reason")
-        rows = [
-            (
-                group,
-                domain.cells.text(c),
-                domain.counts[g, c],
-                error[g, c],
-                verdict.confidence,
-                verdict.colour,
-                int(c in inside[g]),
-                verdict.reason,
-            )
-            for g, group in enumerate(domain.groups)
-            for c, verdict in enumerate(self.verdicts[g])
-        ]
-        return Table(head, rows)
+
+def _draw_cells(
+    axes: Axes, grid: IntArray, counts: IntArray, verdicts: list[CellVerdict], nominal: int
+) -> None:
+    from matplotlib.patches import Rectangle
+
+    for (i, j), cell in np.ndenumerate(grid):
+        name, count = verdicts[cell].colour, int(counts[cell])
+        style = {"edgecolor": "white", "linewidth": 0.6, **FILLS[name]}
+        axes.add_patch(Rectangle((j - 0.5, i - 0.5), 1.0, 1.0, **style))
+        if count and grid.size <= MAX_LETTERS:
+            ink = "white" if name in LIGHT else palette.INK
+            axes.text(j, i, str(count), ha="center", va="center", color=ink,
+                      fontsize=palette.FONT_SIZE - 1.5)  # fmt: skip
+        if cell == nominal:
+            # Circle a short number; put the mark next to a long one.
+            place, size = ((j - 0.38, i + 0.3), 5.0) if count > 99 else ((j, i), 9.0)
+            axes.plot(*place, marker="o", markersize=size, markerfacecolor="none",
+                      markeredgecolor="white", markeredgewidth=1.1, zorder=5)  # fmt: skip
+    axes.set(xlim=(-0.5, grid.shape[1] - 0.5), ylim=(-0.5, grid.shape[0] - 0.5))
+    axes.tick_params(length=0.0, pad=1.5)
+    axes.spines[:].set_visible(False)
+
+
+def _legend(figure: Figure, used: set[str]) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = [
+        Patch(label=name, **{"edgecolor": "white", **style})
+        for name, style in FILLS.items()
+        if name in used or name != "predicted"
+    ]
+    ring: Style = {"linestyle": "none", "marker": "o", "markerfacecolor": "none"}
+    handles.append(Line2D([], [], color=palette.INK, linewidth=1.6, label="D(τ)"))
+    handles.append(Line2D([], [], markeredgecolor=palette.INK, label="nominal", **ring))
+    chart.legend_of(figure, handles, 4 if figure.get_figwidth() < 5.0 else len(handles))
 
 
 def _most_columns(n_up: int, n_across: int) -> int:
@@ -227,102 +206,86 @@ def _outline(axes: Axes, inside: Any) -> None:
                           solid_capstyle="projecting")  # fmt: skip
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SizeChart(AbstractChart):
-    """Number of cells in D(tau) against the threshold."""
+def size_chart(domain: DomainMap, claim: Claim | None = None) -> Chart:
+    """Draw the number of cells in the domain of applicability against the threshold.
 
-    domain: DomainMap
-    claim: Claim
-
-    @property
-    def sizes(self) -> FloatArray:
-        """Number of cells in D(tau), (n_group, n_threshold)."""
-        domain = self.domain
-        return np.asarray(domain.curve(self.claim, domain.usual_thresholds.tolist()), np.float64)
-
-    def figure(self) -> Figure:
-        figure = sheet(palette.COLUMN + 0.9, 2.7)
-        axes = figure.subplots()
-        thresholds, sizes, cells = self.domain.usual_thresholds, self.sizes, len(self.domain.cells)
-        single = len(sizes) == 1
-        for own in sizes:
-            axes.step(thresholds, own, where="post", linewidth=0.7, alpha=0.7,
-                      color=palette.BODY if single else palette.TRAIL)  # fmt: skip
-        if not single:
-            axes.step([], [], color=palette.TRAIL, linewidth=0.7, label=f"{len(sizes)} maps")
-            axes.step(thresholds, sizes.mean(axis=0), where="post", linewidth=1.6,
-                      color=palette.BODY, label="mean")  # fmt: skip
-        axes.axvline(self.claim.threshold, color=palette.INK, linewidth=0.8, linestyle=(0, (4, 2)),
-                     label="requested τ")  # fmt: skip
-        log_scale(axes, "x", thresholds)
-        axes.set_ylim(-0.02 * cells, 1.04 * max(float(sizes.max()), 1.0))
-        unit = " [mm]" if self.claim.measure == "absolute" else (", share above the smallest error")
-        axes.set(xlabel=f"threshold τ{unit}", ylabel=f"cells in D(τ), of {cells}")
-        axes.locator_params(axis="y", integer=True)
-        axes.legend(frameon=False, loc="upper left")
-        clean(axes)
-        return figure
-
-    def table(self) -> Table:
-        unit = "mm" if self.claim.measure == "absolute" else "share"
-        names = [f"cells_{group or 'all'}".replace(" ", "_") for group in self.domain.groups]
-        columns = dict(zip(names, self.sizes, strict=True))
-        thresholds = self.domain.usual_thresholds
-        return Table.from_columns({f"threshold_{unit}": thresholds, **columns})
+    Parameters
+    ----------
+    domain : DomainMap
+    claim : Claim, optional
+        Claim that holds in the domain; by default that of the map.
+    """
+    claim = claim or domain.claimed
+    absolute, cells = claim.measure == "absolute", len(domain.cells)
+    thresholds = domain.usual_thresholds
+    sizes = np.asarray(domain.curve(claim, thresholds.tolist()), np.float64)
+    single = len(sizes) == 1
+    thin: Style = {"color": palette.BODY if single else palette.TRAIL, "linewidth": 0.7}
+    marks = [chart.steps(thresholds, own, where="post", alpha=0.7, **thin) for own in sizes]
+    if not single:
+        marks.append(chart.steps([], [], label=f"{len(sizes)} maps", **thin))
+        marks.append(chart.steps(thresholds, sizes.mean(axis=0), where="post", linewidth=1.6,
+                                 color=palette.BODY, label="mean"))  # fmt: skip
+    curves = chart.panel(
+        *marks,
+        chart.vline(claim.threshold, color=palette.INK, linewidth=0.8, linestyle=chart.DASHED,
+                    label="requested τ"),
+        lambda axes: axes.legend(frameon=False, loc="upper left"),
+        log={"x": thresholds},
+        whole="y",
+        ylim=(-0.02 * cells, 1.04 * max(float(sizes.max()), 1.0)),
+        xlabel=f"threshold τ{' [mm]' if absolute else ', share above the smallest error'}",
+        ylabel=f"cells in D(τ), of {cells}",
+    )  # fmt: skip
+    names = [f"cells_{group or 'all'}".replace(" ", "_") for group in domain.groups]
+    columns = dict(zip(names, sizes, strict=True))
+    threshold = f"threshold_{'mm' if absolute else 'share'}"
+    return Chart(
+        size=(palette.COLUMN + 0.9, 2.7),
+        fill=chart.panels([[curves]], legend=0),
+        data=Table.from_columns({threshold: thresholds, **columns}),
+    )
 
 
-# --- plots of results ---------------------------------------------------------------------------
-
-
-def draw_map(found: DomainMap, *, axis: str | None = None, ax: Axes | None = None) -> Any:
+def claimed_map_chart(found: DomainMap, *, axis: str | None = None) -> Chart:
     """Draw the verdicts of a map over its axes, or along one of them through the nominal."""
     names = [own.name for own in found.cells.axes]
     if axis is not None and axis not in names:
         raise InvalidInput("axis", found=repr(axis), expected="one of " + ", ".join(names))
-    claim = found.claimed
-    across = 0 if axis is None else names.index(axis)
     alone = found.cells.arms or len(names) == 1 or axis is not None
-    chart = MapChart(
-        domain=found,
-        claim=claim,
-        verdicts=found.verdicts(claim),
-        across=across,
-        up=None if alone else 1,
-    )
-    return plot_axes(chart.figure, ax)
-
-
-def draw_size(found: DomainMap, *, ax: Axes | None = None) -> Any:
-    """Draw the number of cells in the domain of applicability against the threshold."""
-    return plot_axes(SizeChart(domain=found, claim=found.claimed).figure, ax)
+    across, up = 0 if axis is None else names.index(axis), None if alone else 1
+    return map_chart(found, found.claimed, found.verdicts(found.claimed), across, up)
 
 
 def draw_bounds(found: ErrorBound, *, ax: Axes | None = None) -> Any:
     """Draw held-out errors of end positions against their bounds; those below the line hold."""
-
-    def fill(axes: Axes) -> None:
-        data = found.to_dict()
-        pairs = zip(data["position"], data["position_bound"], strict=True)
-        shown = [
-            (1e3 * error, 1e3 * bound)
-            for error, bound in pairs
-            if isinstance(error, float) and isinstance(bound, float)
-        ]
-        most = 1.1 * max((bound for _, bound in shown), default=1.0)
-        axes.plot([b for _, b in shown], [e for e, _ in shown], ".", color=palette.BODY)
-        axes.plot([0.0, most], [0.0, most], color=palette.INK, linewidth=0.8)
-        axes.set(xlabel=f"bound, {100.0 * found.level:g} % [mm]", ylabel="held-out error [mm]")
-        axes.set(xlim=(0.0, most), ylim=(0.0, None))
-        clean(axes)
-
+    data = found.to_dict()
+    pairs = zip(data["position"], data["position_bound"], strict=True)
+    shown = [
+        (1e3 * bound, 1e3 * error)
+        for error, bound in pairs
+        if isinstance(error, float) and isinstance(bound, float)
+    ]
+    most = 1.1 * max((bound for bound, _ in shown), default=1.0)
+    errors = chart.panel(
+        chart.line(*zip(*shown, strict=True), ".", color=palette.BODY)
+        if shown
+        else chart.line([], []),
+        chart.line([0.0, most], [0.0, most], color=palette.INK, linewidth=0.8),
+        xlim=(0.0, most),
+        ylim=(0.0, None),
+        xlabel=f"bound, {100.0 * found.level:g} % [mm]",
+        ylabel="held-out error [mm]",
+    )
     if ax is not None:
-        fill(ax)
+        errors(ax)
         return ax
+    title = "End position: held-out errors and their bounds"
+    size = (palette.COLUMN, 2.8)
+    return chart.plot_axes(
+        Chart(title=title, size=size, fill=chart.panels([[errors]]), data=found._data()).figure
+    )
 
-    def make() -> Figure:
-        figure = sheet(3.5, 2.8, "End position: held-out errors and their bounds")
-        fill(figure.subplots())
-        return figure
 
-    return plot_axes(make)
+draw_map = chart.plot_of(claimed_map_chart)
+draw_size = chart.plot_of(size_chart)

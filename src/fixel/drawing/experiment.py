@@ -23,11 +23,13 @@ from fixel.drawing.top_view import (
     extent_of,
     finish_page,
     frame_axes,
+    hollow,
     readings,
+    solid,
     swept_points,
     time_axes,
 )
-from fixel.drawing.view import Rectangle, ghosts
+from fixel.drawing.view import Rectangle, evenly, ghosts
 from fixel.errors import InvalidInput
 from fixel.model import Channel, Experiment, Shape, Trajectory, placed, pose_error
 
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+COLOURS: Final = (palette.FIXEL, palette.BODY, palette.PUSHER, palette.TOUCHED, palette.FORCE)
 MAX_PATHS: Final = 200
 MAX_DRAWN: Final = 6  # experiments that are drawn with outlines
 STEPS: Final = 2  # number of outlines between start and end in a comparison
@@ -120,7 +123,7 @@ def plot_paths(experiments: Sequence[Experiment], *, ax: Axes | None = None) -> 
     from matplotlib import pyplot
 
     axes = ax or pyplot.subplots(figsize=(4.9, 4.9), layout="constrained")[1]
-    chosen = np.unique(np.linspace(0, len(experiments) - 1, MAX_PATHS).astype(int))
+    chosen = evenly(len(experiments), MAX_PATHS)
     dot: Style = {"marker": "o", "markersize": 2.5, "linestyle": "none", "color": palette.BODY}
     for k in chosen.tolist() if len(experiments) else ():
         experiment = experiments[k]
@@ -130,8 +133,8 @@ def plot_paths(experiments: Sequence[Experiment], *, ax: Axes | None = None) -> 
             axes.plot(*(pose[row, :2] * MM.factor), markerfacecolor=fill, zorder=3.6, **dot)
             if shape is not None and len(experiments) <= MAX_DRAWN:
                 outline = placed(shape.outline, pose[row])
-                thin: Style = {"facecolor": "none", "edgecolor": palette.BODY, "linewidth": 0.4}
-                add_outlines(axes, [outline], linestyle="-" if row else DASHED, **thin)
+                thin = hollow(palette.BODY, 0.4, linestyle="-" if row else DASHED)
+                add_outlines(axes, [outline], **thin)
                 axes.update_datalim(outline * MM.factor)
     axes.autoscale_view()
     axes.set_aspect("equal", adjustable="datalim")
@@ -139,6 +142,70 @@ def plot_paths(experiments: Sequence[Experiment], *, ax: Axes | None = None) -> 
     axes.set_ylabel(f"y [{MM.name}]")
     axes.set_title(f"{len(experiments)} experiments" + _shown(len(chosen), len(experiments)))
     return axes
+
+
+def plot_errors(comparison: Any, *, ax: Axes | None = None) -> Axes:
+    """Draw the share of the experiments whose error is below a value, for each model.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    ax : matplotlib.axes.Axes, optional
+    """
+    from matplotlib import pyplot
+
+    axes = ax or pyplot.subplots(figsize=(4.9, 3.5), layout="constrained")[1]
+    lines = dict.fromkeys((row.model, row.use) for row in comparison.rows)
+    models = list(comparison.models)
+    for model, use in lines:
+        rows = [row for row in comparison.of(model) if row.use == use]
+        errors = np.sort([row.error_mm for row in rows if row.error_mm is not None])
+        share = 100.0 * np.arange(1, len(errors) + 1) / max(1, len(rows))
+        axes.step(
+            np.concatenate(([0.0], errors)),
+            np.concatenate(([0.0], share)),
+            where="post",
+            label=f"{model}{f', {use}' if use else ''} ({len(rows)})",
+            color=COLOURS[models.index(model) % len(COLOURS)],
+            linestyle="--" if use == "fitted" else "-",
+        )
+    axes.set_xlim(left=0.0)
+    axes.set_ylim(0.0, 101.0)
+    axes.set_xlabel("error [mm]")
+    axes.set_ylabel("experiments below [%]")
+    axes.legend(loc="lower right")
+    return axes
+
+
+def plot_motion(
+    comparison: Any,
+    *,
+    ax: Axes | None = None,
+    experiment: str | None = None,
+    model: str | None = None,
+) -> Any:
+    """Draw measured and simulated motion of one experiment, and the errors against time.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    ax : None
+        The plot has axes of its own.
+    experiment : str, optional
+        Key of the experiment; by default the first.
+    model : str, optional
+        Name of the model; by default the last.
+    """
+    rows = comparison.of(model or comparison.models[-1])
+    chosen = [row for row in rows if experiment in (None, row.run.experiment.key)]
+    if not chosen:
+        raise InvalidInput(
+            "experiment" if rows else "model",
+            found=repr(experiment if rows else model),
+            expected="a compared experiment",
+        )
+    run = chosen[0].run
+    return plot_axes(lambda: comparison_figure(run.experiment, run.simulated, run.contacts), ax)
 
 
 def _shown(shown: int, total: int) -> str:
@@ -234,8 +301,7 @@ def _draw_object(axes: Axes, experiment: Experiment) -> list[Artist]:
         if len(track.time) > FEW_POSES:
             unwound = np.column_stack((track.pose[:, :2], np.unwrap(track.pose[:, 2])))
             outlines = [placed(shape.outline, pose) for pose in ghosts(unwound, shape, 4)]
-            style: Style = {"edgecolor": palette.BODY, "linewidth": 0.5, "alpha": 0.35}
-            add_outlines(axes, outlines, zorder=1.2, facecolor="none", **style)
+            add_outlines(axes, outlines, **hollow(palette.BODY, 0.5, alpha=0.35, zorder=1.2))
     handles.append(_path(axes, track, name, color=palette.BODY, linewidth=1.0, zorder=3.5))
     if shape is None:
         for row, fill, label in ((0, "white", "start"), (-1, palette.BODY, "end")):
@@ -262,20 +328,13 @@ def _draw_both(axes: Axes, experiment: Experiment, simulated: Trajectory) -> lis
         between = np.linspace(start, end, steps + 2)[1:-1]
         for source, colour, label in both:
             outlines = [placed(shape.outline, pose) for pose in source.at(between)]
-            thin: Style = {"facecolor": "none", "edgecolor": colour, "linewidth": 0.5, "alpha": 0.4}
-            add_outlines(axes, outlines, zorder=1.3, **thin)
+            add_outlines(axes, outlines, **hollow(colour, 0.5, alpha=0.4, zorder=1.3))
             last = placed(shape.outline, source.at(end))
-            full: Style = {
-                "facecolor": (*to_rgb(colour), 0.12),
-                "edgecolor": colour,
-                "linewidth": 1.0,
-            }
-            handles += add_outlines(axes, [last], label=f"{label}, end", zorder=2.5, **full)
+            full = solid((*to_rgb(colour), 0.12), colour, 1.0, zorder=2.5)
+            handles += add_outlines(axes, [last], label=f"{label}, end", **full)
         first = placed(shape.outline, track.at(start))
-        dashed: Style = {"facecolor": "none", "edgecolor": palette.FIXEL, "linewidth": 0.7}
-        handles += add_outlines(
-            axes, [first], label="start", zorder=1.5, linestyle=DASHED, **dashed
-        )
+        dashed = hollow(palette.FIXEL, 0.7, linestyle=DASHED, zorder=1.5)
+        handles += add_outlines(axes, [first], label="start", **dashed)
     return handles + [
         _path(axes, source, label, color=colour, linewidth=1.0, zorder=3.5)
         for source, colour, label in both

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import Style, plot_axes, save_figure, tint
+from fixel.drawing.chart import plot_axes, save_figure, tint
 from fixel.drawing.top_view import (
     DASHED,
     DOTTED,
@@ -21,6 +21,8 @@ from fixel.drawing.top_view import (
     column_page,
     extent_of,
     finish_page,
+    hollow,
+    solid,
     swept_points,
     time_axes,
     touch_spans,
@@ -120,20 +122,13 @@ def _draw_view(axes: Axes, experiment: Experiment, estimates: FilterRun) -> list
     scene, measured = _scene(experiment), _cut(experiment.trajectory, estimates)
     shape, pusher = scene.bodies[0].shape, _pusher(experiment, estimates)
     handles = add_fixels(axes, scene)
-    colour = palette.PUSHER
-    style: Style = {"facecolor": tint(colour, 0.45), "edgecolor": colour, "linewidth": 0.8}
-    head = scene.pushers[0].shape
-    outlines = [placed(head.outline, pusher.pose[-1])]
-    handles += add_outlines(axes, outlines, label="pusher, end", zorder=1.9, **style)
+    style = solid(tint(palette.PUSHER, 0.45), palette.PUSHER, 0.8, zorder=1.9)
+    outlines = [placed(scene.pushers[0].shape.outline, pusher.pose[-1])]
+    handles += add_outlines(axes, outlines, label="pusher, end", **style)
     what = "measured" if experiment.real else "recorded"
     handles += _outlines(axes, shape, measured, estimates, what)
-    (line,) = axes.plot(
-        *(measured.pose[:, :2].T * MM.factor),
-        color=palette.INK,
-        linewidth=1.0,
-        label=f"{what}, trajectory",
-        zorder=3.4,
-    )
+    (line,) = axes.plot(*(measured.pose[:, :2].T * MM.factor), color=palette.INK, linewidth=1.0,
+                        label=f"{what}, trajectory", zorder=3.4)  # fmt: skip
     return [*handles, line, *_estimated_path(axes, estimates)]
 
 
@@ -141,9 +136,9 @@ def _outlines(
     axes: Axes, shape: Shape, measured: Trajectory, estimates: FilterRun, what: str
 ) -> list[Artist]:
     """Draw the object at start, end and the end of the occlusion, where errors are largest."""
-    dotted: Style = {"facecolor": "none", "edgecolor": palette.FIXEL, "linewidth": 0.8}
+    dotted = hollow(palette.FIXEL, linestyle=DOTTED, zorder=1.5)
     first = placed(shape.outline, measured.pose[0])
-    handles = add_outlines(axes, [first], label="start", zorder=1.5, linestyle=DOTTED, **dotted)
+    handles = add_outlines(axes, [first], label="start", **dotted)
     instants = [estimates.time[-1]]
     if estimates.hidden.any():
         instants.append(estimates.time[estimates.hidden][-1])
@@ -151,27 +146,25 @@ def _outlines(
         (measured, palette.INK, what),
         (estimates.trajectory, palette.BODY, "estimated"),
     ):
-        thin: Style = {"facecolor": "none", "edgecolor": colour, "linewidth": 0.8}
         outlines = [placed(shape.outline, track.at(instant)) for instant in instants]
-        handles += add_outlines(axes, outlines[:1], label=f"{label}, end", zorder=2.5, **thin)
+        full = hollow(colour, label=f"{label}, end", zorder=2.5)
+        handles += add_outlines(axes, outlines[:1], **full)
         if len(outlines) > 1:
-            thin |= {"linestyle": DASHED, "label": f"{label}, last hidden"}
-            handles += add_outlines(axes, outlines[1:], zorder=2.4, **thin)
+            dashed = hollow(colour, label=f"{label}, last hidden", linestyle=DASHED, zorder=2.4)
+            handles += add_outlines(axes, outlines[1:], **dashed)
     return handles
 
 
 def _estimated_path(axes: Axes, estimates: FilterRun) -> list[Artist]:
     way = estimates.pose[:, :2] * MM.factor
-    (seen,) = axes.plot(
-        *way.T, color=palette.BODY, linewidth=1.0, label="estimated trajectory", zorder=3.5
-    )
+    (seen,) = axes.plot(*way.T, color=palette.BODY, linewidth=1.0, zorder=3.5,
+                        label="estimated trajectory")  # fmt: skip
     hidden = estimates.hidden
     if not hidden.any():
         return [seen]
     masked = np.where(hidden[:, None], way, np.nan)
-    (dark,) = axes.plot(
-        *masked.T, color=HIDDEN, linewidth=1.6, label="estimated while hidden", zorder=3.6
-    )
+    (dark,) = axes.plot(*masked.T, color=HIDDEN, linewidth=1.6, zorder=3.6,
+                        label="estimated while hidden")  # fmt: skip
     return [seen, dark]
 
 
@@ -221,13 +214,8 @@ def _draw_touches(axes: Axes | None, experiment: Experiment, estimates: FilterRu
             spans = touch_spans(channel.time[kept], felt[kept])
             axes.broken_barh(spans, (row - 0.40, 0.36), facecolor=palette.INK, linewidth=0.0)
         base, height = row + 0.40, 0.36
-        axes.fill_between(
-            time,
-            np.full(len(time), base),
-            base - height * estimates.touch[:, row],
-            color=palette.TOUCHED,
-            linewidth=0.0,
-        )
+        top = base - height * estimates.touch[:, row]
+        axes.fill_between(time, base, top, color=palette.TOUCHED, linewidth=0.0)
 
 
 def _set_time(every: Sequence[Axes], estimates: FilterRun) -> None:

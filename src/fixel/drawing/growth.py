@@ -6,95 +6,61 @@ Source: RPI thesis, appendix C.6 and figures 6.1 to 6.13.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fixel.domain.along_axis import AxisStudy
 from fixel.domain.growth import Growth
-from fixel.drawing import palette
-from fixel.drawing.chart import (
-    WIDE,
-    AbstractChart,
-    Style,
-    clean,
-    column_unit,
-    display_unit,
-    legend_below,
-    log_scale,
-    positive,
-    sheet,
-    unit_text,
-    whole_numbers,
-)
+from fixel.drawing import chart, palette
+from fixel.drawing.chart import Chart, Mark, Style
 from fixel.table import Table
-from fixel.typing import FloatArray, IntArray
+from fixel.typing import FloatArray
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # Layouts differ in dashes and colour; the average has a wider line.
 _COLOURS: Final = (palette.TRAIL, palette.PUSHER, palette.TOUCHED, palette.CONE, palette.FIXEL)
 _DASHES: Final = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 AVERAGE: Final[Style] = {"color": palette.INK, "linewidth": 1.8, "zorder": 4}
-OPTIMAL: Final[Style] = {
-    "color": palette.BODY, "linewidth": 1.3, "marker": "o", "markersize": 2.5, "zorder": 3,
-}  # fmt: skip
-THRESHOLD: Final[Style] = {"color": palette.FORCE, "linewidth": 0.9, "linestyle": (0, (4, 2))}
 BAND: Final[Style] = {"color": palette.TOUCHED, "alpha": 0.16, "linewidth": 0.0, "zorder": 0}
 PER_STEP: Final = 24  # number of points of a line between two experiments
-SYMBOLS: Final = {"theta": "θ"}
 
 
-def _line(k: int) -> Style:
-    """Line style of the k-th layout."""
-    dash: Any = _DASHES[(k // len(_COLOURS)) % len(_DASHES)]
-    return {
-        "color": _COLOURS[k % len(_COLOURS)], "linestyle": dash, "linewidth": 0.8,
-        "marker": "o", "markersize": 1.8,
-    }  # fmt: skip
+def growth_matrix(growth: Growth, unit: str) -> Chart:
+    """Draw the largest error of every group at every step, as numbers on coloured cells."""
+    errors, names = error_matrix(growth), [group.name for group in growth.groups]
+    steps = {f"step_{k}_{chart.column_unit(unit)}": own for k, own in enumerate(errors.T)}
+    return Chart(
+        title=f"Largest error in the domain [{chart.unit_text(unit)}]",
+        size=(0.55 * chart.WIDE + 0.28 * errors.shape[1], 0.55 + 0.165 * len(errors)),
+        fill=lambda figure: _draw_matrix(figure, errors, names),
+        data=Table.from_columns({"group": names, **steps}),
+    )
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GrowthMatrix(AbstractChart):
-    """Largest error of every group at every step, as numbers on coloured cells."""
+def _draw_matrix(figure: Figure, errors: FloatArray, names: Sequence[str]) -> None:
+    from matplotlib.colors import LogNorm
 
-    growth: Growth
-    unit: str
-
-    def figure(self) -> Figure:
-        from matplotlib.colors import LogNorm
-
-        errors = error_matrix(self.growth)
-        n, m = errors.shape
-        title = f"Largest error in the domain [{unit_text(self.unit)}]"
-        figure = sheet(0.55 * WIDE + 0.28 * m, 0.55 + 0.165 * n, title)
-        axes = figure.subplots()
-        shown = positive(errors)
-        good = shown[np.isfinite(shown)]
-        low, high = (float(good.min()), float(good.max())) if len(good) else (0.1, 1.0)
-        norm = LogNorm(low, max(high, 1.001 * low))
-        # Text is white on dark cells, so that every number can be read.
-        axes.imshow(np.ma.masked_invalid(shown), norm=norm, cmap="Blues", aspect="auto")
-        axes.set_facecolor(palette.FAINT)
-        for (row, k), value in np.ndenumerate(errors):
-            dark = np.isfinite(value) and float(norm(max(float(value), low))) > 0.55
-            text = f"{value:.3g}" if np.isfinite(value) else "none"
-            axes.text(k, row, text, ha="center", va="center",
-                      color="white" if dark else palette.INK)  # fmt: skip
-        axes.set_yticks(range(n), [group.name for group in self.growth.groups])
-        axes.set_xticks(range(m), ["0\nnominal", *(f"{k}" for k in range(1, m))])
-        axes.set_xlabel("step: number of offsets from the nominal pose along x, ±y and θ")
-        axes.tick_params(length=0.0)
-        return figure
-
-    def table(self) -> Table:
-        unit, errors = column_unit(self.unit), error_matrix(self.growth)
-        steps = {f"step_{k}_{unit}": own for k, own in enumerate(errors.T)}
-        return Table.from_columns({"group": [g.name for g in self.growth.groups], **steps})
+    axes = figure.subplots()
+    shown = chart.positive(errors)
+    good = shown[np.isfinite(shown)]
+    low, high = (float(good.min()), float(good.max())) if len(good) else (0.1, 1.0)
+    norm = LogNorm(low, max(high, 1.001 * low))
+    # Text is white on dark cells, so that every number can be read.
+    axes.imshow(np.ma.masked_invalid(shown), norm=norm, cmap="Blues", aspect="auto")
+    axes.set_facecolor(palette.FAINT)
+    for (row, k), value in np.ndenumerate(errors):
+        dark = np.isfinite(value) and float(norm(max(float(value), low))) > 0.55
+        text = f"{value:.3g}" if np.isfinite(value) else "none"
+        colour = "white" if dark else palette.INK
+        axes.text(k, row, text, ha="center", va="center", color=colour)
+    axes.set_yticks(range(len(names)), names)
+    ticks = ["0\nnominal", *(f"{k}" for k in range(1, errors.shape[1]))]
+    axes.set_xticks(range(len(ticks)), ticks)
+    axes.set_xlabel("step: number of offsets from the nominal pose along x, ±y and θ")
+    axes.tick_params(length=0.0)
 
 
 def error_matrix(growth: Growth) -> FloatArray:
@@ -102,54 +68,45 @@ def error_matrix(growth: Growth) -> FloatArray:
     return np.array([[np.nan if x is None else x for x in row] for row in growth.matrix])
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GrowthSteps(AbstractChart):
-    """Largest error against step: a panel per shape, a line per layout, and the average."""
-
-    growth: Growth
-    threshold: float
-    unit: str
-
-    def figure(self) -> Figure:
-        groups, errors = self.growth.groups, error_matrix(self.growth)
-        shapes = list(dict.fromkeys(group.shape for group in groups))
-        layouts = list(dict.fromkeys(group.layout for group in groups))
-        figure = sheet(WIDE, 3.1)
-        row = figure.subplots(1, len(shapes), squeeze=False, sharey=True)[0]
-        log_scale(row[0], "y", np.append(positive(errors).ravel(), self.threshold))
-        steps = np.arange(errors.shape[1])
-        for axes, shape in zip(row, shapes, strict=True):
-            clean(axes)
-            own = [k for k, group in enumerate(groups) if group.shape == shape]
-            for k in own:
-                layout = groups[k].layout
-                style = _line(layouts.index(layout))
-                axes.plot(steps, positive(errors[k]), label=layout, **style)
-            # NaN where a group has no error.
-            axes.plot(steps, errors[own].mean(axis=0), label="average", **AVERAGE)
-            axes.axhline(self.threshold, label=_level(self.threshold, self.unit), **THRESHOLD)
-            axes.set_title(shape)
-            axes.set_xlabel("step of the growth")
-            whole_numbers(axes)
-        row[0].set_ylabel(f"largest error [{unit_text(self.unit)}]")
-        legend_below(figure, row, most=5)
-        return figure
-
-    def table(self) -> Table:
-        head = ("shape", "layout", "step", f"largest_error_{column_unit(self.unit)}")
-        pairs = zip(self.growth.groups, error_matrix(self.growth), strict=True)
-        return Table(
-            head,
-            [(g.shape, g.layout, step, x) for g, row in pairs for step, x in enumerate(row)],
+def growth_steps(growth: Growth, threshold: float, unit: str) -> Chart:
+    """Draw the largest error against step: a panel per shape, a line per layout, the average."""
+    groups, errors = growth.groups, error_matrix(growth)
+    layouts = list(dict.fromkeys(group.layout for group in groups))
+    steps = np.arange(errors.shape[1])
+    row: list[Mark] = []
+    for shape in dict.fromkeys(group.shape for group in groups):
+        own = [k for k, group in enumerate(groups) if group.shape == shape]
+        lines = [_layout(steps, errors[k], groups[k].layout, layouts) for k in own]
+        # NaN where a group has no error.
+        average = chart.line(steps, errors[own].mean(axis=0), label="average", **AVERAGE)
+        row.append(
+            chart.panel(
+                *lines,
+                average,
+                _level(threshold, unit),
+                title=shape,
+                log={"y": np.append(chart.positive(errors).ravel(), threshold)},
+                whole="x",
+                xlabel="step of the growth",
+                ylabel="" if row else f"largest error [{chart.unit_text(unit)}]",
+            )
         )
+    head = ("shape", "layout", "step", f"largest_error_{chart.column_unit(unit)}")
+    pairs = zip(groups, errors, strict=True)
+    return Chart(
+        size=(chart.WIDE, 3.1),
+        fill=chart.panels([row], 5, sharey=True),
+        data=Table(
+            head, [(g.shape, g.layout, k, x) for g, own in pairs for k, x in enumerate(own)]
+        ),
+    )
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AxisChart(AbstractChart):
-    """Errors along one axis with parameters found on intervals of several sizes, one per column.
-    Upper row: every layout and the average. Lower row: average, and that of each experiment's best.
+def axis_chart(
+    studies: Sequence[AxisStudy], threshold: float, unit: str, length: float | None = None
+) -> Chart:
+    """Draw errors along one axis with parameters found on intervals of several sizes, one per
+    column: above every layout and the average, below the average of each experiment's best as well.
 
     Parameters
     ----------
@@ -161,84 +118,99 @@ class AxisChart(AbstractChart):
     length : float, optional
         Length of a step [m], or [rad] for theta.
     """
-
-    studies: Sequence[AxisStudy]
-    threshold: float
-    unit: str
-    length: float | None = None
-
-    def figure(self) -> Figure:
-        first = self.studies[0]
-        axis = SYMBOLS.get(first.axis, first.axis)
-        figure = sheet(WIDE, 4.6, f"{first.shape}, along {axis}")
-        grid = figure.subplots(2, len(self.studies), squeeze=False, sharex=True, sharey="row",
-                               height_ratios=(1.25, 1.0))  # fmt: skip
-        every = [positive(study.error).ravel() for study in self.studies]
-        log_scale(grid[0, 0], "y", np.append(np.concatenate(every), self.threshold))
-        averages = [x for study in self.studies for x in (study.average, study.own_average)]
-        log_scale(grid[1, 0], "y", np.concatenate(averages))
-        for above, below, study in zip(grid[0], grid[1], self.studies, strict=True):
-            self._draw_absolute(above, study)
-            self._draw_relative(below, study)
-            below.set_xlabel(self._label(axis))
-            whole_numbers(below)
-        grid[0, 0].set_ylabel(f"error [{unit_text(self.unit)}]")
-        grid[1, 0].set_ylabel(f"average error [{unit_text(self.unit)}]")
-        figure.align_ylabels(grid[:, 0])
-        legend_below(figure, grid.ravel(), most=5)
-        return figure
-
-    def _label(self, axis: str) -> str:
-        unit = display_unit("rad" if axis == "θ" else "m")
-        step = "" if self.length is None else f" of {unit.text(self.length)} {unit.name}"
-        return f"offset in {axis} [steps{step}]"
-
-    def _draw_absolute(self, axes: Axes, study: AxisStudy) -> None:
-        clean(axes)
-        low, high = study.interval
-        axes.axvspan(low, high, label="samples of the set", **BAND)
-        for k, layout in enumerate(study.layouts):
-            axes.plot(study.steps, positive(study.error[k]), label=layout, **_line(k))
-        _plot(axes, study.steps, study.average, {"label": "average", **AVERAGE})
-        axes.axhline(self.threshold, label=_level(self.threshold, self.unit), **THRESHOLD)
-        found = study.edges(self.threshold)
-        for edge, is_open in ((found.low, found.low_open), (found.high, found.high_open)):
-            if edge is not None and not is_open:
-                axes.plot([edge], [self.threshold], marker="D", markersize=4.0, linestyle="none",
-                          color=palette.FORCE, zorder=5, label="edge of the domain")  # fmt: skip
-        axes.set_title(f"set calibrated on {study.size} samples, {low} to {high}")
-
-    def _draw_relative(self, axes: Axes, study: AxisStudy) -> None:
-        clean(axes)
-        axes.axvspan(*study.interval, **BAND)
-        average, own = positive(study.average), positive(study.own_average)
-        axes.fill_between(study.steps, own, average, color=palette.FAINT, linewidth=0.0, zorder=1)
-        axes.plot(study.steps, average, **AVERAGE)
-        axes.plot(study.steps, own, label="average of smallest errors", **OPTIMAL)
-
-    def table(self) -> Table:
-        unit = column_unit(self.unit)
-        head = ("shape", "axis", "size", "interval_first", "interval_last", "layout", "step",
-                f"error_{unit}", f"own_error_{unit}", f"relative_error_{unit}")  # fmt: skip
-        rows: list[tuple[Any, ...]] = []
-        for study in self.studies:
-            begin = (study.shape, study.axis, study.size, *study.interval)
-            averages = (study.average, study.own_average, study.average_excess)
-            per_layout = zip(study.error, study.own, study.excess, strict=True)
-            for name, values in [*zip(study.layouts, per_layout, strict=True),
-                                 ("average", averages)]:  # fmt: skip
-                columns = zip(study.steps, *values, strict=True)
-                rows += [(*begin, name, *entry) for entry in columns]
-        return Table(head, rows)
+    axis = studies[0].axis.replace("theta", "θ")
+    shown = chart.display_unit("rad" if axis == "θ" else "m")
+    step = "" if length is None else f" of {shown.text(length)} {shown.name}"
+    errors = np.append(
+        np.concatenate([chart.positive(s.error).ravel() for s in studies]), threshold
+    )
+    averages = np.concatenate([x for s in studies for x in (s.average, s.own_average)])
+    texts = [f"error [{chart.unit_text(unit)}]", f"average error [{chart.unit_text(unit)}]"]
+    return Chart(
+        title=f"{studies[0].shape}, along {axis}",
+        size=(chart.WIDE, 4.6),
+        fill=chart.panels(
+            [
+                [_absolute(s, errors, threshold, unit, texts[0] * (not k))
+                 for k, s in enumerate(studies)],
+                [_relative(s, averages, f"offset in {axis} [steps{step}]", texts[1] * (not k))
+                 for k, s in enumerate(studies)],
+            ],
+            5, sharex=True, sharey="row", height_ratios=(1.25, 1.0),
+        ),
+        data=_table_of(studies, chart.column_unit(unit)),
+    )  # fmt: skip
 
 
-def _plot(axes: Axes, steps: IntArray, errors: FloatArray, style: Style) -> None:
-    """Plot errors, interpolated linearly also on a logarithmic axis, as the edges are computed."""
-    fine = np.linspace(steps[0], steps[-1], PER_STEP * int(steps[-1] - steps[0]) + 1)
-    known = np.where(np.isfinite(errors), errors, np.nan)
-    at = np.searchsorted(fine, steps - 1e-9)
-    axes.plot(fine, positive(np.interp(fine, steps, known)), markevery=at.tolist(), **style)
+def _table_of(studies: Sequence[AxisStudy], unit: str) -> Table:
+    head = ("shape", "axis", "size", "interval_first", "interval_last", "layout", "step",
+            f"error_{unit}", f"own_error_{unit}", f"relative_error_{unit}")  # fmt: skip
+    rows: list[tuple[Any, ...]] = []
+    for study in studies:
+        begin = (study.shape, study.axis, study.size, *study.interval)
+        averages = (study.average, study.own_average, study.average_excess)
+        per_layout = zip(study.error, study.own, study.excess, strict=True)
+        for name, values in [*zip(study.layouts, per_layout, strict=True), ("average", averages)]:
+            rows += [(*begin, name, *entry) for entry in zip(study.steps, *values, strict=True)]
+    return Table(head, rows)
 
 
-def _level(threshold: float, unit: str) -> str:
-    return f"threshold {threshold:.3g} {unit_text(unit)}"
+def _absolute(
+    study: AxisStudy, errors: FloatArray, threshold: float, unit: str, ylabel: str
+) -> Mark:
+    low, high = study.interval
+    lines = [_layout(study.steps, study.error[k], name, study.layouts)
+             for k, name in enumerate(study.layouts)]  # fmt: skip
+    # The average is linear between its points also on a logarithmic axis, as edges are computed.
+    n = PER_STEP * int(study.steps[-1] - study.steps[0])
+    fine = np.linspace(study.steps[0], study.steps[-1], n + 1)
+    known = np.where(np.isfinite(study.average), study.average, np.nan)
+    at = np.searchsorted(fine, study.steps - 1e-9).tolist()
+    average = chart.positive(np.interp(fine, study.steps, known))
+    found = study.edges(threshold)
+    edges = [
+        chart.line([edge], [threshold], marker="D", markersize=4.0, linestyle="none",
+                   color=palette.FORCE, zorder=5, label="edge of the domain")
+        for edge, is_open in ((found.low, found.low_open), (found.high, found.high_open))
+        if edge is not None and not is_open
+    ]  # fmt: skip
+    return chart.panel(
+        chart.vspan(low, high, label="samples of the set", **BAND),
+        *lines,
+        chart.line(fine, average, label="average", markevery=at, **AVERAGE),
+        _level(threshold, unit),
+        *edges,
+        title=f"set calibrated on {study.size} samples, {low} to {high}",
+        log={"y": errors},
+        ylabel=ylabel,
+    )
+
+
+def _relative(study: AxisStudy, errors: FloatArray, xlabel: str, ylabel: str) -> Mark:
+    average, own = chart.positive(study.average), chart.positive(study.own_average)
+    return chart.panel(
+        chart.vspan(*study.interval, **BAND),
+        chart.band(study.steps, own, average, color=palette.FAINT, linewidth=0.0, zorder=1),
+        chart.line(study.steps, average, **AVERAGE),
+        chart.line(study.steps, own, label="average of smallest errors", color=palette.BODY,
+                   linewidth=1.3, marker="o", markersize=2.5, zorder=3),
+        log={"y": errors},
+        whole="x",
+        xlabel=xlabel,
+        ylabel=ylabel,
+    )  # fmt: skip
+
+
+def _layout(steps: Any, errors: FloatArray, name: str, layouts: Sequence[str]) -> Mark:
+    """Line of the errors of one layout."""
+    k = list(layouts).index(name)
+    dash = _DASHES[(k // len(_COLOURS)) % len(_DASHES)]
+    style: Style = {"color": _COLOURS[k % len(_COLOURS)], "linestyle": dash, "linewidth": 0.8}
+    return chart.line(
+        steps, chart.positive(errors), marker="o", markersize=1.8, label=name, **style
+    )
+
+
+def _level(threshold: float, unit: str) -> Mark:
+    return chart.hline(threshold, label=f"threshold {threshold:.3g} {chart.unit_text(unit)}",
+                       color=palette.FORCE, linewidth=0.9, linestyle=chart.DASHED)  # fmt: skip

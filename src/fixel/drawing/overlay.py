@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Style, clean, sheet, shorten, tint, unit_text
+from fixel.drawing.chart import WIDE, Chart, Style, clean, shorten, tint, unit_text
 from fixel.drawing.top_view import FEW_POSES, MAX_OUTLINES, MM, closed_line, frame_axes
-from fixel.drawing.view import Rectangle
+from fixel.drawing.view import Rectangle, evenly
 from fixel.model import placed
 from fixel.model.trajectory import wrapped
 from fixel.table import Table
@@ -34,39 +33,18 @@ class Track(NamedTuple):
     error: float | None = None  # difference from the measured track, in the chart's unit
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OverlayChart(AbstractChart):
-    """Measured and simulated poses, before and after a calibration.
+class Overlay(NamedTuple):
+    """Measured and simulated poses of one experiment, before and after a calibration."""
 
-    Source: RPI thesis, figures 5.2 and 5.3.
-
-    Parameters
-    ----------
-    title : str
-    outline : (k, 2) float64
-        Outline of the object, in its own frame [m].
-    measured, before, after : Track
-        Tracks; those of simulations that stopped early are shorter.
-    real : bool
-        Whether the poses were measured; otherwise they are labelled recorded.
-    fixels : sequence of (k, 2) float64
-        Outlines of the fixels [m].
-    pusher : sequence of (k, 2) float64
-        Outlines of the pusher at start and end [m]; empty without a pusher.
-    unit : str
-        Unit of the errors.
-    """
-
-    title: str
-    outline: FloatArray
+    outline: FloatArray  # (k, 2) outline of the object, in its own frame [m]
     measured: Track
-    before: Track
+    before: Track  # shorter where the simulation stopped early
     after: Track
-    real: bool
-    fixels: Sequence[FloatArray]
+    real: bool  # whether the poses were measured; otherwise they are labelled recorded
+    fixels: Sequence[FloatArray]  # outlines of the fixels [m]
+    # Outlines of the pusher at start and end [m]; empty without a pusher.
     pusher: Sequence[FloatArray]
-    unit: str
+    unit: str  # unit of the errors
 
     @property
     def tracks(self) -> tuple[tuple[str, Track, Style], ...]:
@@ -77,39 +55,41 @@ class OverlayChart(AbstractChart):
             ("after", self.after, _AFTER),
         )
 
-    def figure(self) -> Figure:
-        figure = sheet(WIDE, 3.3, shorten(self.title, 100))
-        panels = figure.subplot_mosaic(
-            [["view", "x", "dx"], ["view", "y", "dy"], ["legend", "theta", "dtheta"]],
-            width_ratios=(VIEW, 1.6, 1.6),
-        )
-        _draw_view(panels["view"], self)
-        for names, draw in ((("x", "y", "theta"), _draw_poses), (("dx", "dy", "dtheta"),
-                                                                 _draw_differences)):  # fmt: skip
-            column = [panels[name] for name in names]
-            draw(column, self)
-            _time_axes(column, self.measured)
-            figure.align_ylabels(column)
-        panels["legend"].axis("off")
-        panels["legend"].legend(
-            *panels["view"].get_legend_handles_labels(),
-            loc="center",
-            ncols=2,
-            frameon=False,
-            labelspacing=0.35,
-            columnspacing=1.2,
-            handlelength=2.2,
-        )
-        return figure
 
-    def table(self) -> Table:
-        columns = ("curve", "time_s", "x_m", "y_m", "theta_rad")
-        rows = [
-            (name, time, *pose)
-            for name, track, _ in self.tracks
-            for time, pose in zip(track.time, track.pose, strict=True)
-        ]
-        return Table(columns, rows)
+def overlay_chart(title: str, own: Overlay) -> Chart:
+    """Draw measured and simulated poses: top view of the plate, and poses against time.
+
+    Source: RPI thesis, figures 5.2 and 5.3.
+    """
+    rows = [
+        (name, time, *pose)
+        for name, track, _ in own.tracks
+        for time, pose in zip(track.time, track.pose, strict=True)
+    ]
+    return Chart(
+        title=shorten(title, 100),
+        size=(WIDE, 3.3),
+        fill=lambda figure: _draw(figure, own),
+        data=Table(("curve", "time_s", "x_m", "y_m", "theta_rad"), rows),
+    )
+
+
+def _draw(figure: Figure, chart: Overlay) -> None:
+    axes_of = figure.subplot_mosaic(
+        [["view", "x", "dx"], ["view", "y", "dy"], ["legend", "theta", "dtheta"]],
+        width_ratios=(VIEW, 1.6, 1.6),
+    )
+    _draw_view(axes_of["view"], chart)
+    for prefix, draw in (("", _draw_poses), ("d", _draw_differences)):
+        column = [axes_of[prefix + name] for name in ("x", "y", "theta")]
+        draw(column, chart)
+        _time_axes(column, chart.measured)
+        figure.align_ylabels(column)
+    axes_of["legend"].axis("off")
+    axes_of["legend"].legend(
+        *axes_of["view"].get_legend_handles_labels(), loc="center", ncols=2, frameon=False,
+        labelspacing=0.35, columnspacing=1.2, handlelength=2.2,
+    )  # fmt: skip
 
 
 # Wide and pale, so that it is visible below a simulation that matches it.
@@ -118,8 +98,12 @@ _BEFORE: Final[Style] = {"color": palette.CONE, "linewidth": 1.1, "linestyle": D
 _AFTER: Final[Style] = {"color": palette.BODY, "linewidth": 1.1}
 
 
-def _draw_view(axes: Axes, chart: OverlayChart) -> None:
-    frame_axes(axes, _extent(chart))
+def _draw_view(axes: Axes, chart: Overlay) -> None:
+    corners = [*chart.fixels, *chart.pusher]
+    for _, track, _ in chart.tracks:
+        some = track.pose[evenly(len(track.pose), MAX_OUTLINES)]
+        corners += [placed(chart.outline, pose) for pose in some]
+    frame_axes(axes, Rectangle.around(np.concatenate(corners)).widened(0.04))
     start: Style = {"facecolor": tint(palette.FIXEL, 0.2), "edgecolor": palette.FIXEL}
     first = placed(chart.outline, chart.measured.pose[0])
     axes.fill(*closed_line(first), label="object, start", linewidth=0.6, linestyle=DASHED, **start)
@@ -142,17 +126,7 @@ def _error(track: Track, unit: str) -> str:
     return "" if track.error is None else f" ({track.error:.3g} {unit_text(unit)})"
 
 
-def _extent(chart: OverlayChart) -> Rectangle:
-    corners = [*chart.fixels, *chart.pusher]
-    for _, track, _ in chart.tracks:
-        some = np.unique(np.linspace(0, len(track.pose) - 1, MAX_OUTLINES).round().astype(int))
-        corners += [placed(chart.outline, pose) for pose in track.pose[some]]
-    points = np.concatenate(corners)
-    (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return Rectangle((left, right), (bottom, top)).widened(0.04)
-
-
-def _draw_poses(panels: Sequence[Axes], chart: OverlayChart) -> None:
+def _draw_poses(panels: Sequence[Axes], chart: Overlay) -> None:
     for _, track, style in chart.tracks:
         turned = np.degrees(np.unwrap(track.pose[:, 2]))
         for axes, values in zip(panels, (*track.pose[:, :2].T * MM.factor, turned), strict=True):
@@ -161,7 +135,7 @@ def _draw_poses(panels: Sequence[Axes], chart: OverlayChart) -> None:
         axes.set_ylabel(label, labelpad=1.0)
 
 
-def _draw_differences(panels: Sequence[Axes], chart: OverlayChart) -> None:
+def _draw_differences(panels: Sequence[Axes], chart: Overlay) -> None:
     """Draw the deviations of both simulations from the measured poses."""
     for _, track, style in chart.tracks[1:]:
         time, difference = _difference(track, chart.measured)

@@ -20,7 +20,10 @@ from fixel.drawing.top_view import (
     add_outlines,
     column_page,
     finish_page,
+    fixel_outlines,
     frame_axes,
+    hollow,
+    solid,
 )
 from fixel.drawing.view import (
     Rectangle,
@@ -34,7 +37,6 @@ from fixel.drawing.view import (
     ghosts,
     largest_force,
     round_number,
-    sentence,
     unit_for,
 )
 from fixel.model import Ellipsoid, Fixel, placed, support_points
@@ -97,14 +99,19 @@ def _figure(simulation: Simulation) -> Figure:
 
 def _draw(simulation: Simulation, axes: Axes, box: Rectangle, unit: DisplayUnit) -> list[Artist]:
     many = len(simulation.scene.bodies) >= MANY
-    handles: list[Artist] = []
-    handles += _fixels(simulation, axes, unit)
+    fixels, touched = simulation.scene.fixels, ever_touched(simulation)
+    handles = fixel_outlines(axes, fixels, touched, unit, zorder=3)
+    _fixel_names(simulation, axes, unit)
     handles += _pushers(simulation, axes, unit)
     handles += _bodies(simulation, axes, unit, many)
     handles += _forces(simulation, axes, unit, box, many)
     handles += _stop(simulation, axes, unit)
+    if simulation.stopped_at is not None:
+        state = f"{simulation.status} at {simulation.stopped_at:.4g} s"
+    else:
+        state = f"{simulation.status}, {simulation.duration:.4g} s in {simulation.steps} steps"
     colour = palette.INK if simulation.converged else palette.FORCE
-    axes.set_title(sentence(simulation), loc="left", color=colour, pad=4.0)
+    axes.set_title(state, loc="left", color=colour, pad=4.0)
     return handles
 
 
@@ -113,22 +120,6 @@ def _entry(**style: Any) -> Artist:
     from matplotlib.lines import Line2D
 
     return Line2D([], [], **style)
-
-
-def _fixels(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> list[Artist]:
-    handles: list[Artist] = []
-    touched = ever_touched(simulation)
-    fixels = simulation.scene.fixels
-    for colour, label, some in (
-        (palette.FIXEL, "fixel", [f for f in fixels if f.name not in touched]),
-        (palette.TOUCHED, "fixel, touched", [f for f in fixels if f.name in touched]),
-    ):
-        style: Style = {"facecolor": colour, "edgecolor": palette.INK, "linewidth": 0.5}
-        if some:
-            outlines = [placed(f.shape.outline, f.pose) for f in some]
-            handles += add_outlines(axes, outlines, unit, label, zorder=3, **style)
-    _fixel_names(simulation, axes, unit)
-    return handles
 
 
 def _named_fixels(simulation: Simulation) -> list[tuple[Fixel, FloatArray]]:
@@ -174,43 +165,38 @@ def _fixel_names(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> None:
 def _pushers(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> list[Artist]:
     pushers = simulation.scene.pushers
     names = ", ".join(p.name for p in pushers) if len(pushers) <= 2 else "pushers"
-    style: Style = {"facecolor": palette.PUSHER, "edgecolor": palette.INK, "linewidth": 0.5}
-    hollow: Style = {"facecolor": "none", "edgecolor": palette.PUSHER, "linewidth": 0.8}
     handles: list[Artist] = []
     for pusher in pushers:
         poses = simulation.pose[pusher.name]
         first, last = (placed(pusher.shape.outline, poses[k]) for k in (0, -1))
-        add_outlines(axes, [first], unit, linestyle=DASHED, zorder=2, **hollow)
-        handles = add_outlines(axes, [last], unit, names, zorder=3, **style)
-        start, end = poses[[0, -1], :2]
-        if np.hypot(*(end - start)) > 0.3 * float(np.ptp(first, axis=0).max()):
-            ends = (start * unit.factor, end * unit.factor)
-            add_arrow(axes, *ends, color=palette.INK, linewidth=0.7, zorder=4)
+        add_outlines(axes, [first], unit, **hollow(palette.PUSHER, linestyle=DASHED, zorder=2))
+        handles = add_outlines(axes, [last], unit, names, **solid(palette.PUSHER, zorder=3))
+        start, end = poses[[0, -1], :2] * unit.factor
+        if np.hypot(*(end - start)) > 0.3 * unit.factor * float(np.ptp(first, axis=0).max()):
+            add_arrow(axes, start, end, color=palette.INK, linewidth=0.7, zorder=4)
     return handles
 
 
 def _bodies(simulation: Simulation, axes: Axes, unit: DisplayUnit, many: bool) -> list[Artist]:
     from matplotlib.collections import LineCollection
 
-    bodies = simulation.scene.bodies
+    bodies, blue = simulation.scene.bodies, palette.BODY
     name = bodies[0].name if len(bodies) == 1 else "bodies"
-    line: Style = {"edgecolor": palette.BODY, "linewidth": 0.4 if many else 0.8}
-    thin: Style = {"facecolor": "none", "edgecolor": palette.BODY, "linewidth": 0.6}
+    width, faint = (0.4, {"alpha": 0.4}) if many else (0.8, {})
     handles: list[Artist] = []
     for row, label, style in (
-        (0, "start", {"facecolor": "none", "linestyle": DASHED, "zorder": 1.5}),
-        (-1, "end", {"facecolor": tint(palette.BODY, 0.30), "zorder": 2.5}),
+        (0, "start", hollow(blue, width, linestyle=DASHED, zorder=1.5, **faint)),
+        (-1, "end", solid(tint(blue, 0.30), blue, width, zorder=2.5)),
     ):
         outlines = [placed(b.shape.outline, simulation.pose[b.name][row]) for b in bodies]
-        faint = {"alpha": 0.4} if many and row == 0 else {}
-        handles += add_outlines(axes, outlines, unit, f"{name}, {label}", **style, **line, **faint)
+        handles += add_outlines(axes, outlines, unit, f"{name}, {label}", **style)
     for body in () if many else bodies:
         between = ghosts(simulation.pose[body.name], body.shape)
         for pose, strength in zip(between, np.linspace(*RAMP, max(len(between), 2)), strict=False):
-            outlines = [placed(body.shape.outline, pose)]
-            add_outlines(axes, outlines, unit, alpha=float(strength), zorder=1.2, **thin)
+            style = hollow(blue, 0.6, alpha=float(strength), zorder=1.2)
+            add_outlines(axes, [placed(body.shape.outline, pose)], unit, **style)
     trails = [centre_path(simulation, b.name) * unit.factor for b in bodies]
-    trail: Style = {"color": palette.BODY, "linewidth": 0.5 if many else 0.9, "linestyle": DOTTED}
+    trail: Style = {"color": blue, "linewidth": 0.5 if many else 0.9, "linestyle": DOTTED}
     axes.add_collection(LineCollection(trails, zorder=3.5, **trail), autolim=False)
     handles.append(_entry(label="centre of mass", **trail))
     if not many and not any(isinstance(b.support, Ellipsoid) for b in bodies):
@@ -336,12 +322,7 @@ def _stop(simulation: Simulation, axes: Axes, unit: DisplayUnit) -> list[Artist]
     if simulation.converged:
         return []
     places = [centre_path(simulation, b.name)[-1] for b in simulation.scene.bodies]
-    style: Style = {
-        "marker": "X",
-        "linestyle": "none",
-        "color": palette.FORCE,
-        "markersize": 6.0,
-    }
-    style |= {"markeredgecolor": "white", "markeredgewidth": 0.6}
+    style: Style = {"marker": "X", "linestyle": "none", "color": palette.FORCE, "markersize": 6.0,
+                    "markeredgecolor": "white", "markeredgewidth": 0.6}  # fmt: skip
     axes.plot(*(np.array(places) * unit.factor).T, zorder=8, **style)
     return [_entry(label="stopped here", **style)]

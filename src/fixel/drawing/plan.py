@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, DisplayUnit, Style, legend_of, save_figure, sheet, tint
-from fixel.drawing.top_view import DASHED, add_arrow, add_outlines, frame_axes
+from fixel.drawing.chart import WIDE, DisplayUnit, legend_of, save_figure, sheet, tint
+from fixel.drawing.top_view import DASHED, add_arrow, add_outlines, frame_axes, hollow, solid
 from fixel.drawing.view import Rectangle, unit_for
 from fixel.model import Disk, SupportPoints, placed
 from fixel.sampling import FixelLayout, Offset, Plan, PlannedShape
@@ -96,8 +96,8 @@ def _extent(plan: Plan, panels: list[Panel]) -> Rectangle:
         corners += _ghosts(plan, shape)
         if any(layout.pegs for _, layout in panels):
             corners.append(_zone(plan, shape))
-    points = np.concatenate(corners)
-    (left, low), (right, high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    box = Rectangle.around(np.concatenate(corners))
+    (left, right), (low, high) = box.x, box.y
     margin = 0.03 * (right - left)
     # Symmetric about the line of motion, so that the head moves through the middle of every panel.
     side = max(high, -low) + margin
@@ -116,46 +116,36 @@ def _draw_panel(plan: Plan, panel: Panel, axes: Axes, box: Rectangle) -> list[Ar
         return handles
     disk = Disk(plan.rig.fixel_radius)
     pegs = [disk.outline + place for place in plan.rig.peg_places(*panel)]
-    ink: Style = {"color": palette.INK}
-    add_outlines(axes, pegs, unit, zorder=6, linewidth=0.3, **ink)
-    zone: Style = {"facecolor": "#F4F4F4", "edgecolor": palette.FIXEL, "linewidth": 0.4}
-    zone |= {"linestyle": (0, (4, 2)), "zorder": 0.5}
-    dot = Line2D([], [], marker="o", linestyle="none", markersize=3.0, label="fixel", **ink)
-    return [*add_outlines(axes, [_zone(plan, shape)], unit, "fixel zone", **zone), *handles, dot]
+    add_outlines(axes, pegs, unit, zorder=6, linewidth=0.3, color=palette.INK)
+    dashed = solid("#F4F4F4", palette.FIXEL, 0.4, linestyle=(0, (4, 2)), zorder=0.5)
+    zone = add_outlines(axes, [_zone(plan, shape)], unit, "fixel zone", **dashed)
+    dot = Line2D([], [], marker="o", linestyle="none", markersize=3.0, label="fixel",
+                 color=palette.INK)  # fmt: skip
+    return [*zone, *handles, dot]
 
 
 def _draw_head(plan: Plan, axes: Axes, unit: DisplayUnit) -> list[Artist]:
     first, last = (_head_outline(plan, way) for way in (0.0, plan.rig.travel))
-    start: Style = {"facecolor": palette.PUSHER, "edgecolor": palette.INK, "linewidth": 0.4}
-    end: Style = {"facecolor": "none", "edgecolor": palette.PUSHER, "linewidth": 0.7}
-    handles = add_outlines(axes, [first], unit, "head, start", zorder=4, **start)
-    handles += add_outlines(
-        axes, [last], unit, "head, end of travel", zorder=4, linestyle=DASHED, **end
-    )
+    start = solid(palette.PUSHER, palette.INK, 0.4, zorder=4)
+    end = hollow(palette.PUSHER, 0.7, linestyle=DASHED, zorder=4)
+    handles = add_outlines(axes, [first], unit, "head, start", **start)
+    handles += add_outlines(axes, [last], unit, "head, end of travel", **end)
     way = np.array([[0.0, 0.0], [plan.rig.travel * unit.factor, 0.0]])
     add_arrow(axes, way[0], way[1], head=0.3, color=palette.INK, linewidth=0.6, zorder=5)
     return handles
 
 
 def _draw_object(plan: Plan, shape: PlannedShape, axes: Axes, unit: DisplayUnit) -> list[Artist]:
-    offset: Style = {"facecolor": "none", "edgecolor": tint(palette.BODY, 0.45), "linewidth": 0.3}
-    nominal: Style = {"edgecolor": palette.BODY, "linewidth": 0.9}
-    nominal |= {"facecolor": (*tint(palette.BODY, 0.25), 0.55)}
+    offset = hollow(tint(palette.BODY, 0.45), 0.3, zorder=2)
+    nominal = solid((*tint(palette.BODY, 0.25), 0.55), palette.BODY, 0.9, zorder=3)
     at_nominal = Offset(axis="nominal", step=0.0)
     outlines = [_outline(plan, shape, at_nominal)]
-    handles = add_outlines(axes, outlines, unit, "object, nominal", zorder=3, **nominal)
-    handles += add_outlines(axes, _ghosts(plan, shape), unit, "object, offset", zorder=2, **offset)
+    handles = add_outlines(axes, outlines, unit, "object, nominal", **nominal)
+    handles += add_outlines(axes, _ghosts(plan, shape), unit, "object, offset", **offset)
     if isinstance(shape.support, SupportPoints):
-        pose = object_pose(plan.rig, shape, at_nominal)
-        handles += axes.plot(
-            *(placed(shape.support.points, pose).T * unit.factor),
-            marker="^",
-            linestyle="none",
-            color=palette.INK,
-            markersize=3.5,
-            label="support point",
-            zorder=5,
-        )
+        points = placed(shape.support.points, object_pose(plan.rig, shape, at_nominal))
+        handles += axes.plot(*(points.T * unit.factor), "^", color=palette.INK, markersize=3.5,
+                             label="support point", zorder=5)  # fmt: skip
     return handles
 
 

@@ -1,21 +1,25 @@
-"""Charts of plans: simulated motions with failures by kind, capture regions of the pushes."""
+"""Charts of plans: motions, capture regions, causes of failures, trials, possible angles."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, clean, legend_below, plot_axes, sheet, tint
-from fixel.drawing.top_view import add_arrow, closed_line
+from fixel.drawing import chart, palette
+from fixel.drawing.chart import Chart, Mark
+from fixel.drawing.top_view import add_arrow, closed_line, plain_view
 from fixel.drawing.view import unit_for
-from fixel.errors import InvalidInput
+from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Body, placed
 from fixel.model.goals import Beyond, Exit, Inside, PoseRegion, Seated, centroids
+from fixel.planning.causes import Explanation, UnknownEffect
+from fixel.planning.orienting import OrientingPlan
 from fixel.planning.plan import PushPlan
+from fixel.planning.success import SuccessProbability
+from fixel.planning.trials import ALPHA, Trials
 from fixel.table import Table
 from fixel.typing import FloatArray
 
@@ -31,89 +35,74 @@ CAPTURE_RUNS: Final = 8  # scenarios for each of them
 SPAN: Final = 4.0  # half-width of a capture region, in standard deviations of the belief
 MIN_SPAN: Final = 0.03  # least half-width, relative to the part's size (and to 1 rad)
 
+MAX_BARS: Final = 12
+MAX_PANELS: Final = 6
+COLUMNS: Final = 3
+STARTS: Final = 720  # angles of the part at the start of an orienting plan
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PathsChart(AbstractChart):
-    """Simulated motions of a plan over its scene, failures in colour by kind.
+
+def paths_chart(plan: PushPlan, n: int = MOTIONS) -> Chart:
+    """Simulate some scenarios of a plan again, and draw their motions, failures by kind.
 
     Parameters
     ----------
-    title : str
     plan : PushPlan
-    track : (n, n_time, 3) float64
-        Poses of the part in n scenarios [m, m, rad].
-    outcome : sequence of str
-        Kind of failure of each; empty for success.
+    n : int
+        Maximum number of motions.
     """
-
-    title: str
-    plan: PushPlan
-    track: FloatArray
-    outcome: tuple[str, ...]
-
-    @classmethod
-    def of(cls, plan: PushPlan, title: str = "", n: int = MOTIONS) -> PathsChart:
-        """Simulate n of the plan's scenarios again, for their motions."""
-        total = len(plan.runs.margin)
-        rows = np.linspace(0, total - 1, min(n, total)).astype(np.int64)
-        runs = plan.simulate(n)
-        start = plan.first_pose + plan.runs.scenarios.start[rows]
-        track = np.concatenate((start[:, None], runs.pose), axis=1)
-        return cls(
-            title=title or f"Plan with a stated success probability of {plan.success.stated:.3f}",
-            plan=plan,
-            track=track,
-            outcome=tuple(plan.runs.outcome[k] for k in rows),
-        )
-
-    def figure(self) -> Figure:
-        figure = sheet(0.62 * WIDE, 3.4, self.title)
-        axes = figure.subplots()
-        scene, body = self.plan.scene, self.plan.scene.bodies[0]
-        unit = unit_for(4.0 * float(np.ptp(body.shape.outline, axis=0).max()))
-        _fixtures(axes, self.plan, unit)
-        kinds = [kind for kind in self.plan.failures if kind in self.outcome]
-        for kind in ("", *kinds):
-            own = self.track[[outcome == kind for outcome in self.outcome]]
-            colour = palette.TRAIL if not kind else FAILURE_COLOURS[kinds.index(kind) % 4]
-            share = len(own) / len(self.track)
-            label = f"{kind or 'meets the goal'}: {share:.0%}"
-            _motions(axes, own, body, unit, colour, label, outlines=bool(kind))
-        for k, pose in enumerate([*self.plan.start, self.plan.end]):
-            line = closed_line(placed(body.shape.outline, pose), unit)
-            last = k == len(self.plan.start)
-            style = "-" if last else "--"
-            label = "planned end" if last else "planned, before each push"
-            axes.plot(*line, style, color=palette.BODY, linewidth=1.3 if last else 0.8, label=label)
-        for k, path in enumerate(self.plan.path, 1):
-            way = unit.factor * path[:, 1:3]
-            axes.plot(*way.T, ".", alpha=0.0)  # so that the limits include the arrow
-            furthest = way[np.argmax(np.hypot(*(way - way[0]).T))]
-            add_arrow(axes, way[0], furthest, color=palette.PUSHER, linewidth=1.4, zorder=6)
-            axes.annotate(str(k), tuple(way[0].tolist()), textcoords="offset points",
-                          xytext=(-4, 4), color=palette.INK, weight="bold")  # fmt: skip
-            tool = scene.pushers[0].shape
-            outline = closed_line(placed(tool.outline, path[0, 1:]), unit)
-            axes.fill(*outline, color=tint(palette.PUSHER, 0.45), linewidth=0.0)
-        _goal(axes, self.plan, unit)
-        axes.set_aspect("equal", adjustable="datalim")
-        axes.margins(0.05)
-        axes.set(xlabel=f"x [{unit.name}]", ylabel=f"y [{unit.name}]")
-        axes.spines[["top", "right"]].set_visible(False)
-        legend_below(figure, [axes], most=3)
-        return figure
-
-    def table(self) -> Table:
-        end = self.track[:, -1]
-        return Table.from_columns(
+    total = len(plan.runs.margin)
+    rows = np.linspace(0, total - 1, min(n, total)).astype(np.int64)
+    track = _tracks(plan, rows)
+    outcome = [plan.runs.outcome[k] for k in rows]
+    return Chart(
+        title=f"Plan with a stated success probability of {plan.success.stated:.3f}",
+        size=(0.62 * chart.WIDE, 3.4),
+        fill=lambda figure: _draw_paths(figure, plan, track, outcome),
+        data=Table.from_columns(
             {
-                "end_x_m": end[:, 0],
-                "end_y_m": end[:, 1],
-                "end_angle_rad": end[:, 2],
-                "failure": list(self.outcome),
+                "end_x_m": track[:, -1, 0],
+                "end_y_m": track[:, -1, 1],
+                "end_angle_rad": track[:, -1, 2],
+                "failure": outcome,
             }
-        )
+        ),
+    )
+
+
+def _tracks(plan: PushPlan, rows: Any) -> FloatArray:
+    """Poses (n, n_time, 3) of the part in some scenarios, with their starts [m, m, rad]."""
+    start = plan.first_pose + plan.runs.scenarios.start[rows]
+    return np.concatenate((start[:, None], plan.simulate(len(rows)).pose), axis=1)
+
+
+def _draw_paths(figure: Figure, plan: PushPlan, track: FloatArray, outcome: Sequence[str]) -> None:
+    axes = figure.subplots()
+    scene, body = plan.scene, plan.scene.bodies[0]
+    unit = unit_for(4.0 * float(np.ptp(body.shape.outline, axis=0).max()))
+    _fixtures(axes, plan, unit)
+    kinds = [kind for kind in plan.failures if kind in outcome]
+    for kind in ("", *kinds):
+        own = track[[one == kind for one in outcome]]
+        colour = palette.TRAIL if not kind else FAILURE_COLOURS[kinds.index(kind) % 4]
+        label = f"{kind or 'meets the goal'}: {len(own) / len(track):.0%}"
+        _motions(axes, own, body, unit, colour, label, outlines=bool(kind))
+    for k, pose in enumerate([*plan.start, plan.end]):
+        last = k == len(plan.start)
+        label = "planned end" if last else "planned, before each push"
+        axes.plot(*closed_line(placed(body.shape.outline, pose), unit), "-" if last else "--",
+                  color=palette.BODY, linewidth=1.3 if last else 0.8, label=label)  # fmt: skip
+    for k, path in enumerate(plan.path, 1):
+        way = unit.factor * path[:, 1:3]
+        axes.plot(*way.T, ".", alpha=0.0)  # so that the limits include the arrow
+        furthest = way[np.argmax(np.hypot(*(way - way[0]).T))]
+        add_arrow(axes, way[0], furthest, color=palette.PUSHER, linewidth=1.4, zorder=6)
+        axes.annotate(str(k), tuple(way[0].tolist()), textcoords="offset points",
+                      xytext=(-4, 4), color=palette.INK, weight="bold")  # fmt: skip
+        outline = closed_line(placed(scene.pushers[0].shape.outline, path[0, 1:]), unit)
+        axes.fill(*outline, color=chart.tint(palette.PUSHER, 0.45), linewidth=0.0)
+    _goal(axes, plan, unit)
+    plain_view(axes, unit)
+    chart.legend_below(figure, [axes], most=3)
 
 
 def _fixtures(axes: Axes, plan: PushPlan, unit: Any) -> None:
@@ -121,8 +110,8 @@ def _fixtures(axes: Axes, plan: PushPlan, unit: Any) -> None:
     wanted = {x for own in plan.goal.clauses if isinstance(own, Seated) for x in own.fixels}
     for fixel, shift in zip(plan.scene.fixels, moved, strict=True):
         colour = palette.TOUCHED if fixel.name in wanted else palette.FIXEL
-        line = closed_line(placed(fixel.shape.outline, fixel.pose + shift), unit)
-        axes.fill(*line, color=colour, linewidth=0.0)
+        outline = closed_line(placed(fixel.shape.outline, fixel.pose + shift), unit)
+        axes.fill(*outline, color=colour, linewidth=0.0)
 
 
 def _motions(
@@ -139,8 +128,8 @@ def _motions(
         way = unit.factor * centroids(body, track)
         axes.plot(*way.T, color=colour, linewidth=0.5, alpha=0.6)
     for track in tracks[:FAILED_OUTLINES] if outlines else []:
-        line = closed_line(placed(body.shape.outline, track[-1]), unit)
-        axes.plot(*line, color=colour, linewidth=0.4, alpha=0.5)
+        outline = closed_line(placed(body.shape.outline, track[-1]), unit)
+        axes.plot(*outline, color=colour, linewidth=0.4, alpha=0.5)
     axes.plot([], [], color=colour, linewidth=1.4, label=label)
 
 
@@ -160,8 +149,8 @@ def _goal(axes: Axes, plan: PushPlan, unit: Any) -> None:
         elif isinstance(own, Beyond):
             axes.plot(*(unit.factor * own.line.T), "-.", **style)
         elif isinstance(own, Exit):
-            line = closed_line(own.region.vertices, unit)
-            axes.plot(*line, color=palette.FIXEL, linewidth=0.7, label="region not to leave")
+            outline = closed_line(own.region.vertices, unit)
+            axes.plot(*outline, color=palette.FIXEL, linewidth=0.7, label="region not to leave")
 
 
 class CaptureRegion(NamedTuple):
@@ -174,86 +163,83 @@ class CaptureRegion(NamedTuple):
     after: FloatArray  # (n, 2) the same after it, from the planned pose there
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CaptureChart(AbstractChart):
-    """Capture region of each push: from which poses before it the plan still reaches the goal.
+def capture_chart(plan: PushPlan) -> Chart:
+    """Simulate the rest of a plan from a grid of poses before each push: does it reach the goal?
 
-    Parameters
-    ----------
-    title : str
-    regions : tuple of CaptureRegion
+    Raises
+    ------
+    InvalidInput
+        The plan has no pushes.
     """
+    if not plan.pushes:
+        raise InvalidInput("plan", found="no pushes", expected="a plan with pushes")
+    regions = _capture_regions(plan)
+    columns: dict[str, list[float]] = {"push": [], "across_m": [], "angle_rad": [], "success": []}
+    for k, own in enumerate(regions, 1):
+        across, angle = np.meshgrid(own.across, own.angle)
+        columns["push"] += [k] * across.size
+        columns["across_m"] += across.ravel().tolist()
+        columns["angle_rad"] += angle.ravel().tolist()
+        columns["success"] += own.success.ravel().tolist()
+    return Chart(
+        title="Capture regions",
+        size=(min(chart.WIDE, 1.4 + 2.6 * len(regions)), 2.7),
+        fill=lambda figure: _draw_regions(figure, regions),
+        data=Table.from_columns(columns),
+    )
 
-    title: str
-    regions: tuple[CaptureRegion, ...]
 
-    @classmethod
-    def of(cls, plan: PushPlan, title: str = "") -> CaptureChart:
-        """Simulate the rest of the plan from a grid of poses before each push."""
-        if not plan.pushes:
-            raise InvalidInput("plan", found="no pushes", expected="a plan with pushes")
-        chart = PathsChart.of(plan)
-        samples = (chart.track.shape[1] - 1) // len(plan.pushes)
-        regions = []
-        planned = np.vstack((plan.start, plan.end[None]))
-        for k, path in enumerate(plan.path):
-            way = path[1, 1:3] - path[0, 1:3]
-            aside = np.array([-way[1], way[0]]) / np.hypot(*way)
-            clouds = [_aside(chart.track[:, j * samples] - planned[j], aside) for j in (k, k + 1)]
-            size = float(np.ptp(plan.scene.bodies[0].shape.outline, axis=0).max())
-            span = np.maximum(SPAN * clouds[0].std(axis=0), (MIN_SPAN * size, MIN_SPAN))
-            across, angle = (np.linspace(-x, x, GRID) for x in span)
-            grid = np.array(np.meshgrid(across, angle)).reshape(2, -1).T
-            offsets = np.column_stack((grid[:, :1] * aside, grid[:, 1]))
-            rate = plan.capture(k, offsets, runs=CAPTURE_RUNS).reshape(GRID, GRID)
-            regions.append(CaptureRegion(across, angle, rate, *clouds))
-        return cls(title=title or "Capture regions", regions=tuple(regions))
+def _capture_regions(plan: PushPlan) -> list[CaptureRegion]:
+    total = len(plan.runs.margin)
+    track = _tracks(plan, np.linspace(0, total - 1, min(MOTIONS, total)).astype(np.int64))
+    samples = (track.shape[1] - 1) // len(plan.pushes)
+    size = float(np.ptp(plan.scene.bodies[0].shape.outline, axis=0).max())
+    planned = np.vstack((plan.start, plan.end[None]))
+    regions = []
+    for k, path in enumerate(plan.path):
+        way = path[1, 1:3] - path[0, 1:3]
+        aside = np.array([-way[1], way[0]]) / np.hypot(*way)
+        clouds = [_aside(track[:, j * samples] - planned[j], aside) for j in (k, k + 1)]
+        ends = np.maximum(SPAN * clouds[0].std(axis=0), (MIN_SPAN * size, MIN_SPAN))
+        across, angle = (np.linspace(-x, x, GRID) for x in ends)
+        grid = np.array(np.meshgrid(across, angle)).reshape(2, -1).T
+        offsets = np.column_stack((grid[:, :1] * aside, grid[:, 1]))
+        rate = plan.capture(k, offsets, runs=CAPTURE_RUNS).reshape(GRID, GRID)
+        regions.append(CaptureRegion(across, angle, rate, *clouds))
+    return regions
 
-    def figure(self) -> Figure:
-        n = len(self.regions)
-        figure = sheet(min(WIDE, 1.4 + 2.6 * n), 2.7, self.title)
-        row = figure.subplots(1, n, squeeze=False)[0]
-        for k, (axes, own) in enumerate(zip(row, self.regions, strict=True), 1):
-            unit = unit_for(20.0 * float(own.across[-1]))
-            shown = axes.pcolormesh(
-                unit.factor * own.across, np.degrees(own.angle), own.success,
-                cmap=_colours(), vmin=0.0, vmax=1.0, shading="nearest", rasterized=True,
-            )  # fmt: skip
-            for cloud, colour, name in (
-                (own.before, palette.INK, "before the push"),
-                (own.after, palette.BODY, "after the push"),
-            ):
-                x, y = unit.factor * cloud[:, 0], np.degrees(cloud[:, 1])
-                axes.plot(x, y, ".", color=colour, markersize=1.8, label=f"scenarios {name}")
-            axes.set_xlim(-unit.factor * own.across[-1], unit.factor * own.across[-1])
-            axes.set_ylim(-math.degrees(own.angle[-1]), math.degrees(own.angle[-1]))
-            axes.set_xlabel(f"offset across push {k} [{unit.name}]")
-            clean(axes)
-            axes.grid(visible=False)
-        row[0].set_ylabel("offset of the angle [deg]")
-        figure.colorbar(shown, ax=row.tolist(), label="success", shrink=0.9, pad=0.02)
-        legend_below(figure, row[:1])
-        return figure
 
-    def table(self) -> Table:
-        columns: dict[str, list[float]] = {
-            "push": [], "across_m": [], "angle_rad": [], "success": [],
-        }  # fmt: skip
-        for k, own in enumerate(self.regions, 1):
-            across, angle = np.meshgrid(own.across, own.angle)
-            columns["push"] += [k] * across.size
-            columns["across_m"] += across.ravel().tolist()
-            columns["angle_rad"] += angle.ravel().tolist()
-            columns["success"] += own.success.ravel().tolist()
-        return Table.from_columns(columns)
+def _draw_regions(figure: Figure, regions: Sequence[CaptureRegion]) -> None:
+    row = figure.subplots(1, len(regions), squeeze=False)[0]
+    for k, (axes, own) in enumerate(zip(row, regions, strict=True), 1):
+        unit = unit_for(20.0 * float(own.across[-1]))
+        across, angle = unit.factor * own.across, np.degrees(own.angle)
+        shown = axes.pcolormesh(across, angle, own.success, cmap=_colours(), vmin=0.0, vmax=1.0,
+                                shading="nearest", rasterized=True)  # fmt: skip
+        for cloud, colour, name in (
+            (own.before, palette.INK, "before the push"),
+            (own.after, palette.BODY, "after the push"),
+        ):
+            x, y = unit.factor * cloud[:, 0], np.degrees(cloud[:, 1])
+            axes.plot(x, y, ".", color=colour, markersize=1.8, label=f"scenarios {name}")
+        axes.set(xlim=(-across[-1], across[-1]), ylim=(-angle[-1], angle[-1]))
+        axes.set_xlabel(f"offset across push {k} [{unit.name}]")
+        chart.clean(axes)
+        axes.grid(visible=False)
+    row[0].set_ylabel("offset of the angle [deg]")
+    figure.colorbar(shown, ax=row.tolist(), label="success", shrink=0.9, pad=0.02)
+    chart.legend_below(figure, row[:1])
 
 
 def _colours() -> Any:
     """Return the colours of success rates, light enough for dots over them."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    ends = [tint(palette.FORCE, 0.55), tint(palette.INK, 0.04), tint(palette.TOUCHED, 0.5)]
+    ends = [
+        chart.tint(palette.FORCE, 0.55),
+        chart.tint(palette.INK, 0.04),
+        chart.tint(palette.TOUCHED, 0.5),
+    ]
     return LinearSegmentedColormap.from_list("success", ends)
 
 
@@ -262,11 +248,175 @@ def _aside(offset: FloatArray, aside: FloatArray) -> FloatArray:
     return np.column_stack((offset[:, :2] @ aside, turn))
 
 
-def draw_paths(plan: PushPlan, *, n: int = MOTIONS, ax: Axes | None = None) -> Any:
-    """Draw simulated motions of a plan, failures in colour by kind."""
-    return plot_axes(PathsChart.of(plan, n=n).figure, ax)
+def causes_chart(explanation: Explanation) -> Chart:
+    """Draw the share of failures that each unknown explains, and the worth of measuring it."""
+    effects = explanation.effects[:MAX_BARS]
+    at = np.arange(len(effects))
+    worth = np.array([one.worth for one in effects])
+    error = np.array([one.worth_error if one.worth > 0.0 else 0.0 for one in effects])
+    shares = chart.panel(
+        chart.bars(at, [100.0 * one.share for one in effects], 0.6, color=palette.BODY),
+        rows=[chart.shorten(one.name, 24) for one in effects],
+        xlabel="explains of the failures [%]",
+        xlim=(0.0, 100.0),
+    )
+    gains = chart.panel(
+        chart.bars(at, worth, 0.6, xerr=error, color=palette.TOUCHED, error_kw=chart.WHISKER),
+        xlabel="success gained by measuring it",
+        xlim=(0.0, 1.05 * max([0.01, *(worth + error).tolist()])),
+    )
+    return Chart(
+        title=f"Success in {100.0 * explanation.success:.1f} % of {explanation.n} scenarios",
+        size=(chart.WIDE, 0.9 + 0.24 * max(2, len(effects))),
+        fill=chart.panels([[shares, gains]], sharey=True),
+        data=explanation._data(),
+    )
 
 
-def draw_capture_regions(plan: PushPlan, *, ax: Axes | None = None) -> Any:
-    """Draw the capture region of each push, with the scenarios before and after it."""
-    return plot_axes(CaptureChart.of(plan).figure, ax)
+def success_curves_chart(explanation: Explanation, *, unknown: str | None = None) -> Chart:
+    """Draw success against one unknown, by name, or against those that explain most.
+
+    Parameters
+    ----------
+    explanation : Explanation
+    unknown : str, optional
+        Name of the unknown.
+
+    Raises
+    ------
+    InvalidInput
+        There is no unknown of this name.
+    """
+    effects = explanation.effects[:MAX_PANELS]
+    if unknown is not None or not effects:
+        effects = tuple(own for own in explanation.effects if own.name == unknown)
+    if not effects:
+        raise unknown_name("unknown", unknown, [own.name for own in explanation.effects])
+    every = [_success_curve(own, explanation.success, k) for k, own in enumerate(effects)]
+    rows = chart.in_rows(every, COLUMNS)
+    return Chart(
+        size=(chart.WIDE if len(every) > 1 else palette.COLUMN, 1.6 * len(rows) + 0.3),
+        fill=chart.panels(rows, sharey=True),
+        data=Table(
+            ("unknown", "value", "success", "low", "high", "scenarios"),
+            [
+                (own.name, value, *one)
+                for own in effects
+                for value, one in zip(own.value, own.success, strict=True)
+            ],
+        ),
+    )
+
+
+def _success_curve(own: UnknownEffect, mean: float, k: int) -> Mark:
+    unit = chart.display_unit(own.unit)
+    rate, low, high = np.array([(one.value, one.low, one.high) for one in own.success]).T
+
+    def region(axes: Axes) -> None:
+        if own.region is None:
+            return
+        ends = axes.get_xlim()
+        for limit, end in zip((own.region.below, own.region.above), ends, strict=True):
+            if limit is not None:
+                axes.axvspan(end, unit.factor * limit, color=palette.FORCE, alpha=0.12,
+                             linewidth=0.0, label="fails mostly here")  # fmt: skip
+        axes.set_xlim(*ends)
+
+    return chart.panel(
+        chart.whiskers(unit.factor * own.value, rate, yerr=[rate - low, high - rate], fmt="o-",
+                       color=palette.BODY, markersize=2.5, linewidth=1.0, elinewidth=0.7,
+                       label="with 95 % interval"),
+        chart.hline(mean, color=palette.INK, linewidth=0.8, linestyle="--",
+                    label="in all scenarios"),
+        region,
+        xlabel=unit.on(chart.shorten(own.name, 28)),
+        ylabel="" if k % COLUMNS else "success",
+        ylim=(-0.03, 1.03),
+    )  # fmt: skip
+
+
+def success_chart(own: SuccessProbability) -> Chart:
+    """Draw the success rates of the parameter draws in order, their mean, and what is stated."""
+    rates = np.sort(own.rates)
+    share = 100.0 * np.arange(1, len(rates) + 1) / len(rates)
+    draws = chart.panel(
+        chart.steps(share, rates, where="mid", color=palette.BODY, linewidth=1.2,
+                    label=f"parameter draws, {own.n_runs} runs each"),
+        chart.hline(own.mean, color=palette.INK, linewidth=0.8, linestyle="--", label="mean"),
+        lambda axes: axes.axhspan(own.low, own.high, color=palette.INK, alpha=0.1, linewidth=0.0),
+        chart.hline(own.stated, color=palette.FORCE, linewidth=1.0, label="stated"),
+        xlabel="share of the parameter draws [%]",
+        ylabel="success rate",
+        xlim=(0.0, 100.0),
+        ylim=(min(0.9, rates[0], own.stated) - 0.03, 1.02),
+    )  # fmt: skip
+    return Chart(size=(palette.COLUMN, 2.3), fill=chart.panels([[draws]]), data=own._data())
+
+
+def trials_chart(own: Trials) -> Chart:
+    """Draw the evidence against the stated success probability after each trial."""
+    evidence = np.concatenate([[1.0], own.evidence])
+    met = np.array([trial.met for trial in own.trials], dtype=bool)
+    dots = [
+        chart.line(rows, evidence[rows], "o", color=colour, markersize=3.0, label=label)
+        for rows, colour, label in (
+            (np.flatnonzero(met) + 1, palette.TOUCHED, "goal met"),
+            (np.flatnonzero(~met) + 1, palette.FORCE, "failure"),
+        )
+    ]
+    trials = chart.panel(
+        chart.line(evidence, color=palette.INK, linewidth=0.8),
+        *dots,
+        chart.hline(
+            1.0 / ALPHA, color=palette.FORCE, linewidth=0.8, linestyle="--", label="refuted"
+        ),
+        log={"y": np.append(np.maximum(evidence, 1e-3), 1.0 / ALPHA)},
+        whole="x",
+        xlabel="trial",
+        ylabel="evidence against (e-value)",
+    )
+    return Chart(
+        title=f"{own.successes} of {own.n} trials met the goal, stated {own.stated:.2f}",
+        size=(palette.COLUMN, 2.1),
+        fill=chart.panels([[trials]]),
+        data=own._data(),
+    )
+
+
+def draw_orienting(plan: OrientingPlan, *, ax: Axes | None = None) -> Any:
+    """Draw the part on the fence after each push, once for every angle that is possible."""
+
+    def figure() -> Figure:
+        tracks = plan.track(np.linspace(0.0, 2.0 * np.pi, STARTS, endpoint=False))
+        size = 2.0 * float(np.hypot(*plan.outline.T).max())
+        unit = unit_for(size * plan.pushes)
+        title = "Possible angles after each push, with the rotation before it"
+        own = chart.sheet(min(7.0, 1.2 + 1.5 * plan.pushes), 2.2, title)
+        axes = own.subplots()
+        for k, angles in enumerate(tracks):
+            place = 1.4 * size * k
+            fence = unit.factor * np.array([[place, -0.6 * size], [place, 0.6 * size]])
+            axes.plot(*fence.T, color=palette.PUSHER, linewidth=2.5, solid_capstyle="butt")
+            for angle in np.unique(angles):
+                outline = placed(plan.outline, (0.0, 0.0, angle))
+                outline += (place - outline[:, 0].min(), 0.0)
+                axes.plot(*closed_line(outline, unit), color=palette.BODY, linewidth=0.9)
+            turn = f"\n{np.degrees(plan.rotations[k - 1]):.1f}\u00b0" if k else ""
+            axes.annotate(f"push {k + 1}{turn}", tuple(fence[1].tolist()), (0, 4),
+                          textcoords="offset points", color=palette.INK)  # fmt: skip
+        axes.set_aspect("equal")
+        axes.set_xticks([])
+        axes.set_xlabel("direction of each push")
+        axes.set_ylabel(f"along the fence [{unit.name}]")
+        axes.spines[["top", "right"]].set_visible(False)
+        return own
+
+    return chart.plot_axes(figure, ax)
+
+
+draw_paths = chart.plot_of(paths_chart)
+draw_capture_regions = chart.plot_of(capture_chart)
+draw_causes = chart.plot_of(causes_chart)
+draw_success_against = chart.plot_of(success_curves_chart)
+draw_success = chart.plot_of(success_chart)
+draw_trials = chart.plot_of(trials_chart)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -35,24 +34,12 @@ BETWEEN: Final = 0.006  # [m] between tags, for cutting
 LETTERS: Final = 0.0032  # [m], size of letters
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class PrintSheet:
-    """Sheet of paper with black rectangles and text.
+class PrintSheet(NamedTuple):
+    """Sheet of paper with black rectangles and text."""
 
-    Attributes
-    ----------
-    size : (float, float)
-        Width and height of the paper [m].
-    black : (n, 4) float64
-        Black rectangles: left, upper, right, lower edge from the paper's upper left corner [m].
-    words : tuple of (float, float, str)
-        Texts with their left and upper edge [m].
-    """
-
-    size: tuple[float, float]
-    black: FloatArray
-    words: tuple[tuple[float, float, str], ...]
+    size: tuple[float, float]  # width and height of the paper [m]
+    black: FloatArray  # (n, 4) left, upper, right, lower edge from the upper left corner [m]
+    words: tuple[tuple[float, float, str], ...]  # texts with their left and upper edge [m]
 
 
 def board_sheet(board: Board, title: str, paper: str = "a4") -> PrintSheet:

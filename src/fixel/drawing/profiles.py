@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
+import math
+import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fixel.drawing import palette
-from fixel.drawing.chart import (
-    WIDE,
-    AbstractChart,
-    Style,
-    broken,
-    clean,
-    display_unit,
-    legend_below,
-    legend_of,
-    sheet,
-    shorten,
-)
+from fixel.drawing import chart, palette
+from fixel.drawing.chart import Chart, Mark, Style
 from fixel.model.records import Estimate, ProfileRecord, interval_name
 from fixel.table import Table
 
@@ -43,10 +33,13 @@ OTHERS: Final[tuple[Style, ...]] = (
 )
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ParametersChart(AbstractChart):
-    """Values and intervals, one row per parameter, each scaled to its bounds.
+def parameters_chart(
+    title: str,
+    rows: Sequence[Estimate],
+    others: Mapping[str, Sequence[float]] | None = None,
+    level: float | None = 0.95,
+) -> Chart:
+    """Draw values and intervals, one row per parameter, each scaled to its bounds.
 
     Parameters
     ----------
@@ -58,65 +51,64 @@ class ParametersChart(AbstractChart):
     level : float, optional
         Confidence level of the intervals; None if it is unknown.
     """
-
-    title: str
-    rows: Sequence[Estimate]
-    others: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    level: float | None = 0.95
-
-    def figure(self) -> Figure:
-        n = len(self.rows)
-        figure = sheet(WIDE, 0.85 + ROW * n)
-        judged = any(row.is_assessed for row in self.rows)
-        width = 0.72 if judged else 0.22
-        axes, words = figure.subplots(1, 2, width_ratios=(1.0, width), sharey=True)
-        for k, row in enumerate(self.rows):
-            _draw_row(axes, k, row, [own[k] for own in self.others.values()])
-            _write_row(words, k, row)
-        words.set_xlim(0.0, width)
-        axes.set_ylim(n - 0.4, -0.6)
-        axes.set_xlim(-0.03, 1.03)
-        names = [broken(row.label) for row in self.rows]
-        axes.set_yticks(range(n), names)
-        axes.set_xticks([])
-        axes.tick_params(axis="y", length=0.0)
-        axes.spines[:].set_visible(False)
-        axes.set_title(shorten(self.title, 60), loc="left")
-        words.axis("off")
-        self._legend(figure)
-        return figure
-
-    def _legend(self, figure: Figure) -> None:
-        from matplotlib.lines import Line2D
-
-        entries: list[Any] = [Line2D([], [], label="value", **_dot(palette.BODY, "o"))]
-        if any(row.is_assessed for row in self.rows):
-            label = f"{interval_name(self.level)}; an arrow: unbounded by the data"
-            entries.append(Line2D([], [], color=palette.BODY, linewidth=3.0, alpha=0.4,
-                                  label=label))  # fmt: skip
-        if any(row.noise_alone for row in self.rows):
-            entries.append(Line2D([], [], color=palette.BODY, linewidth=1.2, label=NOISE_ALONE))
-        entries.append(
-            Line2D([], [], linestyle="none", marker="|", markersize=7, color=palette.INK,
-                   label="before")
-        )  # fmt: skip
-        for name, style in zip(self.others, OTHERS, strict=False):
-            dot = _dot(style["color"], style["marker"], hollow=True)
-            entries.append(Line2D([], [], label=name, **dot))
-        columns = len(entries) if len(entries) < 5 else 3
-        legend_of(figure, entries, columns, loc="outside lower left")
-
-    def table(self) -> Table:
-        columns = ("parameter", "unit", "bound_low", "bound_high", "before", "value",
-                   "interval_low", "interval_high", "noise_value", "noise_low", "noise_high",
-                   "verdict", *self.others)  # fmt: skip
-        rows = [
+    others = others or {}
+    columns = ("parameter", "unit", "bound_low", "bound_high", "before", "value",
+               "interval_low", "interval_high", "noise_value", "noise_low", "noise_high",
+               "verdict", *others)  # fmt: skip
+    return Chart(
+        size=(chart.WIDE, 0.85 + ROW * len(rows)),
+        fill=lambda figure: _draw_rows(figure, title, rows, others, level),
+        data=Table(columns, [
             (row.label, row.unit, *_bounds(row), row.before, row.value, row.low, row.high,
              row.noise_value, row.noise_low, row.noise_high, row.verdict,
-             *(own[k] for own in self.others.values()))
-            for k, row in enumerate(self.rows)
-        ]  # fmt: skip
-        return Table(columns, rows)
+             *(own[k] for own in others.values()))
+            for k, row in enumerate(rows)
+        ]),
+    )  # fmt: skip
+
+
+def _draw_rows(
+    figure: Figure,
+    title: str,
+    rows: Sequence[Estimate],
+    others: Mapping[str, Sequence[float]],
+    level: float | None,
+) -> None:
+    width = 0.72 if any(row.is_assessed for row in rows) else 0.22
+    axes, words = figure.subplots(1, 2, width_ratios=(1.0, width), sharey=True)
+    for k, row in enumerate(rows):
+        _draw_row(axes, k, row, [own[k] for own in others.values()])
+        _write_row(words, k, row)
+    words.set_xlim(0.0, width)
+    axes.set(xlim=(-0.03, 1.03), ylim=(len(rows) - 0.4, -0.6), xticks=[])
+    axes.set_yticks(range(len(rows)), [chart.broken(row.label) for row in rows])
+    axes.tick_params(axis="y", length=0.0)
+    axes.spines[:].set_visible(False)
+    axes.set_title(chart.shorten(title, 60), loc="left")
+    words.axis("off")
+    entries = _entries(rows, others, level)
+    columns = len(entries) if len(entries) < 5 else 3
+    chart.legend_of(figure, entries, columns, loc="outside lower left")
+
+
+def _entries(
+    rows: Sequence[Estimate], others: Mapping[str, Sequence[float]], level: float | None
+) -> list[Any]:
+    from matplotlib.lines import Line2D
+
+    styles: list[Style] = [{"label": "value", **_dot(palette.BODY, "o")}]
+    if any(row.is_assessed for row in rows):
+        label = f"{interval_name(level)}; an arrow: unbounded by the data"
+        styles.append({"color": palette.BODY, "linewidth": 3.0, "alpha": 0.4, "label": label})
+    if any(row.noise_alone for row in rows):
+        styles.append({"color": palette.BODY, "linewidth": 1.2, "label": NOISE_ALONE})
+    styles.append({"linestyle": "none", "marker": "|", "markersize": 7, "color": palette.INK,
+                   "label": "before"})  # fmt: skip
+    styles += [
+        {"label": name, **_dot(style["color"], style["marker"], hollow=True)}
+        for name, style in zip(others, OTHERS, strict=False)
+    ]
+    return [Line2D([], [], **style) for style in styles]
 
 
 def _dot(colour: str, marker: str, hollow: bool = False) -> Style:
@@ -144,7 +136,7 @@ def _draw_row(axes: Axes, k: int, row: Estimate, others: Sequence[float]) -> Non
     axes.plot([0.0, 1.0], [k, k], color=palette.FAINT, linewidth=1.2, zorder=1)
     for end in (0.0, 1.0):
         axes.plot([end, end], [k - 0.12, k + 0.12], color=palette.FIXEL, linewidth=0.8, zorder=1)
-    unit = display_unit(row.unit)
+    unit = chart.display_unit(row.unit)
     small: Style = {"fontsize": palette.FONT_SIZE - 1.5, "color": palette.FIXEL, "va": "top"}
     axes.text(0.0, k + 0.16, unit.text(low), ha="left", **small)
     axes.text(1.0, k + 0.16, f"{unit.text(high)} {unit.name}".rstrip(), ha="right", **small)
@@ -186,16 +178,17 @@ def _write_row(axes: Axes, k: int, row: Estimate) -> None:
     axes.text(0.42, k, _wrapped(row.verdict), va="center", color=_colour(row.verdict))
 
 
-def _wrapped(verdict: str) -> str:
-    import textwrap
-
-    return "\n".join(textwrap.wrap(verdict, 24)[:3])
+def _wrapped(text: str) -> str:
+    return "\n".join(textwrap.wrap(text, 24)[:3])
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProfilesChart(AbstractChart):
-    """Rise of the deviance against the value, one profile per parameter.
+def profiles_chart(
+    title: str,
+    profiles: Sequence[ProfileRecord],
+    estimates: Mapping[str, Estimate],
+    level: float | None = 0.95,
+) -> Chart:
+    """Draw the rise of the deviance against the value, one profile per parameter.
 
     Parameters
     ----------
@@ -206,87 +199,78 @@ class ProfilesChart(AbstractChart):
     level : float, optional
         Confidence level of the intervals; None if it is unknown.
     """
-
-    title: str
-    profiles: Sequence[ProfileRecord]
-    estimates: Mapping[str, Estimate]
-    level: float | None = 0.95
-
-    def figure(self) -> Figure:
-        n = len(self.profiles)
-        columns = min(n, COLUMNS) if n != 5 else 3
-        rows = -(-n // columns)
-        width = WIDE if columns > 2 else palette.COLUMN * columns
-        figure = sheet(width, (0.55 if columns > 2 else 0.75) + 1.75 * rows, self.title)
-        grid = figure.subplots(rows, columns, squeeze=False)
-        for axes, profile in zip(grid.flat, self.profiles, strict=False):
-            _draw_profile(axes, profile, self.estimates[profile.label], interval_name(self.level))
-        for axes in grid.flat[n:]:
-            axes.axis("off")
-        for row in grid:
-            row[0].set_ylabel("increase of the deviance\nover its threshold")
-        legend_below(figure, grid[0, :1], 4 if columns > 2 else 2)
-        return figure
-
-    def table(self) -> Table:
-        columns = ("parameter", "unit", "curve", "value", "rise", "threshold",
-                   "interval_low", "interval_high", "noise_low", "noise_high")  # fmt: skip
-        rows = [
-            (
-                p.label,
-                p.unit,
-                name,
-                value,
-                rise,
-                p.threshold,
-                *_ends(self.estimates[p.label]),
-                p.low,
-                p.high,
-            )
-            for p in self.profiles
-            for name, values, rises in (
-                ("profile", p.values, p.deviances),
-                ("slice", p.slice_values, p.slice_deviances),
-            )
-            for value, rise in zip(values, rises, strict=True)
-        ]
-        return Table(columns, rows)
+    n = len(profiles)
+    columns = min(n, COLUMNS) if n != 5 else 3
+    every = [_profile(own, estimates[own.label], interval_name(level), k % columns == 0)
+             for k, own in enumerate(profiles)]  # fmt: skip
+    rows = chart.in_rows(every, columns)
+    wide = columns > 2
+    head = ("parameter", "unit", "curve", "value", "rise", "threshold",
+            "interval_low", "interval_high", "noise_low", "noise_high")  # fmt: skip
+    entries = [
+        (own.label, own.unit, name, value, rise, own.threshold,
+         *_ends(estimates[own.label]), own.low, own.high)
+        for own in profiles
+        for name, values, rises in (
+            ("profile", own.values, own.deviances),
+            ("slice", own.slice_values, own.slice_deviances),
+        )
+        for value, rise in zip(values, rises, strict=True)
+    ]  # fmt: skip
+    return Chart(
+        title=title,
+        size=(
+            chart.WIDE if wide else palette.COLUMN * columns,
+            (0.55 if wide else 0.75) + 1.75 * len(rows),
+        ),
+        fill=chart.panels(rows, 4 if wide else 2),
+        data=Table(head, entries),
+    )
 
 
 def _ends(estimate: Estimate) -> tuple[float | None, float | None]:
     return estimate.low, estimate.high
 
 
-def _draw_profile(axes: Axes, profile: ProfileRecord, estimate: Estimate, interval: str) -> None:
-    unit = display_unit(profile.unit)
-    left, right = _range(profile, estimate)
+def _profile(own: ProfileRecord, estimate: Estimate, interval: str, first: bool) -> Mark:
+    unit = chart.display_unit(own.unit)
+    left, right = _range(own, estimate)
     bands = [(estimate, palette.TRAIL, interval)]
     if (narrow := estimate.noise_alone) is not None:
         bands.append((narrow, palette.BODY, NOISE_ALONE))
+    marks = []
     for one, colour, name in bands:
         ends = (left if one.low is None else one.low, right if one.high is None else one.high)
-        axes.axvspan(*(unit.factor * np.array(ends)), color=colour, alpha=0.25, linewidth=0.0,
-                     label=name)  # fmt: skip
+        marks.append(
+            chart.vspan(*(unit.factor * np.array(ends)), color=colour, alpha=0.25, linewidth=0.0,
+                        label=name)
+        )  # fmt: skip
     if estimate.is_known:
-        axes.axvline(unit.factor * estimate.value, color=palette.INK, linewidth=1.0, label="value")
-    axes.axhline(1.0, color=palette.INK, linewidth=0.7, linestyle=(0, (1, 1)), label="threshold")
+        value = unit.factor * estimate.value
+        marks.append(chart.vline(value, color=palette.INK, linewidth=1.0, label="value"))
+    marks.append(
+        chart.hline(1.0, color=palette.INK, linewidth=0.7, linestyle=(0, (1, 1)), label="threshold")
+    )
     for values, rises, style in (
-        (profile.slice_values, profile.slice_deviances, _SLICE),
-        (profile.values, profile.deviances, _PROFILE),
+        (own.slice_values, own.slice_deviances, _SLICE),
+        (own.values, own.deviances, _PROFILE),
     ):
         known = np.isfinite(rises)
-        axes.plot(unit.factor * values[known], rises[known] / profile.threshold, **style)
-    axes.set_xlim(unit.factor * left, unit.factor * right)
-    axes.set_ylim(0.0, SHOWN)
-    axes.set_xlabel(unit.on(profile.label))
-    axes.locator_params(axis="x", nbins=4)
-    clean(axes)
+        marks.append(chart.line(unit.factor * values[known], rises[known] / own.threshold, **style))
+    return chart.panel(
+        *marks,
+        lambda axes: axes.locator_params(axis="x", nbins=4),
+        xlim=(unit.factor * left, unit.factor * right),
+        ylim=(0.0, SHOWN),
+        xlabel=unit.on(own.label),
+        ylabel="increase of the deviance\nover its threshold" if first else "",
+    )
 
 
 _SLICE: Final[Style] = {
     "color": palette.PUSHER,
     "linewidth": 1.0,
-    "linestyle": (0, (4, 2)),
+    "linestyle": chart.DASHED,
     "label": "others fixed",
 }
 _PROFILE: Final[Style] = {

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from fixel.drawing import palette
-from fixel.drawing.chart import PICTURE_ENDINGS, refuse_ending, save_filled, tint
+from fixel.drawing.chart import new_figure, save_figure, tint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,8 +41,7 @@ def draw_relations(entities: Sequence[Entity], file: str | Path) -> None:
     file : str or Path
         File to write (`.pdf`, `.png` or `.svg`).
     """
-    refuse_ending(file, PICTURE_ENDINGS, "picture")
-    save_filled(lambda figure: _fill(figure, entities), file)
+    save_figure(lambda: _figure(entities), file)
 
 
 def columns_of(entities: Sequence[Entity]) -> list[list[Entity]]:
@@ -65,12 +64,11 @@ def columns_of(entities: Sequence[Entity]) -> list[list[Entity]]:
     ]
 
 
-def _fill(figure: Figure, entities: Sequence[Entity]) -> None:
+def _figure(entities: Sequence[Entity]) -> Figure:
     stacks = columns_of(entities)
     tall = max(sum(_height(e) + ABOVE for e in stack) for stack in stacks)
     wide = len(stacks) * (WIDTH + BETWEEN) - BETWEEN
-    figure.set_size_inches(wide + 2 * MARGIN, tall + 2 * MARGIN)
-    figure.set_layout_engine("none")
+    figure = new_figure(figsize=(wide + 2 * MARGIN, tall + 2 * MARGIN))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_xlim(-MARGIN, wide + MARGIN)
     axes.set_ylim(-tall - MARGIN, MARGIN)
@@ -90,6 +88,7 @@ def _fill(figure: Figure, entities: Sequence[Entity]) -> None:
             # Lines to one table share a vertical segment, so that different tables are distinct.
             turn = BETWEEN * (0.2 + 0.6 * others.index(other) / len(others))
             _line(axes, entity, column, other, turn, places, gaps)
+    return figure
 
 
 def _gaps(

@@ -4,33 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from fixel.drawing import palette
-from fixel.drawing.chart import (
-    WIDE,
-    AbstractChart,
-    Style,
-    broken,
-    clean,
-    column_unit,
-    display_unit,
-    legend_below,
-    log_scale,
-    mark_missing,
-    positive,
-    room_above,
-    sheet,
-    shorten,
-    unit_text,
-    whole_numbers,
-)
+from fixel.drawing import chart, palette
+from fixel.drawing.chart import Chart, Mark, Style
 from fixel.model.space import Unknown
 from fixel.table import Table
-from fixel.typing import FloatArray, IntArray
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,86 +37,89 @@ class SearchPanel(NamedTuple):
         return np.searchsorted(self.begins, np.arange(len(self.errors)), side="right") - 1
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SearchChart(AbstractChart):
-    """Error against evaluation, one panel per search.
+def search_chart(searches: Sequence[SearchPanel], unit: str, what: str = "error") -> Chart:
+    """Draw the error against the evaluation, one panel per search.
 
     Source: RPI thesis, figure 5.5.
 
     Parameters
     ----------
-    panels : sequence of SearchPanel
+    searches : sequence of SearchPanel
         One to three searches.
     unit : str
         Unit of the errors.
     what : str
         Name of the objective, such as `"sum of errors"` for several experiments.
     """
-
-    panels: Sequence[SearchPanel]
-    unit: str
-    what: str = "error"
-
-    def figure(self) -> Figure:
-        n = len(self.panels)
-        figure = sheet(4.6 if n == 1 else WIDE, 2.9 if n == 1 else 2.7)
-        row = figure.subplots(1, n, squeeze=False)[0]
-        for axes, panel in zip(row, self.panels, strict=True):
-            _draw_search(axes, panel, 70 if n == 1 else 38)
-        row[0].set_ylabel(f"{self.what} [{unit_text(self.unit)}]")
-        legend_below(figure, row)
-        return figure
-
-    def table(self) -> Table:
-        unit = column_unit(self.unit)
-        columns = ("search", "evaluation", "iteration", f"error_{unit}", f"best_{unit}")
-        rows = [
-            (panel.title.replace("\n", " "), k, None if i < 0 else i, error, best)
-            for panel in self.panels
-            for k, (i, error, best) in enumerate(
-                zip(panel.iteration, panel.errors, panel.best, strict=True), 1
-            )
-        ]
-        return Table(columns, rows)
+    n, label = len(searches), f"{what} [{chart.unit_text(unit)}]"
+    row = [_search(one, 70 if n == 1 else 38, "" if k else label) for k, one in enumerate(searches)]
+    error = chart.column_unit(unit)
+    return Chart(
+        size=(4.6, 2.9) if n == 1 else (chart.WIDE, 2.7),
+        fill=chart.panels([row]),
+        data=Table(
+            ("search", "evaluation", "iteration", f"error_{error}", f"best_{error}"),
+            [
+                (own.title.replace("\n", " "), k, None if i < 0 else i, *values)
+                for own in searches
+                for k, (i, *values) in enumerate(
+                    zip(own.iteration, own.errors, own.best, strict=True), 1
+                )
+            ],
+        ),
+    )
 
 
-def _draw_search(axes: Axes, panel: SearchPanel, letters: int) -> None:
-    number = np.arange(1, len(panel.errors) + 1)
-    failed = ~np.isfinite(panel.errors)
-    shown = positive(panel.errors)
-    dot: Style = {"marker": "o", "color": palette.TRAIL, "markeredgewidth": 0.0}
-    axes.plot(number, shown, linestyle="none", markersize=3.0 if len(number) < 30 else 1.8,
-              label="evaluation", **dot)  # fmt: skip
+def _search(own: SearchPanel, letters: int, ylabel: str) -> Mark:
+    n = len(own.errors)
+    number = np.arange(1, n + 1)
+    failed = ~np.isfinite(own.errors)
+    shown = chart.positive(own.errors)
     # Compute the best from the values shown, which are positive on the logarithmic axis.
-    best = np.fmin.accumulate(shown) if len(shown) else shown
-    axes.step(number, best, where="post", color=palette.BODY, linewidth=1.2, label="best so far")
-    crosses: Style = {"markersize": 3.5, "markeredgewidth": 0.7, "label": "no simulation"}
-    mark_missing(axes, number[failed], 0.975, **crosses)
-    log_scale(axes, "y", shown)
-    room_above(axes, bool(failed.any()))
-    margin = max(0.6, 0.02 * len(number))
-    axes.set_xlim(1.0 - margin, max(len(number), 1) + margin)
-    title = "\n".join(shorten(line, letters) for line in panel.title.split("\n"))
-    axes.set_title(title, fontsize=palette.FONT_SIZE)
-    axes.set_xlabel("evaluation")
-    whole_numbers(axes)
-    clean(axes)
-    if failed.all():
-        axes.text(0.5, 0.5, "nothing could be evaluated", transform=axes.transAxes, ha="center")
-        axes.tick_params(labelleft=False)
-    _iteration_axis(axes, panel)
+    best = np.fmin.accumulate(shown) if n else shown
+    margin = max(0.6, 0.02 * n)
+    draw = chart.panel(
+        chart.line(number, shown, "o", color=palette.TRAIL, markeredgewidth=0.0,
+                   markersize=3.0 if n < 30 else 1.8, label="evaluation"),
+        chart.steps(number, best, where="post", color=palette.BODY, linewidth=1.2,
+                    label="best so far"),
+        chart.mark_missing(number[failed], 0.975, markersize=3.5, markeredgewidth=0.7,
+                           label="no simulation"),
+        title="\n".join(chart.shorten(text, letters) for text in own.title.split("\n")),
+        log={"y": shown},
+        whole="x",
+        xlim=(1.0 - margin, max(n, 1) + margin),
+        xlabel="evaluation",
+        ylabel=ylabel,
+    )  # fmt: skip
+
+    def with_iterations(axes: Axes) -> None:
+        draw(axes)
+        if failed.any():
+            _raise_top(axes)
+        if failed.all():
+            axes.text(0.5, 0.5, "nothing could be evaluated", transform=axes.transAxes, ha="center")
+            axes.tick_params(labelleft=False)
+        _iteration_axis(axes, own)
+
+    return with_iterations
 
 
-def _iteration_axis(axes: Axes, panel: SearchPanel) -> None:
+def _raise_top(axes: Axes) -> None:
+    """Raise the upper limit of a logarithmic axis for marks of failures."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high * (high / low) ** 0.06)
+
+
+def _iteration_axis(axes: Axes, own: SearchPanel) -> None:
     """Add an axis at the top that marks where iterations begin."""
     # With one evaluation per iteration, the axis would repeat the one below.
-    n, spread = len(panel.begins), len(panel.errors)
+    n, spread = len(own.begins), len(own.errors)
     if not 2 < n < spread:
         return
-    step = next(s for s in _round_steps() if (n - 1) / s <= 6)
-    wanted = np.arange(0, n, step)
-    places = panel.begins[wanted] + 1.0
+    round_steps = (k * 10**p for p in range(9) for k in (1, 2, 5))
+    wanted = np.arange(0, n, next(s for s in round_steps if (n - 1) / s <= 6))
+    places = own.begins[wanted] + 1.0
     # Drop labels that would overlap, as of short first iterations.
     keep = np.concatenate(([True], np.diff(places) > 0.05 * spread))
     above = axes.secondary_xaxis("top")
@@ -143,14 +128,17 @@ def _iteration_axis(axes: Axes, panel: SearchPanel) -> None:
     above.tick_params(pad=1.0)
 
 
-def _round_steps() -> list[int]:
-    return [k * 10**p for p in range(9) for k in (1, 2, 5)]
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StartsChart(AbstractChart):
-    """Final errors of searches from several starts, sorted, and their end points.
+def starts_chart(
+    title: str,
+    unit: str,
+    errors: FloatArray,
+    points: FloatArray,
+    unknowns: Sequence[Unknown],
+    evaluations: Sequence[int],
+    nearly: float = 0.02,
+    what: str = "error",
+) -> Chart:
+    """Draw final errors of searches from several starts, sorted, and their end points.
 
     Parameters
     ----------
@@ -168,106 +156,94 @@ class StartsChart(AbstractChart):
     nearly : float
         Excess over the best error, as a share of it, up to which a start counts as good.
     what : str
-        Name of the objective, as in `SearchChart`.
+        Name of the objective, as in `search_chart`.
     """
-
-    title: str
-    unit: str
-    errors: FloatArray
-    points: FloatArray
-    unknowns: Sequence[Unknown]
-    evaluations: Sequence[int]
-    nearly: float = 0.02
-    what: str = "error"
-
-    @property
-    def order(self) -> list[int]:
-        """Indices of starts, from the best to the worst."""
-        return [int(k) for k in np.argsort(self.errors, kind="stable")]
-
-    @property
-    def good(self) -> list[bool]:
-        """Mask of the starts that ended as well as the best, or nearly."""
-        best = float(self.errors.min())
-        return [math.isfinite(e) and e <= best * (1.0 + self.nearly) for e in self.errors.tolist()]
-
-    def figure(self) -> Figure:
-        figure = sheet(WIDE, 2.7, self.title)
-        # More than two parameters get a wider panel.
-        share = max(1.0, 0.35 * len(self.unknowns))
-        left, right = figure.subplots(1, 2, width_ratios=(1.0, share))
-        _draw_waterfall(left, self)
-        _draw_ends(right, self)
-        legend_below(figure, (left,))
-        return figure
-
-    def table(self) -> Table:
-        error = f"error_{column_unit(self.unit)}"
-        first = ("rank", "start", error, "nearly_as_good", "evaluations")
-        names = [f"{unknown.label} [{unknown.unit}]" for unknown in self.unknowns]
-        good = ["true" if good else "false" for good in self.good]
-        rows = [
-            (rank, k + 1, self.errors[k], good[k], self.evaluations[k], *self.points[k])
-            for rank, k in enumerate(self.order, 1)
-        ]
-        return Table((*first, *names), rows)
-
-
-def _draw_waterfall(axes: Axes, chart: StartsChart) -> None:
-    ordered = chart.errors[chart.order]
-    shown, rank = positive(ordered), np.arange(1, len(ordered) + 1)
-    nearly = np.array(chart.good)[chart.order]
-    axes.step(rank, shown, where="mid", color=palette.FAINT, linewidth=1.0, zorder=1)
-    few = len(rank) <= 40
-    for which, style in ((nearly, _good(chart)), (~nearly & np.isfinite(ordered), _other())):
-        if which.any():
-            axes.plot(rank[which], shown[which], linestyle="none", markersize=4 if few else 2.5,
-                      **style)  # fmt: skip
-    none = ~np.isfinite(ordered)
-    mark_missing(axes, rank[none], 0.96, label="without result")
-    log_scale(axes, "y", shown)
-    room_above(axes, bool(none.any()))
-    axes.set_xlim(0.4, len(rank) + 0.6)
-    axes.set(
-        xlabel="start, sorted by error", ylabel=f"final {chart.what} [{unit_text(chart.unit)}]"
+    order = np.argsort(errors, kind="stable").tolist()
+    good = np.isfinite(errors) & (errors <= errors.min() * (1.0 + nearly))
+    label = f"smallest error, or within {100 * nearly:g} % of it"
+    styles: tuple[Style, Style] = (
+        {"marker": "D", "color": palette.PUSHER, "label": "larger error"},
+        {"marker": "o", "color": palette.BODY, "label": label},
     )
-    whole_numbers(axes)
-    clean(axes)
+
+    def fill(figure: Figure) -> None:
+        # More than two parameters get a wider panel.
+        share = max(1.0, 0.35 * len(unknowns))
+        left, right = figure.subplots(1, 2, width_ratios=(1.0, share))
+        _waterfall(errors[order], good[order], styles, f"final {what} [{chart.unit_text(unit)}]")(
+            left
+        )
+        if not np.isfinite(errors).all():
+            _raise_top(left)
+        worst_first = [k for k in reversed(order) if math.isfinite(errors[k])]
+        _end_points(points[worst_first], good[worst_first], styles, unknowns)(right)
+        chart.legend_below(figure, (left,))
+
+    first = ("rank", "start", f"error_{chart.column_unit(unit)}", "nearly_as_good", "evaluations")
+    rows = [
+        (rank, k + 1, errors[k], str(bool(good[k])).lower(), evaluations[k], *points[k])
+        for rank, k in enumerate(order, 1)
+    ]
+    return Chart(
+        title=title,
+        size=(chart.WIDE, 2.7),
+        fill=fill,
+        data=Table((*first, *(f"{own.label} [{own.unit}]" for own in unknowns)), rows),
+    )
 
 
-def _good(chart: StartsChart) -> Style:
-    return {
-        "marker": "o",
-        "color": palette.BODY,
-        "label": f"smallest error, or within {100 * chart.nearly:g} % of it",
-    }
+def _waterfall(
+    errors: FloatArray, good: BoolArray, styles: tuple[Style, Style], ylabel: str
+) -> Mark:
+    """Panel of the errors of all starts, sorted."""
+    shown, rank = chart.positive(errors), np.arange(1, len(errors) + 1)
+    failed = ~np.isfinite(errors)
+    size = 4.0 if len(rank) <= 40 else 2.5
+    dots = [
+        chart.line(rank[which], shown[which], linestyle="none", markersize=size, **style)
+        for which, style in ((good, styles[1]), (~good & ~failed, styles[0]))
+        if which.any()
+    ]
+    return chart.panel(
+        chart.steps(rank, shown, where="mid", color=palette.FAINT, linewidth=1.0, zorder=1),
+        *dots,
+        chart.mark_missing(rank[failed], 0.96, label="without result"),
+        log={"y": shown},
+        whole="x",
+        xlim=(0.4, len(rank) + 0.6),
+        xlabel="start, sorted by error",
+        ylabel=ylabel,
+    )
 
 
-def _other() -> Style:
-    return {"marker": "D", "color": palette.PUSHER, "label": "larger error"}
-
-
-def _draw_ends(axes: Axes, chart: StartsChart) -> None:
-    """Draw each end point as a line across the parameters, as shares of their ranges."""
-    place = np.arange(len(chart.unknowns))
-    low, high = np.array([(unknown.low, unknown.high) for unknown in chart.unknowns]).T
-    shares = (chart.points - low) / (high - low)
-    for k in reversed(chart.order):
-        if math.isfinite(chart.errors[k]):
-            style = _good(chart) if chart.good[k] else _other()
-            line = {"linewidth": 1.0, "alpha": 0.9, "zorder": 3}
-            if not chart.good[k]:
-                line = {"linewidth": 0.5, "alpha": 0.6, "zorder": 2}
-            axes.plot(place, shares[k], markersize=2.8, **style | line | {"label": ""})
+def _end_points(
+    points: FloatArray, good: BoolArray, styles: tuple[Style, Style], unknowns: Sequence[Unknown]
+) -> Mark:
+    """Panel with each end point as a line across the parameters, as shares of their ranges."""
+    low, high = np.array([(unknown.low, unknown.high) for unknown in unknowns]).T
+    looks: tuple[Style, Style] = (
+        {**styles[0], "linewidth": 0.5, "alpha": 0.6, "zorder": 2, "label": ""},
+        {**styles[1], "linewidth": 1.0, "alpha": 0.9, "zorder": 3, "label": ""},
+    )
+    lines = [
+        chart.line(shares, markersize=2.8, **looks[one])
+        for shares, one in zip((points - low) / (high - low), good.astype(int), strict=True)
+    ]
     names = []
-    for unknown in chart.unknowns:
-        own = display_unit(unknown.unit)
+    for unknown in unknowns:
+        own = chart.display_unit(unknown.unit)
         ends = f"{own.text(unknown.low)} … {own.text(unknown.high)} {own.name}".rstrip()
-        names.append(f"{broken(unknown.label)}\n{ends}")
-    axes.set_xticks(place, names)
-    if len(names) > 6:
-        axes.tick_params(axis="x", rotation=60, labelsize=palette.FONT_SIZE - 1.5)
-    axes.set_xlim(-0.4, len(place) - 0.6)
-    axes.set_ylim(-0.04, 1.04)
-    axes.set_ylabel("position between the bounds")
-    clean(axes)
+        names.append(f"{chart.broken(unknown.label)}\n{ends}")
+
+    def ticks(axes: Axes) -> None:
+        axes.set_xticks(range(len(names)), names)
+        if len(names) > 6:
+            axes.tick_params(axis="x", rotation=60, labelsize=palette.FONT_SIZE - 1.5)
+
+    return chart.panel(
+        *lines,
+        ticks,
+        xlim=(-0.4, len(names) - 0.6),
+        ylim=(-0.04, 1.04),
+        ylabel="position between the bounds",
+    )

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.view import Rectangle
+from fixel.drawing.view import Rectangle, evenly
 from fixel.model import Experiment, Shape, placed
 from fixel.typing import FloatArray
 
@@ -27,7 +27,8 @@ def thumbnail(experiment: Experiment) -> str:
         Experiment; without a scene, only the trail is drawn, with a cross at its end.
     """
     scene = experiment.scene
-    poses = experiment.trajectory.pose[_thinned(len(experiment.trajectory.pose))]
+    poses = experiment.trajectory.pose
+    poses = poses[evenly(len(poses), MAX_POINTS)]
     trail = poses[:, :2]
     outlines: list[tuple[FloatArray, str]] = []  # in the world, with their SVG style
     if scene is not None:
@@ -36,35 +37,21 @@ def thumbnail(experiment: Experiment) -> str:
         for k, fixel in enumerate(scene.fixels):
             colour = palette.TOUCHED if touched[k : k + 1] == "1" else palette.FIXEL
             outlines.append((_outline(fixel.shape, fixel.pose), f'fill="{colour}"'))
-        if scene.pushers:
-            pusher = scene.pushers[0]
+        for pusher in scene.pushers[:1]:
             pose = pusher.pose if experiment.pusher is None else experiment.pusher.pose[-1]
-            outlines.append(
-                (
-                    _outline(pusher.shape, pose),
-                    f'fill="{palette.PUSHER}" fill-opacity="0.35" stroke="{palette.PUSHER}"',
-                )
-            )
-        outlines.append(
-            (
-                _outline(body.shape, poses[0]),
-                f'fill="none" stroke="{palette.BODY}" stroke-opacity="0.5" stroke-dasharray="3 2"',
-            )
-        )
-        outlines.append(
-            (
-                _outline(body.shape, poses[-1]),
-                f'fill="{palette.BODY}" fill-opacity="0.22" stroke="{palette.BODY}"',
-            )
-        )
+            style = f'fill="{palette.PUSHER}" fill-opacity="0.35" stroke="{palette.PUSHER}"'
+            outlines.append((_outline(pusher.shape, pose), style))
+        blue = palette.BODY
+        for pose, style in (
+            (poses[0], f'fill="none" stroke="{blue}" stroke-opacity="0.5" stroke-dasharray="3 2"'),
+            (poses[-1], f'fill="{blue}" fill-opacity="0.22" stroke="{blue}"'),
+        ):
+            outlines.append((_outline(body.shape, pose), style))
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         x, y = body.com
         trail = trail + np.column_stack((c * x - s * y, s * x + c * y))
     points = np.concatenate([trail, *(outline for outline, _ in outlines)])
-    (left, low), (right, high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    if right == left and high == low:
-        right, high = left + 1e-3, low + 1e-3
-    box = Rectangle((left, right), (low, high)).widened(MARGIN).with_aspect(HEIGHT / WIDTH)
+    box = Rectangle.around(points, 1e-9).widened(MARGIN).with_aspect(HEIGHT / WIDTH)
     scale = WIDTH / (box.x[1] - box.x[0])
 
     def path(world: FloatArray, end: str) -> str:
@@ -85,10 +72,6 @@ def thumbnail(experiment: Experiment) -> str:
         f'<path d="{line}{end}" fill="none" stroke="{palette.INK}" '
         f'stroke-width="{width}" stroke-linecap="round"/></svg>'
     )
-
-
-def _thinned(n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    return np.unique(np.linspace(0, n - 1, min(n, MAX_POINTS)).round().astype(np.int64))
 
 
 def _outline(shape: Shape, pose: FloatArray) -> FloatArray:

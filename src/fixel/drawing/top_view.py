@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -13,12 +13,11 @@ from fixel.drawing.chart import (
     Style,
     add_banner,
     clean,
-    cut_short,
     legend_of,
     sheet,
     tint,
 )
-from fixel.drawing.view import UNITS, Rectangle
+from fixel.drawing.view import UNITS, Rectangle, evenly
 from fixel.model import Channel, Experiment, Fixel, Scene, Shape, placed
 from fixel.typing import BoolArray, FloatArray
 
@@ -76,6 +75,24 @@ def closed_line(outline: FloatArray, unit: DisplayUnit = MM) -> FloatArray:
     return np.vstack((outline, outline[:1])).T * unit.factor
 
 
+def hollow(colour: Any, width: float = 0.8, **more: Any) -> Style:
+    """Style of an outline that is not filled."""
+    return {"facecolor": "none", "edgecolor": colour, "linewidth": width, **more}
+
+
+def solid(colour: Any, edge: Any = palette.INK, width: float = 0.5, **more: Any) -> Style:
+    """Style of a filled outline."""
+    return {"facecolor": colour, "edgecolor": edge, "linewidth": width, **more}
+
+
+def plain_view(axes: Axes, unit: DisplayUnit, of: str = "", margin: float = 0.05) -> None:
+    """Set scales, margins and labels of a view whose limits follow its content."""
+    axes.set_aspect("equal", adjustable="datalim")  # a flat panel would have no room for labels
+    axes.margins(margin)
+    axes.set(xlabel=f"x{of} [{unit.name}]", ylabel=f"y{of} [{unit.name}]")
+    axes.spines[["top", "right"]].set_visible(False)
+
+
 def add_arrow(
     axes: Axes, start: FloatArray, end: FloatArray, head: float = 0.35, **style: Any
 ) -> None:
@@ -107,17 +124,13 @@ def swept_points(shape: Shape | None, poses: FloatArray) -> list[FloatArray]:
     """Points that a motion covers [m]: outlines, or positions if the shape is unknown."""
     if shape is None:
         return [poses[:, :2]]
-    some = np.unique(np.linspace(0, len(poses) - 1, MAX_OUTLINES).round().astype(int))
-    return [placed(shape.outline, pose) for pose in poses[some]]
+    return [placed(shape.outline, pose) for pose in poses[evenly(len(poses), MAX_OUTLINES)]]
 
 
 def extent_of(corners: Iterable[FloatArray], fixels: Sequence[Fixel] = ()) -> Rectangle:
     """Return the extent of outlines and fixels [m], with a margin and room for their names."""
     points = np.concatenate([*corners, *(placed(f.shape.outline, f.pose) for f in fixels)])
-    low, high = points.min(axis=0), points.max(axis=0)
-    short = np.maximum(MIN_SIDE - (high - low), 0.0) / 2.0
-    (left, bottom), (right, top) = (low - short).tolist(), (high + short).tolist()
-    box = Rectangle((left, right), (bottom, top)).widened(MARGIN)
+    box = Rectangle.around(points, MIN_SIDE).widened(MARGIN)
     per_inch = (box.x[1] - box.x[0]) / WIDTH
     ends = [
         float(f.pose[0]) + f.shape.radius + (LETTER * len(f.name) + 0.1) * per_inch
@@ -126,25 +139,33 @@ def extent_of(corners: Iterable[FloatArray], fixels: Sequence[Fixel] = ()) -> Re
     return Rectangle((box.x[0], max(box.x[1], *ends) if ends else box.x[1]), box.y)
 
 
-def add_fixels(axes: Axes, scene: Scene | None, touched: str = "") -> list[Artist]:
-    """Draw fixels with their names; those whose digit in `touched` is 1 have another colour."""
+def fixel_outlines(
+    axes: Axes,
+    fixels: Sequence[Fixel],
+    touched: Container[str],
+    unit: DisplayUnit = MM,
+    label: str = "fixel, touched",
+    **style: Any,
+) -> list[Artist]:
+    """Draw fixels; those that are `touched`, by name, have another colour and label."""
+    handles: list[Artist] = []
+    for colour, name, wanted in ((palette.FIXEL, "fixel", False), (palette.TOUCHED, label, True)):
+        some = [f for f in fixels if (f.name in touched) == wanted]
+        if some:
+            outlines = [placed(f.shape.outline, f.pose) for f in some]
+            handles += add_outlines(axes, outlines, unit, name, **solid(colour), **style)
+    return handles
+
+
+def add_fixels(axes: Axes, scene: Scene | None, mode: str = "") -> list[Artist]:
+    """Draw fixels with their names; those whose digit of a contact mode is 1 were touched."""
     fixels = () if scene is None else scene.fixels
     # There may be a contact mode without fixels (no scene), or fixels without a contact mode.
-    on = [digit == "1" for digit in touched.ljust(len(fixels), "0")]
-    handles: list[Artist] = []
-    for colour, label, wanted in (
-        (palette.FIXEL, "fixel", False),
-        (palette.TOUCHED, "fixel touched at the end", True),
-    ):
-        some = [f for f, touch in zip(fixels, on, strict=False) if touch == wanted]
-        if some:
-            style: Style = {"facecolor": colour, "edgecolor": palette.INK, "linewidth": 0.5}
-            outlines = [placed(f.shape.outline, f.pose) for f in some]
-            handles += add_outlines(axes, outlines, label=label, zorder=4, **style)
+    touched = [f.name for f, digit in zip(fixels, mode, strict=False) if digit == "1"]
     for fixel in fixels[:MAX_NAMES]:
         edge = placed(fixel.shape.outline, fixel.pose).max(axis=0) * MM.factor
         add_name(axes, fixel.name, (float(edge[0]), float(fixel.pose[1]) * MM.factor))
-    return handles
+    return fixel_outlines(axes, fixels, touched, label="fixel touched at the end", zorder=4)
 
 
 def add_start_and_end(
@@ -152,12 +173,11 @@ def add_start_and_end(
 ) -> list[Artist]:
     """Draw the outline of a body at the first pose, dashed, and filled at the last one."""
     first, last = (placed(shape.outline, poses[k]) for k in (0, -1))
-    line: Style = {"edgecolor": colour, "linewidth": 0.8}
-    hollow: Style = {"facecolor": "none", "linestyle": DASHED, "zorder": 2.7, **line}
-    full: Style = {"facecolor": tint(colour, strength), "zorder": 2.5, **line}
+    start = hollow(colour, linestyle=DASHED, zorder=2.7)
+    end = solid(tint(colour, strength), colour, 0.8, zorder=2.5)
     return [
-        *add_outlines(axes, [first], label=f"{name}, start", **hollow),
-        *add_outlines(axes, [last], label=f"{name}, end", **full),
+        *add_outlines(axes, [first], label=f"{name}, start", **start),
+        *add_outlines(axes, [last], label=f"{name}, end", **end),
     ]
 
 
@@ -220,6 +240,10 @@ def column_page(
     return ColumnPage(figure, view, list(others[: len(labels)]), strip)
 
 
+def _cut_short(text: str, most: int = 44) -> str:
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
 def finish_page(
     page: ColumnPage,
     handles: Sequence[Artist],
@@ -231,9 +255,9 @@ def finish_page(
     rows = legend_of(page.figure, handles)
     page.figure.set_size_inches(width, height + 0.15 * rows)
     if title:
-        page.view.set_title(cut_short(title, 52), loc="left", pad=3.5)
+        page.view.set_title(_cut_short(title, 52), loc="left", pad=3.5)
     if experiment is not None and not experiment.real:
-        add_banner(page.figure, f"SIMULATED by {cut_short(experiment.simulated_by)}")
+        add_banner(page.figure, f"SIMULATED by {_cut_short(experiment.simulated_by)}")
     return page.figure
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, AbstractChart, Style, clean, save_figure, sheet
+from fixel.drawing.chart import WIDE, Chart, Style, clean, save_figure, sheet
 from fixel.drawing.top_view import closed_line
 from fixel.model import placed, pose_error
 from fixel.table import Table
@@ -84,30 +83,15 @@ def _is_small(tracked: FilmTracks) -> bool:
     return bool(places) and max(float(np.ptp(own, axis=0).max()) for own in places) < 5e-3
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackedRun:
-    """True and tracked poses of one run, frame by frame.
-
-    Attributes
-    ----------
-    name : str
-    outline : (k, 2) float64
-        Outline of the object, in its own frame [m].
-    fixels : sequence of (k, 2) float64
-        Outlines of the fixels [m].
-    time : (n,) float64
-        Times of the frames [s].
-    true, tracked : (n, 3) float64
-        Poses of the object [m, m, rad].
-    """
+class TrackedRun(NamedTuple):
+    """True and tracked poses of one run, frame by frame."""
 
     name: str
-    outline: FloatArray
-    fixels: Sequence[FloatArray]
-    time: FloatArray
-    true: FloatArray
-    tracked: FloatArray
+    outline: FloatArray  # (k, 2) outline of the object, in its own frame [m]
+    fixels: Sequence[FloatArray]  # outlines of the fixels [m]
+    time: FloatArray  # (n,) times of the frames [s]
+    true: FloatArray  # (n, 3) poses of the object [m, m, rad]
+    tracked: FloatArray  # (n, 3) poses of the object [m, m, rad]
 
     @property
     def position_error(self) -> FloatArray:
@@ -120,39 +104,27 @@ class TrackedRun:
         return pose_error(self.tracked, self.true)[1]
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SideBySide(AbstractChart):
-    """True and tracked paths and the distance between them, one row per run."""
+def side_by_side(runs: Sequence[TrackedRun]) -> Chart:
+    """Draw true and tracked paths and the distance between them, one row per run."""
 
-    runs: tuple[TrackedRun, ...]
-
-    def figure(self) -> Figure:
-        figure = sheet(WIDE, ROW * len(self.runs))
-        grid = figure.subplots(len(self.runs), 3, squeeze=False, width_ratios=(1.0, 1.0, 1.15))
+    def fill(figure: Figure) -> None:
+        grid = figure.subplots(len(runs), 3, squeeze=False, width_ratios=(1.0, 1.0, 1.15))
         for axes, title in zip(grid[0], ("true", "tracked", "tracked - true"), strict=True):
             axes.set_title(title)
-        for axes, run in zip(grid, self.runs, strict=True):
+        for axes, run in zip(grid, runs, strict=True):
             _from_above(axes[0], run, run.true, palette.INK)
             _from_above(axes[1], run, run.tracked, palette.BODY)
             _apart(axes[2], run)
             axes[0].set_ylabel(f"{run.name}\ny [mm]")
-        for axes in grid[-1, :2]:
-            axes.set_xlabel("x [mm]")
-        grid[-1, 2].set_xlabel("time [s]")
-        return figure
+        for axes, label in zip(grid[-1], ("x [mm]", "x [mm]", "time [s]"), strict=True):
+            axes.set_xlabel(label)
 
-    def table(self) -> Table:
-        runs = self.runs
-        columns: dict[str, Any] = {"run": [run.name for run in runs for _ in run.time],
-                   "time_s": np.concatenate([run.time for run in runs])}  # fmt: skip
-        for name in ("true", "tracked"):
-            poses = np.concatenate([getattr(run, name) for run in runs])
-            columns |= {f"{name}_{k}": poses[:, j] for j, k in enumerate(_POSE)}
-        return Table.from_columns(columns)
-
-
-_POSE: Final = ("x_m", "y_m", "angle_rad")
+    columns: dict[str, Any] = {"run": [run.name for run in runs for _ in run.time],
+                               "time_s": np.concatenate([run.time for run in runs])}  # fmt: skip
+    for name in ("true", "tracked"):
+        poses = np.concatenate([getattr(run, name) for run in runs])
+        columns |= {f"{name}_{k}": poses[:, j] for j, k in enumerate(("x_m", "y_m", "angle_rad"))}
+    return Chart(size=(WIDE, ROW * len(runs)), fill=fill, data=Table.from_columns(columns))
 
 
 def _from_above(axes: Axes, run: TrackedRun, poses: FloatArray, colour: str) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import hypot, log10
-from typing import Any, NamedTuple, final
+from math import log10
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from fixel.drawing.chart import DisplayUnit
 from fixel.model import Body, Fixel, Pusher, Shape, placed
 from fixel.simulation import Simulation
-from fixel.typing import FloatArray
+from fixel.typing import FloatArray, IntArray
 
 MARGIN = 0.06  # share of the larger side, around all that is drawn
 MAX_ARROW = 0.22  # length of the longest arrow, as a share of the larger side
@@ -28,9 +27,7 @@ def unit_for(size: float) -> DisplayUnit:
     return UNITS[1] if size < 5.0 else UNITS[2]
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Rectangle:
+class Rectangle(NamedTuple):
     """Rectangle in the world [m]."""
 
     x: tuple[float, float]
@@ -40,6 +37,14 @@ class Rectangle:
     def size(self) -> float:
         """Length of the larger side [m]."""
         return max(self.x[1] - self.x[0], self.y[1] - self.y[0])
+
+    @classmethod
+    def around(cls, points: FloatArray, least: float = 0.0) -> Rectangle:
+        """Return the rectangle around points (n, 2), with sides of a least length [m]."""
+        low, high = points.min(axis=0), points.max(axis=0)
+        short = np.maximum(least - (high - low), 0.0) / 2.0
+        (left, bottom), (right, top) = (low - short).tolist(), (high + short).tolist()
+        return cls((left, right), (bottom, top))
 
     def widened(self, share: float) -> Rectangle:
         """Add a margin on all sides, a `share` of the larger side."""
@@ -70,31 +75,21 @@ def extent(simulation: Simulation) -> Rectangle:
     corners = [placed(f.shape.outline, f.pose) for f in simulation.scene.fixels]
     for name, poses in simulation.pose.items():
         known = poses[np.isfinite(poses).all(axis=1)]
-        for pose in known[_thinned(len(known))]:
-            corners.append(placed(shapes[name].outline, pose))
-    points = np.concatenate(corners) if corners else np.zeros((1, 2))
-    (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    if right == left and top == bottom:
-        right, top = left + 1.0, bottom + 1.0
-    return Rectangle((left, right), (bottom, top)).widened(MARGIN)
+        corners += [placed(shapes[name].outline, pose) for pose in known[evenly(len(known), 50)]]
+    return Rectangle.around(np.concatenate(corners)).widened(MARGIN)
 
 
-def _thinned(n: int, most: int = 50) -> NDArray[np.int64]:
+def evenly(n: int, most: int) -> IntArray:
+    """Return at most `most` of n indices, evenly chosen, with the first and the last."""
     return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.int64))
-
-
-def travel(poses: FloatArray, shape: Shape) -> FloatArray:
-    """Path length (n,) of a body so far [m]; rotation counts in proportion to the shape's size."""
-    reach = float(np.hypot(*(shape.outline - shape.centroid).T).max())
-    steps = np.diff(poses, axis=0)
-    lengths = np.hypot(np.hypot(steps[:, 0], steps[:, 1]), 0.6 * reach * steps[:, 2])
-    return np.concatenate(([0.0], np.cumsum(lengths)))
 
 
 def ghosts(poses: FloatArray, shape: Shape, most: int = 5) -> FloatArray:
     """Poses (k, 3) between start and end at equal travel [m, m, rad], fewer for short motions."""
-    path = travel(poses, shape)
     reach = float(np.hypot(*(shape.outline - shape.centroid).T).max())
+    # Rotation counts in proportion to the size of the shape.
+    x, y, turn = np.diff(poses, axis=0).T
+    path = np.concatenate(([0.0], np.cumsum(np.hypot(np.hypot(x, y), 0.6 * reach * turn))))
     count = min(most, int(path[-1] / (0.35 * reach)))
     if count < 1:
         return np.zeros((0, 3))
@@ -188,11 +183,4 @@ def arrow_length_per_newton(largest: float, size: float) -> float:
 
 def largest_force(force: FloatArray) -> float:
     """Magnitude of the largest of (n, 2) forces [N]; zero if there are none."""
-    return max((hypot(*f) for f in force.tolist()), default=0.0)
-
-
-def sentence(simulation: Simulation) -> str:
-    """Status of a simulation, as the heading of a figure."""
-    if simulation.stopped_at is not None:
-        return f"{simulation.status} at {simulation.stopped_at:.4g} s"
-    return f"{simulation.status}, {simulation.duration:.4g} s in {simulation.steps} steps"
+    return float(np.hypot(*force.T).max(initial=0.0))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from fixel.drawing.chart import AbstractChart, draw_chart
+from fixel.drawing.chart import Chart, draw_chart
 from fixel.errors import InvalidInput, os_reason
 from fixel.io.atomic import written_whole
 
@@ -18,7 +18,7 @@ class Picture(NamedTuple):
     """Chart with the name, banner and caption of its files."""
 
     name: str  # name of the files, without ending
-    chart: AbstractChart
+    chart: Chart
     banner: str = ""  # text across the top, for experiments that no camera has seen
     caption: str = ""  # a sentence on what the chart shows
 

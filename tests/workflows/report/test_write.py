@@ -16,7 +16,7 @@ from tests.fixtures import project_of
 
 import fixel
 from fixel.database.project import Project
-from fixel.drawing.calibration import SecondsChart
+from fixel.drawing.calibration import seconds_chart
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate
 from fixel.model.selection import ExperimentQuery
@@ -71,7 +71,7 @@ def without_charts(monkeypatch):
 def _kept(project, **changes):
     with project.store() as store:
         number = load_values(store).id
-    chart = SecondsChart(keys=("a", "b"), seconds=np.array([0.1, 0.2]), evaluations=(1, 2))
+    chart = seconds_chart(keys=("a", "b"), seconds=np.array([0.1, 0.2]), evaluations=(1, 2))
     analysis = Analysis(
         kind="domain",
         title="Map",

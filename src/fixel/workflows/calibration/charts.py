@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fixel.calibration.target import Target
-from fixel.drawing.calibration import BEFORE, ErrorsChart, OffsetsChart, Quantity, SecondsChart
-from fixel.drawing.chart import plot_axes
-from fixel.drawing.overlay import OverlayChart, Track
-from fixel.drawing.profiles import ParametersChart, ProfilesChart
-from fixel.drawing.searches import SearchChart, SearchPanel, StartsChart
+from fixel.drawing.calibration import BEFORE, Quantity, errors_chart, offsets_chart, seconds_chart
+from fixel.drawing.chart import Chart, plot_axes
+from fixel.drawing.overlay import Overlay, Track, overlay_chart
+from fixel.drawing.profiles import parameters_chart, profiles_chart
+from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, placed
 from fixel.simulation import Simulation, simulate
@@ -80,7 +80,7 @@ def plot_each(fits: Calibrations, ax: Axes | None = None) -> Any:
         for fit, name in zip(many, named, strict=True)
     ]
     of = f"the first {MAX_ROWS} of {len(fits)}" if len(fits) > MAX_ROWS else f"{len(fits)}"
-    chart = ParametersChart(
+    chart = parameters_chart(
         title=f"Parameters of {of} calibrations", rows=rows, level=fits.request.level
     )
     return plot_axes(chart.figure, ax)
@@ -110,7 +110,7 @@ def plot_errors(fit: Calibration, ax: Axes | None = None) -> Any:
     lengths = _data(fit).lengths
     before = fit.run.outcome.nominal[list(fit.found.members)]
     series = {BEFORE: lengths(before), "after": lengths(fit.found.errors)}
-    chart = ErrorsChart(keys=fit.keys_of_experiments, series=series, unit="mm")
+    chart = errors_chart(fit.keys_of_experiments, series, "mm")
     return plot_axes(chart.figure, ax)
 
 
@@ -200,7 +200,7 @@ def _of_experiments(data: CalibrationReportData) -> Pictures:
     if len(data.keys) == 1:  # the overlay shows it
         return
     series = {name: data.lengths(errors) for name, errors in _series(data).items()}
-    yield Picture("errors", ErrorsChart(keys=data.keys, series=series, unit="mm"), data.banner)
+    yield Picture("errors", errors_chart(data.keys, series, "mm"), data.banner)
     if data.offset_axes:
         name = "each alone" if "each alone" in series else list(series)[-1]
         error = Quantity("error", "mm", series[name], log=True)
@@ -265,9 +265,7 @@ def _column(data: CalibrationReportData, values: list[float]) -> FloatArray:
 # --- charts -------------------------------------------------------------------------------------
 
 
-def _search_chart(
-    data: CalibrationReportData, picks: list[tuple[str, ParameterSet]]
-) -> SearchChart:
+def _search_chart(data: CalibrationReportData, picks: list[tuple[str, ParameterSet]]) -> Chart:
     panels = []
     for word, one in picks:
         assert one.trace is not None
@@ -277,7 +275,7 @@ def _search_chart(
         panels.append(
             SearchPanel(title, data.lengths(one.trace.errors, len(one.members)), one.trace.begins)
         )
-    return SearchChart(panels=panels, unit="mm", what=_what(data, picks[0][1]))
+    return search_chart(panels, unit="mm", what=_what(data, picks[0][1]))
 
 
 def _what(data: CalibrationReportData, one: ParameterSet) -> str:
@@ -294,7 +292,7 @@ def _starts(data: CalibrationReportData, name: str, one: ParameterSet) -> Pictur
     ends = one.trace.ends()
     if len(ends) < 2:
         return
-    chart = StartsChart(
+    chart = starts_chart(
         title=f"{len(ends)} starts: {title_of(data, one)}",
         unit="mm",
         errors=data.lengths(np.array([end.error for end in ends]), len(one.members)),
@@ -307,16 +305,16 @@ def _starts(data: CalibrationReportData, name: str, one: ParameterSet) -> Pictur
     yield Picture(name, chart, data.banner)
 
 
-def _seconds_chart(data: CalibrationReportData, searched: list[ParameterSet]) -> SecondsChart:
-    return SecondsChart(
+def _seconds_chart(data: CalibrationReportData, searched: list[ParameterSet]) -> Chart:
+    return seconds_chart(
         keys=[data.keys[one.members[0]] for one in searched],
         seconds=np.array([one.seconds for one in searched]),
         evaluations=[0 if one.trace is None else len(one.trace.errors) for one in searched],
     )
 
 
-def _parameters_chart(data: CalibrationReportData, word: str, one: ParameterSet) -> ParametersChart:
-    return ParametersChart(
+def _parameters_chart(data: CalibrationReportData, word: str, one: ParameterSet) -> Chart:
+    return parameters_chart(
         title=title_of(data, one, word),
         rows=data.estimates(one.estimates, one),
         others={name: point.tolist() for name, point in _other_sets(data, one).items()},
@@ -336,8 +334,8 @@ def _other_sets(data: CalibrationReportData, one: ParameterSet) -> dict[str, Flo
     return dict(list(found.items())[:MAX_OTHERS])
 
 
-def _profiles_chart(data: CalibrationReportData, word: str, one: ParameterSet) -> ProfilesChart:
-    return ProfilesChart(
+def _profiles_chart(data: CalibrationReportData, word: str, one: ParameterSet) -> Chart:
+    return profiles_chart(
         title=title_of(data, one, word),
         profiles=one.profiles,
         estimates={estimate.label: estimate for estimate in one.estimates},
@@ -345,10 +343,8 @@ def _profiles_chart(data: CalibrationReportData, word: str, one: ParameterSet) -
     )
 
 
-def _offsets_chart(
-    data: CalibrationReportData, title: str, quantities: list[Quantity]
-) -> OffsetsChart:
-    return OffsetsChart(
+def _offsets_chart(data: CalibrationReportData, title: str, quantities: list[Quantity]) -> Chart:
+    return offsets_chart(
         title=title,
         keys=data.keys,
         groups=data.groups,
@@ -362,15 +358,15 @@ def _offsets_chart(
 
 def _overlay_chart(
     data: CalibrationReportData, word: str, member: int, point: FloatArray, error: float
-) -> OverlayChart:
+) -> Chart:
     target = data.targets[member]
     scene = target.case.scene
     before, after = (_simulated(data, target, p) for p in (data.space.nominal, point))
     body = scene.bodies[0]
     nominal = float(data.lengths(data.outcome.nominal[member]))
     start = np.concatenate(([0.0], target.case.times))
-    return OverlayChart(
-        title=target.key if not word else f"{target.key}: the {word} of {len(data.keys)}",
+    title = target.key if not word else f"{target.key}: the {word} of {len(data.keys)}"
+    own = Overlay(
         outline=body.shape.outline,
         measured=Track(start, np.vstack((body.pose, target.pose))),
         before=_track(before, nominal),
@@ -380,6 +376,7 @@ def _overlay_chart(
         pusher=_pusher(after),
         unit="mm",
     )
+    return overlay_chart(title, own)
 
 
 def _simulated(data: CalibrationReportData, target: Target, point: FloatArray) -> Simulation:

@@ -7,14 +7,14 @@ import math
 import shlex
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
 from fixel.database.project import SETTINGS, Project
-from fixel.drawing.tracking import SideBySide, TrackedRun
+from fixel.drawing.tracking import TrackedRun, side_by_side
 from fixel.errors import InvalidInput
 from fixel.formats.recording import is_recording, open_recording
 from fixel.formats.scene_file import load_scene
@@ -53,37 +53,20 @@ class TrackingErrors(NamedTuple):
     angle: float  # [rad]
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CameraTour:
-    """Result of the camera tour.
-
-    Attributes
-    ----------
-    project : Path
-    runs : tuple of TrackedRun
-    estimates : tuple of (Estimate, Estimate)
-        Estimate of each parameter from tracked poses, and from true ones.
-    truths : tuple of (float or None)
-        True value of each parameter; None if the laboratory has no such property.
-    lost : int
-        Frames that the recorder lost because it was too slow.
-    frames : int
-    drive : dict of str to float
-        Position of the drive at the end of each run, as it reported it [m].
-    report : Report
-    overlays : tuple of Path
-        Films with the measured outlines, and sheets with a few of their frames.
-    """
+class CameraTour(NamedTuple):
+    """Result of the camera tour."""
 
     project: Path
     runs: tuple[TrackedRun, ...]
+    # Estimate of each parameter from tracked poses, and from true ones.
     estimates: tuple[tuple[Estimate, Estimate], ...]
+    # True value of each parameter; None if the laboratory has no such property.
     truths: tuple[float | None, ...]
     frames: int
-    lost: int
-    drive: dict[str, float]
+    lost: int  # frames that the recorder lost because it was too slow
+    drive: dict[str, float]  # position of the drive at the end of each run, as it reported it [m]
     report: Report
+    # Films with the measured outlines, and sheets with a few of their frames.
     overlays: tuple[Path, ...]
 
     @property
@@ -389,7 +372,7 @@ def _keep(
     )
     picture = Picture(
         name="side_by_side",
-        chart=SideBySide(runs=runs),
+        chart=side_by_side(runs),
         banner="SIMULATED: these are not pictures of a real camera",
         caption="True and tracked trajectories of the object, and their difference.",
     )

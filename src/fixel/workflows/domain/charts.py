@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fixel.domain.claim import CellVerdict, Claim
 from fixel.domain.domain import DomainMap
-from fixel.drawing.domain import MapChart, SizeChart
+from fixel.drawing.domain import map_chart, size_chart
 from fixel.workflows.figures import Picture
 from fixel.workflows.sentences import sentences
 
@@ -21,8 +21,8 @@ def pictures_of(
         maps = {"map": (" and ".join(names), 0, 1)}
     found = []
     for stem, (title, across, up) in maps.items():
-        chart = MapChart(domain=domain, claim=claim, verdicts=verdicts, across=across, up=up)
+        chart = map_chart(domain, claim, verdicts, across, up)
         (caption,) = sentences("domain", "map_caption", claim=claim, names=title)
         found.append(Picture(stem, chart, banner, caption))
     (caption,) = sentences("domain", "size_caption", claim=claim)
-    return [*found, Picture("size", SizeChart(domain=domain, claim=claim), banner, caption)]
+    return [*found, Picture("size", size_chart(domain, claim), banner, caption)]

@@ -11,7 +11,7 @@ import numpy as np
 from fixel.domain.along_axis import AxisEdges, AxisStudy
 from fixel.domain.growth import AVERAGED, STORED
 from fixel.drawing.chart import display_unit, finite_list, unit_text
-from fixel.drawing.growth import AxisChart, GrowthMatrix, GrowthSteps, error_matrix
+from fixel.drawing.growth import axis_chart, error_matrix, growth_matrix, growth_steps
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.workflows.figures import Picture
@@ -159,13 +159,13 @@ def pictures(found: Exploration) -> Iterator[Picture]:
     unit, banner = found.unit, found.samples.banner
     yield Picture(
         "growth_matrix",
-        GrowthMatrix(growth=found.growth, unit=unit),
+        growth_matrix(found.growth, unit),
         banner,
         "Largest error of any experiment in the domain, by shape and layout, as the domain grows.",
     )
     yield Picture(
         "growth_steps",
-        GrowthSteps(growth=found.growth, threshold=found.threshold, unit=unit),
+        growth_steps(found.growth, found.threshold, unit),
         banner,
         "Largest error against the step of the growth, with the average over layouts and the "
         "threshold.",
@@ -174,12 +174,7 @@ def pictures(found: Exploration) -> Iterator[Picture]:
     for study in found.studies:
         by_axis.setdefault((study.shape, study.axis), []).append(study)
     for (shape, axis), studies in by_axis.items():
-        chart = AxisChart(
-            studies=studies,
-            threshold=found.threshold,
-            unit=unit,
-            length=found.samples.lengths.get(axis),
-        )
+        chart = axis_chart(studies, found.threshold, unit, found.samples.lengths.get(axis))
         yield Picture(
             f"axis_{shape}_{axis}",
             chart,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fixel.domain.error_bound import min_experiments
-from fixel.drawing.parts import NextPushesChart
+from fixel.drawing.parts import next_pushes_chart
 from fixel.parts.next_pushes import NextPushes
 from fixel.workflows.analysis import Analysis, AnalysisReport
 from fixel.workflows.figures import Picture, banner_of
@@ -27,7 +27,7 @@ def report_of(found: PushProposal) -> AnalysisReport:
     simulated = [
         "" if one.real else f"SIMULATED by {one.simulated_by}" for one in model.experiments
     ]
-    chart = NextPushesChart(title=f"Next pushes of {where}", pushes=pushes)
+    chart = next_pushes_chart(pushes, f"Next pushes of {where}")
     caption = "Outline of the part with the proposed pushes, the best first."
     parts = {own.part.name and str(one.conditions[own.part.name]) for one in own.known}
     analysis = Analysis(

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fixel.drawing.planning import CaptureChart, PathsChart
-from fixel.drawing.planning_statistics import CausesChart
+from fixel.drawing.planning import capture_chart, causes_chart, paths_chart
 from fixel.io.atomic import written_whole
 from fixel.io.document import yaml_text
 from fixel.planning.plan import PushPlan
@@ -48,7 +47,7 @@ def analysis_of(found: FoundPlan) -> Analysis:
         tables=(
             _pushes_table(plan),
             _success_table(plan),
-            CausesChart(explanation=explained).table(),
+            causes_chart(explained).table(),
         ),
         notes=explained.sentences,
         methods=(_methods(plan),),
@@ -60,18 +59,18 @@ def analysis_of(found: FoundPlan) -> Analysis:
 def pictures_of(plan: PushPlan) -> Iterator[Picture]:
     """Yield motions, capture regions and causes of failures of a plan."""
     caption = "Simulated motions of the part in samples of what is unknown; failures in colour."
-    yield Picture("paths", PathsChart.of(plan), "", caption)
+    yield Picture("paths", paths_chart(plan), "", caption)
     if plan.pushes:
         caption = (
             "Success of the rest of the plan from poses before each push, with the poses in"
             " samples of what is unknown before and after it."
         )
-        yield Picture("capture", CaptureChart.of(plan), "", caption)
+        yield Picture("capture", capture_chart(plan), "", caption)
     caption = (
         "Share of the failures that each unknown explains alone, and the success gained by"
         " measuring it before choosing among the best plans."
     )
-    yield Picture("causes", CausesChart(explanation=plan.explain()), "", caption)
+    yield Picture("causes", causes_chart(plan.explain()), "", caption)
 
 
 def add_files(answer: PlanAnswer, folder: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.database.project import Project
-from fixel.drawing.sensitivity import EnsembleChart, IndicesChart
+from fixel.drawing.sensitivity import indices_chart, sensitivity_chart
 from fixel.errors import InvalidInput
 from fixel.formats.scene_schema import scene_content
 from fixel.model import Parameters
@@ -204,13 +204,12 @@ def pictures_of(found: Sequence[Finding]) -> list[Picture]:
         own, subject = finding.sensitivity, finding.subject
         ensemble = own.prediction
         stem = f"{k:02d}-" + "".join(c if c.isalnum() else "-" for c in subject.key)
-        chart = EnsembleChart.of(own, title=f"{subject.key}: {own.flag}")
+        chart = sensitivity_chart(own, f"{subject.key}: {own.flag}")
         known = {"key": subject.key, "own": own, "ensemble": ensemble}
         (caption,) = sentences("sensitivity", "ensemble_caption", **known)
         pictures.append(Picture(f"{stem}-ensemble", chart, subject.banner, caption))
         if own.indices is not None:
-            title = f"{subject.key}: sources of the spread"
-            bars = IndicesChart(title=title, indices=own.indices)
+            bars = indices_chart(own, f"{subject.key}: sources of the spread")
             (caption,) = sentences("sensitivity", "indices_caption", key=subject.key)
             pictures.append(Picture(f"{stem}-indices", bars, subject.banner, caption))
     return pictures

@@ -9,10 +9,10 @@ import numpy as np
 
 from fixel.drawing.chart import display_unit
 from fixel.drawing.uncertainty import (
-    BandsChart,
-    CornerChart,
-    CoverageChart,
-    FinalPoseChart,
+    bands_chart,
+    corner_chart,
+    coverage_chart,
+    final_pose_chart,
     label_text,
 )
 from fixel.model import Disk
@@ -30,7 +30,7 @@ MIN_FOR_CURVE: Final = 5
 
 def pictures_of(found: Uncertainty) -> Iterator[Picture]:
     """Yield charts of the posterior, of the first predictions, and of their coverage."""
-    corner = CornerChart(posterior=found.posterior, title=f"Posterior of {what_of(found)}")
+    corner = corner_chart(found.posterior, f"Posterior of {what_of(found)}")
     yield Picture("corner", corner, _banner(found.predicted),
                   f"Samples of the posterior. The prior was uniform: {_priors(found.posterior)}."
                   )  # fmt: skip
@@ -61,11 +61,11 @@ def _of_experiment(one: ExperimentPrediction, number: int) -> Iterator[Picture]:
     # Angles on the same turn as the simulated ones.
     off = prediction.nominal[:, 2] - measured[:, 2]
     measured[:, 2] += 2.0 * np.pi * np.round(off / (2.0 * np.pi))
-    path = BandsChart(time=prediction.time, measured=measured, best=prediction.nominal,
+    path = bands_chart(time=prediction.time, measured=measured, best=prediction.nominal,
                       bands=[prediction.bands(level) for level in LEVELS], title=what)  # fmt: skip
     yield Picture(f"bands-{number}", path, banner,
                   f"Trajectory of {what} with bands of 50 and 90 %, frame by frame.")  # fmt: skip
-    final = FinalPoseChart(
+    final = final_pose_chart(
         outline=_outline(one),
         start=one.target.case.scene.bodies[0].pose,
         measured=measured[-1],
@@ -87,7 +87,7 @@ def _outline(one: ExperimentPrediction) -> FloatArray:
 
 def _curve_picture(found: Uncertainty, both: tuple[CoverageCurve, CoverageCurve]) -> Picture:
     curves = dict(zip(("final position", "final angle"), both, strict=True))
-    chart = CoverageChart(curves, "Coverage of the bounds by held-out experiments")
+    chart = coverage_chart(curves, "Coverage of the bounds by held-out experiments")
     return Picture("coverage", chart, _banner(found.held_out),
                    "Share of held-out final poses within the bounds of each level.")  # fmt: skip
 
