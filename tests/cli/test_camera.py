@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,13 +10,12 @@ from benchmarks.board_pictures import Studio, seen_corners, spread
 from tests.cli.shell import fixel
 from tests.formats.test_camera_import import CALIB_RESULTS, ROS
 
-from fixel.cli.camera_text import view_lines
 from fixel.formats.camera_file import load_camera
 from fixel.vision.boards import Corners, board_of
 from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
-from fixel.workflows.acquisition.camera.calibrate import CameraAnswer
+from fixel.workflows.acquisition.camera.answer import CameraAnswer
 
 BOARD = "charuco:7x5:30mm:20mm"
 LENS = Lens(image_size=(480, 360), focal=(440, 444), centre=(244, 177), distortion=(-0.12, 0.05))
@@ -236,10 +234,10 @@ def test_a_picture_that_is_used_in_part_is_not_left_out():
     views = list(seen_corners(LENS, board_of("checkerboard:8x5:25mm"), 8, noise=0.05))
     pixels = views[5].corners.pixels.copy()
     pixels[7] += 0.8
-    views[5] = replace(views[5], corners=Corners(views[5].corners.places, pixels))
+    views[5] = views[5]._replace(corners=Corners(views[5].corners.places, pixels))
     found = calibrate_lens(views, coefficients=4)
     answer = CameraAnswer(camera=found.camera, calibration=found)
-    text = "\n".join(view_lines(answer))
+    text = "\n".join(answer.blocks()[1])
     assert "8 pictures used" in text
     assert "left out (" not in text
     assert "used in part (1):" in text

@@ -21,7 +21,7 @@ from tests.cli.shell import fixel
 from tests.processes import line_of
 from tests.testbed.films import SIZE, film
 
-from fixel.cli.record import duration
+from fixel.cli.record import duration, status_line
 from fixel.formats.recording import open_recording
 from fixel.formats.recording_files import ROWS, VIDEO
 from fixel.testbed.loopback import LoopbackCamera
@@ -100,26 +100,13 @@ def test_what_broke_off_is_checked_and_repaired(capsys: Any, tmp_path: Path) -> 
         (["--camera", "FILM", "--out", "OUT", "--limit", "soon"], "expected a duration"),
         (["--camera", "FILM", "--out", "OUT", "--limit", "0s"], "more than 0 s"),
         (["--camera", "FILM", "--out", "OUT", "--mode", "010"], "--until seated"),
-        (
-            [
-                "--camera",
-                "FILM",
-                "--out",
-                "OUT",
-                "--mode",
-                "01",
-                "--until",
-                "seated",
-                "--tactile",
-                "film",
-            ],
-            "each of 3 fixels",
-        ),
+        (["--camera", "FILM", "--out", "OUT", "--mode", "01", "--until", "seated", "--tactile",
+          "film"], "each of 3 fixels"),
         (["--camera", "/dev/video77", "--out", "OUT"], "no such device"),
         (["--camera", "no.mp4", "--out", "OUT"], "no such file"),
         (["--camera", "FILM", "--out", "OUT", "--tactile", "/dev/nothing"], "/dev/nothing"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_recorded_is_refused(
     capsys: Any, tmp_path: Path, arguments: list[str], complaint: str
 ) -> None:
@@ -232,15 +219,9 @@ def test_the_preview_shows_and_ends_it(
     assert "Recording" in pages[0]
 
 
-def test_the_status_line(capsys: Any) -> None:
-    from fixel.cli.record import _StatusLine
-
-    line = _StatusLine()
-
-    line.show(RecordingStatus(12.34, 370, 2, 30.0, 0b010, 61_000_000_000, ()))
-    line.end()
-    shown = capsys.readouterr().err
-    assert shown == ("\r   12.3 s  370 frames  2 lost  30.0 frames/s  fixels 010  61.0 GB free\n")
+def test_the_status_line() -> None:
+    shown = status_line(RecordingStatus(12.34, 370, 2, 30.0, 0b010, 61_000_000_000, ()))
+    assert shown == "   12.3 s  370 frames  2 lost  30.0 frames/s  fixels 010  61.0 GB free"
 
 
 def test_durations() -> None:

@@ -9,16 +9,6 @@ from typing import Annotated, Any
 
 import typer
 
-from fixel.cli.camera_text import (
-    coefficient_lines,
-    corner_lines,
-    lens_lines,
-    misfit_lines,
-    place_lines,
-    remark_lines,
-    verdict_lines,
-    view_lines,
-)
 from fixel.cli.options import AsJson, argument, option, required, with_options
 from fixel.cli.screen import counting_bar, paragraphs, print_answer, wrote
 from fixel.errors import InvalidInput
@@ -91,14 +81,11 @@ def calibrate(
         )
     with counting_bar() as bar:
         answer = run(pictures, board, out, coefficients=coefficients, fisheye=fisheye, progress=bar)
-    _show(
-        as_json,
-        answer.summary(),
-        [lens_lines(answer), view_lines(answer), coefficient_lines(answer) + corner_lines(answer)],
-        [out],
+    after = (
         f"fixel camera place {_quoted(out)} PICTURE --rig RIG with a picture of the plate and its "
-        f"tags; or --board {board} with the board flat on the plate",
+        f"tags; or --board {board} with the board flat on the plate"
     )
+    _show(as_json, answer, [out], after)
 
 
 @app.command("import")
@@ -129,17 +116,12 @@ def import_(
     units = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
     if unit not in units:
         raise InvalidInput("--unit", found=repr(unit), expected="mm, cm or m")
-    answer = bring_in(file, out, format=format, size=_size(size), which=which, unit=units[unit])
-    placed = answer.camera.camera is not None
-    _show(
-        as_json,
-        answer.summary(),
-        [lens_lines(answer), remark_lines(answer)],
-        [out],
-        f"fixel camera check {_quoted(out)}"
-        if placed
-        else f"fixel camera place {_quoted(out)} PICTURE --board charuco:7x5:30mm:22mm",
+    answer = bring_in(
+        file, out, format=format, size=picture_size(size), which=which, unit=units[unit]
     )
+    placed = answer.camera.camera is not None
+    after = "check {}" if placed else "place {} PICTURE --board charuco:7x5:30mm:22mm"
+    _show(as_json, answer, [out], f"fixel camera {after.format(_quoted(out))}")
 
 
 @app.command("export")
@@ -152,8 +134,7 @@ def export(
     """Write a lens as an OpenCV or ROS file."""
     from fixel.workflows.acquisition.camera.calibrate import export as run
 
-    answer = run(camera, out, format)
-    _show(as_json, answer.summary(), [lens_lines(answer)], [out], "")
+    _show(as_json, run(camera, out, format), [out], "")
 
 
 @app.command("place")
@@ -199,13 +180,8 @@ def place(
         heights=_heights(height_mm),
         plot=plot,
     )
-    _show(
-        as_json,
-        answer.summary(),
-        [place_lines(answer), misfit_lines(answer), verdict_lines(answer), remark_lines(answer)],
-        [target, plot],
-        f"name {target.name} as the camera of a rig file, then fixel camera check RIG --video FILE",
-    )
+    after = "as the camera of a rig file, then fixel camera check RIG --video FILE"
+    _show(as_json, answer, [target, plot], f"name {target.name} {after}")
 
 
 @app.command("check")
@@ -230,27 +206,9 @@ def check(
     from fixel.workflows.acquisition.camera.check import check as run
 
     found = run(camera, video=video, heights=_heights(height_mm), plot=plot)
-    tags = [
-        f"tag {number} on the plate is {1e3 * off:.2f} mm from its nominal position"
-        for number, off in found.tags.items()
-    ]
-    _show(
-        as_json,
-        found.summary(),
-        [
-            lens_lines(found.answer),
-            place_lines(found.answer),
-            [f"round trip from pixels to directions and back: {found.round_trip:.1g} px"],
-            verdict_lines(found.answer),
-            remark_lines(found.answer),
-            tags,
-            [f"PROBLEM: {problem}" for problem in found.problems],
-        ],
-        [plot],
-        f"fixel camera place {_quoted(camera)} PICTURE"
-        if found.problems
-        else f"fixel record --camera 0 --out FOLDER --rig {_quoted(camera)}",
-    )
+    record = f"record --camera 0 --out FOLDER --rig {_quoted(camera)}"
+    after = f"camera place {_quoted(camera)} PICTURE" if found.problems else record
+    _show(as_json, found, [plot], f"fixel {after}")
     if found.problems:
         raise typer.Exit(1)
 
@@ -270,13 +228,7 @@ def board_(
     from fixel.workflows.acquisition.camera.prints import print_board
 
     answer = print_board(board, out, paper)
-    _show(
-        as_json,
-        answer.summary(),
-        [["Print at 100 %, check the length of the ruler, glue the sheet to a flat plate."]],
-        [out],
-        f"fixel camera calibrate PICTURES... --board {answer.what}",
-    )
+    _show(as_json, answer, [out], f"fixel camera calibrate PICTURES... --board {answer.what}")
 
 
 @app.command("tags")
@@ -314,32 +266,16 @@ def tags(
     else:
         first, last = _range(str(ids))
         answer = print_tags(first, last, size_mm / 1e3, family, out, paper)
-    _show(
-        as_json,
-        answer.summary(),
-        [
-            [
-                f"{answer.tags} tags on {answer.sheets} sheet{'s' if answer.sheets > 1 else ''}. "
-                "Print at 100 %, check the ruler, leave the white border around each tag."
-            ]
-        ],
-        [out],
-        f"fixel camera place CAMERA PICTURE --rig {_quoted(rig)}"
-        if rig
-        else "fixel camera place CAMERA PICTURE --rig RIG, with the tags in the rig file",
-    )
+    after = f"--rig {_quoted(rig)}" if rig else "--rig RIG, with the tags in the rig file"
+    _show(as_json, answer, [out], f"fixel camera place CAMERA PICTURE {after}")
 
 
-def _show(
-    as_json: bool,
-    content: dict[str, Any],
-    blocks: Sequence[list[str]],
-    files: Sequence[Path | None],
-    after: str,
-) -> None:
-    """Print one JSON object, or blocks of lines, files and the next command."""
+def _show(as_json: bool, answer: Any, files: Sequence[Path | None], after: str) -> None:
+    """Print one JSON object, or paragraphs, files and the next command."""
     following = [f"Next: {after}"] if after else []
-    print_answer(as_json, lambda: content, lambda: paragraphs(*blocks, wrote(files), following))
+    print_answer(
+        as_json, answer.summary, lambda: paragraphs(*answer.blocks(), wrote(files), following)
+    )
 
 
 def _quoted(path: Path | str) -> str:
@@ -362,13 +298,13 @@ def _pose(text: str) -> tuple[float, float, float]:
     return x / 1e3, y / 1e3, math.radians(angle)
 
 
-def _size(text: str | None) -> tuple[int, int] | None:
+def picture_size(text: str | None) -> tuple[int, int] | None:
     """Parse `1280x720` to width and height [px]."""
     if text is None:
         return None
-    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    found = re.fullmatch(r"([1-9]\d{0,4})[xX×]([1-9]\d{0,4})", text.strip())
     if not found:
-        raise InvalidInput("--size", found=repr(text), expected="width and height [px]: 1280x720")
+        raise InvalidInput("--size", found=repr(text), expected="WIDTHxHEIGHT, such as 1280x720")
     return int(found[1]), int(found[2])
 
 

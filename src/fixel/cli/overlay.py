@@ -2,7 +2,6 @@
 
 import sys
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import islice
 from math import degrees, radians
 from pathlib import Path
@@ -24,56 +23,11 @@ from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.testbed.frame_source import FrameSource
-    from fixel.vision.marks import Rig
     from fixel.workflows.acquisition.overlay import Overlay
-    from fixel.workflows.acquisition.overlay_check import Look, Tolerance
+    from fixel.workflows.acquisition.overlay_check import Look
 
 NOT_IN_PLACE = 4
 WAKING = 5  # pictures that are skipped: a camera that was just switched on sends dark ones
-
-
-@dataclass(frozen=True, kw_only=True)
-class OverlayOptions:
-    """Options of `fixel overlay`."""
-
-    camera: str = option(
-        "0",
-        "Camera (0, /dev/video0, http://...), video file or folder of a recording.",
-        metavar="SOURCE",
-    )
-    experiment: str | None = option(
-        None, "Stored experiment, instead of a scene file.", metavar="KEY"
-    )
-    project: ProjectFolder = Path()
-    tolerance_mm: float | None = option(
-        None, "Largest allowed position error of a part [mm].", show_default="the rig's"
-    )
-    tolerance_deg: float | None = option(
-        None, "Largest allowed angle error of a part [deg].", show_default="the rig's"
-    )
-    port: int | None = option(
-        None,
-        "Port of the page; it is served to this machine only.",
-        min=1,
-        max=65535,
-        show_default="any free one",
-    )
-    once: bool = option(
-        False,
-        "Check once and write a picture; exit code 0 if all parts are in place, 4 if not.",
-        "--once",
-    )
-    output: Path = option(Path("overlay.png"), "Picture to write with --once: .png.")
-
-    def tolerance(self, rig: "Rig") -> "Tolerance":
-        """Return the tolerance; where none is given, that of the rig."""
-        from fixel.workflows.acquisition.overlay_check import Tolerance
-
-        mm, deg = self.tolerance_mm, self.tolerance_deg
-        return Tolerance(
-            distance=rig.position_tolerance if mm is None else 1e-3 * mm,
-            angle=rig.angle_tolerance if deg is None else radians(deg),
-        )
 
 
 @with_options
@@ -93,7 +47,34 @@ def overlay(
         dir_okay=False,
         show_default=False,
     ),
-    options: OverlayOptions,
+    camera: str = option(
+        "0",
+        "Camera (0, /dev/video0, http://...), video file or folder of a recording.",
+        metavar="SOURCE",
+    ),
+    experiment: str | None = option(
+        None, "Stored experiment, instead of a scene file.", metavar="KEY"
+    ),
+    project: ProjectFolder = Path(),
+    tolerance_mm: float | None = option(
+        None, "Largest allowed position error of a part [mm].", show_default="the rig's"
+    ),
+    tolerance_deg: float | None = option(
+        None, "Largest allowed angle error of a part [deg].", show_default="the rig's"
+    ),
+    port: int | None = option(
+        None,
+        "Port of the page; it is served to this machine only.",
+        min=1,
+        max=65535,
+        show_default="any free one",
+    ),
+    once: bool = option(
+        False,
+        "Check once and write a picture; exit code 0 if all parts are in place, 4 if not.",
+        "--once",
+    ),
+    output: Path = option(Path("overlay.png"), "Picture to write with --once: .png."),
     as_json: AsJson = False,
 ) -> None:
     """Show planned poses on the live picture, and their errors."""
@@ -102,21 +83,25 @@ def overlay(
     from fixel.io.atomic import refuse_unwritable
     from fixel.testbed.open_source import source_of
     from fixel.workflows.acquisition.overlay import Overlay, scene_of
+    from fixel.workflows.acquisition.overlay_check import Tolerance
 
-    once, camera, output = options.once, options.camera, options.output
     if once:
         refuse_ending(output, (".png",), "picture")
         refuse_unwritable(output)
     bench = rig_of(rig)
-    placed = scene_of(scene, options.experiment, options.project)
-    looks = Overlay(bench, placed, options.tolerance(bench))
+    placed = scene_of(scene, experiment, project)
+    tolerance = Tolerance(
+        distance=bench.position_tolerance if tolerance_mm is None else 1e-3 * tolerance_mm,
+        angle=bench.angle_tolerance if tolerance_deg is None else radians(tolerance_deg),
+    )
+    looks = Overlay(bench, placed, tolerance)
     size = bench.camera.lens.image_size
     with source_of(camera, size=size, as_fast_as_possible=once) as source:
         if once:
             look = _once(looks, source, output)
         else:
-            heading = f"{options.experiment or (scene.name if scene else '')} on {bench.name}"
-            look = _live(looks, source, heading, options.port, show=not as_json)
+            heading = f"{experiment or (scene.name if scene else '')} on {bench.name}"
+            look = _live(looks, source, heading, port, show=not as_json)
     files = {"picture": str(output)} if once else {}
     setting = ["--camera", camera, "--rig", rig] + (["--scene", str(scene)] if scene else [])
     print_answer(

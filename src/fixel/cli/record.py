@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fixel.cli.camera import picture_size
 from fixel.cli.options import AsJson, option, with_options
 from fixel.cli.screen import command_of, notify, print_answer
 from fixel.errors import InvalidInput
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from fixel.formats.recording import Recording
     from fixel.testbed.frame_source import CameraPicture
     from fixel.testbed.recorder import RecordingStatus, RecordingSummary
+    from fixel.web.record_page import RecordPreview
     from fixel.workflows.acquisition.record import RecordPlan
 
 UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
@@ -108,7 +110,7 @@ class RecordOptions:
             tactile=self.tactile,
             rig=self.rig,
             scene=self.scene,
-            size=None if self.size is None else _size(self.size),
+            size=picture_size(self.size),
             rate=self.rate,
             codec=self.codec,
             until=self.until,
@@ -158,81 +160,56 @@ def duration(text: str) -> float:
     return float(match[1]) * UNITS[match[2]]
 
 
-def _size(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"([1-9][0-9]*)[xX×]([1-9][0-9]*)", text.strip())
-    if match is None:
-        raise InvalidInput("--size", found=repr(text), expected="WIDTHxHEIGHT, such as 1280x720")
-    return int(match[1]), int(match[2])
-
-
 @contextmanager
 def _shown(plan: "RecordPlan", preview: bool, wish: "StopWish") -> Iterator[Any]:
     """Yield a callback that shows a running recording: on the terminal, and in the browser."""
-    line = _StatusLine() if sys.stderr.isatty() else None
-    with _browser(plan, preview, wish) as page:
+    terminal, length = sys.stderr.isatty(), 0
+    with ExitStack() as stack:
+        page: RecordPreview | None = None
+        if preview:
+            from fixel.web.record_page import RecordPreview as Preview
+            from fixel.web.serve import WebServer
+
+            page = Preview(str(plan.folder))
+            notify(f"preview: {stack.enter_context(WebServer([page.page()])).link}")
 
         def watch(arrived: "CameraPicture", status: "RecordingStatus") -> None:
-            if line is not None:
-                line.show(status)
+            nonlocal length
+            if terminal:  # a line that is overwritten again and again
+                text = status_line(status)
+                print("\r" + text.ljust(length), end="", file=sys.stderr, flush=True)
+                length = len(text)
             if page is not None:
-                page(arrived, status)
+                if page.stop_wanted:
+                    wish.reason = wish.reason or "stopped in the browser"
+                page.show(arrived.picture, _page_status(page, plan, status))
 
         try:
             yield watch
         finally:
-            if line is not None:
-                line.end()
+            if length:
+                print(file=sys.stderr, flush=True)
 
 
-@contextmanager
-def _browser(plan: "RecordPlan", preview: bool, wish: "StopWish") -> Iterator[Any]:
-    if not preview:
-        yield None
-        return
-    from fixel.web.record_page import RecordPreview
-    from fixel.web.serve import WebServer
-
-    shown = RecordPreview(str(plan.folder))
-
-    def page(arrived: "CameraPicture", status: "RecordingStatus") -> None:
-        if shown.stop_wanted:
-            wish.reason = wish.reason or "stopped in the browser"
-        shown.show(
-            arrived.picture,
-            shown.status(
-                elapsed_s=status.seconds,
-                frames=status.frames,
-                lost=status.lost,
-                reading=-1 if status.bits is None else status.bits,
-                disk_free_bytes=float(status.free),
-                limit_s=plan.limit,
-                problems=status.problems,
-            ),
-        )
-
-    with WebServer([shown.page()]) as server:
-        notify(f"preview: {server.link}")
-        yield page
+def _page_status(page: "RecordPreview", plan: "RecordPlan", status: "RecordingStatus") -> Any:
+    return page.status(
+        elapsed_s=status.seconds,
+        frames=status.frames,
+        lost=status.lost,
+        reading=-1 if status.bits is None else status.bits,
+        disk_free_bytes=float(status.free),
+        limit_s=plan.limit,
+        problems=status.problems,
+    )
 
 
-class _StatusLine:
-    """Line on standard error that is overwritten again and again."""
-
-    def __init__(self) -> None:
-        self._length = 0
-
-    def show(self, status: "RecordingStatus") -> None:
-        fixels = "" if status.bits is None else f"  fixels {status.bits:03b}"
-        text = (
-            f"{status.seconds:7.1f} s  {status.frames} frames  {status.lost} lost "
-            f" {status.rate:.1f} frames/s{fixels}  {status.free / 1e9:.1f} GB free"
-        )
-        print("\r" + text.ljust(self._length), end="", file=sys.stderr, flush=True)
-        self._length = len(text)
-
-    def end(self) -> None:
-        if self._length:
-            print(file=sys.stderr, flush=True)
+def status_line(status: "RecordingStatus") -> str:
+    """Format the state of a running recording as one line."""
+    fixels = "" if status.bits is None else f"  fixels {status.bits:03b}"
+    return (
+        f"{status.seconds:7.1f} s  {status.frames} frames  {status.lost} lost "
+        f" {status.rate:.1f} frames/s{fixels}  {status.free / 1e9:.1f} GB free"
+    )
 
 
 def _lines(done: "RecordingSummary") -> list[str]:
@@ -274,8 +251,7 @@ def _check_lines(recording: "Recording") -> list[str]:
 class StopWish:
     """Request to stop, with its reason."""
 
-    def __init__(self) -> None:
-        self.reason = ""
+    reason = ""
 
     def __call__(self) -> str:
         """Return the reason to stop; empty while there is none."""

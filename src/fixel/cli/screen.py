@@ -60,9 +60,9 @@ def notify(sentence: str) -> None:
     print(sentence, file=sys.stderr, flush=True)
 
 
-def command_line() -> str:
-    """Return the running command as it can be typed again."""
-    return shlex.join(["fixel", *sys.argv[1:]])
+def command_line(without: str = "") -> str:
+    """Return the running command as it can be typed again, without one of its flags."""
+    return shlex.join(["fixel", *(word for word in sys.argv[1:] if word != without)])
 
 
 def project_words(folder: Path) -> list[str]:

@@ -1,11 +1,10 @@
 """`fixel track FILM`: track a film and store an experiment."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fixel.cli.options import AsJson, ProjectFolder, option, required, with_options
-from fixel.cli.screen import command_of, print_answer, progress_bar, wrote
+from fixel.cli.screen import command_line, command_of, print_answer, progress_bar, wrote
 from fixel.table import Column, Table
 
 if TYPE_CHECKING:
@@ -14,57 +13,37 @@ if TYPE_CHECKING:
 MAX_FLAGS = 8
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrackOptions:
-    """Options of `fixel track`."""
-
+@with_options
+def track(
+    *,
+    source: Path = required("Video file or folder of a recording.", metavar="FILM"),
     rig: str = option(
         "",
         "Rig file or name of an example rig: thesis-tags, thesis-stickers, microscope.",
         metavar="RIG",
         show_default="rig.yaml next to the film",
-    )
+    ),
     scene: Path | None = option(
         None,
         "Scene file of the planned experiment.",
         metavar="FILE",
         show_default="scene.yaml next to the film",
-    )
+    ),
     method: str = option(
         "auto", "Tracking method: auto, tags, stickers or silhouette.", metavar="METHOD"
-    )
-    folder: ProjectFolder = Path()
-    dataset: str = option("bench", "Dataset of the experiment.", metavar="NAME")
-    name: str = option("", "Name of the experiment.", metavar="NAME", show_default="the film's")
+    ),
+    folder: ProjectFolder = Path(),
+    dataset: str = option("bench", "Dataset of the experiment.", metavar="NAME"),
+    name: str = option("", "Name of the experiment.", metavar="NAME", show_default="the film's"),
     register: bool = option(
         False, "Estimate the camera pose again from the tags on the plate.", "--register"
-    )
-    dry_run: bool = option(False, "Track only; store nothing.", "--dry-run")
-    overlay: Path | None = option(None, "Write the film with the measured outlines: .mp4 or .mkv.")
+    ),
+    dry_run: bool = option(False, "Track only; store nothing.", "--dry-run"),
+    overlay: Path | None = option(None, "Write the film with the measured outlines: .mp4 or .mkv."),
     sheet: Path | None = option(
         None, "Write a picture of a few frames with the measured outlines: .png."
-    )
-    plot: Path | None = option(None, "Draw poses, residuals and gaps: .png, .svg or .pdf.")
-
-    def command(self, source: Path) -> str:
-        """Return the command that tracks the film and stores the experiment."""
-        options = {
-            "--rig": self.rig,
-            "--scene": self.scene,
-            "--method": self.method if self.method != "auto" else "",
-            "--project": self.folder if self.folder != Path() else "",
-            "--dataset": self.dataset if self.dataset != "bench" else "",
-            "--name": self.name,
-        }
-        words = [word for key, value in options.items() if value for word in (key, value)]
-        return command_of("track", source, *(["--register"] if self.register else []), *words)
-
-
-@with_options
-def track(
-    *,
-    source: Path = required("Video file or folder of a recording.", metavar="FILM"),
-    options: TrackOptions,
+    ),
+    plot: Path | None = option(None, "Draw poses, residuals and gaps: .png, .svg or .pdf."),
     as_json: AsJson = False,
 ) -> None:
     """Track a film or recording and store it as an experiment."""
@@ -72,22 +51,22 @@ def track(
 
     answer = track_film(
         source,
-        rig=options.rig,
-        scene=options.scene,
-        method=options.method,
-        register=options.register,
-        project=None if options.dry_run else options.folder,
-        dataset=options.dataset,
-        name=options.name,
-        overlay=options.overlay,
-        sheet=options.sheet,
-        plot=options.plot,
+        rig=rig,
+        scene=scene,
+        method=method,
+        register=register,
+        project=None if dry_run else folder,
+        dataset=dataset,
+        name=name,
+        overlay=overlay,
+        sheet=sheet,
+        plot=plot,
         progress=progress_bar("Tracking"),
     )
-    print_answer(as_json, answer.summary, lambda: _lines(answer, source, options))
+    print_answer(as_json, answer.summary, lambda: _lines(answer, folder))
 
 
-def _lines(answer: "TrackAnswer", source: Path, options: TrackOptions) -> list[str]:
+def _lines(answer: "TrackAnswer", folder: Path) -> list[str]:
     experiment, tracked, motion = answer.experiment, answer.tracked, answer.motion
     seconds = tracked.time[-1] - tracked.time[0]
     lines = [
@@ -111,10 +90,10 @@ def _lines(answer: "TrackAnswer", source: Path, options: TrackOptions) -> list[s
     lines += wrote(answer.files.values())
     if answer.number is None:
         lines.append("Nothing was stored; without --dry-run, the experiment is stored.")
-        return [*lines, f"Next: {options.command(source)}"]
+        return [*lines, f"Next: {command_line(without='--dry-run')}"]
     verb = "stored as" if answer.new else "already stored as"
     lines.append(f"{verb} experiment {answer.number}, {experiment.key}")
-    return [*lines, f"Next: {command_of('show', experiment.key, project=options.folder)}"]
+    return [*lines, f"Next: {command_of('show', experiment.key, project=folder)}"]
 
 
 def _parts(answer: "TrackAnswer") -> list[str]:

@@ -167,18 +167,9 @@ def codec_for(choice: str, stream: Stream) -> str:
 
 def summary(done: RecordingSummary) -> dict[str, Any]:
     """Return the summary of a recording as plain values."""
-    return {
-        "folder": str(done.folder),
-        "frames": done.frames,
-        "lost": done.lost,
-        "duration_s": done.seconds,
-        "rate_per_s": done.rate,
-        "bytes": done.bytes,
-        "reason": done.reason,
-        "early": done.early,
-        "without_reading": done.without_reading,
-        "problems": list(done.problems),
-    }
+    known = done._asdict() | {"folder": str(done.folder), "problems": list(done.problems)}
+    known["duration_s"], known["rate_per_s"] = known.pop("seconds"), done.rate
+    return known
 
 
 def check(folder: Path, *, repair: bool = False) -> Recording:

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, final
-
-import numpy as np
 
 from fixel.drawing.chart import PICTURE_ENDINGS, draw_chart, refuse_ending
 from fixel.errors import InvalidInput
@@ -17,88 +13,17 @@ from fixel.formats.camera_opencv import save_opencv, save_ros
 from fixel.formats.rig_file import plate_of
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.io.document import read_document
-from fixel.typing import FloatArray, ProgressCallback
+from fixel.typing import ProgressCallback
 from fixel.vision.boards import Board, board_of
-from fixel.vision.calibrate_lens import LensCalibration, calibrate_lens, find_boards
+from fixel.vision.calibrate_lens import calibrate_lens, find_boards
 from fixel.vision.camera import MeasuredCamera
 from fixel.vision.frame import Picture
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
-from fixel.vision.plane_errors import PlaneErrors, plane_errors
+from fixel.workflows.acquisition.camera.answer import CameraAnswer, PlaceAccuracy, verdict
 from fixel.workflows.acquisition.camera.pictures import files_of, first_picture, pictures_of
 
 RIG_FILE = "rig.yaml"
 CAMERA_ENDINGS = (".yaml", ".yml")
-CORNERS: Final = ("upper left", "upper right", "lower left", "lower right")
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CameraAnswer:
-    """Result of calibrating, importing, exporting or placing a camera.
-
-    Attributes
-    ----------
-    camera : MeasuredCamera
-    file : Path, optional
-        Camera file that was written.
-    calibration : LensCalibration, optional
-    placement : Placement, optional
-    verdicts : tuple of PlaceAccuracy
-        Accuracy at each requested height.
-    remarks : tuple of str
-    plot : Path, optional
-    """
-
-    camera: MeasuredCamera
-    file: Path | None = None
-    calibration: LensCalibration | None = None
-    placement: Placement | None = None
-    verdicts: tuple[PlaceAccuracy, ...] = ()
-    remarks: tuple[str, ...] = ()
-    plot: Path | None = None
-
-    def summary(self) -> dict[str, Any]:
-        """Return plain values, ready for JSON."""
-        lens, found = self.camera.lens, self.calibration
-        answer: dict[str, Any] = {
-            "image_size_px": list(lens.image_size),
-            "focal_px": lens.focal.tolist(),
-            "centre_px": lens.centre.tolist(),
-            "skew": lens.skew,
-            "distortion": lens.distortion.tolist(),
-            "fisheye": lens.fisheye,
-            "standard_deviations": self.camera.deviations,
-            "noise_px": self.camera.noise,
-            "remarks": list(self.remarks),
-            "file": str(self.file) if self.file else None,
-            "plot": str(self.plot) if self.plot else None,
-        }
-        if self.camera.camera is not None:
-            answer["position_m"] = self.camera.camera.position.tolist()
-            answer["metres_per_pixel"] = self.camera.camera.metres_per_pixel()
-            answer["verdicts"] = [each.summary() for each in self.verdicts]
-        if found is not None:
-            answer["rms_px"] = found.rms
-            answer["corners_without_board"] = list(empty_corners(self.camera.seen))
-            answer["used"] = [
-                {"name": u.name, "corners": u.corners, "rms_px": u.rms, "tilt_rad": u.tilt}
-                for u in found.used
-            ]
-            used = {u.name for u in found.used}
-            for key, whole in (("dropped", True), ("used_in_part", False)):
-                answer[key] = [
-                    {"name": d.name, "reason": d.reason}
-                    for d in found.dropped
-                    if (d.name not in used) is whole
-                ]
-            answer["left_out_rms_px"] = {str(n): rms for n, rms in found.unseen.items()}
-        if self.placement is not None:
-            off = np.hypot(*self.placement.misfit.T)
-            answer["place_rms_px"] = self.placement.rms
-            answer["misfit_rms_m"] = float(np.sqrt(np.mean(off**2)))
-            answer["misfit_worst_m"] = float(off.max())
-            answer["points"] = len(off)
-        return answer
 
 
 def calibrate(
@@ -266,11 +191,11 @@ def draw_errors(
     measured: MeasuredCamera, verdicts: Sequence[PlaceAccuracy], plot: Path | None
 ) -> Path | None:
     """Draw the map of errors at the first height, if a file is given."""
-    from fixel.drawing.camera import CameraErrorChart
+    from fixel.drawing.camera import camera_error_chart
 
     if plot is None or not verdicts:
         return None
-    chart = CameraErrorChart(verdicts[0].errors, measured.lens.image_size, measured.seen)
+    chart = camera_error_chart(verdicts[0].errors, measured.lens.image_size, measured.seen)
     with written_whole(plot) as unfinished:
         draw_chart(chart, unfinished)
     return plot
@@ -294,102 +219,3 @@ def check_plot(plot: Path | None) -> None:
     if plot is not None:
         refuse_ending(plot, PICTURE_ENDINGS, "picture")
         refuse_unwritable(plot)
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class PlaceAccuracy:
-    """Expected accuracy of places at one height.
-
-    Attributes
-    ----------
-    errors : PlaneErrors
-    typical, worst : float
-        Radius that contains 95 % of the errors: median over the picture, and maximum [m].
-    worst_at : str
-        Part of the picture with the largest error: `upper left corner`.
-    empty_corners : tuple of str
-        Corners of the picture without a board nearby; all four if this is unknown.
-    seen_known : bool
-        Whether the places of the boards are known.
-    """
-
-    errors: PlaneErrors
-    typical: float
-    worst: float
-    worst_at: str
-    empty_corners: tuple[str, ...]
-    seen_known: bool
-
-    @property
-    def sentence(self) -> str:
-        """Accuracy in one sentence, for the user."""
-        height = f"{1e3 * self.errors.height:g} mm above the plate"
-        if not self.errors.known:
-            return (
-                f"The accuracy of positions {height} is unknown, since the camera file has no "
-                "uncertainty"
-            )
-        parts = [
-            f"Accuracy of positions {height}: {mm(self.typical)} (95 %), at worst "
-            f"{mm(self.worst)} in the {self.worst_at}"
-        ]
-        if self.seen_known:
-            n = len(self.empty_corners)
-            parts.append(
-                "the boards cover all corners of the picture"
-                if not n
-                else f"no board was near {n} of 4 corners of the picture "
-                f"({', '.join(self.empty_corners)})"
-            )
-        return "; ".join(parts)
-
-    def summary(self) -> dict[str, Any]:
-        """Return plain values, ready for JSON."""
-        return {
-            "height_m": self.errors.height,
-            "known": self.errors.known,
-            "typical_95_m": self.typical if self.errors.known else None,
-            "worst_95_m": self.worst if self.errors.known else None,
-            "worst_at": self.worst_at if self.errors.known else None,
-            "corners_without_board": list(self.empty_corners) if self.seen_known else None,
-            "sentence": self.sentence,
-        }
-
-
-def verdict(measured: MeasuredCamera, height: float) -> PlaceAccuracy:
-    """Compute the expected accuracy of places at a height above the plate [m]."""
-    errors = plane_errors(measured, height)
-    worst = np.unravel_index(int(np.argmax(errors.whole)), errors.whole.shape)
-    return PlaceAccuracy(
-        errors=errors,
-        typical=float(np.median(errors.whole)),
-        worst=float(errors.whole.max()),
-        worst_at=_part_of_picture(errors.pixels[worst], measured.lens.image_size),
-        empty_corners=empty_corners(measured.seen),
-        seen_known=bool(measured.seen.size),
-    )
-
-
-def empty_corners(seen: FloatArray) -> tuple[str, ...]:
-    """Return the corners of the picture, a quarter of its sides wide, that no board reached."""
-    if not seen.size:
-        return CORNERS
-    rows, columns = max(1, seen.shape[0] // 4), max(1, seen.shape[1] // 4)
-    upper, lower = seen[:rows], seen[-rows:]
-    parts = (upper[:, :columns], upper[:, -columns:], lower[:, :columns], lower[:, -columns:])
-    return tuple(name for name, part in zip(CORNERS, parts, strict=True) if not part.any())
-
-
-def mm(metres: float) -> str:
-    """Format a length for reading: microns below a tenth of a millimetre."""
-    return f"{1e3 * metres:.2g} mm" if metres >= 1e-4 else f"{1e6 * metres:.2g} um"
-
-
-def _part_of_picture(pixel: FloatArray, size: tuple[int, int]) -> str:
-    u, v = pixel / (np.array(size) - 1.0)
-    down = "upper" if v < 0.25 else "lower" if v > 0.75 else ""
-    across = "left" if u < 0.25 else "right" if u > 0.75 else ""
-    if down and across:
-        return f"{down} {across} corner"
-    return f"{down or across} part of the picture" if down or across else "middle of the picture"

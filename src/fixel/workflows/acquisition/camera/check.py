@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -18,39 +17,23 @@ from fixel.vision.lens import Lens
 from fixel.vision.marks import Rig
 from fixel.vision.tracking.checks import moved_limit
 from fixel.vision.tracking.tag_reader import find_tags, tag_corners
-from fixel.workflows.acquisition.camera.calibrate import (
-    CameraAnswer,
-    check_plot,
-    draw_errors,
-    mm,
-    verdict,
-)
+from fixel.workflows.acquisition.camera.answer import CameraAnswer, mm, verdict
+from fixel.workflows.acquisition.camera.calibrate import check_plot, draw_errors
 from fixel.workflows.acquisition.camera.pictures import first_picture
 
 MOVED: Final = 5e-4  # [m] allowed offset of a plate tag, in addition to the camera's errors
 ROUND_TRIP: Final = 1e-6  # [px]
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class CameraCheck:
-    """Result of checking a camera.
-
-    Attributes
-    ----------
-    answer : CameraAnswer
-    round_trip : float
-        Largest error from pixels to directions and back, over the whole picture [px].
-    tags : dict of int to float
-        Distance of each plate tag from its place [m]; empty if none was searched for.
-    problems : tuple of str
-        Reasons not to use the camera.
-    """
+class CameraCheck(NamedTuple):
+    """Result of checking a camera."""
 
     answer: CameraAnswer
+    # Largest error from pixels to directions and back, over the whole picture [px].
     round_trip: float
+    # Distance of each plate tag from its place [m]; empty if none was searched for.
     tags: dict[int, float]
-    problems: tuple[str, ...]
+    problems: tuple[str, ...]  # reasons not to use the camera
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
@@ -60,6 +43,18 @@ class CameraCheck:
             "plate_tags_off_m": {str(k): v for k, v in self.tags.items()},
             "problems": list(self.problems),
         }
+
+    def blocks(self) -> list[list[str]]:
+        """Return paragraphs of text for people."""
+        return [
+            *self.answer.blocks(),
+            [f"round trip from pixels to directions and back: {self.round_trip:.1g} px"],
+            [
+                f"tag {number} on the plate is {1e3 * off:.2f} mm from its nominal position"
+                for number, off in self.tags.items()
+            ],
+            [f"PROBLEM: {problem}" for problem in self.problems],
+        ]
 
 
 def check(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import Any, NamedTuple
 
 from fixel.drawing.chart import refuse_ending
 from fixel.drawing.prints import (
@@ -24,33 +23,31 @@ from fixel.workflows.acquisition.camera.calibrate import board_text
 MAX_TAGS = 500
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class PrintAnswer:
-    """Result of printing boards or tags into a file.
-
-    Attributes
-    ----------
-    file : Path
-    sheets : int
-    what : str
-    tags : int
-        Number of tags, 0 for a board.
-    """
+class PrintAnswer(NamedTuple):
+    """Result of printing boards or tags into a file."""
 
     file: Path
     sheets: int
     what: str
-    tags: int = 0
+    tags: int = 0  # number of tags, 0 for a board
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
-        return {
-            "file": str(self.file),
-            "sheets": self.sheets,
-            "what": self.what,
-            "tags": self.tags,
-        }
+        return {**self._asdict(), "file": str(self.file)}
+
+    def blocks(self) -> list[list[str]]:
+        """Return paragraphs of text for people."""
+        if not self.tags:
+            return [
+                ["Print at 100 %, check the length of the ruler, glue the sheet to a flat plate."]
+            ]
+        sheets = f"{self.sheets} sheet{'s' if self.sheets > 1 else ''}"
+        return [
+            [
+                f"{self.tags} tags on {sheets}. "
+                "Print at 100 %, check the ruler, leave the white border around each tag."
+            ]
+        ]
 
 
 def print_board(text: str, output: Path, paper: str) -> PrintAnswer:
