@@ -33,21 +33,11 @@ GROUP = "fixel.engines"  # entry points of packages that offer an engine
 
 
 class EngineName(NamedTuple):
-    """Name of an engine as a user writes it, such as ``"mujoco==4.0.0:step=0.001"``.
+    """Name of an engine as a user writes it, such as ``"mujoco==4.0.0:step=0.001"``."""
 
-    Attributes
-    ----------
-    name : str
-        Name of an engine, or path of a program.
-    version : str
-        Version that it must have; empty for any.
-    choices : str
-        Choices of the engine; empty for the usual ones.
-    """
-
-    name: str
-    version: str
-    choices: str
+    name: str  # name of an engine, or path of a program
+    version: str  # version that it must have; empty for any
+    choices: str  # choices of the engine; empty for the usual ones
 
     @classmethod
     def of(cls, text: str) -> EngineName:

@@ -27,21 +27,12 @@ _permitted: dict[str, list[str]] = {}  # commands that calls of this process nam
 
 
 class TrustedEntry(NamedTuple):
-    """Entry of the user's list.
+    """Entry of the user's list."""
 
-    Attributes
-    ----------
-    text : str
-        Program as after `--engine`, or the lines of a site.
-    content : mapping
-        What is trusted: a command with the checksums of its files, or the lines of a site.
-    file : Path
-        File of the entry.
-    """
-
-    text: str
+    text: str  # program as after `--engine`, or the lines of a site
+    # What is trusted: a command with the checksums of its files, or the lines of a site.
     content: dict[str, Any]
-    file: Path
+    file: Path  # file of the entry
 
     @property
     def lines(self) -> list[str]:

@@ -33,21 +33,14 @@ class DeviceClock:
     is stored, as the Network Time Protocol does (Mills 1991). A line through the stored exchanges,
     weighted by the width of their intervals, gives offset and drift. Results are clipped to the
     interval of their own exchange, which bounds the error of a bad line.
-
-    Attributes
-    ----------
-    drift : float
-        Rate of the host's clock over that of the device, less 1 [-]; 0 until known. A Mega's
-        ceramic resonator may be off by 0.005.
-    room : float
-        Half the narrowest interval of the stored exchanges [s]: largest error of the offset.
-    restarts : int
-        Number of times that the device restarted its count.
     """
 
+    # Rate of the host's clock over that of the device, less 1 [-]; 0 until known. A Mega's ceramic
+    # resonator may be off by 0.005.
     drift: float = 0.0
+    # Half the narrowest interval of the stored exchanges [s]: largest error of the offset.
     room: float = math.inf
-    restarts: int = 0
+    restarts: int = 0  # number of times that the device restarted its count
     _kept: list[_Exchange] = field(default_factory=list)
     _bin: int = -1
     _last_ticks: int | None = None

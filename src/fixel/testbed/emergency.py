@@ -30,20 +30,11 @@ END_TIME: Final = 5.0  # [s] in which the guard must end
 
 
 class Running(NamedTuple):
-    """Program that drives an actuator.
-
-    Attributes
-    ----------
-    port : str
-    pid : int
-        Process id of the program.
-    guard : int
-        Process id of its guard; 0 without a guard.
-    """
+    """Program that drives an actuator."""
 
     port: str
-    pid: int
-    guard: int
+    pid: int  # process id of the program
+    guard: int  # process id of its guard; 0 without a guard
 
 
 @final

@@ -14,49 +14,24 @@ STALLED: Final = 3.0  # [s] without data after which a camera counts as unplugge
 
 
 class Stream(NamedTuple):
-    """Properties of an open source.
+    """Properties of an open source."""
 
-    Attributes
-    ----------
-    size : (int, int)
-        Width and height [px].
-    rate : float
-        Nominal frame rate [frames/s], 0 where unknown.
-    jpeg : bool
-        Whether pictures are JPEG data.
-    live : bool
-        Whether the source does not wait for its reader; one that waits loses no picture.
-    simulated_by : str
-        Program that rendered the pictures; empty for a camera.
-    """
-
-    size: tuple[int, int]
-    rate: float
-    jpeg: bool
-    live: bool
-    simulated_by: str = ""
+    size: tuple[int, int]  # width and height [px]
+    rate: float  # nominal frame rate [frames/s], 0 where unknown
+    jpeg: bool  # whether pictures are JPEG data
+    live: bool  # whether the source does not wait for its reader; one that waits loses no picture
+    simulated_by: str = ""  # program that rendered the pictures; empty for a camera
 
 
 @final
 @dataclass(slots=True)
 class CameraPicture:
-    """Picture as it arrived.
+    """Picture as it arrived."""
 
-    Parameters
-    ----------
-    time : float
-        Time of arrival, on `time.monotonic` [s].
-    jpeg : bytes, optional
-        JPEG data as they arrived.
-    pixels : (height, width, 3) uint8, optional
-        Pixels, in the order blue, green, red, where it arrived as such.
-    captured : float, optional
-        Time of capture on the same clock [s], where the camera reports it.
-    """
-
-    time: float
-    jpeg: bytes | None = None
-    pixels: Picture | None = None
+    time: float  # time of arrival, on `time.monotonic` [s]
+    jpeg: bytes | None = None  # JPEG data as they arrived
+    pixels: Picture | None = None  # pixels, in the order blue, green, red, where it arrived as such
+    # Time of capture on the same clock [s], where the camera reports it.
     captured: float | None = None
 
     @property

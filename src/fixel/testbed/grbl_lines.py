@@ -6,8 +6,7 @@ import contextlib
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 from fixel.errors import InvalidInput
 
@@ -49,21 +48,12 @@ _FIELD = re.compile(r"(MPos|WPos|WCO):([-\d.,]+)")
 
 
 class GrblStatus(NamedTuple):
-    """Status report of a controller.
+    """Status report of a controller."""
 
-    Attributes
-    ----------
-    state : str
-        `Idle`, `Run`, `Hold`, `Alarm`, ...
-    part : int, optional
-        `Hold:0` has come to rest, `Hold:1` not yet; missing in version 0.9.
-    machine, work, offset : tuple of float, optional
-        Coordinates as reported, one for each axis of the controller; which are present depends on
-        its settings.
-    """
-
-    state: str
-    part: int | None
+    state: str  # `Idle`, `Run`, `Hold`, `Alarm`, ...
+    part: int | None  # `Hold:0` has come to rest, `Hold:1` not yet; missing in version 0.9
+    # Coordinates as reported, one for each axis of the controller; which are present depends on its
+    # settings.
     machine: tuple[float, ...] | None
     work: tuple[float, ...] | None
     offset: tuple[float, ...] | None
@@ -100,39 +90,17 @@ def number_after(line: str, word: str) -> int | None:
     return int(digits) if digits.isdigit() else 0
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AxisSettings:
-    """Settings of one axis of the controller, in millimetres and seconds.
+class AxisSettings(NamedTuple):
+    """Settings of one axis of the controller, in millimetres and seconds."""
 
-    Attributes
-    ----------
-    fastest : float
-        Largest speed [mm/s].
-    acceleration : float
-        Acceleration [mm/s^2].
-    travel : float
-        Length of the travel [mm].
-    homing : bool
-        Whether it has end switches and must be homed.
-    soft_limits : bool
-        Whether it refuses to leave its travel.
-    inches : bool
-        Whether it reports inches.
-    zero : float
-        Machine coordinate of position 0 [mm].
-    direction : int
-        Sign of the machine coordinate as the drive extends.
-    """
-
-    fastest: float
-    acceleration: float
-    travel: float
-    homing: bool
-    soft_limits: bool
-    inches: bool
-    zero: float
-    direction: int
+    fastest: float  # largest speed [mm/s]
+    acceleration: float  # acceleration [mm/s^2]
+    travel: float  # length of the travel [mm]
+    homing: bool  # whether it has end switches and must be homed
+    soft_limits: bool  # whether it refuses to leave its travel
+    inches: bool  # whether it reports inches
+    zero: float  # machine coordinate of position 0 [mm]
+    direction: int  # sign of the machine coordinate as the drive extends
 
     def coordinate(self, position: float) -> float:
         """Convert a position [m] to a machine coordinate [mm]."""

@@ -44,28 +44,14 @@ class TouchReader(Protocol):
 
 
 class RecordingStatus(NamedTuple):
-    """Status of a recording under way.
+    """Status of a recording under way."""
 
-    Attributes
-    ----------
-    seconds : float
-        Time since the first frame [s].
-    frames, lost : int
-    rate : float
-        Frame rate over about the last second [frames/s].
-    bits : int or None
-        Bits of the newest reading.
-    free : int
-        Free space on the disk [bytes].
-    problems : tuple of str
-    """
-
-    seconds: float
+    seconds: float  # time since the first frame [s]
     frames: int
     lost: int
-    rate: float
-    bits: int | None
-    free: int
+    rate: float  # frame rate over about the last second [frames/s]
+    bits: int | None  # bits of the newest reading
+    free: int  # free space on the disk [bytes]
     problems: tuple[str, ...]
 
 
@@ -121,37 +107,18 @@ class FrameRate:
         )
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordingSummary:
-    """Result of a recording.
-
-    Attributes
-    ----------
-    folder : Path
-    frames, lost : int
-        Frames written, and frames lost because the recorder was too slow.
-    seconds : float
-        Duration from the first frame to the last [s].
-    bytes : int
-        Size of the video.
-    reason : str
-        Why the recording ended.
-    early : bool
-        Whether it ended otherwise than by key, limit, seated part or the end of a file.
-    without_reading : int
-        Number of frames for which the fixels gave no answer; 0 without fixels.
-    problems : tuple of str
-    """
+class RecordingSummary(NamedTuple):
+    """Result of a recording."""
 
     folder: Path
-    frames: int
-    lost: int
-    seconds: float
-    bytes: int
-    reason: str
-    without_reading: int
+    frames: int  # frames written
+    lost: int  # frames lost because the recorder was too slow
+    seconds: float  # duration from the first frame to the last [s]
+    bytes: int  # size of the video
+    reason: str  # why the recording ended
+    without_reading: int  # number of frames for which the fixels gave no answer; 0 without fixels
     problems: tuple[str, ...]
+    # Whether it ended otherwise than by key, limit, seated part or the end of a file.
     early: bool = False
 
     @property
@@ -163,48 +130,24 @@ class RecordingSummary:
 @final
 @dataclass(slots=True, kw_only=True)
 class Recorder:
-    """Recorder of one experiment.
+    """Recorder of one experiment."""
 
-    Parameters
-    ----------
-    source : FrameSource
-        Source, opened just before: what its camera sends meanwhile is stamped too late.
-    stream : Stream
-        Properties of the source.
-    folder : Path
-        Folder to create.
-    codec : str
-        `as-it-comes`, `near` or `exact`.
-    tactile : TouchReader, optional
-        Reader of the fixels, called once per frame.
-    rig : str
-        Name of the rig.
-    limit : float, optional
-        Longest duration of the recording [s].
-    seating : Seating, optional
-        Detector that ends the recording once the part is seated.
-    stop : callable, optional
-        Called repeatedly; returns a reason to end the recording, or an empty string.
-    watch : callable, optional
-        Called with picture and status, at most ten times a second; must be fast.
-    prepare : callable, optional
-        Called with the folder once it exists, to add files to it.
-    patience : float
-        Longest time without a picture [s].
-    """
-
+    # Source, opened just before: what its camera sends meanwhile is stamped too late.
     source: FrameSource
-    stream: Stream
-    folder: Path
-    codec: str
-    tactile: TouchReader | None = None
-    rig: str = ""
-    limit: float | None = None
-    seating: Seating | None = None
+    stream: Stream  # properties of the source
+    folder: Path  # folder to create
+    codec: str  # `as-it-comes`, `near` or `exact`
+    tactile: TouchReader | None = None  # reader of the fixels, called once per frame
+    rig: str = ""  # name of the rig
+    limit: float | None = None  # longest duration of the recording [s]
+    seating: Seating | None = None  # detector that ends the recording once the part is seated
+    # Called repeatedly; returns a reason to end the recording, or an empty string.
     stop: Stop | None = None
+    # Called with picture and status, at most ten times a second; must be fast.
     watch: Watch | None = None
+    # Called with the folder once it exists, to add files to it.
     prepare: Callable[[Path], None] | None = None
-    patience: float = STALLED + 1.0
+    patience: float = STALLED + 1.0  # longest time without a picture [s]
     _problems: Counter[str] = field(default_factory=Counter, init=False)
     _without: int = field(default=0, init=False)
     _bits: int | None = field(default=None, init=False)

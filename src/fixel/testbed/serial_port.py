@@ -27,21 +27,11 @@ FIRST_WORDS: Final = 60  # [bytes] of a port's answer that a message quotes
 
 
 class PortSeen(NamedTuple):
-    """Serial port of this computer.
+    """Serial port of this computer."""
 
-    Attributes
-    ----------
-    port : str
-        Name to open: `/dev/ttyACM0`, `COM4`.
-    description : str
-        Description by the system or the device.
-    in_use_by : str
-        Programs that have it open, as far as the system shows; empty for none.
-    """
-
-    port: str
-    description: str
-    in_use_by: str
+    port: str  # name to open: `/dev/ttyACM0`, `COM4`
+    description: str  # description by the system or the device
+    in_use_by: str  # programs that have it open, as far as the system shows; empty for none
 
 
 def found_ports() -> list[PortSeen]:

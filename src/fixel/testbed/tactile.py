@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from statistics import median
-from typing import TYPE_CHECKING, Any, Final, Self, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self, final
 
 from fixel.errors import InvalidInput
 from fixel.model.fields import positive
@@ -326,62 +326,31 @@ def _checked(thresholds: Sequence[object]) -> tuple[int, int, int]:
     return found[0], found[1], found[2]
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TactileReading:
-    """One reading of the fixels.
+class TactileReading(NamedTuple):
+    """One reading of the fixels."""
 
-    Attributes
-    ----------
-    bits : int, optional
-        Bit 0 blue, bit 1 red, bit 2 green, set where touched; None without an answer.
-    time : float
-        Time of the reading, on `time.monotonic` [s].
-    device_time : float, optional
-        The same on the board's clock [s]; None for protocol 1.
-    values : (int, int, int), optional
-        Converter values of bits 0, 1, 2 [-], 1023 at 5 V; None for protocol 1.
-    problem : str
-        Why there are no bits, or why they are doubtful; empty otherwise.
-    """
-
+    # Bit 0 blue, bit 1 red, bit 2 green, set where touched; None without an answer.
     bits: int | None
-    time: float
-    device_time: float | None = None
+    time: float  # time of the reading, on `time.monotonic` [s]
+    device_time: float | None = None  # the same on the board's clock [s]; None for protocol 1
+    # Converter values of bits 0, 1, 2 [-], 1023 at 5 V; None for protocol 1.
     values: tuple[int, int, int] | None = None
-    problem: str = ""
+    problem: str = ""  # why there are no bits, or why they are doubtful; empty otherwise
 
 
 @final
 @dataclass(slots=True, kw_only=True)
 class Statistics:
-    """Statistics of the communication with the board.
+    """Statistics of the communication with the board."""
 
-    Attributes
-    ----------
-    asked, answered : int
-        Number of requests, and of those answered in time and undamaged.
-    missing : int
-        Number of requests without an answer until the deadline.
-    late : int
-        Number of answers after their deadline.
-    garbled : int
-        Number of requests with an unreadable answer.
-    stray_bytes : int
-        Number of bytes that belonged to no answer.
-    restarts : int
-        Number of restarts of the board.
-    round_trips : deque of float
-        Last round-trip times [s].
-    """
-
-    asked: int = 0
-    answered: int = 0
-    missing: int = 0
-    late: int = 0
-    garbled: int = 0
-    stray_bytes: int = 0
-    restarts: int = 0
+    asked: int = 0  # number of requests
+    answered: int = 0  # number of requests answered in time and undamaged
+    missing: int = 0  # number of requests without an answer until the deadline
+    late: int = 0  # number of answers after their deadline
+    garbled: int = 0  # number of requests with an unreadable answer
+    stray_bytes: int = 0  # number of bytes that belonged to no answer
+    restarts: int = 0  # number of restarts of the board
+    # Last round-trip times [s].
     round_trips: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
 
     def summary(self) -> dict[str, Any]:

@@ -69,23 +69,13 @@ class FramedReading(NamedTuple):
 
 
 class Identity(NamedTuple):
-    """Content of an answer to `IDENTIFY` or `SET_THRESHOLDS`.
-
-    Attributes
-    ----------
-    protocol : int
-    sensors : int
-    thresholds : (int, int, int)
-        Thresholds of the bits 0, 1, 2, in steps of the converter [-], 1023 at 5 V.
-    uptime : float
-        Time since the board started [s].
-    name : str
-    """
+    """Content of an answer to `IDENTIFY` or `SET_THRESHOLDS`."""
 
     protocol: int
     sensors: int
+    # Thresholds of the bits 0, 1, 2, in steps of the converter [-], 1023 at 5 V.
     thresholds: tuple[int, int, int]
-    uptime: float
+    uptime: float  # time since the board started [s]
     name: str
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -28,20 +28,11 @@ SHAPE: Final = (
 )
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Corners:
-    """Corners of a board in a picture.
+class Corners(NamedTuple):
+    """Corners of a board in a picture."""
 
-    Attributes
-    ----------
-    places : (n, 2) float64
-        Coordinates in the board's frame [m].
-    pixels : (n, 2) float64
-    """
-
-    places: FloatArray
-    pixels: FloatArray
+    places: FloatArray  # (n, 2) coordinates in the board's frame [m]
+    pixels: FloatArray  # (n, 2)
 
 
 @final

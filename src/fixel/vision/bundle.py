@@ -7,8 +7,7 @@ camera is singular.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,56 +22,28 @@ CALM: Final = 1e-8  # [px] decrease of the root mean square at which the fit has
 NUDGE: Final = {"px": 1e-3, "coefficient": 1e-6, "rad": 1e-6, "m": 1e-7}
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class BundleFit:
-    """Result of a fit.
-
-    Attributes
-    ----------
-    lens : Lens
-    rotations : (n_view, 3, 3) float64
-    translations : (n_view, 3) float64
-        Translation of each view's points in the camera's axes [m].
-    residuals : (n, 2) float64
-        Found minus fitted pixels [px].
-    covariance : (n_name, n_name) float64
-        Covariance of the lens's parameters, with the places unknown.
-    place_covariance : (n_view, 6, 6) float64
-        Covariance of each view's place given the lens: rx, ry, rz [rad], tx, ty, tz [m].
-    place_slope : (n_view, 6, n_name) float64
-        Derivative of each place with respect to the lens.
-    noise : float
-        Standard deviation of a pixel along each axis [px].
-    """
+class BundleFit(NamedTuple):
+    """Result of a fit."""
 
     lens: Lens
-    rotations: FloatArray
+    rotations: FloatArray  # (n_view, 3, 3)
+    # (n_view, 3) Translation of each view's points in the camera's axes [m].
     translations: FloatArray
-    residuals: FloatArray
+    residuals: FloatArray  # (n, 2) found minus fitted pixels [px]
+    # (n_name, n_name) Covariance of the lens's parameters, with the places unknown.
     covariance: FloatArray
+    # (n_view, 6, 6) Covariance of each place given the lens: rx, ry, rz [rad], tx, ty, tz [m].
     place_covariance: FloatArray
-    place_slope: FloatArray
-    noise: float
+    place_slope: FloatArray  # (n_view, 6, n_name) derivative of each place with respect to the lens
+    noise: float  # standard deviation of a pixel along each axis [px]
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class PointObservations:
-    """Points and their pixels, all views in one array.
+class PointObservations(NamedTuple):
+    """Points and their pixels, all views in one array."""
 
-    Attributes
-    ----------
-    points : (n, 3) float64
-        Points in the frame of their view [m].
-    pixels : (n, 2) float64
-    view : (n,) intp
-        Index of the view of each point.
-    """
-
-    points: FloatArray
-    pixels: FloatArray
-    view: NDArray[np.intp]
+    points: FloatArray  # (n, 3) points in the frame of their view [m]
+    pixels: FloatArray  # (n, 2)
+    view: NDArray[np.intp]  # (n,) index of the view of each point
 
     def only(self, which: NDArray[np.bool_]) -> PointObservations:
         """Return the observations that a mask selects."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,80 +34,42 @@ MIN_TO_HOLD_OUT: Final = 8  # pictures
 CELLS: Final = 16  # across the picture, of the map of corners seen
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class BoardView:
-    """Picture in which a board was found.
-
-    Attributes
-    ----------
-    name : str
-    size : (int, int)
-        Width and height [px].
-    corners : Corners
-    """
+class BoardView(NamedTuple):
+    """Picture in which a board was found."""
 
     name: str
-    size: tuple[int, int]
+    size: tuple[int, int]  # width and height [px]
     corners: Corners
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class SkippedPicture:
+class SkippedPicture(NamedTuple):
     """Picture, or corners of one, left out of a calibration, with the reason."""
 
     name: str
     reason: str
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class UsedView:
-    """Picture used in a calibration.
-
-    Attributes
-    ----------
-    name : str
-    corners : int
-    rms : float
-        Root mean square of its residuals along each axis [px].
-    tilt : float
-        Tilt of its board against the sensor [rad].
-    residuals : (corners, 2) float64
-        Found minus fitted pixels [px].
-    """
+class UsedView(NamedTuple):
+    """Picture used in a calibration."""
 
     name: str
     corners: int
-    rms: float
-    tilt: float
-    residuals: FloatArray
+    rms: float  # root mean square of its residuals along each axis [px]
+    tilt: float  # tilt of its board against the sensor [rad]
+    residuals: FloatArray  # (corners, 2) found minus fitted pixels [px]
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class LensCalibration:
-    """Result of a lens calibration.
+    """Result of a lens calibration."""
 
-    Attributes
-    ----------
-    camera : MeasuredCamera
-        Lens with covariance, without a place.
-    used : tuple of UsedView
-    dropped : tuple of SkippedPicture
-    rms : float
-        Root mean square of all residuals along each axis [px].
-    unseen : dict of int to float
-        Root mean square of residuals in held-out pictures [px], by number of distortion
-        coefficients; empty with fewer than `MIN_TO_HOLD_OUT` pictures, and where the number was
-        given.
-    """
-
-    camera: MeasuredCamera
+    camera: MeasuredCamera  # lens with covariance, without a place
     used: tuple[UsedView, ...]
     dropped: tuple[SkippedPicture, ...]
-    rms: float
+    rms: float  # root mean square of all residuals along each axis [px]
+    # Root mean square of residuals in held-out pictures [px], by number of distortion coefficients;
+    # empty with fewer than `MIN_TO_HOLD_OUT` pictures, and where the number was given.
     unseen: Mapping[int, float] = field(default_factory=dict)
 
 

@@ -27,24 +27,13 @@ NOW_AND_THEN: Final = 15
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FramePoses:
-    """Poses and places in one frame.
-
-    Attributes
-    ----------
-    parts : dict of str to PartObservation
-        PartObservation of every part in question.
-    fixels : dict of str to (2,) float64
-        Places of the fixels whose tops were found [m].
-    problems : tuple of str
-        Why the poses cannot be trusted.
-    remarks : tuple of str
-        Further remarks.
-    """
+    """Poses and places in one frame."""
 
     parts: dict[str, PartObservation] = field(default_factory=dict)
+    # Places of the fixels whose tops were found [m].
     fixels: dict[str, FloatArray] = field(default_factory=dict)
-    problems: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()  # why the poses cannot be trusted
+    remarks: tuple[str, ...] = ()  # further remarks
 
 
 @final

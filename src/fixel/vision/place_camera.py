@@ -6,8 +6,8 @@ All points are fitted together, so that one view of the plate gives one place, n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Final, final
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,26 +30,13 @@ WRONG: Final = 3e-3  # [m] largest misfit of a point
 WORST_PIXELS: Final = 3.0  # [px] largest root mean square; above it, board or lens is another
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Placement:
-    """Camera with its measured place.
-
-    Attributes
-    ----------
-    camera : MeasuredCamera
-    names : tuple of str
-        Names of the points, for messages.
-    misfit : (n, 2) float64
-        Seen minus true place of each point, on the plane at its height [m].
-    rms : float
-        Root mean square of the pixel residuals along each axis [px].
-    """
+class Placement(NamedTuple):
+    """Camera with its measured place."""
 
     camera: MeasuredCamera
-    names: tuple[str, ...]
-    misfit: FloatArray
-    rms: float
+    names: tuple[str, ...]  # names of the points, for messages
+    misfit: FloatArray  # (n, 2) seen minus true place of each point, on the plane at its height [m]
+    rms: float  # root mean square of the pixel residuals along each axis [px]
 
 
 def place_by_board(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
-from typing import Final, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -20,34 +20,18 @@ NUDGES: Final = {name: 1e-2 for name in FOCAL[:4]} | dict.fromkeys(PLACE[:3], 1e
 SMALL_NUDGE: Final = 1e-6  # of coefficients, and of translations [m]
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class PlaneErrors:
-    """Radii that contain 95 % of the errors of places on the plane.
+class PlaneErrors(NamedTuple):
+    """Radii that contain 95 % of the errors of places on the plane."""
 
-    Attributes
-    ----------
-    height : float
-        Height above the plate [m].
-    pixels : (n_row, n_column, 2) float64
-        Grid over the picture [px].
-    places : (n_row, n_column, 2) float64
-        Places on the plane that these pixels show [m].
-    camera : (n_row, n_column) float64
-        Radius due to the camera's errors, the same in every picture [m]; 0, never NaN, where they
-        are unknown, see `known`.
-    whole : (n_row, n_column) float64
-        Radius due to these errors and the noise of one corner [m].
-    known : bool
-        Whether the camera's errors are known.
-    """
-
-    height: float
-    pixels: FloatArray
-    places: FloatArray
+    height: float  # height above the plate [m]
+    pixels: FloatArray  # (n_row, n_column, 2) grid over the picture [px]
+    places: FloatArray  # (n_row, n_column, 2) places on the plane that these pixels show [m]
+    # (n_row, n_column) Radius due to the camera's errors, the same in every picture [m]; 0, never
+    # NaN, where they are unknown, see `known`.
     camera: FloatArray
+    # (n_row, n_column) Radius due to these errors and the noise of one corner [m].
     whole: FloatArray
-    known: bool
+    known: bool  # whether the camera's errors are known
 
 
 def plane_errors(

@@ -60,21 +60,11 @@ FIRMWARE: Final = {
 
 
 class GrblEvent(NamedTuple):
-    """Event of the emulated controller.
+    """Event of the emulated controller."""
 
-    Attributes
-    ----------
-    what : str
-        Name of the event: `hold`, `reset`, `rest` (the drive came to rest), `alarm 3`, ...
-    time : float
-        Time of the event, by `time.monotonic` [s].
-    speed : float
-        Speed of the drive at that time [mm/s].
-    """
-
-    what: str
-    time: float
-    speed: float
+    what: str  # name of the event: `hold`, `reset`, `rest` (the drive came to rest), `alarm 3`, ...
+    time: float  # time of the event, by `time.monotonic` [s]
+    speed: float  # speed of the drive at that time [mm/s]
 
 
 @final

@@ -279,48 +279,23 @@ def window_of(points: FloatArray, size: tuple[int, int]) -> PictureWindow:
     return PictureWindow(left, top, right - left, bottom - top)
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Texture:
-    """Texture that multiplies a colour.
+class Texture(NamedTuple):
+    """Texture that multiplies a colour."""
 
-    Attributes
-    ----------
-    values : (2^k, 2^k) float32
-        Values of the texture, which repeats without a seam.
-    from_pixel : (2, 3) float64
-        Map from (u, v, 1) to column and row of the texture.
-    """
-
-    values: FloatPicture
-    from_pixel: FloatArray
+    values: FloatPicture  # values of the texture, which repeats without a seam
+    from_pixel: FloatArray  # (2, 3) map from (u, v, 1) to column and row of the texture
 
 
 PLAIN = Texture(np.ones((1, 1), np.float32), np.zeros((2, 3)))
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class FilledPolygons:
-    """Polygons of one colour, ready to be painted.
+class FilledPolygons(NamedTuple):
+    """Polygons of one colour, ready to be painted."""
 
-    Attributes
-    ----------
-    points : (n, 2) float64
-        Corners of all polygons [px].
-    starts : (k + 1,) int64
-        Index of the first corner of each polygon, and n.
-    colour : (3,) float64
-        Blue, green, red, from 0 to 255.
-    grain : Texture
-    window : PictureWindow
-        Window of the whole picture that the polygons can touch.
-    """
-
-    points: FloatArray
-    starts: NDArray[np.int64]
-    colour: FloatArray
-    window: PictureWindow
+    points: FloatArray  # (n, 2) corners of all polygons [px]
+    starts: NDArray[np.int64]  # (k + 1,) index of the first corner of each polygon, and n
+    colour: FloatArray  # (3,) blue, green, red, from 0 to 255
+    window: PictureWindow  # window of the whole picture that the polygons can touch
     grain: Texture = PLAIN
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import ceil, pi
-from typing import Final, final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,21 +30,11 @@ OVERLAP: Final = 1.2  # [px] of neighbouring faces, so that no ground is visible
 TO_LIGHT: Final = np.array([-0.75, 0.66])
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Outline:
-    """Closed line, fine enough to be projected corner by corner.
+class Outline(NamedTuple):
+    """Closed line, fine enough to be projected corner by corner."""
 
-    Attributes
-    ----------
-    points : (n, 2) float64
-        Corners, counter-clockwise, in the frame of the solid [m].
-    facet : (k + 1,) int64
-        Index of the first corner of each face, and n.
-    """
-
-    points: FloatArray
-    facet: NDArray[np.int64]
+    points: FloatArray  # (n, 2) corners, counter-clockwise, in the frame of the solid [m]
+    facet: NDArray[np.int64]  # (k + 1,) index of the first corner of each face, and n
 
     def shrunk(self, by: float) -> Outline:
         """Shrink the outline towards its middle by about `by` [m]."""
@@ -84,71 +73,35 @@ def circle(radius: float, pixel: float, middle: ArrayLike = (0.0, 0.0)) -> Outli
     return Outline(points, np.arange(0, n + 1, per_facet))
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Slab:
-    """Prism between two heights.
-
-    Attributes
-    ----------
-    outline : Outline
-    low, high : float
-        Heights above the plane [m].
-    side, top : (3,) float64
-        Colours: blue, green, red from 0 to 255.
-    rim : float
-        Width of a bright bevel around the upper face [m].
-    """
+class Slab(NamedTuple):
+    """Prism between two heights."""
 
     outline: Outline
-    low: float
-    high: float
-    side: FloatArray
-    top: FloatArray
-    rim: float = 0.0
+    low: float  # heights above the plane [m]
+    high: float  # heights above the plane [m]
+    side: FloatArray  # (3,) colours: blue, green, red from 0 to 255
+    top: FloatArray  # (3,) colours: blue, green, red from 0 to 255
+    rim: float = 0.0  # width of a bright bevel around the upper face [m]
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Marking:
-    """Polygons of one colour at one height, on top of a solid.
+class Marking(NamedTuple):
+    """Polygons of one colour at one height, on top of a solid."""
 
-    Attributes
-    ----------
-    points : (n, 2) float64
-        Corners of all polygons in the frame of the solid [m].
-    starts : (k + 1,) int64
-    height : float
-        Height above the plane [m].
-    colour : (3,) float64
-    """
-
-    points: FloatArray
-    starts: NDArray[np.int64]
-    height: float
-    colour: FloatArray
+    points: FloatArray  # (n, 2) corners of all polygons in the frame of the solid [m]
+    starts: NDArray[np.int64]  # (k + 1,)
+    height: float  # height above the plane [m]
+    colour: FloatArray  # (3,)
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Solid:
-    """Solid of slabs from the lowest to the highest, with ink on top.
-
-    Attributes
-    ----------
-    name : str
-    slabs : tuple of Slab
-    footprint : tuple of (n, 2) float64
-        Convex pieces that contain all slabs, for shadows and the order of painting [m].
-    markings : tuple of Marking
-    grain : (2^k, 2^k) float32 or None
-        Texture of the upper faces, fixed to the solid, half a millimetre per value.
-    """
+class Solid(NamedTuple):
+    """Solid of slabs from the lowest to the highest, with ink on top."""
 
     name: str
     slabs: tuple[Slab, ...]
+    # Convex pieces that contain all slabs, for shadows and the order of painting [m].
     footprint: tuple[FloatArray, ...]
     markings: tuple[Marking, ...] = ()
+    # Texture of the upper faces, fixed to the solid, half a millimetre per value.
     grain: FloatPicture | None = None
 
     @property
@@ -162,26 +115,14 @@ class Solid:
         return max(slab.high for slab in self.slabs)
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class PlacedSolid:
-    """Solid at a pose, as polygons in the picture.
-
-    Attributes
-    ----------
-    solid : Solid
-    footprint : tuple of (n, 2) float64
-        Convex pieces in the world [m].
-    strokes : tuple of (Stroke, float or None)
-        Strokes in the order of painting; upper faces with the height at which shadows fall [m].
-    window : PictureWindow
-        Window of all strokes.
-    """
+class PlacedSolid(NamedTuple):
+    """Solid at a pose, as polygons in the picture."""
 
     solid: Solid
-    footprint: tuple[FloatArray, ...]
+    footprint: tuple[FloatArray, ...]  # convex pieces in the world [m]
+    # Strokes in the order of painting; upper faces with the height at which shadows fall [m].
     strokes: tuple[tuple[FilledPolygons, float | None], ...]
-    window: PictureWindow
+    window: PictureWindow  # window of all strokes
 
 
 GRAIN_PITCH: Final = 5e-4  # [m] between values of a solid's grain

@@ -15,32 +15,16 @@ MIN_TRAVEL: Final = 8.0  # standard deviations of a position; below it, nothing 
 
 
 class ActuatorMotion(NamedTuple):
-    """Motion of the actuator.
+    """Motion of the actuator."""
 
-    Attributes
-    ----------
-    speed : (n,) float64
-        Smoothed speed along the direction [m/s].
-    cruise : float
-        Median speed while it moved [m/s]; 0 where it did not.
-    direction : (2,) float64
-        Direction of the whole travel [-].
-    travel : float
-        Distance from the first place to the farthest [m].
-    start, end : float
-        First time after the unsteady start, last time before the final braking [s].
-    moved : bool
-    back : (float, float) or None
-        Interval in which it moved back between two pushes [s]; None for a single push.
-    """
-
-    speed: FloatArray
-    cruise: float
-    direction: FloatArray
-    travel: float
-    start: float
-    end: float
+    speed: FloatArray  # (n,) smoothed speed along the direction [m/s]
+    cruise: float  # median speed while it moved [m/s]; 0 where it did not
+    direction: FloatArray  # (2,) direction of the whole travel [-]
+    travel: float  # distance from the first place to the farthest [m]
+    start: float  # first time after the unsteady start [s]
+    end: float  # last time before the final braking [s]
     moved: bool
+    # Interval in which it moved back between two pushes [s]; None for a single push.
     back: tuple[float, float] | None = None
 
 

@@ -35,31 +35,17 @@ USUAL_PIXEL: Final = 0.55e-3  # [m]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartObservation:
-    """Measurement of one part in one frame.
+    """Measurement of one part in one frame."""
 
-    Attributes
-    ----------
-    pose : (3,) float64, or None
-        Pose [m, m, rad]; None where it is unknown, with the cause in `reason`.
-    residual : float
-        Root mean square distance of the markers from their places by the pose [px].
-    scale : float
-        Size of a pixel at the part [m].
-    sd : (3,) float64
-        Standard deviations of the pose from the residual [m, m, rad].
-    marks : int
-        Number of markers, or of edges of an outline, used.
-    share : float
-        Share of the expected edges that was used [-].
-    reason : str
-    """
-
+    # (3,) Pose [m, m, rad]; None where it is unknown, with the cause in `reason`.
     pose: FloatArray | None = None
+    # Root mean square distance of the markers from their places by the pose [px].
     residual: float = 0.0
-    scale: float = 0.0
+    scale: float = 0.0  # size of a pixel at the part [m]
+    # (3,) Standard deviations of the pose from the residual [m, m, rad].
     sd: FloatArray = field(default_factory=lambda: np.zeros(3))
-    marks: int = 0
-    share: float = 0.0
+    marks: int = 0  # number of markers, or of edges of an outline, used
+    share: float = 0.0  # share of the expected edges that was used [-]
     reason: str = ""
 
 

@@ -102,18 +102,10 @@ def _continuous(angle: FloatArray, good: BoolArray) -> FloatArray:
 
 
 class _MotionTimes(NamedTuple):
-    """Times of frames with their uncertainty.
+    """Times of frames with their uncertainty."""
 
-    Attributes
-    ----------
-    time : (n,) float64
-        Times [s].
-    slack : (n,) float64
-        Uncertainty of each time [s].
-    """
-
-    time: FloatArray
-    slack: FloatArray
+    time: FloatArray  # (n,) times [s]
+    slack: FloatArray  # (n,) uncertainty of each time [s]
 
     def only(self, rows: NDArray[np.int64]) -> _MotionTimes:
         """Return the times of some of the frames."""

@@ -273,22 +273,12 @@ def cells_shown(
 
 
 class EdgePoints(NamedTuple):
-    """Edges found at expected places.
+    """Edges found at expected places."""
 
-    Attributes
-    ----------
-    offset : (n,) float64
-        Offset of the edge along its normal [px].
-    dark, bright : (n,) float64
-        Brightness near the edge, on either side.
-    clear : (n,) bool
-        Whether there is an edge, well within reach.
-    """
-
-    offset: FloatArray
-    dark: FloatArray
-    bright: FloatArray
-    clear: BoolArray
+    offset: FloatArray  # (n,) offset of the edge along its normal [px]
+    dark: FloatArray  # (n,) brightness near the edge, on either side
+    bright: FloatArray  # (n,)
+    clear: BoolArray  # (n,) whether there is an edge, well within reach
 
 
 def find_edges(picture: Gray, pixel: FloatArray, normal: FloatArray, reach: float) -> EdgePoints:

@@ -29,19 +29,11 @@ BRIGHT: Final = 0.6  # of the contrast at the sides, least contrast of the end
 
 
 class NeedleShape(NamedTuple):
-    """Direction and width of a needle, nearly the same in all frames.
+    """Direction and width of a needle, nearly the same in all frames."""
 
-    Attributes
-    ----------
-    axis : (2,) float64
-        Direction in the picture, towards the tip [-].
-    half, taper : float
-        Half the width at the tip [px], and its growth with the distance from there [-].
-    """
-
-    axis: FloatArray
-    half: float
-    taper: float
+    axis: FloatArray  # (2,) direction in the picture, towards the tip [-]
+    half: float  # half the width at the tip [px]
+    taper: float  # its growth with the distance from there [-]
 
 
 @final
@@ -51,21 +43,12 @@ class NeedleFollower:
 
     The axis is fitted to both sides of the needle. The tip is the end of dark along it or, where
     the needle meets the part without a gap, the outline of the part.
-
-    Parameters
-    ----------
-    camera : Camera
-    name : str
-    shape : Shape
-        Shape of the pusher, whose foremost point is the tip.
-    height : float
-        Height above the plane [m].
     """
 
     camera: Camera
     name: str
-    shape: Shape
-    height: float
+    shape: Shape  # shape of the pusher, whose foremost point is the tip
+    height: float  # height above the plane [m]
     _needle: NeedleShape | None = None
     _prediction: PartPrediction = field(default_factory=PartPrediction)
 

@@ -59,33 +59,16 @@ class OutlineEdges(Comparable):
 
 
 class PoseFit(NamedTuple):
-    """Fitted pose with its uncertainty.
+    """Fitted pose with its uncertainty."""
 
-    Attributes
-    ----------
-    pose : (3,) float64
-        Fitted pose [m, m, rad].
-    covariance : (3, 3) float64
-        Covariance of the pose, from the scatter of the edges.
-    residual : float
-        Root mean square distance of the edges used [px].
-    share : float
-        Share of the points whose edge was used [-].
-    used : (n,) bool
-        Mask of these points.
-    found : (n, 3) float64
-        Offset and brightness on the dark and the bright side of each, in the last round.
-    spread : float
-        Distance by which dark extends into bright along all edges [px].
-    """
-
-    pose: FloatArray
-    covariance: FloatArray
-    residual: float
-    share: float
-    used: BoolArray
+    pose: FloatArray  # (3,) fitted pose [m, m, rad]
+    covariance: FloatArray  # (3, 3) covariance of the pose, from the scatter of the edges
+    residual: float  # root mean square distance of the edges used [px]
+    share: float  # share of the points whose edge was used [-]
+    used: BoolArray  # (n,) mask of these points
+    # (n, 3) Offset and brightness on the dark and the bright side of each, in the last round.
     found: FloatArray
-    spread: float
+    spread: float  # distance by which dark extends into bright along all edges [px]
 
     @property
     def deviations(self) -> FloatArray:

@@ -18,48 +18,25 @@ from fixel.vision.marks import Rig
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PartTrack(Comparable):
-    """Measured poses of one part, frame by frame.
-
-    Attributes
-    ----------
-    name : str
-    time : (n,) float64
-        Times of all frames [s].
-    pose : (n, 3) float64
-        Poses [m, m, rad], with continuous angles; NaN where it was not seen.
-    seen : (n,) bool
-        Whether there is a pose.
-    good : (n,) bool
-        Whether the pose is seen and no outlier.
-    residual : (n,) float64
-        Root mean square distance of markers from their places by the pose [px]; NaN where not seen.
-    residual_m : (n,) float64
-        The same on the plane [m].
-    sd : (n, 3) float64
-        Standard deviations of the poses from that residual [m, m, rad]; independent from frame to
-        frame.
-    camera_sd : (n, 3) float64, or None
-        Standard deviations due to errors of the camera [m, m, rad], much the same in all frames;
-        None where these are unknown.
-    marks : (n,) int64
-        Number of markers used.
-    share : (n,) float64
-        Share of the expected edges that was used [-].
-    reason : tuple of str
-        Why there is no good pose; empty where there is.
-    """
+    """Measured poses of one part, frame by frame."""
 
     name: str
-    time: FloatArray
-    pose: FloatArray
-    seen: BoolArray
-    good: BoolArray
+    time: FloatArray  # (n,) times of all frames [s]
+    pose: FloatArray  # (n, 3) poses [m, m, rad], with continuous angles; NaN where it was not seen
+    seen: BoolArray  # (n,) whether there is a pose
+    good: BoolArray  # (n,) whether the pose is seen and no outlier
+    # (n,) Root mean square distance of markers from their places by the pose [px]; NaN where not
+    # seen.
     residual: FloatArray
-    residual_m: FloatArray
+    residual_m: FloatArray  # (n,) the same on the plane [m]
+    # (n, 3) Standard deviations of the poses from that residual [m, m, rad]; independent from frame
+    # to frame.
     sd: FloatArray
-    marks: NDArray[np.int64]
-    share: FloatArray
-    reason: tuple[str, ...]
+    marks: NDArray[np.int64]  # (n,) number of markers used
+    share: FloatArray  # (n,) share of the expected edges that was used [-]
+    reason: tuple[str, ...]  # why there is no good pose; empty where there is
+    # (n, 3) Standard deviations due to errors of the camera [m, m, rad], much the same in all
+    # frames; None where these are unknown.
     camera_sd: FloatArray | None = None
 
     @property
@@ -128,28 +105,14 @@ class FoundFixel(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilmTracks(Comparable):
-    """Tracks of all parts in one film.
-
-    Attributes
-    ----------
-    method : str
-    rig : Rig
-        Rig with the place of the camera in the film, see `--register`.
-    time : (n,) float64
-        Times of all frames [s].
-    parts : dict of str to PartTrack
-    fixels : tuple of FoundFixel
-        Fixels that could be measured.
-    remarks : tuple of str
-        Remarks on the quality of the tracks.
-    """
+    """Tracks of all parts in one film."""
 
     method: str
-    rig: Rig
-    time: FloatArray
+    rig: Rig  # rig with the place of the camera in the film, see `--register`
+    time: FloatArray  # (n,) times of all frames [s]
     parts: dict[str, PartTrack]
-    fixels: tuple[FoundFixel, ...] = ()
-    remarks: tuple[str, ...] = field(default=())
+    fixels: tuple[FoundFixel, ...] = ()  # fixels that could be measured
+    remarks: tuple[str, ...] = field(default=())  # remarks on the quality of the tracks
 
 
 def _commonest(reasons: tuple[str, ...], run: NDArray[np.int64]) -> str:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, NamedTuple
 
 from fixel.errors import unknown_name
 from fixel.testbed.motion import SPEED, AbstractActuator
@@ -15,29 +14,14 @@ from fixel.testbed.motion_simulated import SimulatedActuator
 from fixel.typing import Notify
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ActuatorAnswer:
-    """Position and state of the drive after a command.
-
-    Attributes
-    ----------
-    driver : str
-    position : float
-        Position of the drive [m].
-    reach : (float, float)
-        Range of positions [m].
-    state : str
-        State as the controller names it; empty if it names none.
-    seconds : float
-        Duration of the command [s].
-    """
+class ActuatorAnswer(NamedTuple):
+    """Position and state of the drive after a command."""
 
     driver: str
-    position: float
-    reach: tuple[float, float]
-    state: str
-    seconds: float
+    position: float  # position of the drive [m]
+    reach: tuple[float, float]  # range of positions [m]
+    state: str  # state as the controller names it; empty if it names none
+    seconds: float  # duration of the command [s]
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""

@@ -90,33 +90,16 @@ class FilmSettings:
     frames: int | None = None
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FilmResult:
-    """Result of rendering one film.
-
-    Attributes
-    ----------
-    name : str
-    folder : Path
-        Folder of the recording, its rig, scene and truth.
-    frames : int
-    seconds : float
-        Time of the last frame [s].
-    status : str
-        Status of the simulation.
-    video : Path or None
-        Copy of the film as one video file.
-    unmarked : tuple of str
-        Moving bodies and pushers without marks in the rig, which cannot be tracked.
-    """
+class FilmResult(NamedTuple):
+    """Result of rendering one film."""
 
     name: str
-    folder: Path
+    folder: Path  # folder of the recording, its rig, scene and truth
     frames: int
-    seconds: float
-    status: str
-    video: Path | None = None
+    seconds: float  # time of the last frame [s]
+    status: str  # status of the simulation
+    video: Path | None = None  # copy of the film as one video file
+    # Moving bodies and pushers without marks in the rig, which cannot be tracked.
     unmarked: tuple[str, ...] = ()
 
 
@@ -259,30 +242,16 @@ def _write_frames(
 
 
 class Truth(NamedTuple):
-    """Ground truth at every frame of a film.
+    """Ground truth at every frame of a film."""
 
-    Attributes
-    ----------
-    time : (n,) float64
-        [s]
-    pose : dict of str to (n, 3) float64
-        Poses of bodies and pushers in the middle of the exposure [m, m, rad].
-    touches : (n, n_fixel) bool
-        Whether the object touches each fixel of the scene.
-    reading : (n,) int64
-        Tactile byte as reported, with false and missed contacts; -1 without fixels.
-    light : (n, 3) float64
-        Factors of blue, green and red [-].
-    covered : (n,) float64
-        Fraction of the object's upper face under the hand [-].
-    """
-
-    time: FloatArray
+    time: FloatArray  # (n,) [s]
+    # Poses of bodies and pushers in the middle of the exposure [m, m, rad].
     pose: dict[str, FloatArray]
-    touches: BoolArray
+    touches: BoolArray  # (n, n_fixel) whether the object touches each fixel of the scene
+    # (n,) Tactile byte as reported, with false and missed contacts; -1 without fixels.
     reading: NDArray[np.int64]
-    light: FloatArray
-    covered: FloatArray
+    light: FloatArray  # (n, 3) factors of blue, green and red [-]
+    covered: FloatArray  # (n,) fraction of the object's upper face under the hand [-]
 
 
 def tracks_of(subject: FilmScene, lead: float) -> dict[str, Trajectory]:

@@ -31,25 +31,13 @@ FILES: Final = (".yaml", ".yml", ".json")
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilmScene:
-    """Scene to film, with its true motion.
-
-    Attributes
-    ----------
-    name : str
-    planned : SceneFile
-        Scene as the experimenter believes it to be.
-    simulation : Simulation
-        True motion; its scene has the true shapes and frictions.
-    testbed : SimulatedTestbed
-        Testbed whose camera and fixels report the motion.
-    truth : mapping of str to float or str
-        Known true conditions, under names that end with their unit.
-    """
+    """Scene to film, with its true motion."""
 
     name: str
-    planned: SceneFile
-    simulation: Simulation
-    testbed: SimulatedTestbed
+    planned: SceneFile  # scene as the experimenter believes it to be
+    simulation: Simulation  # true motion; its scene has the true shapes and frictions
+    testbed: SimulatedTestbed  # testbed whose camera and fixels report the motion
+    # Known true conditions, under names that end with their unit.
     truth: Mapping[str, Any] = field(default_factory=dict)
 
     @property

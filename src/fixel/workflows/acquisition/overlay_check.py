@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -58,30 +58,14 @@ class Tolerance:
         positive(self.angle, "--tolerance-deg", "deg")
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PartLook:
-    """Wanted and measured pose of one part of the scene.
-
-    Attributes
-    ----------
-    thing : Body or Pusher or Fixel
-    height : float
-        Height of its upper face [m].
-    looked_for : bool
-        Whether the part can be measured.
-    measured : (3,) float64 or None
-        Measured pose [m, m, rad], if the part is seen.
-    reason : str
-        Why the part is not seen.
-    tolerance : Tolerance
-    """
+class PartLook(NamedTuple):
+    """Wanted and measured pose of one part of the scene."""
 
     thing: Body | Pusher | Fixel
-    height: float
-    looked_for: bool
-    measured: FloatArray | None
-    reason: str
+    height: float  # height of its upper face [m]
+    looked_for: bool  # whether the part can be measured
+    measured: FloatArray | None  # (3,) measured pose [m, m, rad], if the part is seen
+    reason: str  # why the part is not seen
     tolerance: Tolerance
 
     @property
@@ -112,28 +96,14 @@ class PartLook:
         return near and abs(float(error[2])) <= self.tolerance.angle
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Look:
-    """Errors of all parts in one picture, with a verdict.
-
-    Attributes
-    ----------
-    rig : Rig
-    tolerance : Tolerance
-    parts : tuple of PartLook
-        Bodies first, then pushers, then fixels.
-    problems : tuple of str
-        Reasons why no measurement is valid.
-    remarks : tuple of str
-        Further remarks for the user.
-    """
+class Look(NamedTuple):
+    """Errors of all parts in one picture, with a verdict."""
 
     rig: Rig
     tolerance: Tolerance
-    parts: tuple[PartLook, ...]
-    problems: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
+    parts: tuple[PartLook, ...]  # bodies first, then pushers, then fixels
+    problems: tuple[str, ...] = ()  # reasons why no measurement is valid
+    remarks: tuple[str, ...] = ()  # further remarks for the user
 
     @property
     def checked(self) -> tuple[PartLook, ...]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple
 
 from fixel.testbed.tactile import DEADLINE, TactileReader, TactileReading
 from fixel.typing import ProgressCallback
@@ -14,37 +13,18 @@ FRAME: Final = 1.0 / 30.0  # [s]
 READINGS: Final = 300
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TactileCheck:
-    """Result of checking a tactile board.
-
-    Attributes
-    ----------
-    port : str
-    protocol : int
-    thresholds : (int, int, int), optional
-        Thresholds of bits 0, 1, 2 [-].
-    statistics : dict
-        As `Statistics.summary` gives them.
-    drift : float
-        Rate of the host's clock over the board's, minus 1 [-]; 0 if the board reports no time.
-    seconds : float
-        Duration of the check [s].
-    deadline : float
-        Longest time allowed for an answer [s].
-    trouble : str
-        Why the board stopped answering; empty if it did not.
-    """
+class TactileCheck(NamedTuple):
+    """Result of checking a tactile board."""
 
     port: str
     protocol: int
-    thresholds: tuple[int, int, int] | None
-    statistics: dict[str, Any]
+    thresholds: tuple[int, int, int] | None  # thresholds of bits 0, 1, 2 [-]
+    statistics: dict[str, Any]  # as `Statistics.summary` gives them
+    # Rate of the host's clock over the board's, minus 1 [-]; 0 if the board reports no time.
     drift: float
-    seconds: float
-    deadline: float
-    trouble: str
+    seconds: float  # duration of the check [s]
+    deadline: float  # longest time allowed for an answer [s]
+    trouble: str  # why the board stopped answering; empty if it did not
 
     @property
     def passed(self) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -41,60 +41,29 @@ WIDTH: Final = 960  # [px] largest width of a frame on a sheet
 @final
 @dataclass(slots=True, kw_only=True)
 class Film:
-    """Video file or recording, with its metadata.
-
-    Attributes
-    ----------
-    path : Path
-    video : Path
-        File with the pictures.
-    frames : callable
-        Returns a new iterator over all frames at every call.
-    n_frames : int or None
-    readings : Readings or None
-    remarks : callable
-        Returns sentences about the file; complete after its frames have been read.
-    simulated_by : str
-    """
+    """Video file or recording, with its metadata."""
 
     path: Path
-    video: Path
-    frames: Callable[[], Iterator[Frame]]
+    video: Path  # file with the pictures
+    frames: Callable[[], Iterator[Frame]]  # returns a new iterator over all frames at every call
     n_frames: int | None
     readings: Readings | None
+    # Returns sentences about the file; complete after its frames have been read.
     remarks: Callable[[], tuple[str, ...]]
     simulated_by: str = ""
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackAnswer:
-    """Result of tracking a film.
-
-    Attributes
-    ----------
-    film : Film
-    rig : Rig
-    tracked : FilmTracks
-    motion : ActuatorMotion or None
-        Motion of the actuator.
-    experiment : Experiment
-    number : int or None
-        Experiment id in the project; None if it was not stored.
-    new : bool
-        Whether the experiment was not yet in the project.
-    files : dict from kind to Path
-        Files written, under `overlay`, `sheet` and `plot`.
-    """
+class TrackAnswer(NamedTuple):
+    """Result of tracking a film."""
 
     film: Film
     rig: Rig
     tracked: FilmTracks
-    motion: ActuatorMotion | None
+    motion: ActuatorMotion | None  # motion of the actuator
     experiment: Experiment
-    number: int | None
-    new: bool
-    files: dict[str, Path]
+    number: int | None  # experiment id in the project; None if it was not stored
+    new: bool  # whether the experiment was not yet in the project
+    files: dict[str, Path]  # files written, under `overlay`, `sheet` and `plot`
 
     def summary(self) -> dict[str, Any]:
         """Return the results as plain values, ready for JSON."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Final, final
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,21 +39,11 @@ RESTLESS: Final = 0.2e-3  # [m] largest scatter of a fixel's places; 0.03 mm are
 MISPLACED: Final = 0.02  # [m] largest distance of a start from its planned place
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Readings:
-    """Tactile bytes of each frame.
+class Readings(NamedTuple):
+    """Tactile bytes of each frame."""
 
-    Attributes
-    ----------
-    time : (n,) float64
-        Times of the readings [s].
-    value : (n,) int64
-        Tactile bytes; -1 for none.
-    """
-
-    time: FloatArray
-    value: NDArray[np.int64]
+    time: FloatArray  # (n,) times of the readings [s]
+    value: NDArray[np.int64]  # (n,) tactile bytes; -1 for none
 
 
 def actuator_motion(tracked: FilmTracks, scene: Scene) -> tuple[str, ActuatorMotion] | None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -35,22 +34,12 @@ ABOUT: Final = (1, 8, 19)
 FROM, PREDICTED = 19, 20
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tour:
-    """Result of the tour.
-
-    Attributes
-    ----------
-    project : Path
-    report : Report
-    truth : Table
-        Estimates with the true values of the laboratory.
-    """
+class Tour(NamedTuple):
+    """Result of the tour."""
 
     project: Path
     report: Report
-    truth: Table
+    truth: Table  # estimates with the true values of the laboratory
 
 
 def run_tour(folder: Path, notify: Notify | None = None) -> Tour:

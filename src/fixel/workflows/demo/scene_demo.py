@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib.resources import as_file, files
 from math import degrees
 from pathlib import Path
-from typing import NamedTuple, final
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,23 +23,12 @@ EXAMPLE = "grasp"
 STICKING = 1e-3
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Demo:
-    """Result of the tour.
-
-    Attributes
-    ----------
-    simulation : Simulation
-    events : list of MotionEvent
-        Events of the motion, in order.
-    files : dict from kind to Path
-        ``scene``, ``plot``, ``animate``, ``trajectory``.
-    """
+class Demo(NamedTuple):
+    """Result of the tour."""
 
     simulation: Simulation
-    events: list[MotionEvent]
-    files: dict[str, Path]
+    events: list[MotionEvent]  # events of the motion, in order
+    files: dict[str, Path]  # ``scene``, ``plot``, ``animate``, ``trajectory``
 
 
 def example_names() -> list[str]:

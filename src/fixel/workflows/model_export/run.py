@@ -6,11 +6,11 @@ import json
 import os
 import platform
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -38,26 +38,13 @@ MODELS: Final[Mapping[str, Callable[[PlainTask, Any], Mapping[str, str]]]] = {
 _SCRIPTS: Final = "fixel.workflows.model_export.scripts"
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ModelExport:
-    """Result of an export of a model.
-
-    Attributes
-    ----------
-    folder : Path
-    to : str
-        Engine with its version, or ``urdf``.
-    files : tuple of str
-        Names of the files.
-    card : mapping
-        Contents of ``card.json``.
-    """
+class ModelExport(NamedTuple):
+    """Result of an export of a model."""
 
     folder: Path
-    to: str
-    files: tuple[str, ...]
-    card: Mapping[str, Any]
+    to: str  # engine with its version, or ``urdf``
+    files: tuple[str, ...]  # names of the files
+    card: Mapping[str, Any]  # contents of ``card.json``
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
