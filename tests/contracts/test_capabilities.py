@@ -30,6 +30,7 @@ from fixel.testing.pushes import example_parts
 from fixel.workflows import jobs
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.capabilities import CAPABILITIES, prepare, run
+from fixel.workflows.project.export import export, import_zip
 
 
 def specimen(
@@ -332,3 +333,19 @@ def test_a_command_can_only_prepare_its_job(project):
 
     job = read_job(Path(json.loads(answer.stdout)["job"]))
     assert CAPABILITIES["filter"].request(job.options["request"]).seed == 3
+
+
+def test_stored_results_print_the_same_text_after_export_and_import(project, tmp_path):
+    run(CAPABILITIES["compare"], CAPABILITIES["compare"].request(SHORT["compare"]), project.folder)
+    export(project, tmp_path / "all.zip", progress=False)
+    other = project_of(tmp_path / "other", [replace(push(seed=9, duration=1.0), name="first")])
+    import_zip(other, tmp_path / "all.zip")
+
+    ours, theirs = ({one.folder.name: one.analysis for one in load_analyses(own)}
+                    for own in (project, other))  # fmt: skip
+    assert {k: own.lines() for k, own in theirs.items()} == {k: o.lines() for k, o in ours.items()}
+    for name, own in ours.items():
+        with project.store() as a, other.store() as b:
+            assert [a.experiment(n).key for n in own.experiments] == [
+                b.experiment(n).key for n in theirs[name].experiments
+            ]

@@ -33,6 +33,7 @@ from fixel.testing.scenes import grasp
 
 HERE = Provenance(version="0.1", command="test", source="a.csv", sha256="00", seed=7)
 NOTHING_NEW = {
+    "analyses": 0,
     "experiments": 0,
     "parameters": 0,
     "simulations": 0,
@@ -179,7 +180,7 @@ def test_round_trip_loses_nothing(store, tmp_path):
     said = export_bundle(store, tmp_path / "a.zip")
     assert said.counts == {
         "experiments": 5, "parameters": 1, "simulations": 2, "calibrations": 1,
-        "filter_parameters": 1, "filter_runs": 1, "flagged": 1, "replaced": 1,
+        "filter_parameters": 1, "filter_runs": 1, "analyses": 0, "flagged": 1, "replaced": 1,
     }  # fmt: skip
     assert said.left_out == {"calibrations": 1, "deleted": 1}
     with Store(f"sqlite:///{tmp_path}/other.db", tmp_path / "other") as other:

@@ -29,7 +29,7 @@ def bench(tmp_path_factory):
 def begun(monkeypatch):
     """Jobs are prepared only; the folders of those that would run."""
     folders = []
-    monkeypatch.setattr(jobs, "run_detached", folders.append)
+    monkeypatch.setattr(jobs, "run_detached", lambda folder, then="": folders.append(folder))
     return folders
 
 
@@ -176,3 +176,27 @@ def test_a_form_must_come_from_a_page_of_this_server(headers, status, bench, beg
 def test_unknown_names_are_no_paths(path, bench):
     assert bench.client.get(path).status_code == 404
     assert bench.submit(path).status_code in (404, 405)
+
+
+@EVERY
+def test_programs_start_the_same_job(capability, bench, begun):
+    request = shown(capability)
+    kept = bench.post(f"/api/v1/run/{capability.name}", json=json.loads(request.model_dump_json()))
+
+    assert kept.json()["job"]["name"] == begun[0].name
+    assert capability.name in bench.client.get("/api/v1/run").json()
+
+
+@pytest.mark.parametrize(
+    ("name", "more", "status"),
+    [
+        ("filter", {"seed": -1}, 422),
+        ("filter", {"nonsense": 1}, 422),
+        ("plan", {"goal": "/etc/passwd"}, 422),
+        ("nothing", {}, 404),
+    ],
+)
+def test_requests_of_programs_are_refused(name, more, status, bench, begun):
+    answer = bench.post(f"/api/v1/run/{name}", json={"experiment": "push-1", **more})
+    assert answer.status_code == status
+    assert begun == []

@@ -141,7 +141,13 @@ class Capability:
 
         def checked(option: Option) -> Any:
             door = option.door
-            limits = Field(ge=door.least, gt=door.above, le=door.most, lt=door.below)
+            limits = Field(
+                ge=door.least,
+                gt=door.above,
+                le=door.most,
+                lt=door.below,
+                description=option.meaning or None,
+            )
             return Annotated[option.plain, limits], ... if option.required else option.default
 
         config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 import os
 import shutil
 import zipfile
@@ -25,6 +26,7 @@ import sqlalchemy as sa
 
 from fixel.database import arrays, rows, tables
 from fixel.database.bundle_file import (
+    ANALYSIS_FILE,
     CHUNK,
     LIMITS,
     BundleLimits,
@@ -33,10 +35,11 @@ from fixel.database.bundle_file import (
     private_url,
 )
 from fixel.database.engine import reading, translated, writing
-from fixel.database.project import DATABASE, MEDIA
+from fixel.database.project import ANALYSES, DATABASE, MEDIA
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.io.atomic import written_whole
+from fixel.io.damaged_files import INVALID_CONTENT
 from fixel.model import Experiment, Flag
 from fixel.model.records import SimulationRecord
 from fixel.model.selection import ExperimentQuery
@@ -113,7 +116,7 @@ def export_bundle(
             target.upgrade()
             copy = _Copy(store, target, videos.append)
             copy.run(ids, progress, whole=dataset is None)
-            counts = record_counts(target)
+            counts = record_counts(target) | {"analyses": copy.new["analyses"]}
             with translated(target._engine), target._engine.connect() as connection:
                 raw: Any = connection.connection.dbapi_connection
                 raw.execute("VACUUM INTO ?", (str(folder / DATABASE),))
@@ -121,6 +124,8 @@ def export_bundle(
             _add_member(archive, folder / DATABASE, DATABASE)
             for file in sorted((folder / MEDIA).glob("*/*")):
                 _add_member(archive, file, f"{MEDIA}/{file.parent.name}/{file.name}")
+            for file in sorted((folder / ANALYSES).glob("*/*")):
+                _add_member(archive, file, f"{ANALYSES}/{file.parent.name}/{file.name}")
             for digest in dict.fromkeys(videos):
                 _add_video(archive, digest, store.media)
         with unfinished.open("rb+") as stream:
@@ -258,7 +263,8 @@ class _Copy:
         self._target = target
         self._add_video = add_video
         self._ids: dict[int, int] = {}  # ids of experiments in the source -> in the target
-        self.new = dict.fromkeys((*KINDS, "known", "flags", "outdated"), 0)
+        self._fits: dict[int, int] = {}  # the same of calibrations
+        self.new = dict.fromkeys((*KINDS, "analyses", "known", "flags", "outdated"), 0)
         self.n_left_out = 0
 
     def check(self, experiment_ids: Sequence[int]) -> set[int]:
@@ -305,6 +311,7 @@ class _Copy:
         self._simulations()
         self._calibrations(whole)
         self._filter_runs(whole)
+        self._analyses()
 
     def _original(self, number: int) -> tuple[Experiment, list[dict[str, Any]]]:
         """Load an experiment as first stored, and the rows of all its flags."""
@@ -371,7 +378,7 @@ class _Copy:
 
     def _calibrations(self, whole: bool) -> None:
         stored = _ids(self._target, tables.calibration, deleted=True)
-        known = {self._target.calibration(k) for k in stored}
+        known = {self._target.calibration(k): k for k in stored}
         for number in _ids(self._source, tables.calibration):
             record = self._source.calibration(number)
             here = [member.experiment_id in self._ids for member in record.members]
@@ -384,8 +391,9 @@ class _Copy:
             )
             record = dataclasses.replace(record, members=members)
             if record not in known:
-                self._target.add_calibration(record)
+                known[record] = self._target.add_calibration(record)
                 self.new["calibrations"] += 1
+            self._fits[number] = known[record]
 
     def _filter_runs(self, whole: bool) -> None:
         """Copy runs of filters, and their settings; all settings if `whole`."""
@@ -405,6 +413,27 @@ class _Copy:
             if record not in known:
                 self._target.add_filter_run(record)
                 self.new["filter_runs"] += 1
+
+    def _analyses(self) -> None:
+        """Copy analyses whose experiments and calibrations are copied, with their ids there."""
+        source, target = (one.media.parent / ANALYSES for one in (self._source, self._target))
+        ids = {"experiments": self._ids, "calibrations": self._fits}
+        for file in sorted(source.glob("*/analysis.json")):
+            place = target / file.parent.name
+            try:
+                content = dict(json.loads(file.read_bytes()))
+                own = {kind: [ids[kind][number] for number in content[kind]] for kind in ids}
+            except (*INVALID_CONTENT, OSError):  # damaged, or of records that are not copied
+                continue
+            if place.exists():
+                continue
+            place.mkdir(parents=True)
+            for other in sorted(file.parent.iterdir()):
+                if ANALYSIS_FILE.fullmatch(other.name) and other != file:
+                    shutil.copyfile(other, place / other.name)
+            with written_whole(place / file.name) as unfinished:  # last: it makes the analysis
+                unfinished.write_text(json.dumps(content | own, indent=1), encoding="utf-8")
+            self.new["analyses"] += 1
 
     def _filter_parameters(self, used: set[int] | None) -> dict[int, int]:
         """Copy settings of filters; return their ids in the target by those in the source."""

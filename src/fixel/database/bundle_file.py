@@ -1,7 +1,8 @@
 """Zip file of a bundle, possibly malicious: all of it is checked before any record is used.
 
 A bundle is a project folder in a zip: ``experiments.db``, a SQLite database with the tables of a
-project, and its media, ``media/AB/SHA256``; any other member is rejected.
+project, its media, ``media/AB/SHA256``, and the reports, figures and arrays of its analyses; any
+other member is rejected.
 """
 
 from __future__ import annotations
@@ -24,14 +25,21 @@ from pydantic import TypeAdapter, ValidationError
 from fixel.database import tables
 from fixel.database.arrays import media_path
 from fixel.database.engine import reading
-from fixel.database.project import DATABASE, MEDIA
+from fixel.database.project import ANALYSES, DATABASE, MEDIA
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
 from fixel.io.damaged_files import INVALID_CONTENT
 from fixel.model.records import Estimate
 
 CHUNK: Final = 1 << 20  # [bytes]
-_MEMBER = re.compile(rf"{re.escape(DATABASE)}|{MEDIA}/(?P<ab>[0-9a-f]{{2}})/(?P=ab)[0-9a-f]{{62}}")
+ANALYSIS_FILE: Final = re.compile(
+    r"analysis\.json|arrays\.npz|[\w-]{1,80}\.(png|pdf|csv)", re.ASCII
+)
+_MEMBER = re.compile(
+    rf"{re.escape(DATABASE)}|{MEDIA}/(?P<ab>[0-9a-f]{{2}})/(?P=ab)[0-9a-f]{{62}}"
+    rf"|{ANALYSES}/[a-z-]{{1,40}}-[0-9a-f]{{10}}/({ANALYSIS_FILE.pattern})",
+    re.ASCII,
+)
 _OLD_MANIFEST = "manifest.json"  # of bundles that fixel wrote before the first release
 
 
@@ -118,7 +126,7 @@ def _unpack(path: Path, folder: Path, limits: BundleLimits) -> None:
                 for data in _chunks(path, archive, info):
                     stream.write(data)
                     total.update(data)
-            if info.filename != DATABASE and total.hexdigest() != file.name:
+            if info.filename.startswith(MEDIA) and total.hexdigest() != file.name:
                 raise _refused(path, f"{info.filename} changed", "content with its checksum")
 
 

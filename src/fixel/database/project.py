@@ -43,6 +43,7 @@ SETTINGS: Final = "fixel.yaml"
 DATABASE: Final = "experiments.db"
 DATABASE_FILES: Final = (DATABASE, f"{DATABASE}-wal", f"{DATABASE}-shm", f"{DATABASE}-journal")
 MEDIA: Final = "media"
+ANALYSES: Final = "analyses"  # folder of stored analyses, each a folder of its own
 MAX_NAME: Final = 200  # characters
 VARIABLE: Final = "FIXEL_DATABASE"  # environment variable; overrides the database of the settings
 

@@ -21,6 +21,7 @@ from fixel.web.api import (
     experiments,
     jobs,
     planning,
+    run,
     scenes,
     system,
 )
@@ -34,7 +35,7 @@ ROUTERS: Final = tuple(
     resource.router
     for resource in (
         analyses, calibration, changes, compare, domain, experiments, jobs,
-        planning, scenes, system,
+        planning, run, scenes, system,
     )
 )  # fmt: skip
 

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, InstanceOf, PlainSerializer
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf, PlainSerializer
 
 from fixel.capability.capability import Capability
-from fixel.database.project import Project
+from fixel.database.project import ANALYSES, Project
 from fixel.errors import FixelError
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.atomic import written_whole
@@ -29,7 +29,6 @@ from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.workflows.figures import ENDINGS, Picture, make_folder, write_picture
 
-ANALYSES: Final = "analyses"
 CONTENT: Final = "analysis.json"
 ARRAYS: Final = "arrays.npz"
 
@@ -62,7 +61,8 @@ StoredTable = Annotated[
 class AnalysisFigure(_StoredFigure):
     """Figure of an analysis."""
 
-    name: str  # name of its files, without ending
+    # Name of its files, without ending; never a path, as a bundle may come from elsewhere.
+    name: Annotated[str, Field(pattern=r"^[\w-]{1,80}$")]
     caption: str
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 from urllib.parse import quote
 
 from fastapi import Request
+from pydantic import BaseModel
 
 from fixel.calibration.known_pushes import PARTS, SURFACES
 from fixel.capability.capability import Capability, named
@@ -78,7 +79,7 @@ def plan_page(context: ProjectContext, request: Request) -> dict[str, Any]:
 
 def form_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill `/run/NAME?from=RESULT`, with the defaults or the request of a stored result."""
-    capability = _capability(request)
+    capability = form_of(request.url.path)
     texts = {name: o.texts(o.default) for name, o in capability.shown.items()}
     if source := request.query_params.get("from", ""):
         kept = _result(context, source)
@@ -91,17 +92,35 @@ def start(
     context: ProjectContext, request: Request, fields: dict[str, list[str]]
 ) -> str | dict[str, Any]:
     """Start the job of a posted form; return the path of its page, or the form with errors."""
-    capability, texts = _capability(request), fields
+    capability, texts = form_of(request.url.path), fields
     try:
         texts = {name: texts_of(capability, name, own) for name, own in fields.items()}
-        asked = capability.from_texts(texts)
-        for name in capability.programs(asked):
-            check_named(name)
-        with job_list.job_slot(context.project.folder):
-            folder = capabilities.begin(capability, asked, context.project)
+        folder = begin(context, capability, capability.from_texts(texts))
     except FixelError as error:
         return _form(context, capability, texts, error)
     return f"/jobs/{quote(folder.name)}"
+
+
+def begin(context: ProjectContext, capability: Capability, asked: BaseModel) -> Path:
+    """Start the job of a request that came from a browser or a program; return its folder.
+
+    Raises
+    ------
+    InvalidInput
+        The request names a program that the user has not permitted, or a file of the server.
+    JobRefused
+        Too many jobs are running.
+    """
+    for name in capability.programs(asked):
+        check_named(name)
+    for name, option in capability.options.items():
+        value = getattr(asked, name)
+        if not option.on_page and value != option.default:
+            raise InvalidInput(name, found=value, expected="no such option from elsewhere")
+        if option.door.content and value and not str(value).startswith("{"):
+            raise InvalidInput(name, found="no object", expected="the content of a file in JSON")
+    with job_list.job_slot(context.project.folder):
+        return capabilities.begin(capability, asked, context.project)
 
 
 def texts_of(capability: Capability, name: str, texts: list[str]) -> list[str]:
@@ -116,10 +135,7 @@ def texts_of(capability: Capability, name: str, texts: list[str]) -> list[str]:
     if option is None or not option.on_page:
         raise InvalidInput("form", found=f"a field {name}", expected="the fields of the page")
     lines = [line for text in texts for line in (text.splitlines() if option.many else [text])]
-    found = [line.strip() for line in lines if line.strip()]
-    if option.door.content and not all(text.startswith("{") for text in found):
-        raise InvalidInput(name, found="no object", expected="the content of a file in JSON")
-    return found
+    return [line.strip() for line in lines if line.strip()]
 
 
 def _form(
@@ -171,8 +187,9 @@ def _offered(context: ProjectContext) -> dict[str, list[str]]:
     return {"experiment": keys, "part": values(PARTS), "surface": values(SURFACES)}
 
 
-def _capability(request: Request) -> Capability:
-    name = request.url.path.rpartition("/")[2]
+def form_of(path: str) -> Capability:
+    """Return the capability that a path names, if a page can start it."""
+    name = path.rpartition("/")[2]
     if name not in FORMS:
         raise NotStored(f"form {name!r}", hint="the page Results lists all")
     return FORMS[name]

@@ -70,14 +70,6 @@ class PageJob(Answer):
         )
 
 
-def page_job(project: Path, kind: str, name: str) -> Path:
-    """Return the folder of a job of a kind, among those that the project lists itself."""
-    own = _folders(project).get(name)
-    if own is None or not name.startswith(f"{kind}-"):
-        raise NotStored(f"job {name!r}", hint="the page Jobs lists all")
-    return own
-
-
 def list_jobs(project: Path) -> list[JobStatus]:
     """Return the jobs of a project, newest first."""
     found = [_status(folder) for folder in _folders(project).values()]

@@ -15,7 +15,7 @@ import numpy as np
 from fixel.calibration.noise import noise_from_repetitions
 from fixel.calibration.objective import ANGLE_SCALE, EndPose
 from fixel.calibration.target import Target, repetitions, same_configuration
-from fixel.database.project import Project
+from fixel.database.project import ANALYSES, Project
 from fixel.database.store import Store
 from fixel.domain.coordinates import coordinates_of, label_of
 from fixel.domain.evidence import HeldOutErrors, Value, default_folds
@@ -24,7 +24,6 @@ from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
 from fixel.io.result_cache import ResultCache
 from fixel.typing import FloatArray, ProgressCallback
-from fixel.workflows.analysis import ANALYSES
 from fixel.workflows.calibration.project import select_experiments
 from fixel.workflows.calibration.stored import known_pushes, load_values, newest_calibration
 from fixel.workflows.domain.held_out import (
