@@ -284,7 +284,7 @@ def test_a_failure_half_way_leaves_nothing(store, monkeypatch):
     def fail(*_):
         raise RuntimeError("power cut")
 
-    monkeypatch.setattr("fixel.database.store._flag_row", fail)
+    monkeypatch.setattr("fixel.database.marks.flag_row", fail)
     with pytest.raises(RuntimeError):
         store.add_experiment(experiment(flags=[Flag("late")]))
     monkeypatch.undo()

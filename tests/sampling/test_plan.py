@@ -111,7 +111,7 @@ def test_low_discrepancy_is_lower_than_that_of_random_numbers():
         (lambda: replace(SMALL, repetitions=10**6), "at most 100000"),
         (lambda: replace(SMALL, schemes=()), "offsets"),
         (lambda: replace(SMALL, layouts=SMALL.layouts * 2), r"layouts\[1\]\.name"),
-        (lambda: replace(SMALL.rig, speed=0.0), r"head\.speed"),
+        (lambda: replace(SMALL.rig, speed=0.0), r"rig\.speed"),
     ],
 )
 def test_what_cannot_be_is_refused(build, where):

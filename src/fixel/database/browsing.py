@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -14,6 +15,7 @@ from fixel.database.query import (
     AFTER,
     BEFORE,
     FAULTY,
+    LIVE,
     NEWEST_NOMINAL,
     SQUARES,
     WITH_ERRORS,
@@ -75,9 +77,10 @@ def _checked(values: Sequence[Any]) -> ExperimentRow:
 
 
 def browse(
-    connection: sa.Connection, query: ExperimentQuery, *, details: bool = False
+    connection: sa.Connection, query: ExperimentQuery | None = None, *, details: bool = False
 ) -> ExperimentPage:
-    """Return one page of the table, with the numbers of matching and of faulty experiments."""
+    """Return one page of the experiments that match; `details` are their results and marks."""
+    query = query or ExperimentQuery()
     dialect = connection.dialect.name
     everything = replace(query, include_faulty=True, sort="id")
     count = sa.select(sa.func.count()).select_from(sources(everything))
@@ -98,7 +101,7 @@ def browse(
     more = []
     if details:
         ids = [row.id for row in rows]
-        flags, notes = _flags(connection, ids), _notes(connection, ids)
+        marked, notes = _flags(connection, ids), _notes(connection, ids)
         more = [
             ExperimentDetails(
                 content_sha256=row.content_sha256,
@@ -106,7 +109,7 @@ def browse(
                 before_mm2=row.before_mm2,
                 after_mm2=row.after_mm2,
                 has_scene=row.has_scene,
-                flags=flags.get(row.id, ()),
+                flags=marked.get(row.id, ()),
                 notes=notes.get(row.id, ()),
             )
             for row in found
@@ -139,6 +142,33 @@ def unsimulated(connection: sa.Connection, query: ExperimentQuery) -> list[int]:
         .order_by(*order(query, connection.dialect.name))
     )
     return list(connection.scalars(wanted))
+
+
+def checksum(connection: sa.Connection, experiment_ids: Iterable[int]) -> str:
+    """SHA-256 of the content of experiments, independent of their order."""
+    wanted = set(experiment_ids)
+    listed = connection.execute(sa.select(experiment.c.id, experiment.c.content_sha256))
+    sums = sorted(content for experiment_id, content in listed if experiment_id in wanted)
+    return hashlib.sha256("".join(sums).encode()).hexdigest()
+
+
+def datasets(connection: sa.Connection) -> dict[str, int]:
+    """Number of experiments in each dataset, including flagged ones."""
+    name = experiment.c.dataset
+    counted = sa.select(name, sa.func.count()).where(*LIVE).group_by(name).order_by(name)
+    return {name: n for name, n in connection.execute(counted)}
+
+
+def flags(connection: sa.Connection) -> dict[str, int]:
+    """Number of experiments with each flag."""
+    counted = (
+        sa.select(flag.c.name, sa.func.count(sa.distinct(flag.c.experiment_id)))
+        .join(experiment)
+        .where(flag.c.deleted_at_utc.is_(None), *LIVE)
+        .group_by(flag.c.name)
+        .order_by(flag.c.name)
+    )
+    return {name: n for name, n in connection.execute(counted)}
 
 
 def tally(

@@ -7,7 +7,7 @@ that an undo changes those only.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 
@@ -32,21 +32,19 @@ def flag(connection: sa.Connection, experiment_ids: Iterable[int], flag: Flag) -
     had = set(_carrying(connection, wanted, flag.name))
     new = [experiment_id for experiment_id in wanted if experiment_id not in had]
     if new:
-        instant = rows.now()
-        connection.execute(
-            sa.insert(tables.flag),
-            [
-                {
-                    "experiment_id": experiment_id,
-                    "name": flag.name,
-                    "detail": flag.detail,
-                    "is_fault": flag.fault,
-                    "created_at_utc": instant,
-                }
-                for experiment_id in new
-            ],
-        )
+        connection.execute(sa.insert(tables.flag), [flag_row(one, flag) for one in new])
     return new
+
+
+def flag_row(experiment_id: int, flag: Flag) -> dict[str, Any]:
+    """Columns of a flag."""
+    return {
+        "experiment_id": experiment_id,
+        "name": flag.name,
+        "detail": flag.detail,
+        "is_fault": flag.fault,
+        "created_at_utc": rows.now(),
+    }
 
 
 def unflag(connection: sa.Connection, experiment_ids: Iterable[int], name: str) -> list[int]:
@@ -63,11 +61,11 @@ def unflag(connection: sa.Connection, experiment_ids: Iterable[int], name: str) 
 
 
 def delete(
-    connection: sa.Connection, experiment_ids: Iterable[int], instant: str | None
+    connection: sa.Connection, experiment_ids: Iterable[int], *, back: bool = False
 ) -> list[int]:
-    """Mark experiments as deleted at an instant, or restore them with None; return changed ids."""
+    """Delete experiments, or restore them; return the changed ids."""
     wanted = _known(connection, tables.experiment, experiment_ids, "experiment")
-    return _mark(connection, tables.experiment, wanted, instant)
+    return _mark(connection, tables.experiment, wanted, back)
 
 
 def annotate(connection: sa.Connection, experiment_ids: Iterable[int], text: str) -> list[int]:
@@ -90,10 +88,12 @@ def annotate(connection: sa.Connection, experiment_ids: Iterable[int], text: str
     return made
 
 
-def delete_notes(connection: sa.Connection, notes: Iterable[int], instant: str | None) -> list[int]:
-    """Mark notes as deleted at an instant, or restore them with None; return the changed ids."""
+def delete_notes(
+    connection: sa.Connection, notes: Iterable[int], *, back: bool = False
+) -> list[int]:
+    """Delete notes by their ids, or restore them; return the changed ids."""
     wanted = _known(connection, tables.note, notes, "note")
-    return _mark(connection, tables.note, wanted, instant)
+    return _mark(connection, tables.note, wanted, back)
 
 
 def notes_of(connection: sa.Connection, experiment_id: int) -> list[Note]:
@@ -107,15 +107,15 @@ def notes_of(connection: sa.Connection, experiment_id: int) -> list[Note]:
     return [Note(*row) for row in connection.execute(wanted)]
 
 
-def _mark(
-    connection: sa.Connection, table: sa.Table, numbers: list[int], instant: str | None
-) -> list[int]:
+def _mark(connection: sa.Connection, table: sa.Table, numbers: list[int], back: bool) -> list[int]:
     gone = table.c.deleted_at_utc
-    other = gone.is_not(None) if instant is None else gone.is_(None)
+    other = gone.is_not(None) if back else gone.is_(None)
     found = connection.scalars(sa.select(table.c.id).where(table.c.id.in_(numbers), other))
     changed = sorted(found)
     connection.execute(
-        sa.update(table).where(table.c.id.in_(changed)).values(deleted_at_utc=instant)
+        sa.update(table)
+        .where(table.c.id.in_(changed))
+        .values(deleted_at_utc=None if back else rows.now())
     )
     return changed
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from datetime import UTC, datetime
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import sqlalchemy as sa
@@ -25,6 +26,7 @@ from fixel.model import (
 from fixel.model.records import Estimate, Evaluations, FilterRecord
 from fixel.typing import FloatArray
 
+T = TypeVar("T")
 Measured = tuple[str, tuple[str, ...], FloatArray]  # name, columns, (n, n_column) values
 
 PATH = ("time_s", "x_m", "y_m", "theta_rad")
@@ -43,6 +45,20 @@ def digest(content: object, *values: FloatArray) -> str:
         total.update(repr(array.shape).encode())
         total.update(arrays.bytes_of(array))
     return total.hexdigest()
+
+
+def columns_of(record: Any, table: sa.Table) -> dict[str, Any]:
+    """Columns of a table that a record has under the same names, and its provenance."""
+    found = {c.name: getattr(record, c.name) for c in table.c if hasattr(record, c.name)}
+    plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in found.items()}
+    return plain | provenance_row(record.provenance)
+
+
+def record_of(kind: type[T], row: sa.Row[Any], **given: Any) -> T:
+    """Build a record from the columns of its names; some of its fields are given instead."""
+    names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
+    own = {name: value for name, value in row._mapping.items() if name in names}
+    return kind(**{"provenance": provenance_of(row), **own, **given})
 
 
 def provenance_row(provenance: Provenance) -> dict[str, Any]:
@@ -118,13 +134,8 @@ def evaluations_of(measured: list[Measured], reasons: Sequence[str]) -> Evaluati
     )
 
 
-def estimates_row(estimates: Sequence[Estimate]) -> list[dict[str, Any]] | None:
-    """Plain values of estimates, for a JSON column or a bundle; None if there are none."""
-    return [estimate.stored() for estimate in estimates] or None
-
-
 def estimates_of(row: Sequence[Mapping[str, Any]] | None) -> tuple[Estimate, ...]:
-    """Inverse of `estimates_row`."""
+    """Estimates from the plain values of a JSON column."""
     return tuple(Estimate(**plain) for plain in row or ())
 
 
@@ -136,26 +147,25 @@ def filtered_of(run: FilterRecord) -> list[Measured]:
     return found
 
 
+# Columns of experiments that have the value of a field.
+_EXPERIMENT: Final = {
+    **{name: name for name in ("dataset", "name", "simulated_by", "object_name", "contact_mode")},
+    **{"is_real": "real", "object_height_m": "height", "pusher_height_m": "pusher_height"},
+    **{"fixel_height_m": "fixel_height", "video_sha256": "video"},
+}
+
+
 def experiment_row(experiment: Experiment) -> dict[str, Any]:
     """Columns of an experiment, except for its geometries and the experiment it replaces."""
     effective = experiment.effective or (None, None)
+    own = {name: getattr(experiment, field) for name, field in _EXPERIMENT.items()}
     scene = None if experiment.scene is None else scene_content(experiment.scene)
-    row = {
-        "dataset": experiment.dataset,
-        "name": experiment.name,
-        "is_real": experiment.real,
-        "simulated_by": experiment.simulated_by,
-        "object_name": experiment.object_name,
+    row = own | {
         "scene": scene,
-        "object_height_m": experiment.height,
-        "pusher_height_m": experiment.pusher_height,
-        "fixel_height_m": experiment.fixel_height,
         **path_columns(experiment.trajectory),
         "effective_start_s": effective[0],
         "effective_end_s": effective[1],
-        "contact_mode": experiment.contact_mode,
         "conditions": dict(experiment.conditions),
-        "video_sha256": experiment.video,
         "n_import_flag": len(experiment.flags),
     }
     flags = [[flag.name, flag.detail, flag.fault] for flag in experiment.flags]
@@ -256,24 +266,15 @@ def experiment_of(
     )
     effective = (row.effective_start_s, row.effective_end_s)
     return Experiment(
-        dataset=row.dataset,
-        name=row.name,
-        real=row.is_real,
-        simulated_by=row.simulated_by,
+        **{field: getattr(row, name) for name, field in _EXPERIMENT.items()},
         provenance=provenance_of(row),
-        object_name=row.object_name,
         trajectory=paths["object"],
         pusher=paths.get("pusher"),
         scene=scene_of_row(row.scene),
-        height=row.object_height_m,
-        pusher_height=row.pusher_height_m,
-        fixel_height=row.fixel_height_m,
         channels=channels,
-        contact_mode=row.contact_mode,
         effective=None if effective[0] is None else effective,
         conditions=row.conditions,
         flags=flags,
-        video=row.video_sha256,
     )
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import functools
-import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Concatenate, Final, NamedTuple, ParamSpec, TypeVar, final
@@ -13,9 +12,7 @@ import numpy as np
 import sqlalchemy as sa
 
 from fixel.database import arrays, browsing, marks, rows, schema, tables
-from fixel.database.browsing import ConditionValues, ExperimentPage
 from fixel.database.engine import open_engine, reading, set_journal, writing
-from fixel.database.marks import Note
 from fixel.database.query import LIVE
 from fixel.errors import InvalidInput, NotStored, StoreRefused, closest, os_reason
 from fixel.io.damaged_files import INVALID_CONTENT
@@ -27,7 +24,6 @@ from fixel.model.records import (
     Member,
     SimulationRecord,
 )
-from fixel.model.selection import ExperimentQuery
 
 MAX_NAMES: Final = 20_000  # number of experiments that a mistyped name is compared with
 T = TypeVar("T")
@@ -57,6 +53,32 @@ def _damage_named(
         return read_or_refuse
 
     return of
+
+
+def _reads(
+    work: Callable[Concatenate[sa.Connection, P], T],
+) -> Callable[Concatenate[Store, P], T]:
+    """Return the method of a store that calls a function in a read transaction."""
+
+    @functools.wraps(work)
+    def method(store: Store, /, *given: P.args, **options: P.kwargs) -> T:
+        with reading(store._engine) as connection:
+            return work(connection, *given, **options)
+
+    return method
+
+
+def _writes(
+    work: Callable[Concatenate[sa.Connection, P], T],
+) -> Callable[Concatenate[Store, P], T]:
+    """Return the method of a store that calls a function in a write transaction."""
+
+    @functools.wraps(work)
+    def method(store: Store, /, *given: P.args, **options: P.kwargs) -> T:
+        with writing(store._engine) as connection:
+            return work(connection, *given, **options)
+
+    return method
 
 
 class AddResult(NamedTuple):
@@ -180,7 +202,7 @@ class Store:
         if experiment.flags:
             connection.execute(
                 sa.insert(tables.flag),
-                [_flag_row(experiment_id, flag) for flag in experiment.flags],
+                [marks.flag_row(experiment_id, flag) for flag in experiment.flags],
             )
         return experiment_id
 
@@ -252,96 +274,20 @@ class Store:
                 is not None
             )
 
-    def experiments(
-        self, query: ExperimentQuery | None = None, *, details: bool = False
-    ) -> ExperimentPage:
-        """Return one page of the experiments that match; `details` are their results and marks."""
-        with reading(self._engine) as connection:
-            return browsing.browse(connection, query or ExperimentQuery(), details=details)
-
-    def experiment_ids(self, query: ExperimentQuery) -> list[int]:
-        """Ids of all experiments that match, on all pages, in the order of the query."""
-        with reading(self._engine) as connection:
-            return browsing.ids(connection, query)
-
-    def unsimulated_ids(self, query: ExperimentQuery) -> list[int]:
-        """Ids of matching experiments with a scene but no simulation with nominal parameters."""
-        with reading(self._engine) as connection:
-            return browsing.unsimulated(connection, query)
-
-    def tally(self, query: ExperimentQuery, names: Sequence[str]) -> list[tuple[Any, ...]]:
-        """Count distinct combinations of columns and conditions; see `browsing.tally`."""
-        with reading(self._engine) as connection:
-            return browsing.tally(connection, query, names)
-
-    def conditions(self) -> dict[str, ConditionValues]:
-        """Values of all conditions of experiments, by name."""
-        with reading(self._engine) as connection:
-            return browsing.conditions(connection)
-
-    def checksum(self, experiment_ids: Iterable[int]) -> str:
-        """SHA-256 of the content of experiments, independent of their order."""
-        table = tables.experiment
-        wanted = set(experiment_ids)
-        with reading(self._engine) as connection:
-            listed = connection.execute(sa.select(table.c.id, table.c.content_sha256))
-            sums = sorted(content for experiment_id, content in listed if experiment_id in wanted)
-        return hashlib.sha256("".join(sums).encode()).hexdigest()
-
-    def datasets(self) -> dict[str, int]:
-        """Number of experiments in each dataset, including flagged ones."""
-        table = tables.experiment
-        counted = (
-            sa.select(table.c.dataset, sa.func.count())
-            .where(*LIVE)
-            .group_by(table.c.dataset)
-            .order_by(table.c.dataset)
-        )
-        with reading(self._engine) as connection:
-            return {name: n for name, n in connection.execute(counted)}
-
-    def flags(self) -> dict[str, int]:
-        """Number of experiments with each flag."""
-        flag = tables.flag
-        counted = (
-            sa.select(flag.c.name, sa.func.count(sa.distinct(flag.c.experiment_id)))
-            .join(tables.experiment)
-            .where(flag.c.deleted_at_utc.is_(None), *LIVE)
-            .group_by(flag.c.name)
-            .order_by(flag.c.name)
-        )
-        with reading(self._engine) as connection:
-            return {name: n for name, n in connection.execute(counted)}
-
-    def flag(self, experiment_ids: Iterable[int], flag: Flag) -> list[int]:
-        """Add a flag to experiments that do not have it, in one transaction; return their ids."""
-        with writing(self._engine) as connection:
-            return marks.flag(connection, experiment_ids, flag)
-
-    def unflag(self, experiment_ids: Iterable[int], name: str) -> list[int]:
-        """Remove a flag from experiments, in one transaction; return the ids that had it."""
-        with writing(self._engine) as connection:
-            return marks.unflag(connection, experiment_ids, name)
-
-    def delete(self, experiment_ids: Iterable[int], *, back: bool = False) -> list[int]:
-        """Delete experiments, or restore them, in one transaction; return the changed ids."""
-        with writing(self._engine) as connection:
-            return marks.delete(connection, experiment_ids, None if back else rows.now())
-
-    def annotate(self, experiment_ids: Iterable[int], text: str) -> list[int]:
-        """Attach a note to each experiment, in one transaction; return the ids of the notes."""
-        with writing(self._engine) as connection:
-            return marks.annotate(connection, experiment_ids, text)
-
-    def delete_notes(self, notes: Iterable[int], *, back: bool = False) -> list[int]:
-        """Delete notes by their ids, or restore them; return the changed ids."""
-        with writing(self._engine) as connection:
-            return marks.delete_notes(connection, notes, None if back else rows.now())
-
-    def notes(self, experiment_id: int) -> list[Note]:
-        """Notes of an experiment, oldest first."""
-        with reading(self._engine) as connection:
-            return marks.notes_of(connection, experiment_id)
+    experiments = _reads(browsing.browse)
+    experiment_ids = _reads(browsing.ids)
+    unsimulated_ids = _reads(browsing.unsimulated)
+    tally = _reads(browsing.tally)
+    conditions = _reads(browsing.conditions)
+    checksum = _reads(browsing.checksum)
+    datasets = _reads(browsing.datasets)
+    flags = _reads(browsing.flags)
+    notes = _reads(marks.notes_of)
+    flag = _writes(marks.flag)
+    unflag = _writes(marks.unflag)
+    delete = _writes(marks.delete)
+    annotate = _writes(marks.annotate)
+    delete_notes = _writes(marks.delete_notes)
 
     def content(self, experiment_id: int) -> str:
         """Checksum of an experiment's content; equal only for equal experiments."""
@@ -382,19 +328,9 @@ class Store:
         self._require(record.experiment_id)
         series = rows.paths_of(record.trajectory, record.pusher)
         with writing(self._engine) as connection:
-            number = _insert_one(
-                connection,
-                tables.simulation,
-                {
-                    "experiment_id": record.experiment_id,
-                    "system_parameters_id": _parameters_id(connection, record.parameters),
-                    "method": dict(record.method),
-                    "status": record.status,
-                    "contact_mode": record.contact_mode,
-                    "error_mm2": record.error_mm2,
-                    **rows.provenance_row(record.provenance),
-                },
-            )
+            row = rows.columns_of(record, tables.simulation)
+            row["system_parameters_id"] = _parameters_id(connection, record.parameters)
+            number = _insert_one(connection, tables.simulation, row)
             self._add_series(connection, "simulation", number, series)
         return number
 
@@ -408,16 +344,12 @@ class Store:
                 connection, tables.system_parameters, row.system_parameters_id, "parameters"
             )
         paths = {name: rows.trajectory_of(values) for name, _, values in series}
-        return SimulationRecord(
-            experiment_id=row.experiment_id,
+        return rows.record_of(
+            SimulationRecord,
+            row,
             parameters=rows.parameters_of(parameters),
-            provenance=rows.provenance_of(row),
             trajectory=paths["object"],
             pusher=paths.get("pusher"),
-            method=row.method,
-            status=row.status,
-            contact_mode=row.contact_mode,
-            error_mm2=row.error_mm2,
         )
 
     def simulations(self, experiment_id: int) -> list[int]:
@@ -438,25 +370,14 @@ class Store:
         tried = record.evaluations
         reasons = {} if tried is None else {str(k): r for k, r in enumerate(tried.reasons) if r}
         with writing(self._engine) as connection:
-            number = _insert_one(
-                connection,
-                tables.calibration,
-                {
-                    "name": record.name,
-                    "system_parameters_id": _parameters_id(connection, record.parameters),
-                    "method": dict(record.method),
-                    "n_evaluation": 0 if tried is None else len(tried.error),
-                    "n_member": len(record.members),
-                    "mean_error_mm2": record.mean_error_mm2,
-                    "sum_error_mm2": record.sum_error_mm2,
-                    "max_error_mm2": record.max_error_mm2,
-                    "reasons": reasons,
-                    "estimates": rows.estimates_row(record.estimates),
-                    "request": record.request,
-                    "result": record.result,
-                    **rows.provenance_row(record.provenance),
-                },
-            )
+            row = rows.columns_of(record, tables.calibration) | {
+                "system_parameters_id": _parameters_id(connection, record.parameters),
+                "n_evaluation": 0 if tried is None else len(tried.error),
+                "n_member": len(record.members),
+                "reasons": reasons,
+                "estimates": [estimate.stored() for estimate in record.estimates] or None,
+            }
+            number = _insert_one(connection, tables.calibration, row)
             connection.execute(
                 sa.insert(tables.calibration_member),
                 [
@@ -504,16 +425,9 @@ class Store:
     def add_filter_parameters(self, record: FilterParameters) -> int:
         """Store settings of a filter; return their id."""
         with writing(self._engine) as connection:
-            return _insert_one(
-                connection,
-                tables.filter_parameters,
-                {
-                    "name": record.name,
-                    "is_particle_filter": record.is_particle_filter,
-                    "options": dict(record.values),
-                    **rows.provenance_row(record.provenance),
-                },
-            )
+            row = rows.columns_of(record, tables.filter_parameters)
+            options = {"options": dict(record.values)}
+            return _insert_one(connection, tables.filter_parameters, row | options)
 
     def filter_parameters(self, filter_parameters_id: int) -> FilterParameters:
         """Load settings of a filter by their id."""
@@ -521,31 +435,16 @@ class Store:
             row = _row(
                 connection, tables.filter_parameters, filter_parameters_id, "filter parameters"
             )
-        return FilterParameters(
-            name=row.name,
-            is_particle_filter=row.is_particle_filter,
-            provenance=rows.provenance_of(row),
-            values=row.options,
-        )
+        return rows.record_of(FilterParameters, row, values=row.options)
 
     def add_filter_run(self, record: FilterRecord) -> int:
         """Store the run of a filter on an experiment; return its id."""
         self._require(record.experiment_id)
         occlusion = record.occlusion or (None, None)
         with writing(self._engine) as connection:
-            number = _insert_one(
-                connection,
-                tables.filter_run,
-                {
-                    "experiment_id": record.experiment_id,
-                    "filter_parameters_id": record.filter_parameters_id,
-                    "uses_tactile": record.uses_tactile,
-                    "occlusion_start_s": occlusion[0],
-                    "occlusion_end_s": occlusion[1],
-                    "contact_mode": record.contact_mode,
-                    **rows.provenance_row(record.provenance),
-                },
-            )
+            row = rows.columns_of(record, tables.filter_run)
+            row |= {"occlusion_start_s": occlusion[0], "occlusion_end_s": occlusion[1]}
+            number = _insert_one(connection, tables.filter_run, row)
             self._add_series(connection, "filter_run", number, rows.filtered_of(record))
         return number
 
@@ -558,14 +457,11 @@ class Store:
         found = {name: (columns, values) for name, columns, values in series}
         names, estimates = found.get("estimates", ((), np.zeros((0, 0))))
         hidden = (row.occlusion_start_s, row.occlusion_end_s)
-        return FilterRecord(
-            experiment_id=row.experiment_id,
-            filter_parameters_id=row.filter_parameters_id,
-            provenance=rows.provenance_of(row),
+        return rows.record_of(
+            FilterRecord,
+            row,
             trajectory=rows.trajectory_of(found["object"][1]),
-            uses_tactile=row.uses_tactile,
             occlusion=None if hidden[0] is None else hidden,
-            contact_mode=row.contact_mode,
             estimate_names=names,
             estimates=estimates,
         )
@@ -611,12 +507,11 @@ def _calibrations(
     for calibration_id, *one in connection.execute(of):
         members.setdefault(calibration_id, []).append(Member(*one))
     return {
-        row.id: CalibrationRecord(
-            name=row.name,
+        row.id: rows.record_of(
+            CalibrationRecord,
+            row,
             parameters=rows.parameters_of(row),
             members=tuple(members[row.id]),
-            provenance=rows.provenance_of(row),
-            method=row.method,
             estimates=rows.estimates_of(row.estimates),
         )
         for row in connection.execute(wanted)
@@ -650,16 +545,6 @@ def _row(connection: sa.Connection, table: sa.Table, number: int, what: str) -> 
     if row is None:
         raise _absent(f"{what} {number}")
     return row
-
-
-def _flag_row(experiment_id: int, flag: Flag) -> dict[str, Any]:
-    return {
-        "experiment_id": experiment_id,
-        "name": flag.name,
-        "detail": flag.detail,
-        "is_fault": flag.fault,
-        "created_at_utc": rows.now(),
-    }
 
 
 def _absent(what: str, hint: str | None = None) -> NotStored:
