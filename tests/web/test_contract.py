@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from hypothesis.errors import Unsatisfiable
 
 from fixel.testing.toy_work import MAKER
-from fixel.web.views import scene_editor, system_status
+from fixel.web.api import system
+from fixel.web.views import scene_editor
 from fixel.workflows import jobs
 
 schemathesis = pytest.importorskip("schemathesis", reason="pip install 'fixel[dev]'")
@@ -41,7 +42,7 @@ def served(project, server):
     (project / "jobs" / "toy" / "log.txt").write_text("queued\n")
     tested = {"passed": True, "max_residual": 1e-12, "seconds": 0.1, "checks": []}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(system_status, "self_tested", lambda: tested)
+        patch.setattr(system, "self_tested", lambda: tested)
         yield server
 
 

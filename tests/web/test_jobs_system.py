@@ -10,9 +10,11 @@ from tests.web.bench import Bench
 from fixel.jobs import folder as files
 from fixel.jobs.folder import JobState
 from fixel.testing.toy_work import MAKER
-from fixel.web.pages.site import bytes_text
+from fixel.web.api import system
 from fixel.web.security import WORD_HEADER
-from fixel.web.views import job_list, system_status
+from fixel.web.views import job_list
+from fixel.web.words import size
+from fixel.web.words import size
 from fixel.workflows import jobs
 
 pytestmark = pytest.mark.system
@@ -145,10 +147,10 @@ def test_the_pages_open(bench):
 
 def test_what_is_gone_while_it_is_counted_is_not_counted(bench, monkeypatch):
     media, real = bench.context.project.media, Path.glob
-    before = system_status.disk_status(bench.context.project)
+    before = system.disk_status(bench.context.project)
     gone = media / "ab" / ".ab12.temporary"
     monkeypatch.setattr(Path, "glob", lambda path, what: [gone, *real(path, what)])
-    assert system_status.disk_status(bench.context.project).media_files == before.media_files
+    assert system.disk_status(bench.context.project).media_files == before.media_files
 
 
 def test_versions_database_and_room(bench):
@@ -162,7 +164,7 @@ def test_versions_database_and_room(bench):
 
 
 def test_passwords_are_not_shown(monkeypatch, project):
-    assert ":***@" in system_status.sa.make_url("postgresql://lab:hush@server/x").render_as_string()
+    assert ":***@" in system.sa.make_url("postgresql://lab:hush@server/x").render_as_string()
 
 
 def test_a_backup_is_made_and_fetched(bench, tmp_path):
@@ -204,7 +206,7 @@ def test_the_self_test_runs_beside_the_server(bench, monkeypatch):
         "seconds": 1.5,
         "checks": [{"name": "grasp", "passed": False, "detail": "no", "residual": None}],
     }
-    monkeypatch.setattr(system_status, "self_tested", lambda: answer)
+    monkeypatch.setattr(system, "self_tested", lambda: answer)
     found = bench.post("/system/self-test").json()
     assert not found["passed"]
     assert found["checks"][0]["detail"] == "no"
@@ -212,11 +214,11 @@ def test_the_self_test_runs_beside_the_server(bench, monkeypatch):
 
 @pytest.mark.slow
 def test_the_self_test_itself():
-    assert system_status.self_tested()["passed"]
+    assert system.self_tested()["passed"]
 
 
 @pytest.mark.parametrize(
-    ("size", "text"),
+    ("number", "text"),
     [
         (0, "0 byte"),
         (999, "999 byte"),
@@ -225,5 +227,5 @@ def test_the_self_test_itself():
         (None, "stored on a server"),
     ],
 )
-def test_sizes_for_people(size, text):
-    assert bytes_text(size) == text
+def test_sizes_for_people(number, text):
+    assert size(number) == text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Final, final
+from typing import Annotated, Any, Final, final
 
 from fastapi import Depends, Request
 
@@ -35,6 +35,8 @@ class ProjectContext:
     comparison : LiveComparison
     calibrations : ProgressReader
     domains : DomainViews
+    newest : dict from name to result
+        Newest self-test and check of the database, for the page of the system.
     thumbnail : callable
         Returns the small picture of an experiment whose content has a checksum, drawn once.
     """
@@ -44,6 +46,7 @@ class ProjectContext:
         self.store = project.store()
         # So that the first page does not wait for its statements.
         self.store.experiments(ExperimentQuery(include_faulty=True, limit=1), details=True)
+        self.newest: dict[str, Any] = {}
         self.comparison = LiveComparison(self.store)
         self.calibrations = ProgressReader(project)
         self._details = lru_cache(MAX_KEPT)(partial(load_detail, project, self.store))

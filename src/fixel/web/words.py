@@ -10,6 +10,20 @@ from fixel.units import displayed, split_unit
 
 NONE: Final = "\u2013"  # for what is not known
 
+# Sign and colour of a verdict: never the colour alone.
+_VERDICTS: Final = {
+    "identified": ("\u2713", "good"),
+    "trades off": ("\u21c4", "off"),
+    "not identified": ("?", "off"),
+    "not excited": ("\u2205", "off"),
+    "at bound": ("\u21e5", "fault"),
+    "effective": ("\u2248", "off"),
+    "precise, but the model misfits": ("\u2260", "fault"),
+    "at least": ("\u2265", "off"),
+    "at most": ("\u2264", "off"),
+    "frozen": ("\u2016", ""),
+}
+
 
 def fixed(value: float | None, digits: int = 1, factor: float = 1.0) -> str:
     """Format a number with a true minus sign, and none before a zero."""
@@ -82,7 +96,12 @@ def rms(error: float | None, unit: str) -> float | None:
     return math.sqrt(error) if error is not None and unit == "mm^2" else error
 
 
+def verdict(name: str) -> tuple[str, str]:
+    """Return the sign and the class of a verdict."""
+    return _VERDICTS.get("trades off" if name.startswith("trades") else name, ("", ""))
+
+
 FILTERS: Final[Mapping[str, Callable[..., Any]]] = {
     filter.__name__: filter
-    for filter in (fixed, short, count, several, lasting, size, instant, touched, rms)
+    for filter in (fixed, short, count, several, lasting, size, instant, touched, rms, verdict)
 }

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from fastapi import Request
 
 from fixel.errors import InvalidInput
+from fixel.web.api.calibration import MAX_LISTED, calibrations
 from fixel.web.pages.experiment import Fact, number_in
 from fixel.web.views.calibration_detail import StoredCalibration, engine_of
 from fixel.workflows.calibration.result import SEARCHED
@@ -17,10 +18,19 @@ if TYPE_CHECKING:
     from fixel.model.records import CalibrationRecord
     from fixel.web.context import ProjectContext
 
+LISTED = 100  # calibrations, unless more are asked for
 IDS = re.compile(r"[1-9][0-9]{0,9}(,[1-9][0-9]{0,9})*", re.ASCII)
 HIDDEN = (  # shown elsewhere
     "how", "job", "nominal_error", "error_unit", "seconds", "ended", SEARCHED,
 )  # fmt: skip
+
+
+def list_page(context: ProjectContext, request: Request) -> dict[str, Any]:
+    """Fill `/calibrations?limit=`."""
+    limit = request.query_params.get("limit", "")
+    return {
+        "found": calibrations(context, min(MAX_LISTED, int(limit)) if limit.isdecimal() else 100)
+    }
 
 
 def stored_page(context: ProjectContext, request: Request) -> dict[str, Any]:

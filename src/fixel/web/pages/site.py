@@ -16,12 +16,12 @@ from fastapi import Request
 from fixel.errors import NotStored
 from fixel.model.selection import ExperimentQuery
 from fixel.simulation.engine_names import installed_engines
+from fixel.web.api.system import system_status
 from fixel.web.app import API, Page
 from fixel.web.context import ProjectContext
 from fixel.web.pages import calibration, experiment, run
 from fixel.web.pages.listing import experiments_page
 from fixel.web.views import scene_editor
-from fixel.web.views.system_status import system_status
 from fixel.workflows.analysis import load_with_errors
 
 OFFERED: Final = 300  # names in the list of experiments
@@ -35,7 +35,7 @@ def project_pages(context: ProjectContext) -> list[Page]:
     listed = [
         ("/experiments", "Experiments", "experiments.html", 10, experiments_page),
         ("/compare", "Compare", "compare.html", 20, compare_page),
-        ("/calibrations", "Calibrations", "calibrations.html", 30, None),
+        ("/calibrations", "Calibrations", "calibrations.html", 30, calibration.list_page),
         ("/domain", "Domain", "domain.html", 40, domain_page),
         ("/plan", "Plan", "plan.html", 47, run.plan_page),
         ("/simulate", "Simulate", "simulate.html", 50, simulate_page),
@@ -61,7 +61,7 @@ def project_pages(context: ProjectContext) -> list[Page]:
     return [
         *(
             Page(path=path, title=title, template=template, context=folder, place=place,
-                 fill=None if fill is None else partial(fill, context))
+                 fill=partial(fill, context))
             for path, title, template, place, fill in listed
         ),
         *(
@@ -135,30 +135,13 @@ def simulate_page(context: ProjectContext, request: Request) -> dict[str, Any]:
 def system_page(context: ProjectContext, _: Request) -> dict[str, Any]:
     """Fill `/system`."""
     known = system_status(context.project)
-    disk, cores = known.disk, known.machine["cores"]
+    disk = known.disk
     return {
         "known": known,
-        "cores": f"{cores} core{'s' if cores != 1 else ''}",
-        "threads": known.machine["threads"],
-        "cache": bytes_text(known.cache.size_bytes),
-        "database": bytes_text(known.database.size_bytes),
-        "media": bytes_text(disk.media_bytes),
-        "free": bytes_text(disk.free_bytes),
-        "total": bytes_text(disk.total_bytes),
+        "tested": context.newest.get("self-test"),
+        "checked": context.newest.get("check"),
         "used_percent": 100.0 * (1.0 - disk.free_bytes / max(1, disk.total_bytes)),
     }
-
-
-def bytes_text(size: int | None) -> str:
-    """Format a size in decimal units, as `bytes` of units.js does."""
-    if size is None:
-        return "stored on a server"
-    value = float(size)
-    for unit in ("byte", "kB", "MB", "GB"):
-        if value < 1000.0:
-            return f"{value:.3g} {unit}" if unit != "byte" else f"{size} byte"
-        value /= 1000.0
-    return f"{value:.3g} TB"
 
 
 def api_page(_: ProjectContext, request: Request) -> dict[str, Any]:

@@ -91,6 +91,8 @@ async function sent(form) {
   }
   if (button instanceof HTMLButtonElement) button.disabled = false;
   if (busy instanceof HTMLElement) busy.hidden = true;
+  // A button that is off has lost the keyboard; it gets it back unless it went elsewhere.
+  if (button && document.activeElement === document.body) document.getElementById(button.id)?.focus();
 }
 
 /** Show what a filter selects. @param {HTMLFormElement} form */

@@ -25,21 +25,3 @@ export function lasting(seconds) {
   if (seconds < 5400) return `${Math.round(seconds / 60)} min`;
   return `${+(seconds / 3600).toPrecision(2)} h`;
 }
-
-/** @type {Record<string, {sign: string, kind: string}>} */
-const VERDICTS = {
-  identified: { sign: "\u2713", kind: "good" },
-  "trades off": { sign: "\u21c4", kind: "off" },
-  "not identified": { sign: "?", kind: "off" },
-  "not excited": { sign: "\u2205", kind: "off" },
-  "at bound": { sign: "\u21e5", kind: "fault" },
-  effective: { sign: "\u2248", kind: "off" },
-  "precise, but the model misfits": { sign: "\u2260", kind: "fault" },
-  "at least": { sign: "\u2265", kind: "off" },
-  "at most": { sign: "\u2264", kind: "off" },
-  frozen: { sign: "\u2016", kind: "" },
-};
-
-/** Sign and colour of a verdict: never the colour alone. @param {string} verdict */
-export const verdictOf = (verdict) =>
-  VERDICTS[verdict.startsWith("trades") ? "trades off" : verdict] ?? { sign: "", kind: "" };
