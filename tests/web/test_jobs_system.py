@@ -14,7 +14,6 @@ from fixel.web.api import system
 from fixel.web.security import WORD_HEADER
 from fixel.web.views import job_list
 from fixel.web.words import size
-from fixel.web.words import size
 from fixel.workflows import jobs
 
 pytestmark = pytest.mark.system

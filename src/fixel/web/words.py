@@ -6,6 +6,9 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
+from markupsafe import Markup
+
+from fixel.table import Table
 from fixel.units import displayed, split_unit
 
 NONE: Final = "\u2013"  # for what is not known
@@ -101,7 +104,24 @@ def verdict(name: str) -> tuple[str, str]:
     return _VERDICTS.get("trades off" if name.startswith("trades") else name, ("", ""))
 
 
+def html(table: Table) -> Markup:
+    """Return a table as markup; it escapes its texts itself."""
+    return Markup(table.html())
+
+
 FILTERS: Final[Mapping[str, Callable[..., Any]]] = {
     filter.__name__: filter
-    for filter in (fixed, short, count, several, lasting, size, instant, touched, rms, verdict)
+    for filter in (
+        fixed,
+        short,
+        count,
+        several,
+        lasting,
+        size,
+        instant,
+        touched,
+        rms,
+        verdict,
+        html,
+    )
 }
