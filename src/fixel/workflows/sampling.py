@@ -43,8 +43,8 @@ def sample(
     ] = None,
     *,
     out: Annotated[Path | None, Door(also=("--output",), writes=True, effort=True)] = None,
-    eight_push: Annotated[bool, Door(flag="--eight-push")] = False,
-    simulate: Annotated[bool, Door(flag="--simulate")] = False,
+    eight_push: bool = False,
+    simulate: bool = False,
     progress: object = None,
 ) -> SampleAnswer:
     """Create a plan of experiments and report its problems.

@@ -27,7 +27,7 @@ def propose_pushes(
     scene: Path | None = None,
     candidates: Path | None = None,
     number: Annotated[int, Door(also=("-n",), least=1, most=100)] = 5,
-    chosen: Annotated[bool, Door(flag="--chosen")] = False,
+    chosen: bool = False,
     contacts: Annotated[int, Door(least=1, most=1000)] = 24,
     travel: Annotated[float | None, Door(unit="mm", above=0.0, usual=THEIRS)] = None,
     speed: Annotated[float | None, Door(unit="mm/s", above=0.0, usual=THEIRS)] = None,

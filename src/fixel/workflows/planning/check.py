@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, final
 
 import numpy as np
 
@@ -18,15 +18,13 @@ from fixel.planning.held_out import HeldSuccess, held_success
 from fixel.planning.seen import plan_again
 from fixel.planning.success import SuccessProbability
 from fixel.planning.trials import Trials
-from fixel.progress import ProgressOption, show_progress
+from fixel.progress import show_progress
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.run import calibrate
 from fixel.workflows.calibration.stored import newest_calibration
 from fixel.workflows.planning.request import FoundPlan, inputs_of, warnings_of, with_experiments
 from fixel.workflows.planning.stored import load_plan, load_trials
-
-QUICK: Final = 12_000  # rollouts of a new plan from a seen pose
 
 
 @final
@@ -160,13 +158,7 @@ def seen_pose(text: str, where: str = "--seen") -> FloatArray:
 
 
 def next_plan(
-    project: Project | None,
-    path: Path,
-    seen: FloatArray,
-    *,
-    done: int = 0,
-    rollouts: int = QUICK,
-    progress: ProgressOption = None,
+    project: Project | None, path: Path, seen: FloatArray, done: int = 0, **options: Any
 ) -> FoundPlan:
     """Plan again from a seen pose of the part, with the pushes that are left.
 
@@ -179,21 +171,16 @@ def next_plan(
         Pose of the part [m, m, rad].
     done : int
         Number of pushes that were carried out.
-    rollouts : int
-        Number of simulated pushes.
-    progress : bool or callable, optional
+    **options
+        Options of `plan_again`.
     """
     found = load_plan(path).found
     belief, number = present_belief(project, found)
-    request = found.request
-    with show_progress(progress, "planning") as report:
+    old = replace(found.plan, belief=belief)
+    with show_progress(None, "planning") as report:
         again, note = plan_again(
-            replace(found.plan, belief=belief),
-            seen,
-            done,
-            rollouts=rollouts,
-            untrusted=request.get("untrusted", False),
+            old, seen, done, **{"untrusted": found.request.get("untrusted", False), **options},
             report=report.show,
-        )
+        )  # fmt: skip
     warnings = (*warnings_of(again, found.wanted), *filter(None, [note]))
     return replace(found, plan=again, calibration=number, warnings=warnings)

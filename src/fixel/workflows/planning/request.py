@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple, final
@@ -180,11 +181,13 @@ def with_experiments(project: Project, number: int) -> tuple[Calibration, list[E
     return stored_calibration(project, number), experiments
 
 
-def found_plan(own: PlanInputs, found: PushPlan, untrusted: bool) -> FoundPlan:
+def found_plan(own: PlanInputs, found: PushPlan, options: Mapping[str, Any]) -> FoundPlan:
     """Return a plan with its request and the warnings that belong to it."""
     return FoundPlan(
         plan=found,
-        request=PlanRequest(own.request, untrusted=untrusted),
+        request=PlanRequest(
+            own.request | {k: x for k, x in options.items() if isinstance(x, bool | int)}
+        ),
         calibration=own.calibration,
         wanted=own.file.success,
         warnings=(*own.warnings, *warnings_of(found, own.file.success)),

@@ -32,7 +32,7 @@ def plan_in_rounds(
     *,
     inputs: Path,
     progress: Callable[[Progress], None] | None = None,
-    **_: Any,
+    **options: Any,
 ) -> Generator[Round, Answers, PlanAnswer]:
     """Search for a plan as `plan_goal` does, in rounds of chunks."""
     request, own, search = _search(inputs, progress)
@@ -46,7 +46,7 @@ def plan_in_rounds(
             wanted = rounds.send(np.concatenate([_margins(answers[own.name]) for own in chunks]))
             number += 1
     except StopIteration as end:
-        return PlanAnswer(found_plan(own, end.value, request.untrusted), None)
+        return PlanAnswer(found_plan(own, end.value, options), None)
 
 
 @callable_by_jobs

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, MutableMapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
 from types import ModuleType
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
-from fixel.capability.usual import Seed
+from fixel.capability.usual import Seed, Threads
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
@@ -24,10 +23,8 @@ if TYPE_CHECKING:
     from fixel.simulation.motion import AbstractMotionModel
     from fixel.simulation.simulate import SceneWithMethod
     from fixel.simulation.stepper import AbstractStepper
-    from fixel.typing import FloatArray
     from fixel.workflows.planning.request import FoundPlan
 
-JOURNAL: Final = "answers.journal"
 ENDING: Final = ".plan"  # of plan files
 
 
@@ -41,9 +38,9 @@ def plan(
     seed: Seed = 0,
     motion: AbstractMotionModel | str | None = None,
     stepper: AbstractStepper | None = None,
-    untrusted: Annotated[bool, Door(flag="--untrusted")] = False,
+    untrusted: bool = False,
     first: Sequence[Sequence[PlanPush | RigPush]] = (),
-    threads: int | None = None,
+    threads: Threads = None,
     store: Annotated[
         PathLike[str] | str | None, Door(plain=Path | None, metavar="FOLDER", effort=True)
     ] = None,
@@ -76,7 +73,7 @@ def plan(
     first : sequence of sequences of PlanPush or RigPush
         Plans that are tried besides those that the search finds.
     threads : int, optional
-        Number of threads; all cores by default.
+        Number of threads; all cores by default. Results are the same for any number.
     store : path, optional
         Folder in which the work is stored as it is done; the same call continues it.
     progress : bool or callable, optional
@@ -116,6 +113,7 @@ def plan(
     from fixel.simulation.motion import motion_model
     from fixel.simulation.simulate import scene_file
     from fixel.simulation.trust import permit
+    from fixel.workflows.planning.stored import answers_in
 
     permit(motion)
     if isinstance(scene, Scene):
@@ -123,7 +121,7 @@ def plan(
     else:
         file = scene_file(scene, "a Scene or a scene file")
         own, motion, stepper = file.scene, motion or file.motion, stepper or file.stepper
-    with show_progress(progress, "planning") as report, _answers(store) as answers:
+    with show_progress(progress, "planning") as report, answers_in(store) as answers:
         try:
             search = search_of(
                 own, goal, choose or FreePushes(), belief or Belief(),
@@ -135,21 +133,6 @@ def plan(
         except KeyboardInterrupt:
             hint = "the same call continues" if store else "with store='FOLDER' it would continue"
             raise Interrupted(None, hint) from None
-
-
-@contextmanager
-def _answers(store: PathLike[str] | str | None) -> Iterator[MutableMapping[str, FloatArray]]:
-    from fixel.workflows.planning.stored import StoredAnswers
-
-    if store is None:
-        yield {}
-        return
-    from fixel.io.journal import Journal
-
-    folder = Path(store)
-    folder.mkdir(parents=True, exist_ok=True)
-    with Journal(folder / JOURNAL) as journal:
-        yield StoredAnswers(journal)
 
 
 class PlanAnswer(NamedTuple):
@@ -214,7 +197,7 @@ def plan_goal(
         refuse_unwritable(out)
     own = request.inputs_of(project, content, folder, scene, experiment, calibration)
     made = plan(*own.parts, **options, progress=progress)
-    found = request.found_plan(own, made, options.get("untrusted", False))
+    found = request.found_plan(own, made, options)
     if out is not None:
         stored.save_plan(found, out)
     return PlanAnswer(found, out)
@@ -245,7 +228,7 @@ PLAN: Final = Capability(
     verb="find",
     function=plan_goal,
     of=plan,
-    leave_out=("scene", "goal", "choose", "belief", "motion", "stepper", "first", "threads"),
+    leave_out=("scene", "goal", "choose", "belief", "motion", "stepper", "first"),
     presentation=_presentation,
     rounds=_rounds,
     settled=_settled,

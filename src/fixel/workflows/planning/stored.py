@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
+from os import PathLike
 from pathlib import Path
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
@@ -21,6 +24,8 @@ from fixel.planning.plan import PushPlan
 from fixel.planning.trials import PlanTrial, Trials
 from fixel.typing import FloatArray
 from fixel.workflows.planning.request import FoundPlan, PlanRequest
+
+JOURNAL: Final = "answers.journal"
 
 
 @final
@@ -124,3 +129,14 @@ class StoredAnswers(dict[str, FloatArray]):
         np.save(stream, array, allow_pickle=False)
         self._journal.append([(name, stream.getvalue())])
         super().__setitem__(name, array)
+
+
+@contextmanager
+def answers_in(folder: PathLike[str] | str | None) -> Iterator[dict[str, FloatArray]]:
+    """Yield the arrays by name that are stored in a folder; without one they are in memory."""
+    if folder is None:
+        yield {}
+        return
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    with Journal(Path(folder) / JOURNAL) as journal:
+        yield StoredAnswers(journal)
