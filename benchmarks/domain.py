@@ -19,6 +19,7 @@ from fixel.domain.claim import NOT_TRUSTED, TRUSTED, Claim
 from fixel.domain.coordinates import coordinates_of
 from fixel.domain.domain import DomainMap, domain_map
 from fixel.domain.evidence import HeldOutErrors
+from fixel.domain.held_out import Apart, CalibrationModel, calibrated_on, held_out
 from fixel.io.result_cache import ResultCache
 from fixel.model import PlannedExperiment
 from fixel.model.space import ParameterSpace
@@ -26,7 +27,6 @@ from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import FloatArray
-from fixel.workflows.domain.held_out import Apart, CalibrationModel, calibrated_on, held_out
 
 # Not those on which the settings of the surface were chosen.
 LAYOUTS = ("collinear-wide", "collinear-minus45", "concave-tight", "asymmetric-b")
@@ -85,7 +85,7 @@ def judged(planned: Sequence[PlannedExperiment], repetitions: int, new: int, lev
     space = ParameterSpace(unknowns=tuple(default_unknowns([targets[0].case.scene])))
     model = CalibrationModel(space=space, motion=Dynamic(), error=MeanSquare())
     apart = Apart(by=BY, folds=5 if len(planned) > 20 else 2)
-    errors = held_out(targets, model, apart, ResultCache(None)).error
+    errors = held_out(targets, model, apart, ResultCache(None).get).error
     rows = [coordinates_of(target) for target in targets]
     evidence = HeldOutErrors(
         keys=tuple(target.key for target in targets),

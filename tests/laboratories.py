@@ -37,8 +37,7 @@ def _make_laboratory(folder: Path) -> None:
 
 def _make_trusted(folder: Path) -> None:
     from fixel.web.views.calibration_form import CalibrationForm
-    from fixel.workflows.domain.request import DomainRequest
-    from fixel.workflows.domain.run import map_stored
+    from fixel.workflows.capabilities import call
 
     shutil.copytree(artefact("laboratory", _make_laboratory), folder)
     form = CalibrationForm(
@@ -58,5 +57,5 @@ def _make_trusted(folder: Path) -> None:
     job = run.prepare(project, chosen, form.plan(chosen).request)
     run.run(job)
     run.collect(project, job, "fixel calibrate --name first", {})
-    asked = DomainRequest(axes=("offset_y_m", "shape"), fit=("mu_pusher",), folds=2, threshold=6.0)
-    map_stored(project, asked, command="fixel domain")
+    options = {"axes": ("offset_y_m", "shape"), "fit": ("mu_pusher",), "folds": 2}
+    call(project, "domain", threshold=6e-3, **options, progress=False)

@@ -56,7 +56,7 @@ CAPABILITIES: Final[Mapping[str, Capability]] = {
     "calibration": Capability(
         "fixel.workflows.calibration.run.calibrate", r"(?<!camera/)calibrat", "calibration"
     ),
-    "domain": Capability("fixel.workflows.domain.map.map_domain", "domain", "domain"),
+    "domain": Capability("fixel.workflows.domain.run.map_domain", "domain", "domain"),
     "uncertainty": Capability(
         "fixel.workflows.uncertainty.run.posterior", "uncertainty", "uncertainty"
     ),

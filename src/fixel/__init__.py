@@ -102,7 +102,7 @@ if TYPE_CHECKING:
         calibrate_each as calibrate_each,
     )
     from fixel.workflows.domain.bound import error_bound as error_bound
-    from fixel.workflows.domain.map import map_domain as map_domain
+    from fixel.workflows.domain.run import map_domain as map_domain
     from fixel.workflows.experiments import read_experiments as read_experiments
     from fixel.workflows.filtering.run import filter as filter
     from fixel.workflows.model_export.run import export_model as export_model
@@ -156,7 +156,7 @@ _NAMES = {
     "fixel.workflows.calibration.calibration": "Calibration Calibrations",
     "fixel.workflows.calibration.run": "calibrate calibrate_campaign calibrate_each",
     "fixel.workflows.domain.bound": "error_bound",
-    "fixel.workflows.domain.map": "map_domain",
+    "fixel.workflows.domain.run": "map_domain",
     "fixel.workflows.experiments": "read_experiments",
     "fixel.workflows.filtering.run": "filter",
     "fixel.workflows.model_export.run": "export_model",

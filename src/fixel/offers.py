@@ -64,7 +64,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "stores": {
         "Calibration": "fixel.workflows.calibration.project:add_to_project",
         "Calibrations": "fixel.workflows.calibration.project:add_to_project",
-        "DomainMap": "fixel.workflows.domain.run:store_map",
+        "DomainMap": "fixel.workflows.lab:store_map",
         "FilterRun": "fixel.workflows.filtering.record:store_run",
         "Posterior": "fixel.workflows.uncertainty.report:store_posterior",
         "Sensitivity": "fixel.workflows.sensitivity.report:store_sensitivity",
@@ -99,7 +99,6 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "calibration": "fixel.workflows.calibration.job",
         "capability": "fixel.workflows.capabilities",
         "calibration-result": "fixel.workflows.calibration.project",
-        "domain": "fixel.workflows.domain.job",
         "plan": "fixel.workflows.planning.rounds",
         "toy": "fixel.testing.toy_work",
     },

@@ -8,7 +8,7 @@ from fixel.cli.main import app
 from fixel.errors import InvalidInput
 from fixel.testing.pushes import example_pushes
 from fixel.workflows.calibration.run import calibrate, calibrate_each
-from fixel.workflows.domain.map import map_domain
+from fixel.workflows.domain.run import map_domain
 
 SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
 
@@ -16,10 +16,6 @@ SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
 @pytest.mark.parametrize(
     ("words", "where", "named"),
     [
-        (["domain", "--by", "surface"], "threshold", "--threshold-mm"),
-        (["domain", "growth", "explore"], "threshold", "--threshold"),
-        (["domain"], "nominal side", "--nominal side"),
-        (["domain"], "facets", "--by"),
         (["simulate", "scene.yaml"], "overrides duration", "--set duration"),
         (["simulate", "scene.yaml"], "nominal", "nominal"),
         (["calibrate"], "bodies[0].mass", "bodies[0].mass"),

@@ -7,10 +7,10 @@ from tests.cli.shell import fixel
 from tests.fixtures import project_of
 
 from fixel.database.project import Project
+from fixel.domain import held_out
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.analysis import load_analyses
-from fixel.workflows.domain import held_out
 
 FIT = ("--fit", "mu_pusher", "--fit", "tripod_radius")
 
@@ -33,10 +33,12 @@ def test_a_map_its_pictures_and_the_next_command(capsys, project, tmp_path):
     code, out, err = fixel(capsys, "domain", "-p", project, *FIT, *options)
     assert code == 0, err
     lines = out.splitlines()
-    assert lines[0].startswith("Within 4 mm for 90 % of new experiments:")
+    assert any(line.startswith("Within 4 mm for 90 % of new experiments:") for line in lines)
     assert any(line.startswith("map") and "offset_theta_rad [deg]" in line for line in lines)
-    assert lines[-1].startswith(f"Next: fixel domain --project {project} --fit mu_pusher")
-    assert lines[-1].endswith("--threshold-mm 2 --folds 2")
+    assert lines[-1] == (
+        "Next: fixel domain --threshold-mm 2.0 --folds 2 --fit mu_pusher --fit tripod_radius "
+        f"--project {project}"
+    )
     names = {path.stem for path in plot.glob("*.png")}
     assert names == {"map-offset_x_m", "map-offset_theta_rad", "size"}
     (one, *_) = load_analyses(Project(project), "domain")
@@ -79,13 +81,16 @@ def test_what_was_offset_elsewhere_is_left_out_and_said(capsys, project):
     [
         (("--threshold-mm", "0.01"), "below the error that measurement noise alone causes"),
         (("--threshold-mm", "2", "--relative", "1"), "one of them"),
+        (("--threshold-mm", "0"), "--threshold-mm: found 0 mm, expected more than 0"),
         (("--relative", "1"), "fixel calibrate --mode each"),
         (("--axes", "offset_z_m"), "axis offset_z_m"),
         (("--nominal", "offset_x_m"), "AXIS=VALUE"),
         (("--nominal", "offset_x_m=0.5"), "a value with experiments"),
         (("--step", "offset_x_m=wide"), "a number"),
-        (("--level", "1.5"), "below 1"),
+        (("--level", "1.5"), "--level: found 1.5, expected less than 1"),
         (("--by", "colour"), "without colour"),
+        (("--facets", "colour"), "without colour"),
+        (("--cells", "offset_x_m=-1"), "a positive step"),
         (("--where", "shape=disc"), "found none"),
         (("--folds", "40"), "at least 40"),
         (("--calibration", "7"), "no calibration"),

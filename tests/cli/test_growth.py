@@ -13,7 +13,7 @@ from tests.workflows.growing import (
 )
 from typer.testing import CliRunner
 
-from fixel.cli.domain import app
+from fixel.cli.main import app
 from fixel.errors import InvalidInput
 
 
@@ -27,7 +27,7 @@ def folder(tmp_path_factory):
 
 
 def call(folder, *arguments):
-    return CliRunner().invoke(app, ["growth", "-p", str(folder), *map(str, arguments)])
+    return CliRunner().invoke(app, ["domain", "growth", "-p", str(folder), *map(str, arguments)])
 
 
 def test_the_answer_for_people(folder, tmp_path):
@@ -62,11 +62,11 @@ def test_the_answer_for_programs(folder):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--index", "other"), "corrected or printed"),
+        (("--index", "other"), "corrected' or 'printed'"),
         (("--sizes", "z=3"), "--sizes"),
         (("--sizes", "y=many"), "--sizes"),
         (("--sizes", "y=7"), "2 to 5"),
-        (("--threshold", "0"), "--threshold"),
+        (("--threshold", "0"), "--limit"),
         (("--shape", "disc"), "of shape disc"),
         (("--motion", "dynamic"), "21 of 21"),
     ],

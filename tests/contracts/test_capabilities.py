@@ -10,12 +10,14 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Literal, get_args, get_origin
 
+import numpy as np
 import pytest
 import typer
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.filtering.recordings import push
 from tests.fixtures import project_of
+from tests.workflows.growing import made_up_points, performed, planned, project_with
 from typer.testing import CliRunner
 
 from fixel.capability.capability import Capability, named
@@ -90,9 +92,14 @@ STORING = pytest.mark.parametrize(
 )
 # A short run of each.
 GOAL = {"pose": {"pose_mm_deg": [0, 0, 0], "position_mm": 200}}
+PUSHES = {"fit": ("mu_pusher",), "folds": 2}
 SHORT = {
     "compare": {"experiment": "push-1", "parameters": {"mu_support": 0.3}, "save": True},
+    "domain": {**PUSHES, "axes": ("offset_x_m",), "nominal": {"offset_x_m": 0.0},
+               "threshold": 2.2e-3},
+    "error-bound": {**PUSHES, "groups": ("layout",), "level": 0.8},
     "filter": {"experiment": "push-1", "particles": 20, "occlusion": (0.5, 1.0)},
+    "growth": {"limit": "2.2mm", "sizes": ("y=3", "x=2"), "motion": "quasistatic"},
     "next": {"part": "part-4", "contacts": 2, "number": 2},
     "plan": {
         "goal": json.dumps({"fixel": 1, "goal": GOAL}), "experiment": "push-1", "rollouts": 1000
@@ -128,7 +135,7 @@ def values_of(option, kind=None):
     if kind is int:
         return st.integers(-(10**6) if least is None else int(least), most or 10**9)
     if kind is float:
-        low = -1e6 if least is None else max(least, 1e-6)
+        low = -1e6 if least is None else least + 1e-6
         high = 1e6 if most is None else most - 1e-6
         return st.floats(low, high).map(lambda number: FACTORS.get(door.unit, 1.0) * number)
     return {bool: st.booleans(), str: NAMES, Path: NAMES.map(Path)}[kind]
@@ -283,6 +290,20 @@ def project(tmp_path_factory):
     return project_of_all(tmp_path_factory.mktemp("projects") / "lab")
 
 
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    """Project with the steps of the thesis along each axis."""
+    folder = tmp_path_factory.mktemp("campaigns") / "lab"
+    made, _ = project_with(folder, performed(planned()), made_up_points(21), np.ones(21))
+    return made
+
+
+@pytest.fixture
+def lab(name, request):
+    steps = name in ("domain", "error-bound", "growth")
+    return request.getfixturevalue("campaign" if steps else "project")
+
+
 def project_of_all(folder):
     """Project for a short run of every capability."""
     pushes = [replace(push(seed=k, duration=2.0), name=f"push-{k}") for k in (1, 2)]
@@ -291,8 +312,8 @@ def project_of_all(folder):
 
 
 @STORING
-def test_a_stored_result_prints_the_same_text_in_a_new_process(name, project):
-    capability = CAPABILITIES[name]
+def test_a_stored_result_prints_the_same_text_in_a_new_process(name, lab):
+    project, capability = lab, CAPABILITIES[name]
     request = capability.request(SHORT[capability.name])
     done = run(capability, request, project.folder, progress=False)
     (kept,) = load_analyses(project, capability.name)
@@ -311,8 +332,8 @@ def test_a_stored_result_prints_the_same_text_in_a_new_process(name, project):
 
 
 @STORING
-def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, project):
-    capability = CAPABILITIES[name]
+def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, lab):
+    project, capability = lab, CAPABILITIES[name]
     request = capability.request(SHORT[capability.name])
     here = run(capability, request, project.folder, progress=False).analysis
     shown = []

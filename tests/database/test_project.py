@@ -155,7 +155,7 @@ def shortened(push):
 
 
 def test_a_map_is_stored_as_the_command_stores_it(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("fixel.workflows.domain.run.pictures_of", lambda *_: [])  # slow
+    monkeypatch.setattr("fixel.workflows.domain.report._pictures", lambda *_: [])  # slow
     lab = fixel.Project.create(tmp_path / "lab")
     lab.add([shortened(push) for push in example().where("surface=abs")[:6]], progress=False)
     lab.calibrate("", {"mu_pusher": (0, 1)}, verdicts=False, progress=False)

@@ -10,7 +10,6 @@ import numpy as np
 from tests.fixtures import project_of
 
 from fixel.datasets import plan_import
-from fixel.workflows.domain.request import DomainRequest
 from fixel.workflows.domain.run import map_stored
 
 
@@ -18,20 +17,22 @@ def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root: Path, tmp_pat
     """Every sixth of 360 pushes; a published simulator is off by 2.7 mm on average there."""
     plan = plan_import(data_root / "mit_push_endpoints")
     project = project_of(tmp_path / "lab", islice(plan.experiments(), 0, 360, 6))
-    asked = DomainRequest(
+    done = map_stored(
+        project,
         axes=("contact_angle_rad",),
-        steps={"contact_angle_rad": np.pi / 4},
+        cells={"contact_angle_rad": np.pi / 4},
         fit=("mu_pusher", "registration_x", "registration_y"),
         folds=2,
-        threshold=6.0,
+        threshold=6e-3,
     )
-    done = map_stored(project, asked)
-    rms = np.sqrt(done.gathered.evidence.error_mm2)
+    rms = np.sqrt(done.gathered.errors.error_mm2)
     assert np.isfinite(rms).all()
     assert 1.0 < np.median(rms) < 6.0
     counts = done.domain.counts
     assert counts.sum() == len(rms) >= 55
-    colours = {verdict.colour for own in done.verdicts for verdict in own}
+    colours = {
+        verdict.colour for own in done.domain.verdicts(done.domain.claimed) for verdict in own
+    }
     assert colours <= {"trusted", "doubtful", "not trusted", "no data"}
     grey = np.array([[v.colour == "no data" for v in own] for own in done.verdicts])
     np.testing.assert_array_equal(grey, counts == 0)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from tests import calibrating as run
 from tests.fixtures import project_of
-from tests.workflows.growing import comparer_of, planned
+from tests.workflows.growing import comparer_of, explored, planned
 
 from fixel.calibration.target import target_of
 from fixel.model import Parameters
@@ -21,7 +21,6 @@ from fixel.simulation import QuasiStatic, simulate
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
-from fixel.workflows.growth.explore import explore
 
 INTERVAL = 2e-3  # [s] between samples of the plain simulations
 NAMES = ("mu_pusher", "tripod_radius")
@@ -92,7 +91,7 @@ def _largest(samples, places):
 @pytest.mark.parametrize(("index", "joins"), [("corrected", JOINS), ("printed", PRINTED)])
 def test_largest_errors_of_appendix_c6(project, samples, index, joins):
     with project.store() as store:
-        (row,) = explore(store, index=index).growth.matrix
+        (row,) = explored(store, index=index).growth.matrix
     assert row[0] == samples["nominal"][2]
     places = ["nominal"]
     for step in (1, 2):
@@ -103,7 +102,7 @@ def test_largest_errors_of_appendix_c6(project, samples, index, joins):
 
 def test_figure_6_5_y_axis_with_a_domain_of_three(project, samples):
     with project.store() as store:
-        study = next(s for s in explore(store).studies if (s.axis, s.size) == ("y", 3))
+        study = next(s for s in explored(store).studies if (s.axis, s.size) == ("y", 3))
     assert study.interval == (-1, 1)
     inside = ["y-1", "nominal", "y1"]
     weight = np.array([1.0 / samples[p][2] for p in inside])

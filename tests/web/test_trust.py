@@ -1,7 +1,6 @@
 """Calibrations and the domain, asked for by a program."""
 
 import json
-import math
 import os
 import shutil
 import time
@@ -18,14 +17,12 @@ from typer.testing import CliRunner
 from fixel.calibration.study import OUT_OF_BUDGET
 from fixel.cli.main import app
 from fixel.database.project import Project
-from fixel.errors import JobRefused, StoreRefused
+from fixel.errors import StoreRefused
 from fixel.web.app import create_app
 from fixel.web.context import ProjectContext
 from fixel.web.pages.site import project_pages
 from fixel.web.project import project_api
 from fixel.web.security import WORD_HEADER, Gate
-from fixel.web.views import domain_views
-from fixel.web.views.background_fits import Fits
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.workflows import jobs
 from fixel.workflows.calibration.project import collected
@@ -259,7 +256,7 @@ def test_a_damaged_result_is_made_again_out_of_the_journal(tmp_path):
 DAMAGE = {"cut short": lambda data: data[: len(data) // 2], "else": lambda data: b'{"a": 1}'}
 SEEN = [
     "/calibrations", "/calibrations/1", "/calibrations/new", "/domain", "/jobs", "/system",
-    "/api/v1/calibrations", "/api/v1/calibrations/1", "/api/v1/domain", "/api/v1/domain/{map}",
+    "/api/v1/calibrations", "/api/v1/calibrations/1", "/api/v1/domain/{map}",
     "/api/v1/analyses", "/api/v1/jobs",
 ]  # fmt: skip
 
@@ -342,19 +339,21 @@ def test_pages_are_there(bench):
 
 @pytest.fixture(scope="module")
 def name(bench):
-    (one,) = bench.get("/domain")["maps"]
+    (one,) = bench.get("/analyses?kind=domain")["analyses"]
     return one["name"]
 
 
 def test_a_map_for_every_threshold(bench, name):
     view = bench.get(f"/domain/{name}")
-    assert view["chosen"] == ["offset_y_m", "shape"]
-    assert (view["threshold"], view["unit"], view["simulated"]) == (6.0, "mm", True)
+    assert (view["claim"]["threshold"], view["unit"], view["simulated"]) == (6.0, "mm", True)
     (panel,) = view["panels"]
+    assert (panel["across"]["name"], panel["up"]["name"]) == ("offset_y_m", "shape")
     assert len(panel["cells"]) == len(panel["up"]["ticks"]) == 2
     assert len(panel["cells"][0]) == len(panel["across"]["ticks"])
-    assert len(view["points"]) == sum(map(sum, view["counts"]))
-    assert view["low"] >= view["floor_mm"]
+    assert {point["group"] for point in view["points"]} == {0}
+    assert any("Measurement noise" in remark for remark in view["remarks"])
+    for below in ("threshold=0", "threshold=nan", "level=1"):
+        assert bench.get(f"/domain/{name}/map?{below}", 422)
 
 
 def test_more_is_within_a_larger_threshold(bench, name):
@@ -365,7 +364,7 @@ def test_more_is_within_a_larger_threshold(bench, name):
         assert all(0.0 <= p <= 1.0 for p in values)
         chances.append(np.array(values))
         assert sum(shown["count"].values()) == sum(map(len, shown["colour"]))
-        assert f"--threshold-mm {threshold:.4g}" in shown["command"]
+        assert f"--threshold-mm {threshold}" in shown["command"]
     assert all((b >= a - 1e-3).all() for a, b in pairwise(chances))
 
 
@@ -396,48 +395,6 @@ def test_another_threshold_answers_at_once(bench, name):
     assert each < ANSWERS_WITHIN
 
 
-def fitted(bench, path):
-    deadline = time.monotonic() + 60.0
-    while not (fit := bench.get(path))["ready"] and time.monotonic() < deadline:
-        time.sleep(0.1)
-    return fit["ready"]
-
-
-def test_a_fit_is_joined_seen_and_stopped(bench, name, monkeypatch):
-    at_hand = domain_views.DomainViews(bench.context.project, bench.context.store)
-    monkeypatch.setattr(domain_views, "PATIENCE", 0.01)
-    monkeypatch.setattr(at_hand, "_fits", Fits(_sleeps))
-    assert at_hand.fit(name, ("layout",)) < 5.0
-    key = at_hand._key(at_hand._named(name), ("layout",), None)
-    first = at_hand._fits.joined(key)
-    with pytest.raises(JobRefused, match="is being fitted to these axes since 0 s"):
-        at_hand.view(name, ("layout",))
-    assert at_hand._fits.joined(key) is first
-    # Meanwhile what is at hand is shown, and no lock is held.
-    assert not domain_views.is_strips(at_hand.view(name).domain.cells)
-    at_hand.stop(name, ("layout",))
-    assert first.ended.wait(60.0)
-
-
-def _sleeps(_):
-    time.sleep(1000.0)
-
-
-def test_other_axes_and_measures(bench, name):
-    assert fitted(bench, f"/domain/{name}/fit?axis=shape")
-    strip = bench.get(f"/domain/{name}?axis=shape")
-    assert strip["panels"][0]["up"] is None
-    assert "layout" in [axis["name"] for axis in strip["axes"]]
-    refused = bench.get(f"/domain/{name}?measure=relative", 422)
-    assert "--mode each" in refused["hint"]
-    for below in ("", "/map", "/fit"):
-        refused = bench.get(f"/domain/{name}{below}?axis=nonsense", 422)
-        assert refused["where"] == "axis nonsense"
-    bench.post(f"/domain/{name}/fit/stop?axis=shape", status=204)
-    assert bench.get(f"/domain/{name}/map?threshold=0", 422)
-    assert bench.get(f"/domain/{name}/map?threshold=nan", 422)
-
-
 def test_pictures_of_analyses(bench, name):
     (one,) = bench.get("/analyses")["analyses"]
     assert one["name"] == name
@@ -455,23 +412,28 @@ def test_a_map_whose_evidence_is_gone_says_so(tmp_path):
     trusted_laboratory(folder)
     shutil.rmtree(folder / "analyses" / "held-out")
     alone = Bench(folder)
-    (one,) = alone.get("/domain")["maps"]
+    (one,) = alone.get("/analyses?kind=domain")["analyses"]
     assert "fixel domain" in alone.get(f"/domain/{one['name']}", 409)["hint"]
     assert alone.client.get("/domain").status_code == 200
     alone.context.close()
 
 
-def test_a_map_is_made_as_a_job(bench, project):
-    job = bench.post("/domain", {"by": ["nonsense"]})
-    deadline = time.monotonic() + 60.0
-    while not job["ended"] and time.monotonic() < deadline:
-        time.sleep(0.2)
-        (job,) = bench.get("/domain")["jobs"]
-        if job["state"] == "running" and job["fits"] >= 1:
-            break
-    assert job["state"] in ("running", "done", "failed"), job
-    if not job["ended"]:
-        stopped = bench.post(f"/domain/jobs/{job['name']}/stop")
-        assert stopped["state"] in ("cancelled", "done")
-    bench.post("/domain/jobs/nothing/stop", status=404)
-    assert not math.isnan(job["fits"])
+def test_a_map_of_an_earlier_version_says_so(tmp_path):
+    folder = tmp_path / "my_lab"
+    trusted_laboratory(folder)
+    (stored,) = (folder / "analyses").glob("domain-*/analysis.json")
+    content = json.loads(stored.read_text())
+    stored.write_text(json.dumps({**content, "request": {}, "question": {"by": []}}))
+    alone = Bench(folder)
+    refused = alone.get(f"/domain/{stored.parent.name}", 409)
+    assert "earlier version" in refused["sentence"]
+    assert "fixel domain" in refused["hint"]
+    alone.context.close()
+
+
+def test_the_map_is_computed_again_from_its_form(bench, name, project):
+    """Other facets than any experiment has: the form ends in a job that refuses them."""
+    page = bench.client.get(f"/run/domain?from={name}")
+    assert page.status_code == 200
+    assert 'value="6.0"' in page.text
+    assert bench.client.get(f"/results/{name}").text.count(f"/domain?map={name}") == 1

@@ -6,7 +6,6 @@ import pytest
 from tests.laboratories import trusted_laboratory
 
 from fixel.database.project import Project
-from fixel.web.views.background_fits import Fits
 from fixel.workflows.calibration.project import stored_calibration
 
 pytestmark = pytest.mark.system
@@ -198,43 +197,10 @@ def test_the_next_experiment_is_suggested_with_a_command(domain):
     assert "fixel domain" in domain.inner_text("#next code")
 
 
-def test_what_relative_lacks_is_told(domain):
-    domain.expected_problems.append("422")
-    domain.click("#relative")
-    domain.wait_for_selector(".toast.bad >> text=calibrated")
-    assert domain.get_attribute("#absolute", "aria-pressed") == "true"
-
-
-def test_other_axes(domain):
-    domain.set_default_timeout(30_000)  # for a process to start, and a fit
-    domain.select_option("#up", "")
-    domain.wait_for_selector("table[aria-label='along offset y [mm]']")
-    domain.select_option("#across", "shape")
-    domain.wait_for_selector("table[aria-label='along shape']")
-    domain.select_option("#across", "")
-    domain.wait_for_selector("table[aria-label*='shape and'], table[aria-label*='and shape']")
-
-
-def test_a_fit_that_takes_long_is_seen_and_stopped(domain, monkeypatch):
-    def slow(fits, key, fit, argument, put):
-        fit._stopped.wait(60.0)
-        fits._fits.pop(key)
-        fit.ended.set()
-
-    monkeypatch.setattr(Fits, "_run", slow)
-    domain.select_option("#across", "layout")
-    domain.wait_for_selector("#preparing:not([hidden])")
-    domain.wait_for_selector("#preparing-words:has-text('since 1 s')")
-    # The map that is there can be used meanwhile.
-    before = domain.get_attribute("#domain", "data-threshold")
-    domain.fill("#threshold", "3.3")
-    domain.wait_for_function("() => document.getElementById('domain').dataset.threshold === '3.3'")
-    assert before != "3.3"
-    domain.click("#stop-fit")
-    domain.wait_for_selector("#preparing", state="hidden")
-    assert domain.input_value("#across") == "offset_y_m"
-    domain.wait_for_timeout(1000)
-    assert domain.is_hidden("#preparing")
+def test_other_axes_are_asked_for_in_the_form(domain):
+    domain.click("text=Change axes")
+    domain.wait_for_selector("h1")
+    assert domain.input_value("[name=threshold]") == "6.0"
 
 
 def test_no_map_yet(browser_page, server, project):
@@ -242,7 +208,7 @@ def test_no_map_yet(browser_page, server, project):
     try:
         browser_page.goto(server.home + "domain")
         assert "fixel domain" in browser_page.inner_text("#nothing")
-        assert browser_page.is_visible("#make")
+        assert browser_page.is_visible("text=Make a map")
     finally:
         (project / "aside").rename(project / "analyses")
 

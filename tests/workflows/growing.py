@@ -13,6 +13,8 @@ from fixel.model.space import ParameterSpace, Unknown
 from fixel.sampling.thesis import thesis_plan
 from fixel.simulation import QuasiStatic
 from fixel.testbed.simulated import SimulatedTestbed
+from fixel.workflows.growth.explore import explore
+from fixel.workflows.growth.run import GROWTH
 
 NAMES = ("mu_pusher", "tripod_radius")
 METHOD = {
@@ -64,6 +66,10 @@ def record(members, values, errors, **method):
         provenance=Provenance(version=version("fixel")),
         method=METHOD | method,
     )
+
+
+def explored(store, **options):
+    return explore(store, GROWTH.request(options))
 
 
 def project_with(folder, experiments, points=None, errors=None):

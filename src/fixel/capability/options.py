@@ -132,6 +132,12 @@ class Option:
         return f"{words} [{self.door.unit}]" if self.door.unit else words
 
     @property
+    def help(self) -> str:
+        """Meaning with the unit of the door instead of that of Python."""
+        unit = self.door.unit
+        return re.sub(r"\[(m|rad|s|kg)\]", f"[{unit}]", self.meaning) if unit else self.meaning
+
+    @property
     def metavar(self) -> str:
         """Form of the value."""
         return self.door.metavar or _metavar(self.kind)

@@ -23,6 +23,8 @@ Dataset = Annotated[str, Door(metavar="NAME")]
 Where = Annotated[tuple[str, ...], Door(metavar="FILTER")]
 Flagged = Annotated[bool, Door(flag="--all")]
 Names = Annotated[Sequence[str], Door(plain=tuple[str, ...], metavar="NAME[,NAME]", commas=True)]
+# Engine of a stored calibration, or of its simulations; empty for none.
+EngineName = Annotated[str, Door(metavar="NAME", program=True)]
 # A model of fixel, another engine, or the path of a program, under either flag.
 Motion = Annotated[
     "AbstractMotionModel | str | None",

@@ -28,6 +28,16 @@ _PREPARE = Annotated[
 ]
 
 
+def typer_commands(name: str, every: Mapping[str, Capability]) -> typer.Typer:
+    """Return the command of a capability with those of its group as sub-commands."""
+    app = typer.Typer(invoke_without_command=True, rich_markup_mode=None)
+    app.callback()(typer_command(every[name]))
+    for one in every.values():
+        if one.group == name:
+            app.command(one.name)(typer_command(one))
+    return app
+
+
 def typer_command(capability: Capability) -> Callable[..., None]:
     """Return the function of a capability's command, with a signature for Typer."""
 
@@ -68,7 +78,7 @@ def _keyword(name: str, hint: Any, default: Any) -> Parameter:
 
 def _parameter(option: Option) -> Parameter:
     """Parameter of an option; all values but those of flags are texts, which the request checks."""
-    name, said = option.name.replace(".", DOT), option.meaning
+    name, said = option.name.replace(".", DOT), option.help
     usual = option.texts(option.default)
     shown: Any = option.door.usual or bool(usual)
     several = option.many or bool(option.door.also)  # two names of one option are refused together

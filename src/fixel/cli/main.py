@@ -28,7 +28,6 @@ from fixel.cli import (
     demo,
     devices,
     doctor,
-    domain,
     jobs,
     overlay,
     plan,
@@ -43,7 +42,7 @@ from fixel.cli import (
     trust,
 )
 from fixel.cli.argument_options import in_options
-from fixel.cli.capability import typer_command
+from fixel.cli.capability import typer_command, typer_commands
 from fixel.errors import (
     DatasetMissing,
     FixelError,
@@ -85,7 +84,8 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
     "Calibrate and assess": {
         "calibrate": typer_command(CAPABILITIES["calibrate"]),
         "calibrations": calibration.calibrations,
-        "domain": domain.app,
+        "domain": typer_commands("domain", CAPABILITIES),
+        "error-bound": typer_command(CAPABILITIES["error-bound"]),
         "sensitivity": typer_command(CAPABILITIES["sensitivity"]),
         "uncertainty": typer_command(CAPABILITIES["uncertainty"]),
         "next": typer_command(CAPABILITIES["next"]),

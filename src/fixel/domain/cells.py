@@ -218,6 +218,18 @@ class Cells:
                 parts.append(f"{axis.title} = {axis.text(place)} {axis.unit}".rstrip())
         return ", ".join(parts)
 
+    def values(self, k: int) -> dict[str, str | float]:
+        """Return the values of a cell along the axes, by name [SI]."""
+        return {
+            axis.name: axis.labels[place] if axis.is_text else axis.centres[place]
+            for axis, place in zip(self.axes, self.index[k], strict=True)
+        }
+
+    @property
+    def is_strips(self) -> bool:
+        """Whether each axis is shown by itself, through the nominal cell."""
+        return self.arms or len(self.axes) == 1
+
     @property
     def places(self) -> FloatArray:
         """Positions (n_cell, d) of the cells, for distances between them."""

@@ -252,13 +252,22 @@ def claimed_map_chart(found: DomainMap, *, axis: str | None = None) -> Chart:
     names = [own.name for own in found.cells.axes]
     if axis is not None and axis not in names:
         raise InvalidInput("axis", found=repr(axis), expected="one of " + ", ".join(names))
-    alone = found.cells.arms or len(names) == 1 or axis is not None
+    alone = found.cells.is_strips or axis is not None
     across, up = 0 if axis is None else names.index(axis), None if alone else 1
     return map_chart(found, found.claimed, found.verdicts(found.claimed), across, up)
 
 
-def draw_bounds(found: ErrorBound, *, ax: Axes | None = None) -> Any:
+def bound_chart(found: ErrorBound) -> Chart:
     """Draw held-out errors of end positions against their bounds; those below the line hold."""
+    return Chart(
+        title="End position: held-out errors and their bounds",
+        size=(palette.COLUMN, 2.8),
+        fill=chart.panels([[_bound_panel(found)]]),
+        data=found._data(),
+    )
+
+
+def _bound_panel(found: ErrorBound) -> chart.Mark:
     data = found.to_dict()
     pairs = zip(data["position"], data["position_bound"], strict=True)
     shown = [
@@ -267,7 +276,7 @@ def draw_bounds(found: ErrorBound, *, ax: Axes | None = None) -> Any:
         if isinstance(error, float) and isinstance(bound, float)
     ]
     most = 1.1 * max((bound for bound, _ in shown), default=1.0)
-    errors = chart.panel(
+    return chart.panel(
         chart.line(*zip(*shown, strict=True), ".", color=palette.BODY)
         if shown
         else chart.line([], []),
@@ -277,14 +286,14 @@ def draw_bounds(found: ErrorBound, *, ax: Axes | None = None) -> Any:
         xlabel=f"bound, {100.0 * found.level:g} % [mm]",
         ylabel="held-out error [mm]",
     )
-    if ax is not None:
-        errors(ax)
-        return ax
-    title = "End position: held-out errors and their bounds"
-    size = (palette.COLUMN, 2.8)
-    return chart.plot_axes(
-        Chart(title=title, size=size, fill=chart.panels([[errors]]), data=found._data()).figure
-    )
+
+
+def draw_bounds(found: ErrorBound, *, ax: Axes | None = None) -> Any:
+    """Draw the chart of bounds, or into axes."""
+    if ax is None:
+        return chart.plot_axes(bound_chart(found).figure)
+    _bound_panel(found)(ax)
+    return ax
 
 
 draw_map = chart.plot_of(claimed_map_chart)

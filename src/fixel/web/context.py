@@ -13,10 +13,11 @@ from fixel.drawing.thumbnail import thumbnail
 from fixel.model.selection import ExperimentQuery
 from fixel.web.views.calibration_detail import CalibrationDetail, load_detail
 from fixel.web.views.calibration_progress import ProgressReader
-from fixel.web.views.domain_views import DomainViews
+from fixel.web.views.domain_views import load_view
 from fixel.web.views.live_comparison import LiveComparison
 
 MAX_KEPT: Final = 64  # details of calibrations in memory
+MAX_MAPS: Final = 12  # domain maps in memory
 MAX_THUMBNAILS: Final = 5000  # in memory; about 2 kB each
 
 
@@ -34,7 +35,8 @@ class ProjectContext:
         Records of the project, opened once; any thread may use it.
     comparison : LiveComparison
     calibrations : ProgressReader
-    domains : DomainViews
+    domain : callable
+        Returns a stored map by name and time, and remembers some.
     newest : dict from name to result
         Newest self-test and check of the database, for the page of the system.
     thumbnail : callable
@@ -51,7 +53,7 @@ class ProjectContext:
         self.calibrations = ProgressReader(project)
         self._details = lru_cache(MAX_KEPT)(partial(load_detail, project, self.store))
         self.thumbnail = lru_cache(MAX_THUMBNAILS)(self._thumbnail)
-        self.domains = DomainViews(project, self.store)
+        self.domain = lru_cache(MAX_MAPS)(partial(load_view, project, self.store))
 
     @property
     def name(self) -> str:

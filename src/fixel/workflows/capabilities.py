@@ -14,7 +14,10 @@ from fixel.errors import InvalidInput
 from fixel.jobs.functions import callable_by_jobs
 from fixel.workflows.calibration.run import CALIBRATE
 from fixel.workflows.compare.run import COMPARE
+from fixel.workflows.domain.bound import ERROR_BOUND
+from fixel.workflows.domain.run import DOMAIN
 from fixel.workflows.filtering.run import FILTER
+from fixel.workflows.growth.run import GROWTH
 from fixel.workflows.next_pushes.run import NEXT
 from fixel.workflows.planning.run import PLAN
 from fixel.workflows.sampling import SAMPLE
@@ -35,7 +38,10 @@ CAPABILITIES: Final[Mapping[str, Capability]] = {
     for one in (
         CALIBRATE,
         COMPARE,
+        DOMAIN,
+        ERROR_BOUND,
         FILTER,
+        GROWTH,
         NEXT,
         PLAN,
         SAMPLE,
@@ -86,7 +92,7 @@ def run(
     project = Project(folder) if capability.on_project and needed else None
     place = (project,) if capability.on_project else ()
     result = capability.function(*place, **capability.arguments(request), progress=progress)
-    return _reported(capability, request, project, result, time.monotonic() - begun, plot)
+    return report_result(capability, request, project, result, time.monotonic() - begun, plot)
 
 
 def call(project: Project, name: str, /, *, progress: ProgressOption = None, **options: Any) -> Any:
@@ -111,7 +117,7 @@ def call(project: Project, name: str, /, *, progress: ProgressOption = None, **o
     return run(capability, request, project.folder, progress=progress).result
 
 
-def _reported(
+def report_result(
     capability: Capability,
     request: BaseModel,
     project: Project | None,
@@ -120,7 +126,21 @@ def _reported(
     plot: Path | None = None,
     keep: bool = False,
 ) -> StoredAnswer:
-    """Report a result; store the report to `keep` it, or unless the request states otherwise."""
+    """Report a result; store the report to `keep` it, or unless the request states otherwise.
+
+    Parameters
+    ----------
+    capability : Capability
+    request : BaseModel
+    project : Project or None
+    result : object
+        What the function returned.
+    seconds : float
+        Duration of the call, unless the report has another one.
+    plot : Path, optional
+        Folder or file for figures.
+    keep : bool
+    """
     from fixel.workflows.analysis import StoredAnswer, store_analysis
     from fixel.workflows.figures import write_picture
 
@@ -224,7 +244,7 @@ def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
             project, **arguments, inputs=inputs, progress=report_stage
         )
     seconds = time.monotonic() - begun
-    folder = _reported(capability, request, project, result, seconds, keep=True).folder
+    folder = report_result(capability, request, project, result, seconds, keep=True).folder
     assert folder is not None
     return folder.name.encode()
 

@@ -5,19 +5,19 @@ They run what the commands run, with the same numbers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 from fixel.database.project import Project
 from fixel.domain.domain import DomainMap
-from fixel.errors import InvalidInput
-from fixel.model.selection import parse_filter
 from fixel.progress import ProgressOption
 from fixel.uncertainty.posterior import Posterior
+from fixel.workflows.analysis import StoredAnswer
 from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.capabilities import call
-from fixel.workflows.domain.request import DomainRequest
-from fixel.workflows.domain.run import map_stored
+from fixel.workflows.capabilities import call, report_result
+from fixel.workflows.domain.evidence import store_evidence
+from fixel.workflows.domain.mapping import DomainAnswer, claimed
+from fixel.workflows.domain.run import DOMAIN
 
 Fit = Calibration | int | None
 
@@ -27,12 +27,6 @@ def map_domain(
     filter: str = "",
     fit: Fit = None,
     *,
-    threshold: float | None = None,
-    relative: float | None = None,
-    axes: Sequence[str] = (),
-    facets: Sequence[str] = (),
-    nominal: Mapping[str, str | float] | None = None,
-    cells: Mapping[str, float] | None = None,
     progress: ProgressOption = None,
     **options: Any,
 ) -> DomainMap:
@@ -44,25 +38,30 @@ def map_domain(
     filter : str
     fit : Calibration or int, optional
         Calibration, or the id of a stored one; by default the newest for several experiments.
-    threshold, relative, axes, facets, nominal, cells, progress
-        As for `fixel.map_domain`.
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
     **options
-        `level`, `confidence`, `leave_out`, `folds` and `seed`, as for `fixel.map_domain`.
+        Options of `fixel.map_domain`.
     """
-    if threshold is not None and relative is not None:
-        raise InvalidInput("relative", found="threshold too", expected="one of them")
-    request = DomainRequest(
-        query=parse_filter(filter),
-        calibration=_id_of(project, fit),
-        axes=tuple(axes),
-        by=tuple(facets),
-        nominal=nominal or {},
-        steps=cells or {},
-        threshold=relative if threshold is None else 1e3 * threshold,
-        measure="absolute" if relative is None else "relative",
-        **options,
-    )
-    return map_stored(project, request, progress=progress).domain
+    options |= {"where": (filter,) if filter else (), "calibration": _id_of(project, fit)}
+    return cast(DomainMap, call(project, "domain", progress=progress, **options).domain)
+
+
+def store_map(project: Project, domain: DomainMap) -> StoredAnswer:
+    """Store a map of experiments that a project has.
+
+    Raises
+    ------
+    NotStored
+        The project does not have one of its experiments.
+    """
+    asked = claimed(DOMAIN.request(domain.question), domain.claimed)
+    gathered = store_evidence(project, domain.source, asked)
+    number = dict(zip(gathered.errors.keys, gathered.errors.ids, strict=True))
+    evidence = domain.evidence
+    own = replace(domain, evidence=replace(evidence, ids=tuple(number[k] for k in evidence.keys)))
+    answer = DomainAnswer(asked, gathered, own, len(number) - len(evidence))
+    return report_result(DOMAIN, asked, project, answer, 0.0)
 
 
 def posterior(

@@ -15,9 +15,8 @@ from fixel.errors import InvalidInput, NotStored
 from fixel.simulation import Dynamic
 from fixel.testing.pushes import example_pushes
 from fixel.workflows.analysis import load_analyses
-from fixel.workflows.domain.evidence import gathered_before
-from fixel.workflows.domain.map import map_domain
-from fixel.workflows.domain.request import asked_again
+from fixel.workflows.domain.evidence import load_evidence
+from fixel.workflows.domain.run import DOMAIN, map_domain
 
 SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
 QUIET = {"progress": False, "threads": 1}
@@ -93,7 +92,7 @@ def test_a_stored_map_is_not_fitted_again(pushes, tmp_path, monkeypatch):
     def never(self):
         raise AssertionError("fitted again")
 
-    monkeypatch.setattr("fixel.workflows.domain.held_out._FoldFit.__call__", never)
+    monkeypatch.setattr("fixel.domain.held_out._FoldFit.__call__", never)
     again = map_domain(pushes[:6], SPACE, axes=["side"], folds=2, store=tmp_path, **QUIET)
     assert again.held_out == known.held_out
 
@@ -126,13 +125,12 @@ def test_a_project_stores_a_map_with_its_evidence(pushes, found, tmp_path, monke
     (stored,) = load_analyses(lab)
     assert kept.folder == stored.folder
     assert stored.analysis.numbers["threshold"] == pytest.approx(0.2)
-    asked = asked_again(stored.analysis.question)
+    asked = DOMAIN.request(stored.analysis.request)
     with lab.store() as store:
-        again = gathered_before(lab, store, asked, stored.analysis.numbers["evidence"])
-        keys = {number: store.experiment(number).key for number in again.evidence.ids}
-    assert again is not None
-    assert [keys[k] for k in again.evidence.ids] == list(found.held_out)
-    np.testing.assert_array_equal(again.evidence.error_mm2, found.evidence.error_mm2)
+        again = load_evidence(lab, store, asked, stored.analysis.numbers["evidence"])
+        keys = {number: store.experiment(number).key for number in again.errors.ids}
+    assert [keys[k] for k in again.errors.ids] == list(found.held_out)
+    np.testing.assert_array_equal(again.errors.error_mm2, found.evidence.error_mm2)
     with pytest.raises(NotStored):
         project_of(tmp_path / "empty", pushes[:1]).add(found)
 

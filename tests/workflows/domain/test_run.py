@@ -10,6 +10,7 @@ from fixel.calibration.objective import Comparer, Evaluation, MeanSquare, RootMe
 from fixel.calibration.target import targets_of
 from fixel.database.project import Project
 from fixel.domain.coordinates import coordinates_of, label_of
+from fixel.domain.held_out import Apart, CalibrationModel, held_out, noise_floor, stepper_for
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache
 from fixel.model import Parameters, Provenance
@@ -20,9 +21,8 @@ from fixel.simulation import Dynamic
 from fixel.simulation.stepper import Adaptive
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration.parameter_options import searched_unknowns
-from fixel.workflows.domain.evidence import gather, noise_floor
-from fixel.workflows.domain.held_out import Apart, CalibrationModel, held_out, stepper_for
-from fixel.workflows.domain.request import DomainRequest, model_of, own_best
+from fixel.workflows.domain.fits import own_best, stored_model
+from fixel.workflows.domain.run import DOMAIN, map_stored
 
 METHOD = {"how": "alone", "error": "mean-square", "error.angle_scale": 0.035, "motion": "dynamic"}
 
@@ -43,14 +43,14 @@ def test_on_a_perfect_bench_held_out_errors_are_none_and_the_truth_is_found(tmp_
     told = []
     one = model(targets, ["mu_pusher=0:1:0.3"])
     found = held_out(
-        targets, one, Apart(folds=2), ResultCache(tmp_path), lambda *done: told.append(done)
+        targets, one, Apart(folds=2), ResultCache(tmp_path).get, lambda *done: told.append(done)
     )
     assert told == [(1, 2), (2, 2)]
     assert np.sqrt(found.error).max() < 0.02  # [mm]
     assert sorted(np.bincount(found.fold).tolist()) == [2, 2]
     for point in found.points.values():
         assert point == pytest.approx([0.2], abs=2e-3)
-    again = held_out(targets, one, Apart(folds=2), ResultCache(tmp_path))
+    again = held_out(targets, one, Apart(folds=2), ResultCache(tmp_path).get)
     np.testing.assert_array_equal(found.error, again.error)
 
 
@@ -59,8 +59,8 @@ def test_parameters_of_an_experiment_are_found_without_it():
     targets = targets_of(SimulatedTestbed.ideal().run(planned()))
     wild = targets[1]._replace(pose=targets[1].pose + np.array([0.02, 0.0, 0.0]))
     changed = [targets[0], wild, *targets[2:]]
-    plain = held_out(targets, model(targets), Apart(folds=4), ResultCache(None))
-    found = held_out(changed, model(changed), Apart(folds=4), ResultCache(None))
+    plain = held_out(targets, model(targets), Apart(folds=4), ResultCache(None).get)
+    found = held_out(changed, model(changed), Apart(folds=4), ResultCache(None).get)
     own = f"all, fold {plain.fold[1] + 1}"
     assert found.points[own] == plain.points[own]
     assert np.sqrt(found.error[1]) == pytest.approx(20.0, rel=0.05)
@@ -91,9 +91,9 @@ def test_a_start_that_some_group_cannot_have_is_refused_before_any_fit(tmp_path,
     def never(self):
         raise AssertionError("a fit before the refusal")
 
-    monkeypatch.setattr("fixel.workflows.domain.held_out._FoldFit.__call__", never)
+    monkeypatch.setattr("fixel.domain.held_out._FoldFit.__call__", never)
     with pytest.raises(InvalidInput, match="no simulation at it: even"):
-        held_out(mixed, one, Apart(("kind",), "", 2, 0), ResultCache(tmp_path))
+        held_out(mixed, one, Apart(("kind",), "", 2, 0), ResultCache(tmp_path).get)
 
 
 def test_errors_beside_own_bests_are_refused_before_any_fit(tmp_path, monkeypatch):
@@ -104,7 +104,7 @@ def test_errors_beside_own_bests_are_refused_before_any_fit(tmp_path, monkeypatc
 
     monkeypatch.setattr("fixel.workflows.domain.evidence.held_out", never)
     with pytest.raises(InvalidInput, match="calibrate them first"):
-        gather(project, DomainRequest(measure="relative", threshold=1.0))
+        map_stored(project, relative=1.0)
 
 
 def test_own_bests_under_another_model_say_nothing(tmp_path):
@@ -138,7 +138,7 @@ def test_fits_start_at_the_stored_calibration(tmp_path):
         for experiment in SimulatedTestbed.ideal().run(planned(2)):
             store.add_experiment(experiment)
         targets = targets_of(store.experiment(k) for k in (1, 2))
-        assert model_of(project, store, DomainRequest(), targets).calibration is None
+        assert stored_model(project, store, DOMAIN.request({}), targets).calibration is None
         record = CalibrationRecord(
             name="joint",
             parameters=Parameters(mu_pusher=0.37),
@@ -147,7 +147,7 @@ def test_fits_start_at_the_stored_calibration(tmp_path):
             method=METHOD | {"how": "direct minimisation", "motion": "quasistatic"},
         )
         number = store.add_calibration(record)
-        started = model_of(project, store, DomainRequest(), targets)
+        started = stored_model(project, store, DOMAIN.request({}), targets)
     assert started.calibration == number
     space = started.model.space
     assert dict(zip(space.labels, space.nominal, strict=True))["mu_pusher"] == 0.37

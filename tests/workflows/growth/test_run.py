@@ -7,6 +7,7 @@ import pytest
 from tests.workflows.growing import (
     NAMES,
     comparer_of,
+    explored,
     made_up_points,
     performed,
     planned,
@@ -19,9 +20,10 @@ from fixel.errors import InvalidInput
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.calibration.stored import load_values
+from fixel.workflows.capabilities import run
 from fixel.workflows.growth import report
 from fixel.workflows.growth.explore import explore, threshold_in
-from fixel.workflows.growth.run import GrowthRequest, run_growth
+from fixel.workflows.growth.run import GROWTH
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +64,9 @@ def _place(experiments):
 def test_means_are_kept_once_with_weights_and_errors(lab, experiments, points, errors):
     project, ids = lab
     with project.store() as store:
-        first = explore(store)
+        first = explored(store)
         assert len(first.added) == 5
-        assert explore(store).added == []
+        assert explored(store).added == []
         step = store.calibration(first.added[0])
     at = _place(experiments)
     rows = [at[place.name] for place in domain(1)]
@@ -89,7 +91,7 @@ def test_a_stored_joint_calibration_counts_before_the_mean(lab, experiments):
         number = store.add_calibration(record(members, values, [1.0] * 5, how="direct"))
         store.add_calibration(record(members, other, [2.0] * 5, how="direct"))
         store.add_calibration(record(members, other, [0.1] * 5, how="direct", motion="dynamic"))
-        found = explore(store)
+        found = explored(store)
     step = found.growth.steps[0][1]
     assert (step.used.source, step.used.calibration) == (STORED, number)
     np.testing.assert_array_equal(step.used.point, [0.2, 0.04])
@@ -106,7 +108,7 @@ def test_the_best_of_several_single_calibrations_counts(lab, points, errors):
         number = store.add_calibration(
             record([ids[1]], dict(zip(NAMES, better, strict=True)), [errors[1] / 2])
         )
-        found = explore(store)
+        found = explored(store)
     np.testing.assert_array_equal(found.stored.singles.points[0], points[0])
     assert found.stored.best[1].id == number
 
@@ -120,12 +122,12 @@ def test_an_experiment_that_was_not_performed_leaves_cells_empty(
         tmp_path / "lab", [experiments[k] for k in rows], points[rows], errors[rows]
     )
     with project.store() as store:
-        found = explore(store)
+        found = explored(store)
     assert [x is None for x in found.growth.matrix[0]] == [False] * 3 + [True] * 3
     assert any("not performed: theta3" in sentence for sentence in found.warnings)
     assert report.matrix_table(found).rows[0][4] == "none"
     assert report.numbers(found)["groups"][0]["largest_error"][3:] == [None] * 3
-    assert "at step 2" in report.headline(found)[0]
+    assert "at step 2" in report.report_of(found).analysis.headline[0]
 
 
 def test_of_repetitions_the_first_counts(lab, experiments):
@@ -135,7 +137,7 @@ def test_of_repetitions_the_first_counts(lab, experiments):
     )
     with project.store() as store:
         store.add_experiment(again)
-        found = explore(store)
+        found = explored(store)
     assert found.samples.ids == ids
     assert any("1 repetitions skipped" in sentence for sentence in found.warnings)
 
@@ -143,7 +145,7 @@ def test_of_repetitions_the_first_counts(lab, experiments):
 def test_stored_errors_that_are_not_met_again_are_told(tmp_path, experiments, points, errors):
     project, _ = project_with(tmp_path / "lab", experiments, points, 2.0 * errors)
     with project.store() as store:
-        warnings = explore(store).warnings
+        warnings = explored(store).warnings
     assert any("does not reproduce" in sentence for sentence in warnings)
 
 
@@ -157,7 +159,7 @@ def test_searches_that_got_stuck_are_told(tmp_path, experiments, points, errors,
     less[good] = 1e-9  # it rules every mean
     project, _ = project_with(tmp_path / "lab", experiments, own, less)
     with project.store() as store:
-        (told,) = (w for w in explore(store).warnings if "--mode campaign" in w)
+        (told,) = (w for w in explored(store).warnings if "--mode campaign" in w)
     under = comparer.errors(np.array([stuck]), np.array([[0.2, 0.04]])).error[0]
     assert under < 0.5 * less[stuck]
     assert "experiments have less than half" in told
@@ -165,8 +167,11 @@ def test_searches_that_got_stuck_are_told(tmp_path, experiments, points, errors,
 
 def test_the_analysis_is_kept_with_pictures_and_the_banner(lab):
     project, _ = lab
-    found, done = run_growth(project, GrowthRequest(threshold="2.0", sizes={"y": (3,)}))
-    assert len(load_analyses(project, "growth")) == 1
+    asked = GROWTH.request({"limit": "2.0", "sizes": ("y=3",)})
+    run(GROWTH, asked, project.folder, progress=False)
+    (done,) = load_analyses(project, "growth")
+    with project.store() as store:
+        found = explore(store, asked)
     assert {shown.name for shown in done.analysis.pictures} == {
         "growth_matrix", "growth_steps", "axis_square_x", "axis_square_y", "axis_square_theta",
     }  # fmt: skip
@@ -186,7 +191,7 @@ def test_without_calibrations_the_command_is_named(tmp_path, experiments):
         project.store() as store,
         pytest.raises(InvalidInput, match=r"(?s)21 of 21.*fixel calibrate --mode each"),
     ):
-        explore(store)
+        explored(store)
 
 
 def test_experiments_that_lack_one_are_named(tmp_path, experiments, points, errors):
@@ -194,7 +199,7 @@ def test_experiments_that_lack_one_are_named(tmp_path, experiments, points, erro
     with project.store() as store:
         store.add_experiment(experiments[20])
         with pytest.raises(InvalidInput, match=f"1 of 21 experiments: {experiments[20].key}"):
-            explore(store)
+            explored(store)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +213,7 @@ def test_members_of_another_method_are_named(tmp_path, experiments, points, erro
         values = dict(zip(NAMES, points[20].tolist(), strict=True))
         store.add_calibration(record([number], values, [1.0], **change))
         with pytest.raises(InvalidInput, match=rf"(?s)20 of 21.*1 of 21.*{experiments[20].key}"):
-            explore(store)
+            explored(store)
 
 
 def test_of_two_whole_methods_the_newest_or_the_one_asked_for(lab, points, errors):
@@ -217,8 +222,8 @@ def test_of_two_whole_methods_the_newest_or_the_one_asked_for(lab, points, error
         for number, point, error in zip(ids, points.tolist(), errors.tolist(), strict=True):
             values = dict(zip(NAMES, point, strict=True))
             store.add_calibration(record([number], values, [error], motion="first-order"))
-        newest = explore(store)
-        asked = explore(store, motion="quasistatic")
+        newest = explored(store)
+        asked = explored(store, motion="quasistatic")
     assert newest.stored.method.motion == "first-order"
     assert any("--motion" in sentence for sentence in newest.warnings)
     assert asked.stored.method.motion == "quasistatic"
@@ -231,14 +236,14 @@ def test_a_group_without_its_nominal_experiment_is_refused(tmp_path, experiments
         tmp_path / "lab", [experiments[k] for k in rows], points[rows], errors[rows]
     )
     with project.store() as store, pytest.raises(InvalidInput, match="no nominal experiment"):
-        explore(store)
+        explored(store)
 
 
 def test_other_experiments_are_no_campaign(tmp_path, experiments):
     bare = replace(experiments[0], conditions={})
     project, _ = project_with(tmp_path / "lab", [bare])
     with project.store() as store, pytest.raises(InvalidInput, match="fixel testbed run"):
-        explore(store)
+        explored(store)
 
 
 def test_two_data_sets_at_one_place_are_refused(lab, experiments):
@@ -246,14 +251,14 @@ def test_two_data_sets_at_one_place_are_refused(lab, experiments):
     with project.store() as store:
         store.add_experiment(replace(experiments[3], dataset="other"))
         with pytest.raises(InvalidInput, match="--dataset other"):
-            explore(store)
+            explored(store)
 
 
 @pytest.mark.parametrize(
     ("text", "unit", "value"),
     [
-        (None, "mm^2", 5.0),
-        (None, "mm", np.sqrt(5.0)),
+        ("", "mm^2", 5.0),
+        ("", "mm", np.sqrt(5.0)),
         ("4", "mm", 4.0),
         ("2.2mm", "mm^2", 4.84),
         ("4 mm2", "mm", 2.0),
@@ -264,9 +269,9 @@ def test_thresholds_are_errors_or_distances(text, unit, value):
     assert threshold_in(text, unit) == pytest.approx(value)
 
 
-@pytest.mark.parametrize("text", ["", "much", "-1", "nan", "2 cm", "1e999"])
+@pytest.mark.parametrize("text", ["much", "-1", "nan", "2 cm", "1e999"])
 def test_what_is_no_threshold_is_refused(text):
-    with pytest.raises(InvalidInput, match="--threshold"):
+    with pytest.raises(InvalidInput, match="limit"):
         threshold_in(text, "mm^2")
 
 

@@ -98,8 +98,7 @@ def compare_page(context: ProjectContext, request: Request) -> dict[str, Any]:
 
 def domain_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill `/domain?map=NAME`; by default with the newest map."""
-    every, unreadable = load_with_errors(context.project)
-    maps = [one for one in every if one.analysis.kind == "domain"]
+    maps, unreadable = load_with_errors(context.project, "domain")
     wanted = request.query_params.get("map", "")
     chosen = next((one for one in maps if one.folder.name == wanted), None)
     chosen = chosen or (maps[0] if maps else None)
@@ -107,11 +106,6 @@ def domain_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "name": "" if chosen is None else chosen.folder.name,
         "chosen": None if chosen is None else chosen.analysis,
         "maps": [(one.folder.name, one.analysis) for one in maps],
-        "others": [
-            (one.folder.name, one.analysis)
-            for one in every
-            if one.analysis.kind not in ("domain", "next", "plan")
-        ],
         "unreadable": [str(problem) for problem in unreadable],
     }
 

@@ -1,17 +1,17 @@
 // @ts-check
 // The domain: where held-out errors stay below a threshold, cell by cell, and what lies in a cell.
 
-import { complain, copy, get, send, toast } from "./api.js";
+import { complain, copy, get } from "./api.js";
 import { ROOT, at, input, make } from "./dom.js";
 import { digits } from "./quantity.js";
 import { several } from "./units.js";
 
 /** @typedef {{name: string, unit: string, ticks: string[]}} Strip */
 /** @typedef {{across: Strip, up: Strip | null, cells: number[][]}} Panel */
-/** @typedef {{id: number, key: string, group: number, cell: number, error: number | null, fold: number}} Held */
-/** @typedef {{name: string, title: string, measure: "absolute" | "relative", unit: string, low: number, high: number, threshold: number, level: number, confidence: number, floor_mm: number | null, floor_from: string, calibration: number | null, groups: string[], omitted: number, panels: Panel[], texts: string[], nominal: number, counts: number[][], points: Held[], axes: {name: string, distinct: number}[], chosen: string[], aside: number, simulated: boolean}} View */
-/** @typedef {{threshold: number, words: string, level: number, confidence: number, colours: string[], colour: number[][], chance: (number | null)[][], inside: number[][], count: Record<string, number>, sizes: number[], command: string}} Shown */
-/** @typedef {{proposals: {group: string, cell: number, where: string, bits: number, reason: string}[], command: string}} Next */
+/** @typedef {{id: number, key: string, group: number, cell: number, error: number | null}} Held */
+/** @typedef {{title: string, unit: string, low: number, high: number, claim: Record<string, number>, groups: string[], panels: Panel[], texts: string[], nominal: number, points: Held[], remarks: string[], simulated: boolean}} View */
+/** @typedef {{threshold: number, confidence: number, colours: string[], colour: number[][], chance: (number | null)[][], inside: number[][], count: Record<string, number>, sizes: number[], command: string}} Shown */
+/** @typedef {{proposals: {group: string, cell: number, where: string, bits: number, reason: string}[]}} Next */
 
 /** Signs tell what colours tell. @type {Record<string, [string, string]>} */
 const SIGNS = {
@@ -26,87 +26,39 @@ const PALE = [245, 240, 230];
 const BLUE = [0, 95, 160];
 const MOST_MARKS = 4; // experiments drawn one by one in a cell
 const SETTLED = 350; // [ms] after which the next experiment is looked for
-const AGAIN = 1500;
-const FITTING = 700; // [ms] between two looks whether the map is fitted
 const STEPS = 1000;
 
 const root = at("domain");
-const name = root.dataset.map ?? "";
-const address = `/domain/${encodeURIComponent(name)}`;
+const address = `/domain/${encodeURIComponent(root.dataset.map ?? "")}`;
 /** @type {View} */
 let view;
 /** @type {Shown | null} */
 let shown = null;
-/** @type {Next | null} */
-let next = null;
 /** @type {{group: number, cell: number} | null} */
 let picked = null;
-/** @typedef {{axes: string[], measure: "absolute" | "relative" | ""}} Question axes and measure of a map; as it was made, where empty */
-/** Of the map that is shown. @type {Question} */
-let question = { axes: [], measure: "" };
-
 // --- asking ----------------------------------------------------------------------------------
 
-/** @param {Question} own @param {Record<string, string | number>} [more] */
-function asking({ axes, measure }, more = {}) {
-  const search = new URLSearchParams();
-  for (const axis of axes) search.append("axis", axis);
-  if (measure) search.set("measure", measure);
-  for (const [key, value] of Object.entries(more)) search.set(key, String(value));
-  return search.size ? `?${search}` : "";
-}
-
-let newest = 0; // of the questions for a map
-
-/** Whether the map is fitted; not so where another is asked for meanwhile, or it is stopped. @param {Question} own */
-async function fitted(own) {
-  newest += 1;
-  const number = newest;
-  try {
-    while (number === newest) {
-      /** @type {{ready: boolean, seconds: number}} */
-      const { ready, seconds } = await get(`${address}/fit${asking(own)}`);
-      if (ready) return number === newest;
-      if (number === newest) {
-        at("preparing-words").textContent = `Fitting the map to these axes since ${seconds.toFixed(0)} s; maps with many cells take minutes.`;
-        at("preparing").hidden = false;
-        at("stop-fit").onclick = () => {
-          newest += 1;
-          at("preparing").hidden = true;
-          controls();
-          send(`${address}/fit/stop${asking(own)}`).catch(complain);
-        };
-      }
-      await new Promise((after) => setTimeout(after, FITTING));
-    }
-    return false;
-  } finally {
-    if (number === newest) at("preparing").hidden = true;
-  }
-}
-
-/** Shows a map once it is fitted. @param {Question} own */
-async function load(own) {
-  if (!(await fitted(own))) return;
-  const number = newest;
-  const found = /** @type {View} */ (await get(address + asking(own)));
-  if (number !== newest) return;
-  question = own;
-  view = found;
-  picked = null;
-  at("trouble").hidden = true;
+async function load() {
+  view = /** @type {View} */ (await get(address));
   at("board").hidden = false;
   at("simulated").hidden = !view.simulated;
-  at("aside").textContent = [
-    view.aside ? `${several(view.aside, "experiment")} ${view.aside === 1 ? "is" : "are"} skipped: offset along a coordinate that is not an axis of this map.` : "",
-    view.omitted ? `${several(view.omitted, "more map")} cannot be shown here.` : "",
-    view.floor_mm === null ? "" : `Measurement noise: ${digits(+view.floor_mm.toPrecision(2))} mm (${view.floor_from}).`,
-  ].filter(Boolean).join(" ");
-  controls();
+  at("remarks").textContent = view.remarks.join(" ");
+  at("unit").textContent = view.unit || "times the smallest E of the experiment, above it";
+  input("threshold").value = String(+view.claim.threshold.toPrecision(3));
+  input("slider").value = String(onSlider(view.claim.threshold));
+  for (const id of ["level", "confidence"]) choose(/** @type {HTMLSelectElement} */ (at(id)), view.claim[id]);
+  for (const id of /** @type {("low" | "high")[]} */ (["low", "high"])) at(id).textContent = `${digits(+view[id].toPrecision(3))} ${view.unit}`.trim();
   build();
   await refresh();
   root.dataset.ready = "yes";
-  return true;
+}
+
+/** Offers the number of the stored map too. @param {HTMLSelectElement} select @param {number} value */
+function choose(select, value) {
+  if (![...select.options].some((one) => Number(one.value) === value)) {
+    select.append(make("option", { value: String(value) }, `${digits(100 * value)} %`));
+  }
+  select.value = String(value);
 }
 
 let wanted = 0; // [ms] when the newest threshold was set
@@ -115,8 +67,8 @@ let timer = 0;
 
 const claim = () => ({
   threshold: +input("threshold").value,
-  level: /** @type {HTMLSelectElement} */ (at("level")).value,
-  confidence: /** @type {HTMLSelectElement} */ (at("confidence")).value,
+  level: Number(/** @type {HTMLSelectElement} */ (at("level")).value),
+  confidence: Number(/** @type {HTMLSelectElement} */ (at("confidence")).value),
 });
 
 /** One request at a time, the newest threshold next. */
@@ -129,10 +81,8 @@ async function refresh() {
       const since = wanted;
       wanted = 0;
       if (!(claim().threshold > 0)) break;
-      const of = view;
-      const found = /** @type {Shown} */ (await get(`${address}/map${asking(question, claim())}`));
-      if (of !== view) continue; // of a map that is not shown any more
-      shown = found;
+      const asked = claim();
+      shown = { ...asked, .../** @type {Shown} */ (await get(`${address}/map`, asked)) };
       paint();
       root.dataset.roundTrip = (performance.now() - since).toFixed(1);
     }
@@ -146,20 +96,20 @@ async function refresh() {
 }
 
 async function suggest() {
-  const of = view;
+  /** @type {Next} */
+  let next;
   try {
-    next = /** @type {Next} */ (await get(`${address}/next${asking(question, claim())}`));
+    next = await get(`${address}/next`, claim());
   } catch (problem) {
     complain(problem);
     return;
   }
-  if (of !== view) return;
   at("next").replaceChildren(...next.proposals.map((one) => make(
     "li", {},
     make("button", { type: "button", class: "quiet where", onclick: () => pick(view.groups.indexOf(one.group), one.cell, true) },
       one.group ? `${one.group}: ` : "", one.where),
     make("small", {}, `${one.reason}; expected information ${digits(+one.bits.toFixed(2))} bit`),
-  )), make("li", { class: "after" }, make("small", {}, next.proposals.length ? "After recording, compute the map again: " : "No experiment is expected to add information. Compute the map again: "), make("code", {}, next.command)));
+  )), make("li", { class: "after" }, make("small", {}, next.proposals.length ? "After recording, compute the map again: " : "No experiment is expected to add information. Compute the map again: "), make("code", {}, shown?.command ?? "")));
 }
 
 // --- controls --------------------------------------------------------------------------------
@@ -168,46 +118,6 @@ async function suggest() {
 const onSlider = (threshold) => (STEPS * Math.log(threshold / view.low)) / Math.log(view.high / view.low);
 /** @param {number} place */
 const offSlider = (place) => +(view.low * (view.high / view.low) ** (place / STEPS)).toPrecision(3);
-
-function controls() {
-  if (!view) return;
-  const relative = view.measure === "relative";
-  at("absolute").setAttribute("aria-pressed", String(!relative));
-  at("relative").setAttribute("aria-pressed", String(relative));
-  at("unit").textContent = relative ? "times the smallest E of the experiment, above it" : "mm";
-  input("threshold").value = String(+view.threshold.toPrecision(3));
-  input("slider").value = String(onSlider(view.threshold));
-  at("low").textContent = `${digits(+view.low.toPrecision(3))}${view.unit ? ` ${view.unit}` : ""}`;
-  at("high").textContent = `${digits(+view.high.toPrecision(3))}${view.unit ? ` ${view.unit}` : ""}`;
-  const made = view.chosen.length > 2 ? "one offset at a time" : "";
-  /** @param {string} id @param {string} value @param {string} none */
-  const options = (id, value, none) => at(id).replaceChildren(
-    ...(none ? [make("option", { value: "", selected: !value }, none)] : []),
-    ...view.axes.map(({ name: axis }) => make("option", { value: axis, selected: axis === value }, axis)),
-  );
-  options("across", made ? "" : view.chosen[0], made || (question.axes.length ? "stored axes" : ""));
-  options("up", made ? "" : view.chosen[1] ?? "", "\u2013");
-}
-
-/** @param {Question} own */
-async function change(own) {
-  try {
-    await load(own);
-  } catch (problem) {
-    controls();
-    complain(problem);
-  }
-}
-
-function changeAxes() {
-  const [across, up] = ["across", "up"].map((id) => /** @type {HTMLSelectElement} */ (at(id)).value);
-  return change({ ...question, axes: across ? [across, ...(up && up !== across ? [up] : [])] : [] });
-}
-
-/** @param {"absolute" | "relative"} measure */
-function changeMeasure(measure) {
-  return view.measure === measure ? undefined : change({ ...question, measure });
-}
 
 // --- the map ---------------------------------------------------------------------------------
 
@@ -408,7 +318,7 @@ function cellOf(g, c) {
   const own = view.points.filter((point) => point.group === g && point.cell === c)
     .sort((a, b) => (b.error ?? Infinity) - (a.error ?? Infinity));
   const unit = view.unit ? ` ${view.unit}` : "";
-  const where = c === view.nominal && view.chosen.length > 2 ? "the nominal" : view.texts[c];
+  const where = c === view.nominal && view.panels.length > 2 ? "the nominal" : view.texts[c];
   at("cell-title").textContent = `${view.groups[g] ? `${view.groups[g]}: ` : ""}${where}`;
   at("cell").replaceChildren(
     make("p", {}, make("strong", {}, `${SIGNS[verdict][0]} ${verdict}`),
@@ -425,47 +335,7 @@ function cellOf(g, c) {
   );
 }
 
-// --- making one ------------------------------------------------------------------------------
-
-async function follow() {
-  /** @type {{maps: {name: string, created_utc: string}[], jobs: {name: string, state: string, ended: boolean, reason: string, fits: number, total: number}[]}} */
-  const all = await get("/domain");
-  const job = all.jobs[0];
-  const making = at("making");
-  making.hidden = !job || job.state === "done";
-  if (!job || job.state === "done") return job?.state;
-  const fits = job.total ? ` ${job.fits} of ${job.total} fits done.` : "";
-  making.replaceChildren(
-    job.ended ? `The last map did not finish: ${job.state}${job.reason ? `, ${job.reason}` : ""}.` : `Computing a map:${fits || ` ${job.state}.`}`,
-    job.ended ? "" : make("button", { type: "button", onclick: () => send(`/domain/jobs/${encodeURIComponent(job.name)}/stop`).then(follow, complain) }, "Stop"),
-  );
-  at("make").hidden = !job.ended;
-  return job.state;
-}
-
-async function watch() {
-  const state = await follow().catch(() => "unknown");
-  if (state === "done") location.assign(`${ROOT}/domain`);
-  else if (state && !["failed", "stopped", "cancelled", "lost"].includes(state)) setTimeout(watch, AGAIN);
-}
-
-at("make").addEventListener("click", async () => {
-  const button = /** @type {HTMLButtonElement} */ (at("make"));
-  button.disabled = true;
-  try {
-    await send("/domain", {});
-    toast("The map is being computed in a separate process.");
-    await watch();
-  } catch (problem) {
-    complain(problem);
-  } finally {
-    button.disabled = false;
-  }
-});
-for (const button of document.querySelectorAll("button.copy")) {
-  button.addEventListener("click", () => copy(/** @type {HTMLElement} */ (button).dataset.text ?? "", "the command"));
-}
-if (name) {
+if (root.dataset.map) {
   input("slider").addEventListener("input", () => {
     input("threshold").value = String(offSlider(Number(input("slider").value)));
     void refresh();
@@ -476,21 +346,14 @@ if (name) {
     void refresh();
   });
   for (const id of ["level", "confidence"]) at(id).addEventListener("change", () => refresh());
-  for (const id of ["across", "up"]) at(id).addEventListener("change", changeAxes);
-  at("absolute").addEventListener("click", () => changeMeasure("absolute"));
-  at("relative").addEventListener("click", () => changeMeasure("relative"));
   input("points").addEventListener("change", paint);
   at("copy-command").addEventListener("click", () => copy(shown?.command ?? "", "the command"));
   document.getElementById("which")?.addEventListener("change", (event) => {
     location.assign(`${ROOT}/domain?map=${encodeURIComponent(/** @type {HTMLSelectElement} */ (event.target).value)}`);
   });
-  load(question).catch((problem) => {
+  load().catch((problem) => {
     at("trouble").textContent = problem instanceof Error ? problem.message : String(problem);
     at("trouble").hidden = false;
-    at("make").hidden = false;
     root.dataset.ready = "yes";
   });
-}
-void follow().then((state) => {
-  if (state && !["done", "failed", "stopped", "cancelled", "lost"].includes(state)) setTimeout(watch, AGAIN);
-}).catch(complain);
+} else root.dataset.ready = "yes";

@@ -21,8 +21,6 @@ from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import Notify
 from fixel.units import displayed
 from fixel.workflows.capabilities import call
-from fixel.workflows.domain.request import DomainRequest
-from fixel.workflows.domain.run import map_stored
 from fixel.workflows.report.write import Report
 
 # One shape in one layout: the nominal pose, and steps along x, y and theta.
@@ -63,7 +61,7 @@ def run_tour(folder: Path, notify: Notify | None = None) -> Tour:
     notify("calibrating friction and support, with verdicts")
     number = call(project, "calibrate", optimiser="least-squares", progress=False).ids[-1]
     notify("mapping the domain of applicability")
-    map_stored(project, DomainRequest(calibration=number), command=f"fixel domain {at}")
+    call(project, "domain", calibration=number)
     notify("computing the sensitivity to the start pose")
     keys = tuple(map(str, ABOUT))
     call(project, "sensitivity", experiments=keys, samples=500, calibration=number)

@@ -1,53 +1,42 @@
-"""Bound the errors of untried pushes, from experiments in memory."""
+"""Bound the errors of untried pushes: experiments in memory, or of a project."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Final
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-import numpy as np
+from fixel.capability.capability import Capability
+from fixel.capability.options import Door
+from fixel.capability.usual import Dataset, EngineName, Flagged, Level, Names, Seed, Where
 
-from fixel.calibration.known_pushes import KnownPushes, with_units
-from fixel.calibration.objective import Comparer
-from fixel.calibration.target import Target, same_configuration, targets_of
-from fixel.calibration.usual_parameters import Space
-from fixel.domain.coordinates import label_of
-from fixel.domain.error_bound import LEVEL, min_experiments
-from fixel.domain.evidence import default_folds
-from fixel.domain.push_bound import ErrorBound, LeftOutErrors, features_of
-from fixel.errors import InvalidInput
-from fixel.model import Experiment
-from fixel.progress import ProgressOption, show_progress
-from fixel.simulation.motion import AbstractMotionModel
-from fixel.typing import FloatArray, ProgressCallback
-from fixel.workflows.calibration.calibration import Calibration
-from fixel.workflows.domain.fit_store import fit_store
-from fixel.workflows.domain.held_out import (
-    Apart,
-    CalibrationModel,
-    HeldOut,
-    calibration_model,
-    held_out,
-    stepper_for,
-)
-from fixel.workflows.domain.map import listed_names
+if TYPE_CHECKING:
+    from fixel.calibration.usual_parameters import Space
+    from fixel.database.project import Project
+    from fixel.domain.push_bound import ErrorBound
+    from fixel.model import Experiment
+    from fixel.progress import ProgressOption
+    from fixel.simulation.motion import AbstractMotionModel
+    from fixel.workflows.calibration.calibration import Calibration
+    from fixel.workflows.domain.bounding import BoundAnswer
 
-# Largest number of fits with groups left out; more groups are left out several at a time.
-MAX_FOLDS: Final = 24
+LeftOut = Annotated[
+    str | Sequence[str], Door(plain=tuple[str, ...], metavar="CONDITION[,CONDITION]", commas=True)
+]
 
 
 def error_bound(
     experiments: Iterable[Experiment],
     fit: Calibration | Space = None,
     *,
-    level: float = LEVEL,
-    groups: Sequence[str] = (),
-    leave_out: str | Sequence[str] = (),
-    folds: int | None = None,
+    level: Level = 0.9,
+    groups: Names = (),
+    leave_out: LeftOut = (),
+    folds: Annotated[int | None, Door(least=2)] = None,
     motion: AbstractMotionModel | str | None = None,
-    seed: int = 0,
-    threads: int | None = None,
+    seed: Seed = 0,
+    threads: Annotated[int | None, Door(least=1, effort=True)] = None,
     store: str | Path | None = None,
     progress: ProgressOption = None,
 ) -> ErrorBound:
@@ -117,105 +106,80 @@ def error_bound(
     >>> bool(bound.at(pushes[0].scene).position < 1e-3)
     True
     """
+    left_out = [leave_out] if isinstance(leave_out, str) else leave_out
+    asked = ERROR_BOUND.asked({**locals(), "fit": (), "leave_out": tuple(filter(None, left_out))})
+    from fixel.calibration.target import targets_of
+    from fixel.progress import show_progress
+    from fixel.workflows.domain.bounding import bound_of
+    from fixel.workflows.domain.fits import calibration_model
+
     targets = targets_of(experiments)
-    names = listed_names("groups", groups)
-    features = features_of(targets)
-    judged = _first_of_repeated(targets, features)
-    least = min_experiments(level)
-    if len(judged) < least:
-        raise InvalidInput(
-            "experiments",
-            found=_counted(len(targets), len(judged)),
-            expected=f"{least} at least for bounds with a probability of {100.0 * level:g} %",
-            hint="run more experiments, or choose a lower level",
-        )
-    labels = tuple(label_of(target.conditions, names) for target in targets)
     model = calibration_model(fit, targets, motion)
-    without = list(filter(None, [leave_out] if isinstance(leave_out, str) else leave_out))
-    for name in without:
-        _check_units(with_units(targets, name), name, model)
-    apart = Apart(folds=default_folds(len(targets)) if folds is None else folds, seed=seed)
-    cache = fit_store(store, targets, model, apart)
     with show_progress(progress, "holding out") as report:
-        found = held_out(targets, model, apart, cache, report, threads)
-        left = []
-        for name in without:
-            report.stage = f"leaving out {name}"
-            left.append(_left_out(targets, name, model, seed, store, report, threads))
-    comparer = Comparer(
-        targets, model.space, model.error, model.motion, stepper_for(targets), threads
-    )
-    position, angle = _end_errors(comparer, found)
-    return ErrorBound(
-        keys=tuple(targets[k].key for k in judged),
-        features=features[judged],
-        position=position[judged],
-        angle=angle[judged],
-        level=level,
-        group=tuple(labels[k] for k in judged),
-        groups=names,
-        fold=found.fold[judged],
-        seed=seed,
-        known=KnownPushes.of([targets[k] for k in judged], names),
-        left_out=tuple(own.rows(judged) for own in left),
-    )
+        return bound_of(targets, model, asked, store, report)
 
 
-def _left_out(
-    targets: Sequence[Target],
-    name: str,
-    model: CalibrationModel,
-    seed: int,
-    store: str | Path | None,
-    report: ProgressCallback,
-    threads: int | None,
-) -> LeftOutErrors:
-    """Return errors under fits without the values of a condition."""
-    own = with_units(targets, name)
-    units = tuple(label_of(target.conditions, (name,)) for target in own)
-    apart = Apart(out=name, folds=min(len(set(units)), MAX_FOLDS), seed=seed)
-    cache = fit_store(None if store is None else Path(store) / f"without-{name}", own, model, apart)
-    found = held_out(own, model, apart, cache, report, threads)
-    comparer = Comparer(own, model.space, model.error, model.motion, stepper_for(own), threads)
-    return LeftOutErrors(name, units, *_end_errors(comparer, found))
+def bound_stored(
+    project: Project,
+    *,
+    calibration: Annotated[int | None, Door(metavar="ID")] = None,
+    fit: Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH[:START]]")] = (),
+    engine: EngineName = "",
+    dataset: Dataset = "",
+    where: Where = (),
+    flagged: Flagged = False,
+    progress: ProgressOption = None,
+    **options: Any,
+) -> BoundAnswer:
+    """Bound the errors of untried pushes, with a stated probability.
+
+    The parameters are calibrated again without each fold of the experiments. Fits are stored.
+
+    Parameters
+    ----------
+    project : Project
+    calibration : int, optional
+        Stored calibration to start from; by default the newest for several experiments.
+    fit : sequence of str
+        Parameter to calibrate, instead of those of the calibration; may be repeated.
+    engine : str
+        Use the newest calibration by this engine, such as mujoco.
+    dataset : str
+        Select only experiments of this dataset.
+    where : sequence of str
+        Select experiments that match, such as "surface=abs error>5 real"; may be repeated.
+    flagged : bool
+        Include experiments whose data have faults.
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
+    **options
+        Options of `fixel.error_bound`.
+
+    Raises
+    ------
+    InvalidInput
+        There are too few different experiments for the level, an experiment lacks a condition, or
+        a condition to leave out has a single value.
+    """
+    from fixel.progress import show_progress
+    from fixel.workflows.domain.bounding import bound_experiments
+
+    asked = ERROR_BOUND.asked(locals())
+    with show_progress(progress, "holding out") as report:
+        return bound_experiments(project, asked, report)
 
 
-def _check_units(targets: Sequence[Target], name: str, model: CalibrationModel) -> None:
-    """Raise if a condition has one value only, or a parameter for each of its values."""
-    n = len({label_of(target.conditions, (name,)) for target in targets})
-    if n < 2:
-        raise InvalidInput("leave_out", found=f"{n} value of {name}", expected="at least 2",
-                           hint="one value does not show how much others differ")  # fmt: skip
-    own = [u.label for u in model.space.unknowns if name in u.where and not u.frozen]
-    if own:
-        raise InvalidInput("leave_out", found=f"{own[0]}, a parameter for each {name}",
-                           expected=f"parameters that a new {name} shares")  # fmt: skip
+def _presentation() -> ModuleType:
+    from fixel.workflows.domain import bounding
+
+    return bounding
 
 
-def _first_of_repeated(targets: Sequence[Target], features: FloatArray) -> list[int]:
-    """Return one experiment of each configuration: repetitions do not show how pushes differ."""
-    found: dict[object, int] = {}
-    for k, target in enumerate(targets):
-        label = same_configuration(target)
-        start = target.case.scene.bodies[0].pose
-        pose = (*features[k].tolist(), *start.tolist(), *target.conditions.items())
-        plain = tuple(value for value in pose if value != ("experiment", target.key))
-        found.setdefault(plain if label == target.key else label, k)
-    return sorted(found.values())
-
-
-def _counted(n: int, different: int) -> str:
-    return f"{n}" if n == different else f"{n}, of {different} different pushes"
-
-
-def _end_errors(comparer: Comparer, found: HeldOut) -> tuple[FloatArray, FloatArray]:
-    """Return errors of end positions and angles (n,), each with the parameters of its fold."""
-    every = np.arange(len(found.fold))
-    points = np.array([found.points[f"all, fold {k + 1}"] for k in found.fold.tolist()])
-    difference, good, _ = comparer.differences(every, points)
-    last = comparer.length(every) - 1
-    off = difference[every, last]
-    return (
-        np.where(good, np.hypot(off[:, 0], off[:, 1]), np.inf),
-        np.where(good, np.abs(off[:, 2]), np.inf),
-    )
+ERROR_BOUND: Final = Capability(
+    name="error-bound",
+    title="Error bounds",
+    function=bound_stored,
+    of=error_bound,
+    leave_out=("experiments", "motion", "store"),
+    presentation=_presentation,
+)

@@ -6,19 +6,82 @@ from typing import Any
 
 import numpy as np
 
-from fixel.domain.cells import Cells
+from fixel.capability.options import FACTORS
 from fixel.domain.claim import DOUBTFUL, NO_DATA, CellVerdict, Claim
 from fixel.domain.domain import DomainMap
 from fixel.domain.next_experiment import Proposal
+from fixel.domain.surface import NAMES
+from fixel.drawing.domain import map_chart, size_chart
 from fixel.table import Table
-from fixel.workflows.domain.evidence import DomainEvidence
+from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
+from fixel.workflows.domain.mapping import DomainAnswer, arrays_of
+from fixel.workflows.domain.run import DOMAIN
+from fixel.workflows.figures import Picture
 from fixel.workflows.sentences import sentences
 
 
-def headline(
-    domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]], found: list[Proposal]
-) -> tuple[str, ...]:
-    """Return the main results as sentences."""
+def report_of(answer: DomainAnswer) -> AnalysisReport:
+    """Return headline, warnings, tables, charts and numbers of a map."""
+    domain, gathered = answer.domain, answer.gathered
+    claim, errors = domain.claimed, domain.evidence
+    verdicts = domain.verdicts(claim)
+    found = domain.proposals(claim, verdicts=verdicts)
+    calibration = gathered.found["calibration"]
+    numbers = {
+        "unseen": list(gathered.found.get("unseen", ())),
+        "floor_mm": gathered.found["floor_mm"],
+        "evidence": gathered.mark,
+    }
+    return AnalysisReport(
+        Analysis(
+            kind="domain",
+            title=f"Domain in which one parameter set stays within {claim.text()}",
+            question={},
+            headline=_headline(domain, claim, found),
+            warnings=_warnings(answer, verdicts),
+            tables=_tables(domain, claim, verdicts, found),
+            methods=sentences(
+                "domain", "methods", found=gathered.found, claim=claim, n=len(errors)
+            ),
+            references=("vovk2005", "barber2021"),
+            numbers=_numbers(domain, claim, verdicts, found) | numbers,
+            calibrations=() if calibration is None else (calibration,),
+            experiments=tuple(errors.ids),
+        ),
+        _pictures(domain, claim, verdicts, "" if gathered.is_real else "SIMULATED"),
+        arrays_of(domain),
+    )
+
+
+def content(done: StoredAnswer) -> dict[str, Any]:
+    """Return the content of `--json`."""
+    analysis = done.analysis
+    return {
+        "unseen": analysis.numbers["unseen"],
+        "title": analysis.title,
+        "headline": list(analysis.headline),
+        "warnings": list(analysis.warnings),
+        "numbers": analysis.numbers,
+        "calibration": next(iter(analysis.calibrations), None),
+        "folder": str(done.folder),
+        "pictures": [str(path) for path in done.files.values()],
+    }
+
+
+def next_words(done: StoredAnswer) -> list[str]:
+    """Return the next command: charts, then a tighter threshold or, below the noise, a report."""
+    numbers = done.analysis.numbers
+    half, floor = float(f"{0.5 * numbers['threshold']:.4g}"), numbers["floor_mm"]
+    if not done.drawn:
+        return [*done.again, "--plot", "domain"]
+    if numbers["threshold_unit"] != "mm":
+        return DOMAIN.words(done.request.model_copy(update={"relative": half}))
+    if floor is not None and half < floor:
+        return ["report"]
+    return DOMAIN.words(done.request.model_copy(update={"threshold": FACTORS["mm"] * half}))
+
+
+def _headline(domain: DomainMap, claim: Claim, found: list[Proposal]) -> tuple[str, ...]:
     count = domain.colours(claim)
     sizes = [len(own) for own in domain.domains(claim)]
     return sentences(
@@ -42,10 +105,9 @@ def _begins(domain: DomainMap, claim: Claim) -> float | None:
     return float(thresholds[filled[0]]) if len(filled) else None
 
 
-def warnings_of(
-    gathered: DomainEvidence, domain: DomainMap, claim: Claim, aside: int, verdicts: Any
-) -> tuple[str, ...]:
+def _warnings(answer: DomainAnswer, verdicts: list[list[CellVerdict]]) -> tuple[str, ...]:
     """Return warnings about the evidence of a map, without full stops."""
+    domain, claim = answer.domain, answer.domain.claimed
     nominal = domain.counts[:, domain.cells.nominal]
     few = any(
         verdict.colour == DOUBTFUL and domain.counts[g, c] < claim.needed
@@ -55,9 +117,9 @@ def warnings_of(
     return sentences(
         "domain",
         "warnings",
-        gathered=gathered,
+        found=answer.gathered.found,
         claim=claim,
-        aside=aside,
+        aside=answer.n_aside,
         failed=int(np.isinf(domain.evidence.error_mm2).sum()),
         unknown=[note for note in domain.evidence.notes if note],
         empty=[group or "the map" for g, group in enumerate(domain.groups) if nominal[g] == 0],
@@ -65,7 +127,7 @@ def warnings_of(
     )
 
 
-def tables(
+def _tables(
     domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]], found: list[Proposal]
 ) -> tuple[Table, ...]:
     """Tables of the extents of D(tau) by map, of bounds, and of the most useful experiments."""
@@ -93,7 +155,7 @@ def tables(
         title="Suggested experiments",
         left=4,
     )
-    return (first, *bound_table(domain, claim), *([second] if found else []))
+    return (first, *_bound_table(domain, claim), *([second] if found else []))
 
 
 def _reach_text(reach: tuple[str, str] | None) -> str:
@@ -102,14 +164,12 @@ def _reach_text(reach: tuple[str, str] | None) -> str:
     return f"{reach[0]} to {reach[1]}" if reach[1] else reach[0]
 
 
-def numbers(
+def _numbers(
     domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]], found: list[Proposal]
 ) -> dict[str, Any]:
     """Return plain values in SI units; None for missing ones."""
     inside = [set(own) for own in domain.domains(claim)]
-    seen = domain.statistic(claim.level)
-    values = dict(zip(("reach", "shared", "own", "offset", "cell", "scatter"),
-                      domain.surface.values.tolist(), strict=True))  # fmt: skip
+    seen, bound = domain.statistic(claim.level), domain.predicted_mm
     return {
         "threshold": claim.threshold,
         "threshold_unit": "mm" if claim.measure == "absolute" else "share above the smallest E",
@@ -120,11 +180,11 @@ def numbers(
             {
                 "group": group,
                 "cell": domain.cells.text(c),
-                "place": _place(domain.cells, c),
+                "place": domain.cells.values(c),
                 "members": int(domain.counts[g, c]),
                 "error": _finite(seen[g, c]),
                 "confidence": _finite(verdict.confidence),
-                "promised_mm": _bound_at(domain, g, c),
+                "promised_mm": None if bound is None else _finite(bound[g, c]),
                 "colour": verdict.colour,
                 "in_domain": c in inside[g],
                 "reason": verdict.reason,
@@ -132,18 +192,14 @@ def numbers(
             for g, group in enumerate(domain.groups)
             for c, verdict in enumerate(verdicts[g])
         ],
-        "surface": values,
+        "surface": dict(zip(NAMES, domain.surface.values.tolist(), strict=True)),
         "next": [
             {"group": p.group, "cell": p.where, "bits": p.bits, "reason": p.reason} for p in found
         ],
     }
 
 
-def _bound_at(domain: DomainMap, g: int, c: int) -> float | None:
-    return None if domain.predicted_mm is None else _finite(domain.predicted_mm[g, c])
-
-
-def bound_table(domain: DomainMap, claim: Claim) -> list[Table]:
+def _bound_table(domain: DomainMap, claim: Claim) -> list[Table]:
     """Table of the error bounds of new experiments, by map; empty if there are no bounds."""
     if domain.predicted_mm is None:
         return []
@@ -161,18 +217,22 @@ def bound_table(domain: DomainMap, claim: Claim) -> list[Table]:
     return [Table(head, rows, title=title)]
 
 
-def _place(cells: Cells, c: int) -> dict[str, str | float]:
-    return {
-        axis.name: axis.labels[k] if axis.is_text else axis.centres[k]
-        for axis, k in zip(cells.axes, cells.index[c], strict=True)
-    }
-
-
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def methods_of(gathered: DomainEvidence, domain: DomainMap, claim: Claim) -> tuple[str, ...]:
-    """Return sentences for the methods section of a paper."""
-    n = len(domain.evidence)
-    return sentences("domain", "methods", gathered=gathered, claim=claim, n=n)
+def _pictures(
+    domain: DomainMap, claim: Claim, verdicts: list[list[CellVerdict]], banner: str
+) -> list[Picture]:
+    """Charts of the map, one per axis if only one differs at a time, and of D(tau) by tau."""
+    names = [axis.name for axis in domain.cells.axes]
+    maps: dict[str, tuple[str, int, int | None]] = {"map": (" and ".join(names), 0, 1)}
+    if domain.cells.is_strips:
+        maps = {f"map-{name}": (name, k, None) for k, name in enumerate(names)}
+    found = []
+    for stem, (title, across, up) in maps.items():
+        chart = map_chart(domain, claim, verdicts, across, up)
+        (caption,) = sentences("domain", "map_caption", claim=claim, names=title)
+        found.append(Picture(stem, chart, banner, caption))
+    (caption,) = sentences("domain", "size_caption", claim=claim)
+    return [*found, Picture("size", size_chart(domain, claim), banner, caption)]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Final, final
+from pathlib import Path
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -16,9 +17,9 @@ from fixel.database.store import Store
 from fixel.domain.along_axis import SIZES, AxisStudies, AxisStudy
 from fixel.domain.growth import (
     AVERAGED,
+    AXES,
     DomainGrowth,
     Growth,
-    Index,
     RolloutQueue,
     SingleCalibrations,
     Step,
@@ -28,8 +29,10 @@ from fixel.errors import InvalidInput
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace, Unknown
+from fixel.progress import Reporter
 from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.compilation import get_ready
+from fixel.workflows.growth.run import GROWTH
 from fixel.workflows.growth.samples import GrowthSamples, read_samples
 from fixel.workflows.growth.singles import StoredSets, best_singles
 
@@ -79,19 +82,7 @@ class Exploration:
 
 
 def explore(
-    store: Store,
-    *,
-    shape: str | None = None,
-    dataset: str | None = None,
-    index: Index = "corrected",
-    sizes: Mapping[str, Sequence[int]] = SIZES,
-    threshold: str | None = None,
-    motion: str | None = None,
-    error: str | None = None,
-    command: str = "",
-    project: str = "",
-    threads: int | None = None,
-    notify: Callable[[str], None] | None = None,
+    store: Store, asked: Any, folder: Path = Path(), progress: Reporter | None = None
 ) -> Exploration:
     """Explore the domain of applicability as in the thesis.
 
@@ -99,51 +90,37 @@ def explore(
     ----------
     store : Store
         Store with single calibrations. New means are added to it.
-    shape, dataset : str, optional
-        Use only these experiments.
-    index : str
-        `"printed"` for the rows of the thesis's code as printed.
-    sizes : mapping from axis to sizes
-        Numbers of samples of the intervals along each axis.
-    threshold : str, optional
-        See `threshold_in`.
-    motion, error : str, optional
-        Use only calibrations made with these.
-    command, project : str
-        Command as typed; ` --project FOLDER` for hints.
-    threads : int, optional
-    notify : callable, optional
-        Called with a sentence before long operations.
+    asked : BaseModel
+        Request of `grow_stored`.
+    folder : Path
+        Folder of the project, for commands.
+    progress : Reporter, optional
     """
-    tell = notify or _silent
-    tell("Reading the experiments and their calibrations.")
-    samples = read_samples(store, shape, dataset)
+    limits = {**SIZES, **sizes_in(asked.sizes)}
+    samples = read_samples(store, asked.shape or None, asked.dataset or None)
     summaries = store.calibration_summaries()
-    stored = best_singles(summaries, samples, motion, error, project)
-    limit = threshold_in(threshold, stored.method.unit)
-    grower = DomainGrowth(samples.groups, stored.singles, index)
-    studies = AxisStudies(samples.groups, stored.singles, sizes)
+    stored = best_singles(summaries, samples, asked.motion, asked.error, folder)
+    threshold = threshold_in(asked.limit, stored.method.unit)
+    grower = DomainGrowth(samples.groups, stored.singles, asked.index)
+    studies = AxisStudies(samples.groups, stored.singles, limits)
     wanted = RolloutQueue()
     grower.ask(wanted)
     studies.ask(wanted)
     get_ready(samples.targets[0].case.scene)
-    tell(f"Simulating {len(wanted)} times.")
+    if progress is not None:
+        progress.stage = f"simulating {len(wanted)} times"
     comparer = Comparer(
-        samples.targets,
-        _space(stored),
-        stored.calibrated.error,
-        stored.calibrated.motion,
-        threads=threads,
+        samples.targets, _space(stored), stored.calibrated.error, stored.calibrated.motion
     )
     answer = wanted.run(comparer.errors)
     growth = grower.read(answer)
-    added = _keep(store, summaries, growth, samples, stored, command)
+    added = _keep(store, summaries, growth, samples, stored, GROWTH.command(asked, folder))
     return Exploration(
         samples=samples,
         stored=stored,
         growth=growth,
         studies=studies.read(answer),
-        threshold=limit,
+        threshold=threshold,
         rollouts=len(wanted),
         added=added,
         warnings=[
@@ -157,22 +134,35 @@ def explore(
     )
 
 
-def _silent(_: str) -> None:
-    pass
+def sizes_in(texts: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Return the numbers of samples by axis: `y=3,5` for one axis, `2,4` for all."""
+    found: dict[str, tuple[int, ...]] = {}
+    for text in texts:
+        axis, equals, numbers = text.rpartition("=")
+        try:
+            own = tuple(int(number) for number in numbers.split(","))
+        except ValueError:
+            own = ()
+        if not own or (equals and axis not in AXES):
+            raise InvalidInput(
+                "sizes", found=repr(text), expected="numbers of samples, such as y=3,5 or 2,4"
+            )
+        found |= dict.fromkeys((axis,) if equals else AXES, own)
+    return found
 
 
-def threshold_in(text: str | None, unit: str) -> float:
+def threshold_in(text: str, unit: str) -> float:
     """Convert a threshold to the unit of the error.
 
     Parameters
     ----------
-    text : str, optional
+    text : str
         A number in that unit, or a root mean square distance with the suffix `mm`: `"2.2mm"` is
-        4.84 for an error in mm^2. Defaults to 5 mm^2, as in the thesis.
+        4.84 for an error in mm^2. Empty for 5 mm^2, as in the thesis.
     unit : str
         `"mm^2"` or `"mm"`.
     """
-    if text is None:
+    if not text:
         return THRESHOLD if unit == "mm^2" else math.sqrt(THRESHOLD)
     match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(mm\^?2|mm)?\s*", text)
     try:
@@ -181,7 +171,7 @@ def threshold_in(text: str | None, unit: str) -> float:
         value = math.nan
     if match is None or not 0.0 < value < math.inf:
         raise InvalidInput(
-            "--threshold", found=repr(text), expected=f"a number [{unit}], or a distance like 2.2mm"
+            "limit", found=repr(text), expected=f"a number [{unit}], or a distance like 2.2mm"
         )
     given = unit if match[2] is None else match[2].replace("mm2", "mm^2")
     if given == unit:

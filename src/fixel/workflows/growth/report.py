@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,14 +15,61 @@ from fixel.drawing.chart import display_unit, finite_list, unit_text
 from fixel.drawing.growth import axis_chart, error_matrix, growth_matrix, growth_steps
 from fixel.table import Table
 from fixel.typing import FloatArray
+from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
 from fixel.workflows.figures import Picture
 from fixel.workflows.growth.explore import Exploration
 from fixel.workflows.sentences import sentences
 
+THESIS: Final = "rpi2011"  # key of the bibliography
 
-def headline(found: Exploration) -> tuple[str, ...]:
-    """Return the main results as sentences, the most important first."""
-    matrix, groups = error_matrix(found.growth), found.growth.groups
+
+def report_of(found: Exploration) -> AnalysisReport:
+    """Return headline, warnings, tables, charts and numbers of an exploration."""
+    banner, n = found.samples.banner, len(found.added)
+    simulated = [f"{banner}: these experiments were simulated, not recorded."] if banner else []
+    new = f", {n} parameter sets stored as calibrations" if n else ""
+    matrix = error_matrix(found.growth)
+    return AnalysisReport(
+        Analysis(
+            kind="growth",
+            title="Domain of applicability, grown as in the thesis",
+            question={},
+            headline=_headline(found, matrix),
+            warnings=(*simulated, *found.warnings),
+            tables=(matrix_table(found), _edges_table(found)),
+            notes=(f"{found.rollouts} simulations{new}",),
+            methods=_methods(found),
+            references=(THESIS,),
+            numbers=numbers(found),
+            calibrations=tuple(sorted({one.id for one in found.stored.best})),
+            experiments=tuple(found.samples.ids),
+        ),
+        [*_pictures(found)],
+        {"largest_error": matrix},
+    )
+
+
+def content(done: StoredAnswer) -> dict[str, Any]:
+    """Return the content of `--json`."""
+    analysis, folder = done.analysis, done.folder or Path()
+    return {
+        "headline": list(analysis.headline),
+        "warnings": list(analysis.warnings),
+        "folder": str(folder),
+        "pictures": [str(folder / f"{shown.name}.png") for shown in analysis.pictures],
+        "copied": [str(path) for path in done.files.values()],
+        "seconds": analysis.seconds,
+        **analysis.numbers,
+    }
+
+
+def next_words(done: StoredAnswer) -> list[str]:
+    """Return the words of the command that most users need next."""
+    return ["report"]
+
+
+def _headline(found: Exploration, matrix: FloatArray) -> tuple[str, ...]:
+    groups = found.growth.groups
     shapes = [
         _shape_growth(shape, matrix[[group.shape == shape for group in groups]], found.threshold)
         for shape in dict.fromkeys(group.shape for group in groups)
@@ -53,7 +101,7 @@ def _shape_growth(shape: str, rows: FloatArray, threshold: float) -> dict[str, A
 def _axis_edges(found: Exploration, study: AxisStudy) -> dict[str, Any]:
     """Ends of the domain along an axis, in steps and in units, or the error that prevents one."""
     k = int(np.flatnonzero(study.steps == 0)[0])
-    ends = edges_text(study.edges(found.threshold), study)
+    ends = _edges_text(study.edges(found.threshold), study)
     length = found.samples.lengths.get(study.axis)
     unit = display_unit("rad" if study.axis == "theta" else "m")
     in_units = None
@@ -79,7 +127,7 @@ def _without_worst(study: AxisStudy, k: int) -> tuple[str, float] | None:
     return study.layouts[worst], float(errors[known[known != worst]].mean())
 
 
-def edges_text(edges: AxisEdges, study: AxisStudy) -> str | None:
+def _edges_text(edges: AxisEdges, study: AxisStudy) -> str | None:
     """Format edges: `-2.0 to +2.5 steps`; `beyond +5.0` if the last experiment is within."""
     if edges.low is None or edges.high is None:
         return None
@@ -96,7 +144,7 @@ def _ends(edges: AxisEdges, study: AxisStudy, factor: float, form: str) -> str:
     return " to ".join(ends)
 
 
-def methods(found: Exploration) -> tuple[str, ...]:
+def _methods(found: Exploration) -> tuple[str, ...]:
     """Return sentences for the methods section of a paper."""
     sets = [step.used for row in found.growth.steps for step in row[1:]]
     sources = [one.source for one in sets if one.point is not None]
@@ -128,7 +176,7 @@ def matrix_table(found: Exploration) -> Table:
     )
 
 
-def edges_table(found: Exploration) -> Table:
+def _edges_table(found: Exploration) -> Table:
     """Table of the domain's ends along each axis, absolute and relative."""
     unit = unit_text(found.unit)
     rows = []
@@ -140,8 +188,8 @@ def edges_table(found: Exploration) -> Table:
                 study.shape,
                 study.axis,
                 str(study.size),
-                edges_text(study.edges(found.threshold), study) or "none",
-                edges_text(study.relative_edges(found.threshold), study) or "none",
+                _edges_text(study.edges(found.threshold), study) or "none",
+                _edges_text(study.relative_edges(found.threshold), study) or "none",
                 f"{study.average[k]:.3g}" if math.isfinite(study.average[k]) else "none",
                 f"{ratio:.3g}" if math.isfinite(ratio) else "none",
             )
@@ -154,7 +202,7 @@ def edges_table(found: Exploration) -> Table:
     return Table(head, rows, title=title, left=2)
 
 
-def pictures(found: Exploration) -> Iterator[Picture]:
+def _pictures(found: Exploration) -> Iterator[Picture]:
     """Yield charts of the matrix, of the growth step by step, and of each axis of each shape."""
     unit, banner = found.unit, found.samples.banner
     yield Picture(

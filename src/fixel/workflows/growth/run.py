@@ -1,110 +1,80 @@
-"""Explore the domain of a project and store the result as an analysis."""
+"""Grow the domain of a project from stored calibrations, as the thesis did."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final, final
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
-from fixel.database.project import Project
-from fixel.domain.along_axis import SIZES
-from fixel.domain.growth import Index
-from fixel.drawing.growth import error_matrix
-from fixel.workflows.analysis import Analysis, StoredAnalysis, store_analysis
-from fixel.workflows.growth import report
-from fixel.workflows.growth.explore import Exploration, explore
+from fixel.capability.capability import Capability
+from fixel.capability.options import Door
+from fixel.capability.usual import Dataset
 
-THESIS: Final = "rpi2011"  # key of the bibliography
+if TYPE_CHECKING:
+    from fixel.database.project import Project
+    from fixel.progress import ProgressOption
+    from fixel.workflows.growth.explore import Exploration
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GrowthRequest:
-    """Options of an exploration; the fields are those of `explore`."""
-
-    shape: str | None = None
-    dataset: str | None = None
-    index: Index = "corrected"
-    sizes: Mapping[str, Sequence[int]] | None = None
-    threshold: str | None = None
-    motion: str | None = None
-    error: str | None = None
-
-
-def run_growth(
+def grow_stored(
     project: Project,
-    asked: GrowthRequest | None = None,
     *,
-    command: str = "",
-    where: str = "",
-    threads: int | None = None,
-    notify: Callable[[str], None] | None = None,
-) -> tuple[Exploration, StoredAnalysis]:
-    """Explore the domain of applicability and store the result.
+    shape: Annotated[str, Door(metavar="NAME")] = "",
+    dataset: Dataset = "",
+    index: Literal["corrected", "printed"] = "corrected",
+    sizes: Annotated[tuple[str, ...], Door(metavar="[AXIS=]N[,N]")] = (),
+    limit: Annotated[str, Door(metavar="E", also=("--threshold",))] = "",
+    motion: Annotated[str, Door(metavar="MODEL")] = "",
+    error: Annotated[str, Door(metavar="NAME")] = "",
+    progress: ProgressOption = None,
+) -> Exploration:
+    """Grow the domain from stored calibrations, as the thesis did.
+
+    Step i adds the experiments x+i, y+i, y-i and theta+i to the nominal one; one set of parameters
+    simulates them all, and the largest error counts.
 
     Parameters
     ----------
     project : Project
         Project with experiments of a plan and single calibrations of each.
-    asked : GrowthRequest, optional
-    command : str
-        Command as typed.
-    where : str
-        ` --project FOLDER`, for commands in hints.
-    threads : int, optional
-        Threads of the simulations; by default all cores.
-    notify : callable, optional
-        Called with a sentence before long operations.
+    shape : str
+        Select experiments with this shape only.
+    dataset : str
+        Select only experiments of this dataset.
+    index : str
+        Order of the rows: corrected, or printed as in the code of the thesis, with theta one row
+        too early.
+    sizes : sequence of str
+        Numbers of samples of the intervals, 2 to 5, for one axis or for all; may be repeated. By
+        default x=2,4 y=3,5 theta=2,4.
+    limit : str
+        Largest error in the domain, as a number in its unit or as a distance: 5 or 2.2mm; by
+        default 5 mm² as in the thesis.
+    motion : str
+        Use only calibrations with this motion model.
+    error : str
+        Use only calibrations with this error.
+    progress : bool or callable, optional
+        See `fixel.progress.show_progress`.
+
+    Raises
+    ------
+    InvalidInput
+        No experiments of a plan, or some without a calibration of the same method.
     """
-    asked, begun = asked or GrowthRequest(), time.perf_counter()
-    sizes = {**SIZES, **(asked.sizes or {})}
-    with project.store() as store:
-        found = explore(
-            store,
-            shape=asked.shape,
-            dataset=asked.dataset,
-            index=asked.index,
-            sizes=sizes,
-            threshold=asked.threshold,
-            motion=asked.motion,
-            error=asked.error,
-            command=command,
-            project=where,
-            threads=threads,
-            notify=notify,
-        )
-    analysis = Analysis(
-        kind="growth",
-        title="Domain of applicability, grown as in the thesis",
-        question={
-            "shape": asked.shape,
-            "dataset": asked.dataset,
-            "index": asked.index,
-            "sizes": {axis: list(own) for axis, own in sizes.items()},
-            "threshold": found.threshold,
-            "motion": asked.motion,
-            "error": asked.error,
-        },
-        headline=report.headline(found),
-        warnings=tuple(_warnings(found)),
-        tables=(report.matrix_table(found), report.edges_table(found)),
-        methods=report.methods(found),
-        references=(THESIS,),
-        numbers=report.numbers(found),
-        calibrations=tuple(sorted({one.id for one in found.stored.best})),
-        experiments=tuple(found.samples.ids),
-        command=command,
-        seconds=time.perf_counter() - begun,
-    )
-    shown = list(report.pictures(found))
-    if notify is not None:
-        notify(f"Drawing {len(shown)} charts.")
-    kept = store_analysis(project, analysis, shown, {"largest_error": error_matrix(found.growth)})
-    return found, kept
+    from fixel.progress import show_progress
+    from fixel.workflows.growth.explore import explore
+
+    asked = GROWTH.asked(locals())
+    with project.store() as store, show_progress(progress, "reading experiments") as report:
+        return explore(store, asked, project.folder, report)
 
 
-def _warnings(found: Exploration) -> list[str]:
-    banner = found.samples.banner
-    simulated = [f"{banner}: these experiments were simulated, not recorded."] if banner else []
-    return [*simulated, *found.warnings]
+def _presentation() -> ModuleType:
+    from fixel.workflows.growth import report
+
+    return report
+
+
+GROWTH: Final = Capability(
+    name="growth", group="domain", function=grow_stored, presentation=_presentation
+)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple, final
 
 import numpy as np
@@ -74,9 +76,9 @@ class StoredSets:
 def best_singles(
     summaries: Mapping[int, CalibrationRecord],
     samples: GrowthSamples,
-    motion: str | None = None,
-    error: str | None = None,
-    project: str = "",
+    motion: str = "",
+    error: str = "",
+    folder: Path = Path(),
 ) -> StoredSets:
     """Select the best stored calibration of every single experiment, all of one method.
 
@@ -85,10 +87,10 @@ def best_singles(
     summaries : mapping from int to CalibrationRecord
         Result of `Store.calibration_summaries`.
     samples : GrowthSamples
-    motion, error : str, optional
+    motion, error : str
         Use only calibrations made with these.
-    project : str
-        Option for commands in hints: ` --project FOLDER`.
+    folder : Path
+        Folder of the project, for commands in hints.
 
     Raises
     ------
@@ -100,9 +102,9 @@ def best_singles(
     for number, record in summaries.items():
         if len(record.members) != 1 or record.members[0].experiment_id not in place:
             continue
-        if motion not in (None, record.method.get("motion")):
+        if motion not in ("", record.method.get("motion")):
             continue
-        if error not in (None, record.method.get("error")):
+        if error not in ("", record.method.get("error")):
             continue
         k = place[record.members[0].experiment_id]
         one = One(
@@ -112,7 +114,7 @@ def best_singles(
         # The newest of equals.
         if k not in best or not one.error > best[k].error:
             best[k] = one
-    method, warnings = _chosen(by_method, samples, project)
+    method, warnings = _chosen(by_method, samples, folder)
     found = [by_method[method][k] for k in range(len(samples.ids))]
     points = np.array([[one.values[name] for name in method.names] for one in found])
     errors = np.array([one.error for one in found])
@@ -139,13 +141,13 @@ def _method(one: One) -> SingleMethod:
 
 
 def _chosen(
-    by_method: dict[SingleMethod, dict[int, One]], samples: GrowthSamples, project: str
+    by_method: dict[SingleMethod, dict[int, One]], samples: GrowthSamples, folder: Path
 ) -> tuple[SingleMethod, list[str]]:
     """Select the method under which every experiment has a set; of several the last one used."""
     n = len(samples.ids)
     whole = [method for method, best in by_method.items() if len(best) == n]
     if not whole:
-        _refuse(by_method, samples, project)
+        _refuse(by_method, samples, folder)
     whole.sort(key=lambda method: max(one.id for one in by_method[method].values()))
     if len(whole) == 1:
         return whole[0], []
@@ -157,9 +159,11 @@ def _chosen(
 
 
 def _refuse(
-    by_method: dict[SingleMethod, dict[int, One]], samples: GrowthSamples, project: str
+    by_method: dict[SingleMethod, dict[int, One]], samples: GrowthSamples, folder: Path
 ) -> None:
     n = len(samples.ids)
+    place = [] if folder == Path() else ["--project", str(folder)]
+    command = shlex.join(["fixel", "calibrate", "--mode", "each", "--no-verdicts", *place])
     anywhere = {k for best in by_method.values() for k in best}
     lacking = [samples.keys[k] for k in range(n) if k not in anywhere]
     if lacking:
@@ -169,7 +173,7 @@ def _refuse(
             found=f"no single calibration of {len(lacking)} of {n} experiments: {', '.join(few)}"
             + (" and others" if len(lacking) > len(few) else ""),
             expected="a single calibration of every experiment",
-            hint=f"fixel calibrate --mode each --no-verdicts{project}",
+            hint=command,
         )
     parts = []
     for method, best in sorted(by_method.items(), key=lambda entry: -len(entry[1])):
@@ -179,7 +183,7 @@ def _refuse(
         "calibrations",
         found="; ".join(parts),
         expected="the same motion model, error, unit and parameters for all",
-        hint=f"calibrate all in one way: fixel calibrate --mode each --no-verdicts{project}",
+        hint=f"calibrate all in one way: {command}",
     )
 
 

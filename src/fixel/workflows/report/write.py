@@ -49,6 +49,7 @@ WIDEST: Final = 1500  # largest width of a picture on the page [pixel]; its PDF 
 WANTED: Final[dict[str, str]] = {
     "tracking": "Tracked poses and true poses",
     "domain": "Domain of applicability",
+    "error-bound": "Error bounds of untried pushes",
     "growth": "Domain of applicability, grown as in the thesis",
     "sensitivity": "Sensitivity to the start pose",
     "uncertainty": "Parameter uncertainty and predictions",

@@ -1,13 +1,13 @@
 """Cross-validation: errors of experiments under parameters that were calibrated without them.
 
 Every fold of every group is one fit by least squares on the other folds, started at the values of
-a stored calibration. Finished fits are stored, so that an interrupted command continues.
+a calibration. The caller may store finished fits, so that an interrupted command continues.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, final
 
@@ -16,21 +16,17 @@ import numpy as np
 from fixel.calibration.assess import Frames
 from fixel.calibration.cost import NormalPrior
 from fixel.calibration.least_squares import LeastSquares, fit
-from fixel.calibration.noise import Noise
+from fixel.calibration.noise import Noise, noise_from_repetitions
 from fixel.calibration.objective import AbstractError, Comparer, EndPose, MeanSquare
 from fixel.calibration.study import box_of
-from fixel.calibration.target import Target, same_configuration
-from fixel.calibration.usual_parameters import Space, search_space
+from fixel.calibration.target import Target, repetitions, same_configuration
 from fixel.domain.coordinates import label_of
 from fixel.domain.evidence import folds_of
 from fixel.errors import InvalidInput
-from fixel.io.result_cache import ResultCache
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
-from fixel.simulation.motion import motion_model
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint
 from fixel.typing import FloatArray, IntArray, ProgressCallback
-from fixel.workflows.calibration.calibration import Calibration
 
 # Steps along a push, for experiments with two poses only. On a twelfth of the pushes of a public
 # dataset they took half the time of adaptive steps; 19 in 20 errors agreed within 0.06 mm.
@@ -44,6 +40,10 @@ MAX_TRAINING: Final = 120
 SQUARES: Final = LeastSquares(
     loss="soft_l1", width=2.0, tolerance=1e-4, most_iterations=12, trials=3
 )
+
+
+# Returns the stored answer of a name and its question, or computes and stores it.
+Finished = Callable[[str, Any, Callable[[], dict[str, Any]]], dict[str, Any]]
 
 
 class Apart(NamedTuple):
@@ -83,33 +83,6 @@ class CalibrationModel:
             )
 
 
-def calibration_model(
-    fit: Calibration | Space,
-    targets: Sequence[Target],
-    motion: AbstractMotionModel | str | None = None,
-) -> CalibrationModel:
-    """Return the parameters that are fitted without each fold, and the method.
-
-    Parameters
-    ----------
-    fit : Calibration, mapping, sequence of str or None
-        Calibration at which fits start, or parameters as for `fixel.calibrate`.
-    targets : sequence of Target
-    motion : AbstractMotionModel or str, optional
-        Motion model; by default that of the calibration, else dynamic.
-    """
-    if not isinstance(fit, Calibration):
-        space = search_space(fit, targets)
-        return CalibrationModel(space=space, motion=motion_model(motion), error=MeanSquare())
-    # Maps count mean squares [mm^2]; other errors minimised before do not matter here.
-    error = fit.request.made_error
-    return CalibrationModel(
-        space=fit.space.started_at(fit.found.point),
-        motion=motion_model(motion or fit.motion),
-        error=error if isinstance(error, MeanSquare | EndPose) else MeanSquare(),
-    )
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldOut:
@@ -145,11 +118,21 @@ def held_out(
     targets: Sequence[Target],
     model: CalibrationModel,
     apart: Apart,
-    finished: ResultCache,
+    finished: Finished,
     progress: ProgressCallback | None = None,
     threads: int | None = None,
 ) -> HeldOut:
     """Compute held-out errors by cross-validation.
+
+    Parameters
+    ----------
+    targets : sequence of Target
+    model : CalibrationModel
+    apart : Apart
+    finished : callable
+        `(name, question, compute) -> answer`, which may return an answer that is stored.
+    progress : callable, optional
+    threads : int, optional
 
     Raises
     ------
@@ -170,7 +153,7 @@ def held_out(
         if len(test) and len(train):
             of = _asked(targets, model, apart, stepper, train, test)
             name = f"fold-{done}"
-            answer = finished.get(name, of, _FoldFit(comparer, train, test, apart.seed + k))
+            answer = finished(name, of, _FoldFit(comparer, train, test, apart.seed + k))
             error[test] = [math.inf if e is None else e for e in answer["error"]]
             points[f"{group or 'all'}, fold {k + 1}"] = answer["point"]
         elif len(test):
@@ -284,3 +267,74 @@ def _asked(
 def _said(stepper: AbstractStepper) -> str:
     first = stepper.first_step
     return stepper.name if first is None else f"{stepper.name}, {first:.3g} s"
+
+
+# --- noise of the measurement -------------------------------------------------------------------
+
+
+def noise_floor(
+    targets: Sequence[Target], scale: float, *, ends: bool = False
+) -> tuple[float | None, str]:
+    """Return the root mean square error of a perfect simulator [mm], and its source.
+
+    It is computed from repetitions, else from the scatter of measured poses about smooth motion;
+    None if there are too few frames.
+
+    Parameters
+    ----------
+    targets : sequence of Target
+    scale : float
+        Length that an angle counts as [m/rad].
+    ends : bool
+        Whether only last poses count, as in a map of them.
+    """
+    groups = repetitions(targets, ends=ends)
+    if groups:
+        noise = noise_from_repetitions(groups)
+        floor = 1e3 * math.hypot(noise.position_m, noise.position_m, scale * noise.angle_rad)
+        return floor, "repetitions"
+    weights = np.array([1e3, 1e3, 1e3 * scale])
+    bends = [_bends(target.pose * weights) for target in targets if len(target.pose) > 8]
+    if not bends:
+        return None, ""
+    # The median over runs: in a few, contacts bend the path itself.
+    return float(np.median(bends)), "scatter from frame to frame"
+
+
+def _bends(pose: FloatArray) -> float:
+    """Noise [mm] from second differences, whose variance is six times as large (white noise)."""
+    second = np.diff(pose, n=2, axis=0)
+    middle = np.median(second**2, axis=0) / 0.4549  # variance of normal numbers from the median
+    return float(np.sqrt(middle.sum() / 6.0))
+
+
+def own_errors(
+    targets: Sequence[Target],
+    model: CalibrationModel,
+    seed: int,
+    threads: int | None,
+    progress: ProgressCallback,
+) -> FloatArray:
+    """Return the error (n,) of each experiment with parameters of its own [mm^2]; nan if failed."""
+    found = np.empty(len(targets))
+    for k, target in enumerate(targets):
+        point = calibrated_on([target], model, seed)
+        comparer = Comparer(
+            [target], model.space, model.error, model.motion, stepper_for(targets), threads
+        )
+        found[k] = comparer.errors(np.zeros(1, np.int64), point[None]).error[0]
+        progress(k + 1, len(targets))
+    return np.where(np.isfinite(found), found, np.nan)
+
+
+def end_errors(comparer: Comparer, found: HeldOut) -> tuple[FloatArray, FloatArray]:
+    """Return errors of end positions and angles (n,), each with the parameters of its fold."""
+    every = np.arange(len(found.fold))
+    points = np.array([found.points[f"all, fold {k + 1}"] for k in found.fold.tolist()])
+    difference, good, _ = comparer.differences(every, points)
+    last = comparer.length(every) - 1
+    off = difference[every, last]
+    return (
+        np.where(good, np.hypot(off[:, 0], off[:, 1]), np.inf),
+        np.where(good, np.abs(off[:, 2]), np.inf),
+    )

@@ -1,0 +1,220 @@
+"""Fits of held-out errors: their start, and the folder of the finished ones."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from fixel.calibration.objective import EndPose, MeanSquare
+from fixel.calibration.target import Target
+from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
+from fixel.database.project import Project
+from fixel.database.store import Store
+from fixel.domain.held_out import Apart, CalibrationModel, Finished
+from fixel.errors import InvalidInput
+from fixel.io.atomic import written_whole
+from fixel.io.damaged_files import readable
+from fixel.io.result_cache import ResultCache
+from fixel.model.space import ParameterSpace
+from fixel.simulation import AbstractMotionModel
+from fixel.simulation.motion import motion_model, stated_name
+from fixel.typing import FloatArray
+from fixel.workflows.calibration.calibration import Calibration
+from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.request import target_files
+from fixel.workflows.calibration.result import FitKind
+from fixel.workflows.calibration.stored import CalibratedValues, load_values, searched_space
+
+CALL: Final = "call.json"
+JOB: Final = "job.json"  # makes a folder that of a calibration
+
+
+# --- start --------------------------------------------------------------------------------------
+
+
+def calibration_model(
+    fit: Calibration | Space,
+    targets: Sequence[Target],
+    motion: AbstractMotionModel | str | None = None,
+) -> CalibrationModel:
+    """Return the parameters that are fitted without each fold, and the method.
+
+    Parameters
+    ----------
+    fit : Calibration, mapping, sequence of str or None
+        Calibration at which fits start, or parameters as for `fixel.calibrate`.
+    targets : sequence of Target
+    motion : AbstractMotionModel or str, optional
+        Motion model; by default that of the calibration, else dynamic.
+    """
+    if not isinstance(fit, Calibration):
+        space = search_space(fit, targets)
+        return CalibrationModel(space=space, motion=motion_model(motion), error=MeanSquare())
+    # Maps count mean squares [mm^2]; other errors minimised before do not matter here.
+    error = fit.request.made_error
+    return CalibrationModel(
+        space=fit.space.started_at(fit.found.point),
+        motion=motion_model(motion or fit.motion),
+        error=error if isinstance(error, MeanSquare | EndPose) else MeanSquare(),
+    )
+
+
+class FitStarts(NamedTuple):
+    """Model at which fits start, with the id of its calibration and words for it."""
+
+    model: CalibrationModel
+    calibration: int | None
+    words: str
+
+
+def stored_model(
+    project: Project, store: Store, asked: Any, targets: Sequence[Target]
+) -> FitStarts:
+    """Return the parameters, motion and error of a stored calibration, else the usual ones.
+
+    Parameters
+    ----------
+    project : Project
+    store : Store
+    asked : BaseModel
+        Request with `calibration`, `fit` and `engine`.
+    targets : sequence of Target
+    """
+    scenes = [target.case.scene for target in targets]
+    one = _calibration(store, asked)
+    if one is not None and not asked.fit:
+        space = searched_space(project, one, scenes)
+        model = CalibrationModel(space=space, motion=one.motion, error=one.error)
+        return FitStarts(model, one.id, f"calibration {one.id}")
+    unknowns = searched_unknowns(asked.fit, scenes) if asked.fit else default_unknowns(scenes)
+    model = CalibrationModel(
+        space=ParameterSpace(unknowns=tuple(unknowns)),
+        motion=motion_model(stated_name(asked.engine or "dynamic")) if one is None else one.motion,
+        error=MeanSquare() if one is None else one.error,
+    )
+    words = "parameters of --fit" if asked.fit else "the usual parameters, no calibration stored"
+    return FitStarts(model, None, words)
+
+
+def _calibration(store: Store, asked: Any) -> CalibratedValues | None:
+    if asked.calibration is not None:
+        return load_values(store, asked.calibration, engine=asked.engine)
+    if asked.fit or not (asked.engine or store.calibrations()):
+        return None
+    return load_values(store, engine=asked.engine)
+
+
+def own_best(
+    store: Store, ids: Sequence[int], model: CalibrationModel
+) -> tuple[FloatArray, list[str]]:
+    """(n,) least E of single calibrations of experiments [mm^2], and why some have none.
+
+    Calibrations with another motion model, error or angle scale are ignored.
+    """
+    place = {number: k for k, number in enumerate(ids)}
+    best = np.full(len(ids), np.nan)
+    notes = ["not calibrated by itself"] * len(ids)
+    for number, record in store.calibration_summaries().items():
+        if (
+            record.method.get("how") not in (FitKind.ALONE, FitKind.NEIGHBOUR)
+            or len(record.members) != 1
+        ):
+            continue
+        k = place.get(record.members[0].experiment_id)
+        if k is None:
+            continue
+        other = _differs(CalibratedValues(number, record), model)
+        if other:
+            if np.isnan(best[k]):
+                notes[k] = f"calibrated by itself under another {other}"
+            continue
+        if np.isfinite(record.members[0].error_mm2):
+            best[k] = np.fmin(best[k], record.members[0].error_mm2)
+            notes[k] = ""
+    if np.isnan(best).all():
+        raise InvalidInput(
+            "relative",
+            found=f"no experiment with its own smallest error ({notes[0]})",
+            expected="experiments that were calibrated in mode each with the same model",
+            hint="calibrate them first: fixel calibrate --mode each",
+        )
+    return best, notes
+
+
+def _differs(one: CalibratedValues, model: CalibrationModel) -> str:
+    if one.motion.name != model.motion.name:
+        return f"motion model ({one.motion.name})"
+    if one.error.name != model.error.name:
+        return f"error ({one.error.name})"
+    scales = [float(e.angle_scale) for e in (one.error, model.error)]
+    return "" if scales[0] == scales[1] else f"angle scale ({1e3 * scales[0]:g} mm/rad)"
+
+
+# --- finished fits ------------------------------------------------------------------------------
+
+
+def fit_store(
+    store: str | Path | None, targets: Sequence[Target], model: CalibrationModel, apart: Apart
+) -> Finished:
+    """Return the cache of fits in a folder; one that stores nothing without a folder.
+
+    Raises
+    ------
+    InvalidInput
+        The folder belongs to a call that needs other fits; the difference is named.
+    """
+    if store is None:
+        return ResultCache(None).get
+    folder = Path(store)
+    own = _arguments(targets, model, apart)
+    path = folder / CALL
+    if (folder / JOB).is_file():
+        raise InvalidInput("store", found=f"a job in {folder}", expected="a new folder")
+    if path.is_file():
+        with readable(path, f"delete the folder {folder}"):
+            before = dict(json.loads(path.read_text(encoding="utf-8")))
+        for name, now in own.items():
+            if before.get(name) != now:
+                raise _other(folder, name, str(before.get(name)), now)
+        return ResultCache(folder).get
+    cache = ResultCache(folder)
+    with written_whole(path) as beside:
+        beside.write_text(json.dumps(own, indent=1), encoding="utf-8")
+    return cache.get
+
+
+def _other(folder: Path, name: str, before: str, now: str) -> InvalidInput:
+    many = name == "experiments"
+    return InvalidInput(
+        "store",
+        found=f"{folder}, which belongs to a call with "
+        + ("other experiments" if many else f"another {name}: {before}"),
+        expected="the same call again" + ("" if many else f", which has {now} now"),
+        hint="give this call a folder of its own",
+    )
+
+
+def _arguments(targets: Sequence[Target], model: CalibrationModel, apart: Apart) -> dict[str, str]:
+    """Arguments on which the fits depend, as texts."""
+    files = target_files(targets)
+    mark = hashlib.sha256(b"".join(files[name] for name in sorted(files))).hexdigest()
+    space = (
+        f"{u.label} = {u.nominal:.9g}"
+        if u.frozen
+        else f"{u.label} {u.low:.9g} to {u.high:.9g} from {u.nominal:.9g}"
+        for u in model.space.unknowns
+    )
+    return {
+        "experiments": mark,
+        "fit": ", ".join(space),
+        "motion": model.motion.name,
+        "error": repr(model.error),
+        "folds": str(apart.folds),
+        "leave_out": apart.out or "nothing",
+        "seed": str(apart.seed),
+    }
