@@ -20,9 +20,8 @@ from fixel.errors import InvalidInput, SolveFailed
 from fixel.model.trajectory import wrapped
 from fixel.typing import FloatArray, ProgressCallback
 from fixel.uncertainty.discrepancy import ModelError, draw_walks
-from fixel.uncertainty.likelihood import LogLikelihood, expected_shares
+from fixel.uncertainty.likelihood import LogLikelihood, ParameterPrior, expected_shares
 from fixel.uncertainty.posterior import NestedSampling, Posterior
-from fixel.uncertainty.prior import ParameterPrior
 
 BINS: Final = 10
 LEVEL: Final = 0.95

@@ -115,7 +115,7 @@ if TYPE_CHECKING:
     from fixel.workflows.project.export import export as export
     from fixel.workflows.report.write import report as report
     from fixel.workflows.sensitivity.run import sensitivity as sensitivity
-    from fixel.workflows.uncertainty.prediction import predict as predict
+    from fixel.workflows.prediction import predict as predict
     from fixel.workflows.uncertainty.run import posterior as posterior
 
     __version__: str
@@ -166,7 +166,7 @@ _NAMES = {
     "fixel.workflows.project.export": "export",
     "fixel.workflows.report.write": "report",
     "fixel.workflows.sensitivity.run": "sensitivity",
-    "fixel.workflows.uncertainty.prediction": "predict",
+    "fixel.workflows.prediction": "predict",
     "fixel.workflows.uncertainty.run": "posterior",
 }
 _HOME_OF = {name: module for module, names in _NAMES.items() for name in names.split()}

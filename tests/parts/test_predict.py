@@ -10,7 +10,7 @@ from fixel.model import Disk, Fixel, Seated, placed
 from fixel.parts.candidates import push_candidates
 from fixel.testing.pushes import example_parts
 from fixel.testing.scenes import grasp
-from fixel.workflows.uncertainty.prediction import predict
+from fixel.workflows.prediction import predict
 
 
 def test_what_is_unseen_comes_first(model):

@@ -12,9 +12,8 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput
 from fixel.uncertainty.discrepancy import ModelError, draw_walks, shares_of_way, walk_over
-from fixel.uncertainty.likelihood import LogLikelihood, camera_noise
+from fixel.uncertainty.likelihood import LogLikelihood, ParameterPrior, camera_noise
 from fixel.uncertainty.posterior import NestedSampling
-from fixel.uncertainty.prior import ParameterPrior
 
 TRUTH = np.array([0.4, 0.035, 1e-3])
 

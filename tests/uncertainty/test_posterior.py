@@ -114,7 +114,7 @@ def test_tails_of_one_cloud_are_no_modes():
     assert len(modes_of(cloud, -np.sum(cloud**2, axis=1))) == 1
 
 
-@pytest.mark.parametrize("bad", [{"samples": 5}, {"live": 3}, {"remaining": 0.0}])
+@pytest.mark.parametrize("bad", [{"samples": 5}, {"live": 3}])
 def test_settings_that_cannot_be_are_refused(bad):
     with pytest.raises(InvalidInput):
         NestedSampling(**bad)

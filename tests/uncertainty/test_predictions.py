@@ -48,12 +48,6 @@ def test_a_push_that_was_held_out_lies_in_its_bands(found):
     assert max(one.levels_of(pose[-1])) < 0.995
 
 
-def test_a_start_known_exactly_adds_nothing(found):
-    comparer, posterior = found
-    one = predict_repetition(comparer, 0, posterior, start_sd=np.zeros(3), draws=50)
-    np.testing.assert_allclose(one.shares["start"], 0.0, atol=1e-15)
-
-
 def test_bounds_hold_their_share_of_the_draws():
     rng = np.random.default_rng(2)
     poses = rng.standard_normal((4000, 3)) @ np.array([[2.0, 1.0, 0.0], [0, 1.0, 0], [0, 0, 0.1]])

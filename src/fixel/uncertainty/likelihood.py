@@ -21,16 +21,16 @@ import numpy as np
 from fixel.calibration.noise import MIN_SCATTER, Noise
 from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput
+from fixel.model.space import ParameterSpace
 from fixel.model.trajectory import wrapped
 from fixel.typing import FloatArray
 from fixel.uncertainty.discrepancy import (
+    LABEL,
     ModelError,
-    WalkAxes,
     log_density,
     shares_of_way,
     walk_over,
 )
-from fixel.uncertainty.prior import ParameterPrior
 
 # Log likelihood of a failed simulation: finite, but practically impossible for dynesty.
 FLOOR: Final = -1e300
@@ -43,6 +43,58 @@ MAX_FRAMES: Final = 400
 
 # Standard deviation over the median absolute value of a normal variable.
 _SD_OF_MEDIAN: Final = 1.4826
+
+
+class ParameterPrior:
+    """Independent priors of the free unknowns of a space, and of model error if it is unknown.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        An unknown with a `prior` is normal about its nominal value, truncated at its bounds; one
+        without is uniform within its bounds.
+    model_error : ModelError, optional
+        Adds the standard deviation of model error as the last unknown.
+
+    Attributes
+    ----------
+    labels, units : tuple of str
+        Names and units of the unknowns.
+    low, high : (n,) float64
+        Bounds.
+    """
+
+    def __init__(self, space: ParameterSpace, model_error: ModelError | None = None) -> None:
+        self.space = space
+        self.model_error = model_error
+        self._sd = np.array([np.inf if u.prior is None else u.prior for u in space.free])
+        more = [] if model_error is None else [model_error]
+        self.labels = (*space.labels, *(LABEL for _ in more))
+        self.units = (*(u.unit for u in space.free), *("m" for _ in more))
+        self.low = np.array([*space.low, *(error.low for error in more)])
+        self.high = np.array([*space.high, *(error.high for error in more)])
+
+    def transform(self, unit: FloatArray) -> FloatArray:
+        """Return the values (k, n) at probabilities (k, n) in [0, 1]."""
+        from scipy.special import ndtr, ndtri
+
+        n = len(self._sd)
+        low, high, mean = self.space.low, self.space.high, self.space.nominal
+        q = np.asarray(unit, np.float64)[:, :n]
+        values = low + q * (high - low)
+        known = np.isfinite(self._sd)
+        if known.any():
+            sd = self._sd[known]
+            ends = ndtr((np.stack((low, high))[:, known] - mean[known]) / sd)
+            inner = ends[0] + q[:, known] * (ends[1] - ends[0])
+            values[:, known] = np.clip(mean[known] + sd * ndtri(inner), low[known], high[known])
+        if self.model_error is None:
+            return np.asarray(values)
+        return np.column_stack((values, self.model_error.transform(unit[:, n])))
+
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draw points (count, n) from the prior."""
+        return self.transform(rng.random((count, len(self.labels))))
 
 
 @final
@@ -84,7 +136,8 @@ class LogLikelihood:
         self.evaluations = self.failed = 0
         self._white = noise.correlation * noise.standard_deviations**2
         self._seen = [_seen(int(n)) for n in comparer.length(self.members)]
-        self._walks = [self._walk(k) for k in range(len(self.members))]
+        known = range(0 if model_error is None else len(self.members))
+        self._walks = [walk_over(self.shares(k)[self._seen[k]]) for k in known]
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Return (k,) values at points (k, n); `FLOOR` where an experiment cannot be simulated."""
@@ -103,7 +156,8 @@ class LogLikelihood:
         difference, good, _ = self.comparer.differences(
             np.repeat(self.members, k), np.tile(free, (n, 1))
         )
-        tau = self._tau(points)
+        error = self.prior.model_error
+        tau = np.zeros((k, 3)) if error is None else np.asarray(points[:, -1:] / error.sides)
         total = np.zeros(k)
         for own in range(n):
             total += self._one(own, difference[own * k : (own + 1) * k, self._seen[own]], tau)
@@ -112,27 +166,14 @@ class LogLikelihood:
 
     def _one(self, own: int, difference: FloatArray, tau: FloatArray) -> FloatArray:
         """Return the log likelihood (k,) of one experiment from residuals (k, n_seen, 3)."""
-        walk = self._walks[own]
-        if walk is None:
+        if not self._walks:
             n = difference.shape[1]
             scale = n * float(np.log(2.0 * math.pi * self._white).sum())
             return np.asarray(-0.5 * (np.sum(difference**2 / self._white, axis=(1, 2)) + scale))
+        walk = self._walks[own]
         # (n, n) x (n, 3) for each point: bit for bit the same, whatever the size of the batch.
         rotated = np.matmul(walk.axes.T, difference)
         return log_density(rotated, walk.variance, tau, self._white)
-
-    def _tau(self, points: FloatArray) -> FloatArray:
-        """Return standard deviations (k, 3) of model error in x, y, theta."""
-        error = self.prior.model_error
-        if error is None:
-            return np.zeros((len(points), 3))
-        return np.asarray(points[:, -1:] / error.sides)
-
-    def _walk(self, own: int) -> WalkAxes | None:
-        if self.prior.model_error is None:
-            return None
-        share = self.shares(own)
-        return walk_over(share[self._seen[own]])
 
     def shares(self, own: int) -> FloatArray:
         """Return the shares of the way (n_sample,) of one experiment, by its index in `members`."""
@@ -160,10 +201,9 @@ def expected_shares(
         np.array([member]), comparer.space.nominal[None].copy()
     )
     nominal = target.pose + difference[0, : len(target.pose)]
-    ways = [target.pose if path is None else path] + ([nominal] if good[0] else [])
     shares = []
-    for way in ways:
-        poses = way.copy()
+    way = (target.pose if path is None else path).copy()
+    for poses in [way, *([nominal] if good[0] else [])]:
         poses[:, 2] = start[2] + wrapped(poses[:, 2] - start[2])
         shares.append(shares_of_way(start, poses, error.angle_scale))
     return np.asarray(np.mean(shares, axis=0))

@@ -198,7 +198,7 @@ class Sensitivity(Result):
         return Table((*runs.columns, "outcome"), rows)
 
 
-def sensitivity_of(ensemble: Prediction, indices: Indices | None = None) -> Sensitivity:
+def sensitivity_of(ensemble: Prediction) -> Sensitivity:
     """Compute the sensitivity of a push from its ensemble.
 
     Raises
@@ -220,13 +220,14 @@ def sensitivity_of(ensemble: Prediction, indices: Indices | None = None) -> Sens
     gain, worst = _gain(start, (end - ensemble.nominal[-1]) * weight)
     usual, largest, distance = _tears(start, after)
     outcome = group_outcomes(after, floor=size_in)
-    mode = ensemble.mode[ensemble.ended]
     shares = np.bincount(outcome) / len(outcome)
-    apart = max(_apart(after, outcome), _apart(after, _numbered(mode)))
-    several = len(shares) > 1 or int(np.sum(_shares(mode) >= RARE)) > 1
+    mode = ensemble.mode[ensemble.ended]
+    names, numbered, counts = np.unique(mode, return_inverse=True, return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    apart = max(_apart(after, outcome), _apart(after, numbered))
+    several = len(shares) > 1 or int(np.sum(counts / len(mode) >= RARE)) > 1
     return Sensitivity(
         prediction=ensemble,
-        indices=indices,
         before=_spread(ensemble.drawn[ensemble.ended]),
         after=_spread(end),
         arm=arm,
@@ -238,7 +239,7 @@ def sensitivity_of(ensemble: Prediction, indices: Indices | None = None) -> Sens
         largest_tear=largest,
         outcome=outcome,
         share=tuple(shares.tolist()),
-        modes=_named(mode),
+        modes={str(names[k]): float(counts[k] / len(mode)) for k in order if names[k]},
         apart=apart,
         torn=distance > size_in,
         bifurcates=several and apart > size_in,
@@ -352,20 +353,6 @@ def _apart(cloud: FloatArray, label: IntArray) -> float:
     shares = np.bincount(label) / len(label)
     means = [cloud[label == k].mean(axis=0) for k in np.flatnonzero(shares >= RARE)]
     return max((float(np.linalg.norm(a - b)) for a in means for b in means), default=0.0)
-
-
-def _numbered(mode: np.ndarray) -> IntArray:
-    return np.asarray(np.unique(mode, return_inverse=True)[1], np.int64)
-
-
-def _shares(mode: np.ndarray) -> FloatArray:
-    return np.asarray(np.unique(mode, return_counts=True)[1] / len(mode))
-
-
-def _named(mode: np.ndarray) -> dict[str, float]:
-    names, counts = np.unique(mode, return_counts=True)
-    order = np.argsort(-counts, kind="stable")
-    return {str(names[k]): float(counts[k] / len(mode)) for k in order if names[k]}
 
 
 def _failed(ensemble: Prediction) -> dict[str, int]:

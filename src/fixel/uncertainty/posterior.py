@@ -274,15 +274,12 @@ class NestedSampling:
         Required number of effective samples; at least as many of equal weight are returned.
     live : int, optional
         Number of live points; by default chosen from `samples`, at least `MIN_LIVE`.
-    remaining : float
-        A run ends when the remaining volume would raise the logarithm of the evidence by less.
     walks : bool, optional
         Random walks instead of uniform draws; by default with more than six unknowns.
     """
 
     samples: int = 1000
     live: int | None = None
-    remaining: float = REMAINING
     walks: bool | None = None
 
     def __post_init__(self) -> None:
@@ -290,8 +287,6 @@ class NestedSampling:
             raise InvalidInput("samples", found=self.samples, expected="10 or more")
         if self.live is not None and self.live < 20:
             raise InvalidInput("live", found=self.live, expected="20 or more")
-        if not self.remaining > 0.0:
-            raise InvalidInput("remaining", found=self.remaining, expected="above 0")
 
     def sample(
         self,
@@ -317,23 +312,25 @@ class NestedSampling:
         InvalidInput
             dynesty is not installed, or the likelihood has no value anywhere in the prior.
         """
+        merge_runs = _dynesty().utils.merge_runs
         begun = clock.perf_counter()
-        count = _Count(progress, self.remaining)
+        count = _Count(progress)
         pool = BatchedSampler(log_likelihood, prior.transform, count)
         runs: list[Any] = []
         for k in range(MAX_RUNS):
             rng = np.random.Generator(np.random.PCG64([seed, k]))
             runs.append(self._run(pool, log_likelihood, prior, rng, count))
-            merged = _merged(runs)
-            effective = _kish(merged.importance_weights())
+            merged = runs[0] if k == 0 else merge_runs(list(runs), print_progress=False)
+            weights = merged.importance_weights()
+            effective = float(np.sum(weights) ** 2 / np.sum(weights**2))  # Kish
             if effective >= self.samples:
                 break
         rng = np.random.Generator(np.random.PCG64([seed, MAX_RUNS]))
         count_back = max(self.samples, min(MIN_BACK, int(effective)))
-        rows = equal_weight(merged.importance_weights(), count_back, rng)
+        rows = equal_weight(weights, count_back, rng)
         samples, values = merged.samples[rows], merged.logl[rows]
         evidence = float(merged.logz[-1])
-        information = _information(merged.importance_weights(), merged.logl, evidence)
+        information = _information(weights, merged.logl, evidence)
         live = self._live(len(prior.labels)) * len(runs)
         if progress is not None:
             progress(SamplerProgress(count.evaluations, count.rate, 0.0, 1.0))
@@ -380,13 +377,12 @@ class NestedSampling:
         rng: np.random.Generator,
         count: _Count,
     ) -> Any:
-        nested = _nested_sampler()
         n = len(prior.labels)
         with warnings.catch_warnings():
             # dynesty warns of a plateau at the start: failed simulations, which all have FLOOR.
             warnings.filterwarnings("ignore", category=RuntimeWarning, module="dynesty")
             warnings.filterwarnings("ignore", category=UserWarning, module="dynesty")
-            sampler = nested(
+            sampler = _dynesty().NestedSampler(
                 lambda point: float(log_likelihood(np.asarray(point)[None])[0]),
                 lambda unit: prior.transform(np.asarray(unit)[None])[0],
                 n,
@@ -403,7 +399,7 @@ class NestedSampling:
             )
             _check_any_likelihood(sampler.live_logl)
             walking, spent, taken = self._walks(n), 0, 0
-            for step in sampler.sample(dlogz=self.remaining, save_bounds=False):
+            for step in sampler.sample(dlogz=REMAINING, save_bounds=False):
                 count.left(float(step.delta_logz))
                 spent, taken = spent + step.nc, taken + 1
                 if not walking and spent > DEAR * self._live(n):
@@ -419,8 +415,8 @@ class NestedSampling:
 class _Count:
     """Counter of evaluated points that reports the progress of a run."""
 
-    def __init__(self, progress: Callable[[SamplerProgress], None] | None, goal: float) -> None:
-        self._progress, self._goal = progress, goal
+    def __init__(self, progress: Callable[[SamplerProgress], None] | None) -> None:
+        self._progress = progress
         self.evaluations = 0
         self._begun = self._told = clock.monotonic()
         self._most = 1.0
@@ -440,8 +436,8 @@ class _Count:
         self._told = now
         finite = min(remaining, 1e6)
         self._most = max(self._most, finite)
-        span = math.log1p(self._most / self._goal)
-        share = 1.0 - math.log1p(max(finite - self._goal, 0.0) / self._goal) / span
+        span = math.log1p(self._most / REMAINING)
+        share = 1.0 - math.log1p(max(finite - REMAINING, 0.0) / REMAINING) / span
         self._progress(
             SamplerProgress(self.evaluations, self.rate, finite, min(max(share, 0.0), 1.0))
         )
@@ -488,10 +484,6 @@ def _mode(samples: FloatArray, log_likelihood: FloatArray, members: IntArray) ->
     return Mode(weight, samples[best].copy(), float(log_likelihood[best]), low, high, members)
 
 
-def _kish(weights: FloatArray) -> float:
-    return float(np.sum(weights) ** 2 / np.sum(weights**2))
-
-
 def _information(weights: FloatArray, log_likelihood: FloatArray, log_evidence: float) -> float:
     """Return the information that data add to a prior [nats]; Skilling (2006), eq. 15. dynesty's
     own value is NaN if some likelihoods are practically zero."""
@@ -501,17 +493,9 @@ def _information(weights: FloatArray, log_likelihood: FloatArray, log_evidence: 
     return max(0.0, mean - log_evidence)
 
 
-def _merged(runs: list[Any]) -> Any:
-    if len(runs) == 1:
-        return runs[0]
-    from dynesty.utils import merge_runs
-
-    return merge_runs(list(runs), print_progress=False)
-
-
-def _nested_sampler() -> Any:
+def _dynesty() -> Any:
     try:
-        from dynesty import NestedSampler
+        import dynesty
     except ImportError:
         raise InvalidInput(
             "posterior",
@@ -519,7 +503,7 @@ def _nested_sampler() -> Any:
             expected="dynesty, which samples the posterior",
             hint="pip install 'fixel[infer]'",
         ) from None
-    return NestedSampler
+    return dynesty
 
 
 def _walk_on(sampler: Any, n: int) -> None:

@@ -30,9 +30,8 @@ def predict_repetition(
     member: int,
     posterior: Posterior,
     *,
-    start_sd: FloatArray | None = None,
     draws: int = 400,
-    seed: int = 0,
+    seed: int | None = None,
 ) -> Prediction:
     """Predict a repetition of an experiment from the same measured start.
 
@@ -43,23 +42,24 @@ def predict_repetition(
         Index of the experiment among its targets.
     posterior : Posterior
         Posterior of the comparer's space, with the noise of the camera.
-    start_sd : (3,) array, optional
-        Standard deviations of the measured first pose [m, m, rad]; by default the camera noise.
-        Start errors that are among the unknowns are not drawn again.
     draws : int
         Number of draws, at most the number of samples.
-    seed : int
+    seed : int, optional
+        By default that of the posterior.
     """
     noise, error = posterior.noise, posterior.model_error
     if noise is None:
         expected = "a result of fixel.posterior"
         raise InvalidInput("posterior", found="a posterior without camera noise", expected=expected)
+    seed = posterior.seed if seed is None else seed
     rng = np.random.default_rng([seed, member])
     rows = rng.permutation(len(posterior.points))[: max(2, draws)]
     points, k = posterior.points[rows], len(rows)
     n_free = len(comparer.space.labels)
-    own = noise.standard_deviations if start_sd is None else np.asarray(start_sd, np.float64)
-    errors = _start_errors(comparer, rng.standard_normal((k, 3)) * own)
+    errors = rng.standard_normal((k, 3)) * noise.standard_deviations
+    # Start errors that are among the unknowns are not drawn again.
+    unknown = {u.name for u in comparer.space.free}
+    errors = np.where([name in unknown for name in START], 0.0, errors)
     still = np.zeros_like(errors)
     best = np.repeat(posterior.best[None], k, axis=0)
     (centre,), (fine,), _ = _simulated(comparer, member, best[:1, :n_free], still[:1])
@@ -101,12 +101,6 @@ def predict_repetition(
             "all": _spread(truths + seen[good]),
         },
     )
-
-
-def _start_errors(comparer: Comparer, drawn: FloatArray) -> FloatArray:
-    """Return drawn start errors (n, 3) [m, m, rad], without those among the unknowns."""
-    unknown = {u.name for u in comparer.space.free}
-    return np.where([name in unknown for name in START], 0.0, drawn)
 
 
 def _simulated(

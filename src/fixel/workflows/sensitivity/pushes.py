@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 from fixel.calibration.target import target_of
 from fixel.database.project import Project
-from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.formats import load_scene
 from fixel.model import Experiment, Parameters, Scene
@@ -45,13 +44,13 @@ class Subject(NamedTuple):
 
     key: str
     source: str  # key, or scene file
-    id: int | None  # id of a stored experiment
     scene: Scene
     values: dict[str, float]
     ranges: Ranges
     motion: AbstractMotionModel
-    stepper: AbstractStepper | None
-    banner: str
+    id: int | None = None  # id of a stored experiment
+    stepper: AbstractStepper | None = None
+    banner: str = ""
 
 
 class Finding(NamedTuple):
@@ -138,17 +137,17 @@ def _badness(finding: Finding) -> tuple[int, float, str]:
 
 
 def _subjects(own: PushSelection) -> tuple[list[Subject], dict[str, str]]:
+    files = [thing for thing in own.things if is_scene_file(thing)]
     if own.project is None:
-        return [_of_file(thing, own, None) for thing in own.things], {}
+        return [_of_file(thing, own, None) for thing in files], {}
     with own.project.store() as store:
         model = None
         if own.calibration is not None:
             model = load_values(store, own.calibration, engine=own.engine)
-        ids = {} if own.things else _all(store)
-        for thing in own.things:
-            if not is_scene_file(thing):
-                ids[thing] = store.find(thing)
-        subjects = [_of_file(t, own, model) for t in own.things if is_scene_file(t)]
+        ids = {thing: store.find(thing) for thing in own.things if thing not in files}
+        if not own.things:
+            ids = {one.key: one.id for one in store.experiments(ExperimentQuery()).rows}
+        subjects = [_of_file(thing, own, model) for thing in files]
         skipped = {}
         for key, number in ids.items():
             try:
@@ -160,24 +159,12 @@ def _subjects(own: PushSelection) -> tuple[list[Subject], dict[str, str]]:
     return subjects, skipped
 
 
-def _all(store: Store) -> dict[str, int]:
-    return {summary.key: summary.id for summary in store.experiments(ExperimentQuery()).rows}
-
-
 def _of_file(thing: str, own: PushSelection, model: CalibratedValues | None) -> Subject:
     file = load_scene(Path(thing))
     values = {} if model is None else model.values({"experiment": thing})
-    return Subject(
-        key=Path(thing).stem,
-        source=thing,
-        id=None,
-        scene=file.scene,
-        values=values | dict(own.values),
-        ranges=_ranges(model, values) | dict(own.ranges),
-        motion=motion_model(own.engine or file.motion) if model is None else model.motion,
-        stepper=file.stepper,
-        banner="",
-    )
+    subject = _subject(Path(thing).stem, file.scene, own, model, values)
+    motion = motion_model(own.engine or file.motion) if model is None else subject.motion
+    return subject._replace(source=thing, motion=motion, stepper=file.stepper)
 
 
 def _of_experiment(
@@ -186,16 +173,24 @@ def _of_experiment(
     target = target_of(experiment)
     scene = replace(target.case.scene, duration=float(target.case.times[-1]))
     values = {} if model is None else model.values(target.conditions)
+    banner = "" if experiment.real else f"SIMULATED by {experiment.simulated_by}"
+    return _subject(experiment.key, scene, own, model, values)._replace(id=number, banner=banner)
+
+
+def _subject(
+    key: str,
+    scene: Scene,
+    own: PushSelection,
+    model: CalibratedValues | None,
+    values: dict[str, float],
+) -> Subject:
     return Subject(
-        key=experiment.key,
-        source=experiment.key,
-        id=number,
+        key=key,
+        source=key,
         scene=scene,
         values=values | dict(own.values),
         ranges=_ranges(model, values) | dict(own.ranges),
         motion=motion_model(own.engine or None) if model is None else model.motion,
-        stepper=None,
-        banner="" if experiment.real else f"SIMULATED by {experiment.simulated_by}",
     )
 
 

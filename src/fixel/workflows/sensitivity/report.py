@@ -29,7 +29,6 @@ from fixel.workflows.analysis import (
 )
 from fixel.workflows.figures import Picture
 from fixel.workflows.sensitivity.pushes import Finding, RankedPushes, Subject
-from fixel.workflows.sensitivity.run import SENSITIVITY
 from fixel.workflows.sentences import rounded, sentences
 
 MAX_SENTENCES: Final = 3  # pushes with sentences in the headline
@@ -105,23 +104,10 @@ def store_sensitivity(project: Project, found: Sensitivity) -> StoredAnalysis:
     scene = json.dumps(scene_content(own.scene), sort_keys=True)
     values = {name: float(x) for name, x in own.parameters.items() if np.ndim(x) == 0}
     key = f"scene-{hashlib.sha256(scene.encode()).hexdigest()[:8]}"
-    subject = Subject(
-        key=key,
-        source=key,
-        id=None,
-        scene=own.scene,
-        values=values,
-        ranges={},
-        motion=motion_model(own.motion),
-        stepper=None,
-        banner="",
-    )
-    more = {"indices": found.indices is not None, "seed": own.seed}
-    request = SENSITIVITY.request({"samples": len(own.drawn), "values": values, **more})
+    subject = Subject(key, key, own.scene, values, {}, motion_model(own.motion))
     report = report_of(RankedPushes([Finding(subject, found)], {}, own.error))
-    error = {"start_error": [*own.error.size.tolist(), own.error.kind]}
-    question = SENSITIVITY.question(request) | report.analysis.question | error
-    analysis = report.analysis.model_copy(update={"question": question})
+    mark = {"samples": hashlib.sha256(own.pose.tobytes()).hexdigest()}
+    analysis = report.analysis.model_copy(update={"question": report.analysis.question | mark})
     return store_analysis(project, analysis, report.pictures, report.arrays)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator
 from math import degrees
@@ -9,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from fixel.capability.usual import StatedNoise
 from fixel.database.project import Project
 from fixel.drawing.chart import display_unit
 from fixel.simulation.engine_names import compare_words
@@ -29,7 +29,6 @@ from fixel.workflows.analysis import (
 from fixel.workflows.calibration.stored import CalibratedValues, misfit_of
 from fixel.workflows.sentences import rounded, sentences
 from fixel.workflows.uncertainty.charts import curves_of, pictures_of, what_of
-from fixel.workflows.uncertainty.run import UNCERTAINTY
 from fixel.workflows.uncertainty.sampling import ExperimentPrediction, Uncertainty, predicted_by
 
 REFERENCES: Final = ("skilling2006", "feroz2009", "speagle2020", "kennedy2001")
@@ -42,7 +41,7 @@ def report_of(found: Uncertainty) -> AnalysisReport:
     analysis = Analysis(
         kind="uncertainty",
         title=f"Uncertainty of {what_of(found)}",
-        question={"experiments": list(posterior.experiments), "motion": posterior.motion},
+        question={"experiments": list(posterior.experiments)},
         headline=_headline(found),
         warnings=_warnings(found),
         tables=tuple(_tables(found)),
@@ -84,19 +83,9 @@ def store_posterior(project: Project, found: Posterior) -> StoredAnalysis:
     NotStored
         The project does not have one of its experiments.
     """
-    noise = found.noise
-    request = UNCERTAINTY.request(
-        {
-            "experiments": found.experiments,
-            "motion": found.motion,
-            "noise": noise and StatedNoise(noise.position_m, noise.angle_rad),
-            "model_error": found.model_error is not None,
-            "samples": len(found.points),
-            "seed": found.seed,
-        }
-    )
     report = report_of(predicted_by(project, found))
-    analysis = report.analysis.model_copy(update={"question": UNCERTAINTY.question(request)})
+    mark = {"points": hashlib.sha256(found.points.tobytes()).hexdigest()}
+    analysis = report.analysis.model_copy(update={"question": report.analysis.question | mark})
     return store_analysis(project, analysis, report.pictures, report.arrays)
 
 
@@ -212,7 +201,7 @@ def _headline(found: Uncertainty) -> tuple[str, ...]:
         first=first,
         bounds=first.prediction.region(0.9),
         largest_part=max(PARTS, key=lambda name: float(np.hypot(*shares[name][:2]))),
-        model_error=None if k is None else posterior.quantiles()[:, k].tolist(),
+        tau=None if k is None else posterior.quantiles()[:, k].tolist(),
         held=held,
     )
 

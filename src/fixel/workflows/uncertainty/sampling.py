@@ -41,8 +41,7 @@ from fixel.workflows.calibration.stored import (
 
 # Noise assumed by the rough fit from which the noise is estimated.
 FIRST_NOISE: Final = Noise(position_m=5e-4, angle_rad=5e-3)
-FIRST_STARTS: Final = 4
-DRAWS: Final = 400
+ROUGH_FIT: Final = LeastSquares(loss="soft_l1", width=3.0, starts=4, most_iterations=20)
 
 
 class Selected(NamedTuple):
@@ -143,7 +142,9 @@ def sample(
     error = model_error if isinstance(model_error, ModelError) else ModelError()
     own = None if model_error is False else error
     with show_progress(progress, "sampling") as report:
-        point = _rough_fit(comparer, members, seed)
+        residuals = Frames(comparer, np.asarray(members, np.int64)).residuals(FIRST_NOISE)
+        rough = ROUGH_FIT.start(box_of(comparer.space), seed)
+        point = np.asarray(fit(rough, residuals).point)
         known = noise or _noise(comparer, members, point, own is not None)
         likelihood = LogLikelihood(comparer, members, known, own)
         done = 0
@@ -183,7 +184,7 @@ def with_predictions(
     predicted = []
     for k, (number, experiment) in enumerate(zip(own.ids, own.experiments, strict=True)):
         target, held_out = own.comparer.targets[k], k >= own.n_used
-        prediction = predict_repetition(own.comparer, k, found, draws=DRAWS, seed=found.seed)
+        prediction = predict_repetition(own.comparer, k, found)
         if held_out and found.known is not None:
             prediction = replace(prediction, unseen=found.known.texts(target))
         levels = prediction.levels_of(target.pose[-1])
@@ -241,12 +242,6 @@ def _unknowns(
         return default_unknowns(scenes)
     space = searched_space(project, one, scenes)
     return [u for u in space.unknowns if any(u.covers(t.conditions) for t in targets)]
-
-
-def _rough_fit(comparer: Comparer, members: list[int], seed: int) -> FloatArray:
-    residuals = Frames(comparer, np.asarray(members, np.int64)).residuals(FIRST_NOISE)
-    search = LeastSquares(loss="soft_l1", width=3.0, starts=FIRST_STARTS, most_iterations=20)
-    return np.asarray(fit(search.start(box_of(comparer.space), seed), residuals).point)
 
 
 def _noise(comparer: Comparer, members: list[int], point: FloatArray, of_camera: bool) -> Noise:

@@ -20,7 +20,7 @@ from fixel.uncertainty.likelihood import LogLikelihood
 from fixel.uncertainty.posterior import NestedSampling
 from fixel.uncertainty.run_to_run import RunToRun
 from fixel.uncertainty.starts import ASME, StartError
-from fixel.workflows.uncertainty.prediction import predict
+from fixel.workflows.prediction import predict
 
 QUIET = {"progress": False, "threads": 1}
 NOISE_OF_EXAMPLE = Noise(position_m=POSITION_NOISE, angle_rad=ANGLE_NOISE)
