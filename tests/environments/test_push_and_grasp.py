@@ -141,15 +141,6 @@ def test_a_head_put_down_on_the_part_moves_nothing():
     assert seen[0, 0] == pytest.approx(before[0, 0] - 0.03)
 
 
-def test_pictures_show_body_agent_and_goal():
-    for name in ("Push", "Grasp"):
-        env = gymnasium.make(f"fixel/{name}-v0", render_mode="rgb_array")
-        env.reset(seed=0)
-        picture = env.render()
-        assert picture.shape == (480, 480, 3)
-        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 3
-
-
 @pytest.mark.parametrize(
     ("kind", "wrong", "where"),
     [

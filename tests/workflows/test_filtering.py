@@ -1,29 +1,136 @@
-"""Filtering an experiment of a project, and what is kept of it."""
+"""Filtering an experiment of a project: answers of the command, and what the project stores."""
 
 import json
+import shlex
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.filtering.recordings import push
-from tests.fixtures import project_of
+from typer.testing import CliRunner
 
-from fixel.errors import InvalidInput, NotStored
-from fixel.workflows.filtering.report import report_of
+from fixel.cli.main import app
+from fixel.database.project import Project
+from fixel.errors import InvalidInput, NotStored, StoreRefused
+from fixel.model import Flag, Parameters, Provenance
+from fixel.model.records import CalibrationRecord, Estimate, Member
 from fixel.workflows.filtering.run import filter, filter_stored
 
-FEW = {"particles": 40, "priors": {"mu_pusher": (0.2, 0.6)}}
+FEW = {"particles": 40, "priors": {"mu_pusher": (0.2, 0.6)}, "occlusion": (1.0, 2.0)}
 
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
     recorded = push(duration=3.0)
-    bare = replace(recorded, name="bare", pusher=None)
-    return project_of(tmp_path_factory.mktemp("projects") / "lab", [recorded, bare])
+    flag = Flag("no-fixels", "nobody knows where", False)
+    found = Project.create(tmp_path_factory.mktemp("projects") / "my lab")
+    with found.store() as store:
+        number = store.add_experiment(recorded).id
+        store.add_calibration(
+            CalibrationRecord(
+                name="pushes",
+                parameters=Parameters({"mu_pusher": 0.35}),
+                members=(Member(number, 1.0, 0.01),),
+                provenance=Provenance(version="1"),
+                estimates=(
+                    Estimate(label="mu_pusher", unit="-", value=0.35, low=0.31, verdict="at least"),
+                ),
+            )
+        )
+        store.add_experiment(
+            replace(recorded, name="bare", scene=None, contact_mode="", flags=(flag,))
+        )
+    return found
+
+
+def call(folder, *arguments):
+    words = ["filter", *map(str, arguments), "--project", str(folder)]
+    return CliRunner().invoke(app, words)
+
+
+def good(project, *arguments):
+    result = call(project.folder, *arguments, "--particles", "40")
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_the_answer_for_people(project, tmp_path):
+    picture = tmp_path / "run.png"
+    out = good(project, "push", "--occlude", "1:2", "--plot", picture)
+
+    for words in (
+        "testbed/push: SIMULATED by",
+        "frames from 0 to 3 s, hidden from 1 to 2 s, with tactile readings",
+        "while seen",
+        "while hidden",
+        "tripod_radius [mm]",
+        "not excited",
+        "contact mode, recorded 000, estimated 000, the same",
+        "40 particles",
+        "times real time",
+        "stored as filter run",
+        f"wrote {picture}",
+    ):
+        assert words in out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert out.splitlines()[-1].startswith("Next: fixel compare testbed/push --")
+    assert f"--project {shlex.quote(str(project.folder))}" in out.splitlines()[-1]
+
+
+def test_doubts_come_first_and_calibrations_stand_beside(project):
+    """The belief about the pusher leaves out its true friction, 0.35."""
+    out = good(project, "push", "--prior", "mu_pusher=0.4:1", "--no-save")
+
+    assert out.index("model misfit: residuals of") < out.index("at the end")
+    (believed,) = [line for line in out.splitlines() if line.startswith("mu_pusher")]
+    assert "at the bound of its prior: use a wider one" in believed
+    (calibrated,) = [line for line in out.splitlines() if line.startswith("calibration 1")]
+    assert calibrated.split()[2:] == ["mu_pusher", "0.35", "0.31", "open", "at", "least"]
+
+
+def test_more_noise_than_believed_is_reported(project):
+    noisy = replace(push(duration=2.0, noise=(1.4e-3, 0.03), ahead=0.0), name="noisy")
+    with project.store() as store:
+        store.add_experiment(noisy)
+
+    words = "times the value that the filter assumes, so its intervals are too narrow"
+    assert words in good(project, "noisy", "--no-save")
+    assert "its intervals are too narrow" not in good(project, "push", "--no-save")
+
+
+def test_the_answer_for_programs(project):
+    def answered(*more):
+        return json.loads(good(project, "push", "--json", "--no-save", *more))
+
+    first = answered("--occlude", "1:2", "--seed", "3")
+    again = answered("--occlude", "1:2", "--seed", "3", "--threads", "2")
+    deaf = answered("--no-tactile", "--prior", "mu_pusher=0.3:0.4")
+
+    assert first["parameters"] == again["parameters"]
+    assert first["hidden"] == again["hidden"]
+    assert (first["particles"], first["seed"], first["occlusion_s"]) == (40, 3, [1.0, 2.0])
+    assert (first["filter_run_id"], first["files"]) == (None, {})
+    assert (deaf["uses_tactile"], deaf["hidden"]) == (False, None)
+    own = deaf["parameters"]["mu_pusher"]
+    assert set(own) == {"mean", "q05", "q50", "q95", "excited", "at_bound"}
+    assert 0.3 <= own["q05"] <= own["q95"] <= 0.4
+
+
+def test_the_next_command_works_until_there_is_a_picture(project, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    out = good(project, "push")
+    for _ in range(2):
+        following = out.splitlines()[-1].removeprefix("Next: ")
+        result = CliRunner().invoke(app, shlex.split(following)[1:])
+        assert result.exit_code == 0, result.output
+        out = result.stdout
+
+    assert "--occlude" in following
+    assert [path.name for path in tmp_path.iterdir()] == ["push-filter.png"]
 
 
 def test_a_run_is_kept_with_its_settings(project):
-    answer = filter_stored(project, "push", **FEW, occlusion=(1.0, 2.0), seed=7)
+    answer = filter_stored(project, "push", **FEW, seed=7)
     with project.store() as store:
         run = store.filter_run(answer.run_id)
         settings = store.filter_parameters(run.filter_parameters_id)
@@ -40,42 +147,17 @@ def test_a_run_is_kept_with_its_settings(project):
     assert settings.is_particle_filter
     assert settings.values["n_particles"] == 40.0
     assert (settings.values["mu_pusher_low"], settings.values["mu_pusher_high"]) == (0.2, 0.6)
-
-
-def test_errors_are_told_inside_and_outside_of_the_occlusion(project):
-    answer = filter_stored(project, "push", **FEW, occlusion=(1.0, 2.0), save=False)
-    position, angle, hidden = answer.estimates.errors(answer.estimates.experiment.trajectory)
-
-    assert answer.run_id is None
+    position, angle, hidden = found.errors(found.experiment.trajectory)
     for inside in (True, False):
-        wanted = hidden == inside
-        expected = [np.sqrt(np.mean(e[wanted] ** 2)) for e in (position, angle)]
-        assert answer.estimates.rms(hidden=inside) == pytest.approx(expected)
-    summary = report_of(answer).analysis.numbers
-    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
-    assert summary["frames"] == len(answer.estimates.time)
-    assert summary["real_time_factor"] > 0.0
-
-
-def test_without_an_occlusion_there_is_no_error_inside(project):
-    answer = filter_stored(project, "push", **FEW, tactile=False, save=False)
-
-    numbers = report_of(answer).analysis.numbers
-    assert (numbers["hidden"], numbers["uses_tactile"]) == (None, False)
-
-
-def test_refusals_keep_nothing(project):
-    with pytest.raises(NotStored):
-        filter_stored(project, "nothing", **FEW)
-    with pytest.raises(InvalidInput, match="no measured path of the pusher"):
-        filter_stored(project, "bare", **FEW)
+        expected = [np.sqrt(np.mean(e[hidden == inside] ** 2)) for e in (position, angle)]
+        assert found.rms(hidden=inside) == pytest.approx(expected)
 
 
 def test_a_filter_in_python_is_that_of_the_command(project):
     with project.store() as store:
         experiment = store.experiment(store.find("push"))
-    found = filter(experiment, **FEW, occlusion=(1.0, 2.0), progress=False)
-    stored = filter_stored(project, "push", **FEW, occlusion=(1.0, 2.0), save=False)
+    found = filter(experiment, **FEW, progress=False)
+    stored = filter_stored(project, "push", **FEW, save=False)
     assert found.parameters == stored.estimates.parameters
     assert repr(found).startswith(f"FilterRun of {experiment.key}")
     assert len(found.to_dict()["time"]) == len(found.time)
@@ -84,3 +166,27 @@ def test_a_filter_in_python_is_that_of_the_command(project):
         assert store.filter_run(number).trajectory == found.trajectory
     with pytest.raises(InvalidInput, match="motion"):
         filter(experiment, motion="dynamic", progress=False)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["bare"], "no scene: nobody knows where"),
+        (["push", "--occlude", "2"], "such as 2:4"),
+        (["push", "--occlude", "x:1"], "--occlude: found 'x', expected a number"),
+        (["push", "--prior", "mu_pusher"], "--prior mu_pusher"),
+        (["push", "--occlude", "8:9"], "within the recording, 0 to 3 s"),
+        (["push", "--prior", "mu_pushr=0.1:1"], "did you mean 'mu_pusher'"),
+        (["push", "--plot", "a.bmp"], "a picture file"),
+    ],
+)
+def test_bad_input_is_refused(project, arguments, sentence):
+    result = call(project.folder, *arguments)
+
+    assert isinstance(result.exception, InvalidInput)
+    assert sentence in str(result.exception)
+
+
+def test_what_is_not_there_is_said(project, tmp_path):
+    assert isinstance(call(project.folder, "nothing").exception, NotStored)
+    assert isinstance(call(tmp_path, "push").exception, StoreRefused)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, Final, Literal, Unpack, get_args
 
 import numpy as np
@@ -154,9 +153,6 @@ class PushVectorEnv(BatchEnv):
         self._arm = math.sqrt(body.moment_of_inertia / body.mass)
         self._motion = PushMotion(self.scene, num_envs, unit=1.0, threads=self.threads)
         self._goals = np.zeros((num_envs, 3))
-
-    def _set_parameters(self, values: Mapping[str, FloatArray]) -> None:
-        self._motion.set_parameters(values)
 
     def _begin(self, which: IntArray, options: Info) -> None:
         drawn = np.array([self._start(k) for k in which.tolist()])

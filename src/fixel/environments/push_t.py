@@ -8,7 +8,7 @@ Lengths are pixels.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final, Literal, Unpack, get_args
 
 import numpy as np
@@ -183,9 +183,6 @@ class PushTVectorEnv(BatchEnv):
         self._action = np.full((num_envs, 2), np.nan)  # none yet
         self._coverage = np.zeros(num_envs)
         self._goal = placed_pieces(GOAL)
-
-    def _set_parameters(self, values: Mapping[str, FloatArray]) -> None:
-        self._motion.set_parameters(values)
 
     def _begin(self, which: IntArray, options: Info) -> None:
         states = np.array([self._start(k) for k in which.tolist()])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from typing import Any, Final, TypedDict
 
 import gymnasium as gym
@@ -12,7 +12,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from fixel.environments.worlds import WorldDraws, world_draws
+from fixel.environments.worlds import WorldDraws
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Scene
 from fixel.simulation.threads import cores
@@ -53,6 +53,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
     """
 
     _draws: WorldDraws | None = None  # those of worlds that differ between episodes
+    _motion: Any = None  # `PushMotion` of tasks with an agent
 
     def __init__(
         self,
@@ -92,12 +93,15 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         self._begun = False
 
     def _set_world(self, world: str, scene: Scene, parameters: Any, usual: Info) -> Scene:
-        """Return the scene of a world, and draw its parameters for every episode."""
-        self._draws = world_draws(world, scene, parameters, usual, self.num_envs)
-        return scene if self._draws is None else self._draws.scene
-
-    def _set_parameters(self, values: Mapping[str, FloatArray]) -> None:
-        """Take over parameters (n,) by name, those of the episodes that begin among them."""
+        """Return the scene of a world; that of "posterior" has other parameters in each episode."""
+        if world == "posterior":
+            given = usual if parameters is None else parameters
+            self._draws = WorldDraws(scene, given, self.num_envs)
+            return self._draws.scene
+        if parameters is not None:
+            found = f"parameters for the world {world!r}"
+            raise InvalidInput("parameters", found=found, expected="world='posterior'")
+        return scene
 
     @abstractmethod
     def _begin(self, which: IntArray, options: Info) -> None:
@@ -196,7 +200,8 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         self._begin(which, options)
         if self._draws is not None:
             self._draws.redraw(which, self.world_rngs)
-            self._set_parameters(self._draws.values)
+            if self._motion is not None:
+                self._motion.set_parameters(self._draws.values)
         self._elapsed[which], self._ended[which] = 0, False
         self._begun = self._begun or len(which) == self.num_envs
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, Final, final
 
@@ -82,18 +82,6 @@ class WorldDraws:
             row = int(rngs[k].integers(self._count))
             for name, x in self._draws.items():
                 self.values[name][k] = x[row]
-
-
-def world_draws(
-    world: str, scene: Scene, parameters: Any, usual: Mapping[str, Any], n: int
-) -> WorldDraws | None:
-    """Return the draws of the world "posterior", by default from `usual`; None for other worlds."""
-    if world == "posterior":
-        return WorldDraws(scene, usual if parameters is None else parameters, n)
-    if parameters is not None:
-        found = f"parameters for the world {world!r}"
-        raise InvalidInput("parameters", found=found, expected="world='posterior'")
-    return None
 
 
 def usual_parameters(friction: tuple[float, float], arm: float) -> dict[str, tuple[float, float]]:

@@ -228,25 +228,7 @@ def run_filter(
 ) -> FilterRun:
     """Filter a recorded experiment, frame by frame from its first useful one on.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        With a scene and the measured path of the pusher.
-    options : ParticleFilter, optional
-    occlusion : (float, float), optional
-        First and last instant in which the object is hidden from the filter, on the experiment's
-        clock [s]. The pusher is still measured.
-    use_tactile : bool
-        Whether readings of the fixels are used, where there are any.
-    seed : int
-    progress : callable, optional
-        Called as `progress(done, total)` after every frame.
-
-    Raises
-    ------
-    InvalidInput
-        No scene or no path of the pusher, an occlusion outside of the recording, or tactile
-        readings that are not one a fixel.
+    The arguments are those of `fixel.filter`; `progress(done, total)` is called after every frame.
     """
     options = options or ParticleFilter()
     scene = scene_of(experiment)

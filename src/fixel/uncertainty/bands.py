@@ -7,8 +7,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from fixel.calibration.optimiser import between
 from fixel.errors import InvalidInput
-from fixel.model.fields import fraction
 from fixel.model.trajectory import wrapped
 from fixel.typing import FloatArray
 
@@ -46,8 +46,7 @@ class EndBounds(NamedTuple):
 def bounds_of(poses: FloatArray, level: float) -> EndBounds:
     """Return the smallest ellipse of the draws' shape and the shortest interval of angles that
     contain a share of poses (k, 3)."""
-    if not 0.0 < fraction(level, "level") < 1.0:
-        raise InvalidInput("level", found=level, expected="a number between 0 and 1")
+    between(level, "level")
     centre, spread = _shape(poses[:, :2])
     radius = float(np.quantile(_distances(poses[:, :2], centre, spread), level))
     variances, axes = np.linalg.eigh(spread)

@@ -13,11 +13,12 @@ import numpy as np
 
 from fixel.calibration.solutions import Solution, find_solutions
 from fixel.errors import InvalidInput
-from fixel.model.fields import fraction, non_negative
+from fixel.model.fields import non_negative
 from fixel.typing import FloatArray
 
 # Gap between clusters, as a share of the range of the evaluated points.
 GAP: Final = 0.1
+LEVEL: Final = 0.95  # of the confidence region
 
 
 class NearOptimal(NamedTuple):
@@ -32,7 +33,7 @@ class NearOptimal(NamedTuple):
     names: tuple[str, ...] = ()  # of the parameters
 
 
-def rise_of(least: float, count: float, unknowns: int, level: float = 0.95) -> float:
+def rise_of(least: float, count: float, unknowns: int) -> float:
     """Return the rise of a mean squared error over its minimum that noise explains.
 
     For normal noise of a size estimated by the fit itself, the confidence region contains the
@@ -46,7 +47,6 @@ def rise_of(least: float, count: float, unknowns: int, level: float = 0.95) -> f
         Independent measurements N: numbers in the residuals over their correlation time.
     unknowns : int
         Number of unknowns n.
-    level : float
 
     Source
     ------
@@ -54,10 +54,8 @@ def rise_of(least: float, count: float, unknowns: int, level: float = 0.95) -> f
     """
     from scipy.special import fdtri
 
-    if not 0.0 < fraction(level, "level") < 1.0:
-        raise InvalidInput("level", found=level, expected="a number between 0 and 1")
     freedom = max(1.0, count - unknowns)
-    quantile = float(fdtri(unknowns, freedom, level))
+    quantile = float(fdtri(unknowns, freedom, LEVEL))
     return non_negative(least, "least") * unknowns / freedom * quantile
 
 

@@ -82,11 +82,6 @@ class RunEffects(NamedTuple):
     turned: FloatArray  # (k,) predicted rotation [rad]
     known: FloatArray | float = 0.0  # (k, 3, 3) covariance from other sources, as of parameters
 
-    @property
-    def experiments(self) -> int:
-        """Number of experiments k."""
-        return len(self.residual)
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,7 +156,7 @@ class RunToRun:
         """
         from scipy.optimize import minimize
 
-        k = effects.experiments
+        k = len(effects.residual)
         if k < MIN_EXPERIMENTS:
             raise InvalidInput(
                 "experiments",
@@ -344,7 +339,7 @@ def learn_run_to_run(
     ends = _ExperimentEnds([target_of(e) for e in experiments], model, motion, stepper, threads)
     effects = ends.effects()
     scatter = RunToRun.learned(effects, fitted=fitted)
-    left = effects.residual / math.sqrt(1.0 - fitted / (3.0 * effects.experiments))
+    left = effects.residual / math.sqrt(1.0 - fitted / (3.0 * len(effects.residual)))
     return scatter.with_remainder(left, ends.drawn(scatter, seed), effects.turned)
 
 
@@ -360,7 +355,12 @@ class _ExperimentEnds:
         stepper: AbstractStepper | None,
         threads: int | None,
     ) -> None:
-        given = [_values(model, target.conditions) for target in targets]
+        given = [
+            model.values_for(**target.conditions)
+            if isinstance(model, CalibratedModel)
+            else dict(Parameters(model))
+            for target in targets
+        ]
         names = sorted({name for own in given for name in own})
         if any(sorted(own) != names for own in given):
             raise InvalidInput(
@@ -421,14 +421,6 @@ class _ExperimentEnds:
     def _poses(self, which: IntArray, values: Mapping[str, FloatArray]) -> FloatArray:
         outcome = self._ensemble.simulate(which, values)
         return np.asarray(np.where(outcome.converged[:, None], outcome.pose[:, -1], np.nan))
-
-
-def _values(
-    model: Mapping[str, float] | CalibratedModel, conditions: Mapping[str, str | float]
-) -> dict[str, float]:
-    if isinstance(model, CalibratedModel):
-        return model.values_for(**conditions)
-    return dict(Parameters(model))
 
 
 def pose_difference(last: FloatArray, first: FloatArray) -> FloatArray:

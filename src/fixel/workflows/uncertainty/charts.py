@@ -15,8 +15,6 @@ from fixel.drawing.uncertainty import (
     final_pose_chart,
     label_text,
 )
-from fixel.model import Disk
-from fixel.typing import FloatArray
 from fixel.uncertainty.bands import LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.uncertainty.posterior import Posterior
@@ -65,9 +63,10 @@ def _of_experiment(one: ExperimentPrediction, number: int) -> Iterator[Picture]:
                       bands=[prediction.bands(level) for level in LEVELS], title=what)  # fmt: skip
     yield Picture(f"bands-{number}", path, banner,
                   f"Trajectory of {what} with bands of 50 and 90 %, frame by frame.")  # fmt: skip
+    body = one.target.case.scene.bodies[0]
     final = final_pose_chart(
-        outline=_outline(one),
-        start=one.target.case.scene.bodies[0].pose,
+        outline=body.shape.outline,
+        start=body.pose,
         measured=measured[-1],
         draws=prediction.ends,
         regions=[prediction.region(level) for level in LEVELS],
@@ -75,14 +74,6 @@ def _of_experiment(one: ExperimentPrediction, number: int) -> Iterator[Picture]:
     )
     yield Picture(f"final-{number}", final, banner,
                   f"Final pose of {what} with bounds of 50 and 90 %.")  # fmt: skip
-
-
-def _outline(one: ExperimentPrediction) -> FloatArray:
-    shape = one.target.case.scene.bodies[0].shape
-    if isinstance(shape, Disk):
-        turn = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
-        return shape.radius * np.column_stack((np.cos(turn), np.sin(turn)))
-    return np.asarray(shape.outline)
 
 
 def _curve_picture(found: Uncertainty, both: tuple[CoverageCurve, CoverageCurve]) -> Picture:

@@ -1,21 +1,78 @@
-"""`fixel sensitivity`, as called from a shell."""
+"""Sensitivity to the start: the public function, the command, and what projects store."""
 
 import json
+import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from tests.filtering.recordings import push
 from tests.fixtures import project_of
 from tests.uncertainty.forks import fork
 from typer.testing import CliRunner
 
+import fixel
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
 from fixel.formats import SceneFile, save_scene
 from fixel.model import Flag, Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
+from fixel.testing.scenes import micro_push
+from fixel.uncertainty.starts import ASME, StartError
 from fixel.workflows.analysis import load_analyses
+from fixel.workflows.sensitivity.run import sensitivity
+
+SMALL = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5), kind="uniform")
+QUIET = {"progress": False, "threads": 1}
+
+
+def test_a_fork_bifurcates_and_says_so():
+    found = sensitivity(fork(), SMALL, samples=60, motion="quasistatic", **QUIET)
+    assert found.flag == "bifurcates"
+    assert "bifurcates" in repr(found)
+    assert "2 separate outcomes" in repr(found)
+    data = found.to_dict()
+    assert len(data["end_x"]) == 60
+    assert set(data["outcome"]) == {0, 1}
+    # Outcomes are the two sides of the fixel.
+    side = np.sign(np.array(data["end_y"]))
+    assert len({(o, s) for o, s in zip(data["outcome"], side, strict=True)}) == 2
+
+
+def test_reports_of_progress_end_at_the_number_of_starts():
+    seen = []
+    sensitivity(micro_push(1), ASME, samples=50, progress=seen.append, threads=1)
+    assert (seen[-1].done, seen[-1].total) == (51, 51)
+
+
+def test_wrong_input_is_refused():
+    with pytest.raises(InvalidInput, match="at least 50"):
+        sensitivity(micro_push(1), ASME, samples=20, **QUIET)
+    with pytest.raises(InvalidInput, match="motion"):
+        sensitivity(micro_push(1), ASME, motion="slow", **QUIET)
+    with pytest.raises(InvalidInput, match="a scene file or an Experiment"):
+        sensitivity(42, ASME, **QUIET)
+    with pytest.raises(InvalidInput, match="mu_pusher"):
+        sensitivity(micro_push(1), ASME, {"mu_pushr": 0.2}, **QUIET)
+
+
+def test_a_project_stores_a_sensitivity_and_refuses_what_no_command_stores(tmp_path, monkeypatch):
+    monkeypatch.setattr("fixel.workflows.analysis.write_picture", lambda *_: [])
+    lab = fixel.Project.create(tmp_path / "lab")
+    found = sensitivity(micro_push(1), ASME, samples=50, **QUIET)
+    kept = lab.add(found)
+    (stored,) = load_analyses(lab, "sensitivity")
+    assert kept.folder == stored.folder
+    (push,) = stored.analysis.numbers["pushes"]
+    assert push["flag"] == found.flag
+    assert lab.add(found).folder == kept.folder
+    assert lab.add(sensitivity(micro_push(2), ASME, samples=50, **QUIET)).folder != kept.folder
+    with pytest.raises(InvalidInput, match=r"Prediction, which projects do not store.*\.save"):
+        lab.add(found.prediction)
+
+
+# --- the command ----------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -106,38 +163,35 @@ def test_a_calibration_gives_values_ranges_and_motion(folder):
     assert "(quasistatic)" in own.methods[0]
 
 
-def test_presets_and_sizes(file):
-    told = json.loads(good(file, "--preset", "asme", "--samples", "60", "--json"))
-    assert told["start_error"]["x_m"] == pytest.approx(5e-6)
-    words = ("--start-error-mm", "0.1", "--start-error-deg", "0", "--normal", "--json")
-    told = json.loads(good(file, *words, "--samples", "60"))
-    assert told["start_error"] == {
-        "x_m": pytest.approx(1e-4), "y_m": pytest.approx(1e-4), "theta_rad": 0.0, "kind": "normal",
-    }  # fmt: skip
+@pytest.mark.parametrize(
+    ("words", "x", "theta", "kind"),
+    [
+        (("--preset", "asme"), 5e-6, math.radians(0.5), "uniform"),
+        (("--start-error-mm", "0.1", "--start-error-deg", "0", "--normal"), 1e-4, 0.0, "normal"),
+        (("--start-error-mm", "0.1", "--uniform"), 1e-4, math.radians(0.5), "uniform"),
+    ],
+)
+def test_presets_and_sizes(file, words, x, theta, kind):
+    error = json.loads(good(file, *words, "--samples", "60", "--json"))["start_error"]
+    assert error == {"x_m": x, "y_m": x, "theta_rad": theta, "kind": kind}
 
 
 @pytest.mark.parametrize(
-    ("words", "kind"),
+    ("words", "sentence"),
     [
-        (("--preset", "asmee"), InvalidInput),
-        (("--preset", "asme", "--start-error-mm", "1"), InvalidInput),
-        (("--set", "mu_pusher"), InvalidInput),
-        (("--set", "mu=1"), InvalidInput),
-        (("--vary", "mu_pusher=0.1"), InvalidInput),
-        (("--start-error-mm", "-1", "--normal"), InvalidInput),
+        (("--preset", "asmee"), "asme"),
+        (("--preset", "asme", "--start-error-mm", "1"), "--preset: found a preset and a start"),
+        (("--set", "mu_pusher"), "--set mu_pusher"),
+        (("--set", "mu=1"), "mu"),
+        (("--vary", "mu_pusher=0.1"), "--vary mu_pusher"),
+        (("--start-error-mm", "-1", "--normal"), "start"),
+        (("--start-error-mm", "0.1"), "--uniform (they are half-widths) or --normal"),
     ],
 )
-def test_refusals(file, words, kind):
-    assert isinstance(call(file, *words).exception, kind)
-
-
-def test_a_size_needs_its_meaning(file):
-    problem = call(file, "--start-error-mm", "0.1").exception
-    assert "--uniform (they are half-widths) or --normal" in str(problem)
-    told = json.loads(
-        good(file, "--start-error-mm", "0.1", "--uniform", "--samples", "60", "--json")
-    )
-    assert (told["start_error"]["x_m"], told["start_error"]["kind"]) == (1e-4, "uniform")
+def test_refusals(file, words, sentence):
+    problem = call(file, *words).exception
+    assert isinstance(problem, InvalidInput)
+    assert sentence in str(problem)
 
 
 def test_what_is_not_there(folder):
