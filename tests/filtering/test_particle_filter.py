@@ -162,12 +162,8 @@ def test_beliefs_fit_the_scene_and_can_be_changed():
 
     assert estimate.names == ("mu_pusher", "mu_fixel", "tripod_radius")
     np.testing.assert_array_equal(estimate.quantiles[0], 0.3)
-
-
-def test_nothing_to_learn_is_fine():
-    options = replace(FEW, priors=dict.fromkeys(DEFAULT_PRIORS))
+    options = replace(FEW, priors=dict.fromkeys(DEFAULT_PRIORS))  # nothing to learn
     estimate = start_filter(options, SCENE).step(FilterFrame(1 / 30, HEAD, START))
-
     assert estimate.names == ()
     assert finite(estimate)
 

@@ -54,7 +54,7 @@ def test_the_kind_is_required_and_printed():
     "wrong",
     [
         {"x": -1.0, "kind": "normal"},
-        {"x": 0.0, "y": 0.0, "theta": 0.0, "kind": "normal"},
+        {"kind": "uniform"},  # all sizes are zero
         {"x": math.nan, "kind": "normal"},
         {"x": 1.0, "y": 0.0, "theta": 0.0, "kind": "round"},
     ],
@@ -69,9 +69,3 @@ def test_no_such_preset_or_number():
         preset("asmee")
     with pytest.raises(InvalidInput, match="samples"):
         even_points(0, 3, 0)
-
-
-def test_sizes_that_are_not_given_are_zero():
-    np.testing.assert_array_equal(StartError(x=2e-3, kind="uniform").size, [2e-3, 0.0, 0.0])
-    with pytest.raises(InvalidInput, match="x, y and theta above zero"):
-        StartError(kind="uniform")

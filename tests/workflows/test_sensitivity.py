@@ -21,7 +21,8 @@ from fixel.model.records import CalibrationRecord, Estimate, Member
 from fixel.testing.scenes import micro_push
 from fixel.uncertainty.starts import ASME, StartError
 from fixel.workflows.analysis import load_analyses
-from fixel.workflows.sensitivity.run import sensitivity
+from fixel.workflows.capabilities import prepare
+from fixel.workflows.sensitivity.run import SENSITIVITY, sensitivity
 
 SMALL = StartError(x=3e-4, y=3e-4, theta=math.radians(0.5), kind="uniform")
 QUIET = {"progress": False, "threads": 1}
@@ -180,7 +181,7 @@ def test_presets_and_sizes(file, words, x, theta, kind):
     ("words", "sentence"),
     [
         (("--preset", "asmee"), "asme"),
-        (("--preset", "asme", "--start-error-mm", "1"), "--preset: found a preset and a start"),
+        (("--preset", "asme", "--uniform"), "--preset: found a preset and a start"),
         (("--set", "mu_pusher"), "--set mu_pusher"),
         (("--set", "mu=1"), "mu"),
         (("--vary", "mu_pusher=0.1"), "--vary mu_pusher"),
@@ -192,6 +193,12 @@ def test_refusals(file, words, sentence):
     problem = call(file, *words).exception
     assert isinstance(problem, InvalidInput)
     assert sentence in str(problem)
+
+
+def test_a_job_reads_no_scene_files(folder, file):
+    request = SENSITIVITY.request({"experiments": (str(file),)})
+    with pytest.raises(InvalidInput, match="experiments of the project"):
+        prepare(SENSITIVITY, request, Project(folder))
 
 
 def test_what_is_not_there(folder):

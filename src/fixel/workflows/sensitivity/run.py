@@ -231,6 +231,14 @@ def is_scene_file(thing: str) -> bool:
     return thing.lower().endswith(SCENE_ENDINGS)
 
 
+def _settled(project: Project, request: Any) -> Any:
+    """Return the request; raise for files, which the browser that starts a job must not name."""
+    if files := list(filter(is_scene_file, request.experiments)):
+        expected = "experiments of the project, where a job computes"
+        raise InvalidInput("experiments", found=files[0], expected=expected)
+    return request
+
+
 def _presentation() -> ModuleType:
     from fixel.workflows.sensitivity import report
 
@@ -244,4 +252,5 @@ SENSITIVITY: Final = Capability(
     leave_out=("scene", "start", "model", "motion", "stepper"),
     presentation=_presentation,
     in_project=in_project,
+    settled=_settled,
 )
