@@ -44,7 +44,7 @@ FIRST_NOISE: Final = Noise(position_m=5e-4, angle_rad=5e-3)
 ROUGH_FIT: Final = LeastSquares(loss="soft_l1", width=3.0, starts=4, most_iterations=20)
 
 
-class Selected(NamedTuple):
+class SampledExperiments(NamedTuple):
     """Experiments of a project to sample and predict: those used, then those held out."""
 
     ids: list[int]
@@ -104,7 +104,7 @@ def selected(
     settings: Sequence[str],
     held_out: Sequence[str],
     motion: str | None,
-) -> Selected:
+) -> SampledExperiments:
     """Load the experiments of a request, with the parameters and the motion model to compare by."""
     with project.store() as store:
         one = None if calibration is None else load_values(store, calibration)
@@ -125,7 +125,7 @@ def selected(
     comparer = Comparer(
         targets, ParameterSpace(unknowns=tuple(unknowns)), motion=motion_model(motion)
     )
-    return Selected([*ids, *held], experiments, len(ids), comparer, one, compared)
+    return SampledExperiments([*ids, *held], experiments, len(ids), comparer, one, compared)
 
 
 def sample(
@@ -168,13 +168,13 @@ def sample(
 
 
 def with_predictions(
-    own: Selected, found: Posterior, requested: int, point: FloatArray | None = None
+    own: SampledExperiments, found: Posterior, requested: int, point: FloatArray | None = None
 ) -> Uncertainty:
     """Predict the experiments of a posterior, and those that are held out.
 
     Parameters
     ----------
-    own : Selected
+    own : SampledExperiments
     found : Posterior
     requested : int
         Number of effective samples that was requested.
@@ -203,7 +203,7 @@ def predicted_by(project: Project, found: Posterior) -> Uncertainty:
         compared = _newest(store, ids[0])
     targets = [target_of(experiment) for experiment in experiments]
     comparer = Comparer(targets, found.searched, motion=motion_model(found.motion))
-    own = Selected(ids, experiments, len(ids), comparer, None, compared)
+    own = SampledExperiments(ids, experiments, len(ids), comparer, None, compared)
     return with_predictions(own, found, len(found.points))
 
 
@@ -263,7 +263,7 @@ def _noise(comparer: Comparer, members: list[int], point: FloatArray, of_camera:
     return noise_from_residuals(series, len(point))
 
 
-def _near(own: Selected, point: FloatArray) -> NearOptimal | None:
+def _near(own: SampledExperiments, point: FloatArray) -> NearOptimal | None:
     """Return near-optimal sets among the stored evaluations of a calibration."""
     kept = None if own.calibration is None else own.calibration.record.evaluations
     if kept is None or kept.unit != "mm2" or not np.isfinite(kept.error).any():
