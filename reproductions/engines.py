@@ -28,14 +28,13 @@ from fixel.calibration.registration import registration_from_gaps
 from fixel.datasets.cmu_tripod import MU_FINGER
 from fixel.datasets.contact import pushed_scene
 from fixel.datasets.mit_plates import TIP
-from fixel.datasets.mit_push import STROKE
+from fixel.datasets.mit_push import NOMINAL, STROKE, read_mit_pushes
 from fixel.errors import DatasetMissing
 from fixel.io.result_cache import ResultCache, listed
 from fixel.model import Body, Disk, SupportPoints, UniformPressure, wrapped
 from fixel.model.engine_parameters import ENGINE_PARAMETERS
 from fixel.model.footprint import support_grid
 from fixel.replay.base import Row, errors_in_mm_and_deg
-from fixel.replay.mit_pushes import NOMINAL, read_mit_pushes
 from fixel.simulation.motion import motion_model, stated_name
 from fixel.simulation.pack import pusher_path
 from fixel.simulation.rollouts import RolloutCase, ensemble_of

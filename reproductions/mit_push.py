@@ -18,10 +18,10 @@ from fixel.calibration.objective import Comparer, Objective, Robust
 from fixel.calibration.optimiser import Best, SearchBox
 from fixel.calibration.pattern_search import PatternSearch
 from fixel.calibration.target import Target
+from fixel.datasets.mit_push import MitPushes
 from fixel.io.result_cache import ResultCache
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.replay.base import Row, errors_in_mm_and_deg
-from fixel.replay.mit_pushes import MitPushes
 from fixel.simulation import Adaptive
 from fixel.typing import FloatArray, IntArray, ProgressCallback
 from reproductions.protocols import PROTOCOLS, RUN, BenchmarkData, BenchmarkRequest, Piece

@@ -9,13 +9,13 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
+from fixel.datasets.mit_push import MitPushes, read_mit_pushes
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache, listed
 from fixel.model import wrapped
 from fixel.parts.model import PartModel
 from fixel.parts.prior import NAMES
 from fixel.replay.base import Row
-from fixel.replay.mit_pushes import MitPushes, read_mit_pushes
 from fixel.typing import BoolArray, FloatArray, IntArray, ProgressCallback
 from fixel.workflows.parts import part_model
 from reproductions.fitting import (

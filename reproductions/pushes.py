@@ -10,6 +10,7 @@ import numpy as np
 
 from fixel.datasets.contact import moved_to_contact
 from fixel.datasets.mit_plates import TIP
+from fixel.datasets.mit_push import NOMINAL, MitPushes
 from fixel.model import (
     PathDrive,
     Pusher,
@@ -20,7 +21,6 @@ from fixel.model import (
     wrapped,
 )
 from fixel.model.footprint import support_grid
-from fixel.replay.mit_pushes import NOMINAL, MitPushes
 from fixel.simulation import StewartTrinkle
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.load_profile import PROFILE_NAMES, LoadNet

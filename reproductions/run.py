@@ -10,11 +10,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from fixel.datasets.mit_push import has_pushes
+from fixel.datasets.mit_push import has_pushes, read_mit_pushes
 from fixel.drawing.chart import save_figure
 from fixel.errors import DatasetMissing, InvalidInput, os_reason
 from fixel.replay.base import Row
-from fixel.replay.mit_pushes import read_mit_pushes
 from fixel.typing import ProgressCallback
 from reproductions import (
     asme_2006,

@@ -14,9 +14,9 @@ from tests.reproductions.test_cmu_tripod import MU, scene
 from tests.reproductions.test_mit_push import made_up
 
 from fixel.calibration.target import Target
+from fixel.datasets.mit_push import read_mit_pushes
 from fixel.errors import DatasetMissing
 from fixel.model import SupportPoints, UniformPressure
-from fixel.replay.mit_pushes import read_mit_pushes
 from fixel.simulation.rollouts import RolloutCase, ensemble_of
 from fixel.typing import FloatArray, IntArray
 

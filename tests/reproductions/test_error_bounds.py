@@ -14,10 +14,10 @@ from reproductions.residuals import evidence_of
 from reproductions.run import reproduce
 from tests.reproductions.test_mit_push import made_up
 
+from fixel.datasets.mit_push import read_mit_pushes
 from fixel.errors import DatasetMissing
 from fixel.io.result_cache import ResultCache
 from fixel.model import Disk, Polygon
-from fixel.replay.mit_pushes import read_mit_pushes
 
 
 def bench_of(folder: Path) -> BenchmarkData:

@@ -12,8 +12,8 @@ from reproductions.protocols import BenchmarkData, BenchmarkRequest
 from reproductions.run import reproduce
 from tests.reproductions.test_mit_push import made_up
 
+from fixel.datasets.mit_push import read_mit_pushes
 from fixel.io.result_cache import ResultCache
-from fixel.replay.mit_pushes import read_mit_pushes
 
 pytest.importorskip("sklearn")
 

@@ -17,9 +17,9 @@ from reproductions.run import BenchmarkRequest, benchmark_real
 from tests.datasets import push_files
 from typer.testing import CliRunner
 
+from fixel.datasets.mit_push import read_mit_pushes
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.io.result_cache import ResultCache
-from fixel.replay.mit_pushes import read_mit_pushes
 
 SHIFT = (0.9e-3, -0.6e-3)
 TRUTH = {

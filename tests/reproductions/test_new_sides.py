@@ -13,9 +13,9 @@ from reproductions.residuals import split_without
 from reproductions.run import reproduce
 from tests.reproductions.test_mit_push import made_up
 
+from fixel.datasets.mit_push import read_mit_pushes
 from fixel.domain import scale_model
 from fixel.io.result_cache import ResultCache
-from fixel.replay.mit_pushes import read_mit_pushes
 
 
 def test_a_side_left_out_has_no_push_in_training() -> None:

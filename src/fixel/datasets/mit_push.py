@@ -6,7 +6,7 @@ predictions of the quasi-static simulator of J. Zhou.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import ClassVar, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.datasets.base import Importer, ImportPlan, Origin, named
+from fixel.datasets.base import Importer, ImportPlan, Origin, guarded, named
 from fixel.datasets.contact import MAX_CORRECTION, moved_to_contact, pushed_scene
 from fixel.datasets.files import MM, Problems, only_file, read_json, read_table
 from fixel.datasets.mit_plates import (
@@ -32,7 +32,7 @@ from fixel.datasets.mit_plates import (
 from fixel.datasets.mit_push_records import PUBLISHED, RECORDS, plan_of_records
 from fixel.errors import FixelError, InvalidInput
 from fixel.model import Body, Experiment, Flag, Provenance, Trajectory
-from fixel.typing import BoolArray, FloatArray
+from fixel.typing import BoolArray, FloatArray, IntArray
 
 TABLES: Final = ("pushes.csv.gz", "pushes.csv")
 NUMBERS: Final = (
@@ -43,6 +43,13 @@ STROKE: Final = 50e-3  # nominal length of a stroke [m]
 
 # A larger gap means that a record contradicts its own geometry [m].
 LARGEST_GAP: Final = 3e-3
+
+# A larger difference from the nominal stroke means that a record contradicts itself [m].
+MAX_STROKE_ERROR: Final = 1e-3
+
+# Nothing is fitted: friction at the tip as in the published simulator, even pressure. Friction of
+# the plane has no effect on quasi-static motion.
+NOMINAL: Final = {"mu_pusher": MU_PUSHER, "mu_support": MU_SUPPORT, "support_points": 64}
 
 
 @final
@@ -80,35 +87,93 @@ def has_pushes(folder: Path) -> bool:
 
 
 @final
-@dataclass(frozen=True)
-class _Pushes:
-    """Table of n pushes as numbers."""
+@dataclass(frozen=True, kw_only=True)
+class MitPushes:
+    """Pushes of the end-point set; every array has one row for each.
 
+    Attributes
+    ----------
+    folder : Path
+    source : str
+        Name of the table.
+    names, surface, shape : (n,) str
+    start, end : (n, 3) float64
+        Measured poses of the object [m, m, rad].
+    tip_start, tip_end : (n, 2) float64
+        Measured centres of the tip [m].
+    speed : (n,) float64
+        Speed of the tip [m/s].
+    gap_start, gap_end : (n,) float64
+        Gap from the surface of the tip to the outline, in the table [m].
+    gap : (n,) float64
+        Gap at the start, computed by fixel [m].
+    offset : (n, 2) float64
+        Shift of the start of the tip in the scene [m].
+    bodies : mapping from shape to Body
+        Plates, with their outlines in the frame of the dataset's poses.
+    problems : dict of str to FixelError
+        Pushes that are left out.
+    """
+
+    folder: Path
     source: str
     names: NDArray[np.str_]
     surface: NDArray[np.str_]
     shape: NDArray[np.str_]
-    start: FloatArray  # (n, 3) measured poses of the object [m, m, rad]
+    start: FloatArray
     end: FloatArray
-    tip_start: FloatArray  # (n, 2) measured centres of the tip [m]
+    tip_start: FloatArray
     tip_end: FloatArray
-    speed: FloatArray  # (n,) [m/s]
-    gap_start: FloatArray  # (n,) gap from the surface of the tip to the outline, in the table [m]
+    speed: FloatArray
+    gap_start: FloatArray
     gap_end: FloatArray
-    gap: FloatArray  # (n,) at the start, computed by fixel [m]
-    offset: FloatArray  # (n, 2) shift of the start of the tip in the scene [m]
-    bodies: Mapping[str, Body]  # by shape
-    problems: Problems  # of pushes that are left out
+    gap: FloatArray
+    offset: FloatArray
+    bodies: Mapping[str, Body]
+    problems: Problems
+
+    def __len__(self) -> int:
+        return len(self.names)
 
     @cached_property
-    def misregistered(self) -> BoolArray:
-        """Mask (n,) of the pushes that do not fit their own geometry."""
+    def astray(self) -> BoolArray:
+        """Mask (n,) of pushes with a gap that contradicts their own geometry."""
         return (np.abs(self.gap_start) > LARGEST_GAP) | (self.gap_end < -LARGEST_GAP)
+
+    @cached_property
+    def short(self) -> BoolArray:
+        """Mask (n,) of other pushes with a stroke that is not the nominal one."""
+        stroke = np.hypot(*(self.tip_end - self.tip_start).T)
+        return np.asarray((np.abs(stroke - STROKE) > MAX_STROKE_ERROR) & ~self.astray)
+
+    @property
+    def usable(self) -> IntArray:
+        """Rows that are consistent with their own geometry."""
+        return np.flatnonzero(~self.astray & ~self.short)
+
+    @cached_property
+    def experiments(self) -> tuple[Experiment, ...]:
+        """The pushes as experiments, in the same order."""
+        provenance = Origin().of(self.folder / self.source)
+        return tuple(_push(self, row, provenance) for row in range(len(self)))
+
+    @cached_property
+    def published(self) -> dict[str, FloatArray]:
+        """End poses (n, 3) by the published simulator, one per limit surface; NaN if missing."""
+        table = read_table(self.folder / self.source, torn=True)
+        rows = {name: row for row, name in enumerate(table.columns["push_id"])}
+        table = table.only([rows[name] for name in self.names.tolist()])
+        axes = ("x", "y", "th")
+        return {
+            name: table.stacked(*(f"author_{name}_{axis}1" for axis in axes), blank=True)
+            for name in ("poly4", "quad")
+            if f"author_{name}_x1" in table.columns
+        }
 
 
 def _plan_of_table(folder: Path) -> ImportPlan:
     pushes = _read(folder)
-    n = len(pushes.names)
+    n = len(pushes)
     origin = Origin()
     path = folder / pushes.source
     names = [f"{DATASET}/{name}" for name in pushes.names]
@@ -128,8 +193,7 @@ def _plan_of_table(folder: Path) -> ImportPlan:
             f"{corrected - hopeless} tips are moved to contact in the scene "
             f"(pusher-moved-to-contact); {hopeless} with overlaps of more than "
             f"{MAX_CORRECTION / MM:g} mm have no scene (no-scene).",
-            f"{int(pushes.misregistered.sum())} pushes do not fit their own geometry"
-            " (misregistered).",
+            f"{int(pushes.astray.sum())} pushes do not fit their own geometry (misregistered).",
             "Intermediate poses and predictions of the published simulator are not imported.",
         ),
         names,
@@ -138,8 +202,28 @@ def _plan_of_table(folder: Path) -> ImportPlan:
     )
 
 
-def _read(folder: Path) -> _Pushes:
-    """Load all pushes of a folder, and the errors of those that cannot be read."""
+def read_mit_pushes(folder: Path) -> MitPushes:
+    """Load the end-point set of the MIT push dataset.
+
+    Raises
+    ------
+    InvalidInput
+        Invalid files, or a plate that no push starts outside of.
+    """
+    with guarded(folder.name):
+        pushes = _read(folder)
+    deep = pushes.gap < -MAX_CORRECTION
+    for name in pushes.bodies:
+        if deep[pushes.shape == name].all():
+            raise InvalidInput(
+                f"{folder.name}: {name}",
+                found="no push that starts outside the plate",
+                expected="at least one",
+            )
+    return pushes
+
+
+def _read(folder: Path) -> MitPushes:
     table, problems = read_table(only_file(folder, *TABLES), torn=True).sound(
         "push_id", NUMBERS, once=True
     )
@@ -173,7 +257,8 @@ def _read(folder: Path) -> _Pushes:
         gap[rows], offset[rows] = moved_to_contact(
             shapes[name], TIP.radius, start[rows], tip_start[rows]
         )
-    return _Pushes(
+    return MitPushes(
+        folder=folder,
         source=table.source,
         names=names,
         surface=table.text("surface"),
@@ -192,22 +277,7 @@ def _read(folder: Path) -> _Pushes:
     )
 
 
-def published_ends(folder: Path, names: Sequence[str]) -> dict[str, FloatArray]:
-    """Load end poses (n, 3) of n pushes by the published simulator, for each limit surface.
-
-    They are NaN where the table has none.
-    """
-    table = read_table(only_file(folder, *TABLES), torn=True)
-    rows = {name: row for row, name in enumerate(table.columns["push_id"])}
-    table = table.only([rows[name] for name in names])
-    return {
-        name: table.stacked(*(f"author_{name}_{axis}1" for axis in ("x", "y", "th")), blank=True)
-        for name in ("poly4", "quad")
-        if f"author_{name}_x1" in table.columns
-    }
-
-
-def _push(pushes: _Pushes, row: int, provenance: Provenance) -> Experiment:
+def _push(pushes: MitPushes, row: int, provenance: Provenance) -> Experiment:
     shape, speed = str(pushes.shape[row]), float(pushes.speed[row])
     duration = STROKE / speed
     start = pushes.start[row]
@@ -241,8 +311,8 @@ def _push(pushes: _Pushes, row: int, provenance: Provenance) -> Experiment:
     )
 
 
-def _doubts(pushes: _Pushes, row: int) -> Iterator[Flag]:
-    if pushes.misregistered[row]:
+def _doubts(pushes: MitPushes, row: int) -> Iterator[Flag]:
+    if pushes.astray[row]:
         start, end = float(pushes.gap_start[row]), float(pushes.gap_end[row])
         yield Flag(
             "misregistered",

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fixel.datasets.mit_plates import TIP
+from fixel.datasets.mit_push import MitPushes
 from fixel.drawing import palette
 from fixel.drawing.chart import sheet
 from fixel.model import Experiment, Fixel, Trajectory, placed
-from fixel.replay.mit_pushes import MitPushes
 from fixel.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:

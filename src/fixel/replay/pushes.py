@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fixel.datasets.mit_plates import TIP
-from fixel.datasets.mit_push import STROKE
+from fixel.datasets.mit_push import NOMINAL, STROKE, read_mit_pushes
 from fixel.errors import InvalidInput
 from fixel.model import Scene
 from fixel.replay.base import (
@@ -28,7 +28,6 @@ from fixel.replay.base import (
     template,
 )
 from fixel.replay.charts import pushes_figure
-from fixel.replay.mit_pushes import NOMINAL, read_mit_pushes
 from fixel.simulation import BatchResult, simulate_batch
 from fixel.simulation.motion import motion_model
 from fixel.typing import FloatArray, IntArray
