@@ -21,51 +21,61 @@ import { poseOf, place, tidy } from "./scene.js";
  * @property {string} [hint]
  */
 
-const MM = 1e3;
-const DEG = 180 / Math.PI;
+/** Factors from SI. @type {Record<string, number>} */
+const UNITS = { mm: 1e3, deg: 180 / Math.PI, g: 1e3, "mm/s": 1e3, "N mm": 1e3, N: 1, s: 1, "": 1 };
+
+// Numbers of a thing: key below the thing, label, unit, and what an empty field means.
+/** @typedef {[string, string, string, string?]} Known */
+/** @type {Known[]} */
+const SUPPORT = [
+  ["support.tripod.friction", "friction with the plane", ""],
+  ["support.tripod.radius", "tripod radius", "mm"],
+  ["support.tripod.angle", "tripod angle", "deg"],
+  ["support.uniform.friction", "friction with the plane", ""],
+  ["support.points.friction", "friction with the plane", ""],
+  ["support.ellipsoid.force", "largest force", "N"],
+  ["support.ellipsoid.torque", "largest torque", "N mm"],
+];
+/** @type {Known[]} */
+const DRIVE = [["drive.speed", "speed", "mm/s"], ["drive.travel", "travel", "mm", "no limit"]];
+/** @type {Known} */
+const FORCE_LIMIT = ["drive.force_limit", "force limit", "N", "a rigid drive"];
 
 /**
  * @param {string} label
  * @param {string} unit
- * @param {number} factor from SI
  * @param {string} where
  * @param {() => number | undefined} get SI
  * @param {(value: number) => void} set SI
  * @param {Partial<Field>} [more]
  * @returns {Field}
  */
-const number = (label, unit, factor, where, get, set, more = {}) => ({
-  label,
-  unit,
-  where,
-  kind: "number",
+const number = (label, unit, where, get, set, more = {}) => ({
+  label, unit, where, kind: "number",
   get: () => {
     const value = get();
-    return value === undefined ? undefined : Number((factor * value).toPrecision(6));
+    return value === undefined ? undefined : Number((UNITS[unit] * value).toPrecision(6));
   },
-  set: (value) => set(value === undefined ? value : tidy(value / factor)),
+  set: (value) => set(value === undefined ? value : tidy(value / UNITS[unit])),
   ...more,
 });
 
 /**
- * A number that stands under a key of a record.
- * @param {Record<string, any>} record
- * @param {string} key
- * @param {string} label
- * @param {string} unit
- * @param {number} factor
+ * Fields of those known numbers that a thing has.
+ * @param {Record<string, any>} thing
  * @param {string} where
- * @param {Partial<Field>} [more]
+ * @param {...Known} known
  */
-const keyed = (record, key, label, unit, factor, where, more = {}) => number(
-  label, unit, factor, `${where}.${key}`,
-  () => record[key],
-  (value) => {
-    if (value === undefined) delete record[key];
-    else record[key] = value;
-  },
-  more,
-);
+const numbers = (thing, where, ...known) => known.flatMap(([path, label, unit, empty]) => {
+  const keys = path.split(".");
+  const last = /** @type {string} */ (keys.pop());
+  const record = keys.reduce((/** @type {any} */ one, key) => one?.[key], thing);
+  if (!record || Array.isArray(record[last])) return []; // every point may have its own friction
+  return [number(label, unit, `${where}.${path}`, () => record[last], (value) => {
+    if (value === undefined) delete record[last];
+    else record[last] = value;
+  }, empty === undefined ? {} : { empty: true, hint: `empty: ${empty}` })];
+});
 
 /**
  * Fields of a thing.
@@ -75,30 +85,26 @@ const keyed = (record, key, label, unit, factor, where, more = {}) => number(
  */
 export function thingFields(thing, choice) {
   const where = `${choice.kind}[${choice.index}]`;
-  return [
-    { label: "name", unit: "", where: `${where}.name`, kind: "text", get: () => thing.name, set: (value) => { thing.name = value ?? ""; } },
-    ...poseFields(thing, where),
-    ...shapeFields(thing, `${where}.shape`),
-    ...(choice.kind === "bodies" ? bodyFields(thing, where) : [
-      keyed(thing, "friction", "friction", "", 1, where, { hint: "friction coefficient against every free body" }),
-    ]),
-    ...(choice.kind === "pushers" ? driveFields(thing.drive, `${where}.drive`) : []),
-  ];
-}
-
-/**
- * @param {Record<string, any>} thing
- * @param {string} where
- */
-function poseFields(thing, where) {
-  const path = Boolean(thing.drive?.waypoints);
-  return /** @type {[string, string, number][]} */ ([["x", "mm", MM], ["y", "mm", MM], ["angle", "deg", DEG]])
-    .filter((_, axis) => axis < 2 || !path)
-    .map(([label, unit, factor], axis) => number(
-      label, unit, factor, path ? `${where}.drive` : `${where}.pose[${axis}]`,
+  const { drive } = thing;
+  const path = Boolean(drive?.waypoints);
+  const pose = /** @type {[string, string][]} */ ([["x", "mm"], ["y", "mm"], ["angle", "deg"]]).slice(0, path ? 2 : 3)
+    .map(([label, unit], axis) => number(
+      label, unit, path ? `${where}.drive` : `${where}.pose[${axis}]`,
       () => poseOf(thing)[axis],
       (value) => place(thing, poseOf(thing).map((/** @type {number} */ old, /** @type {number} */ k) => (k === axis ? value : old))),
     ));
+  return [
+    { label: "name", unit: "", where: `${where}.name`, kind: "text", get: () => thing.name, set: (value) => { thing.name = value ?? ""; } },
+    ...pose,
+    ...shapeFields(thing, `${where}.shape`),
+    ...(choice.kind === "bodies" ? bodyFields(thing, where) : numbers(thing, where, ["friction", "friction", ""])),
+    ...(drive && !path ? [number(
+      "drive direction", "deg", `${where}.drive.direction`,
+      () => Math.atan2(drive.direction[1], drive.direction[0]),
+      (value) => { drive.direction = [tidy(Math.cos(value)), tidy(Math.sin(value))]; },
+    ), ...numbers(thing, where, ...DRIVE)] : []),
+    ...(drive ? numbers(thing, where, FORCE_LIMIT) : []),
+  ];
 }
 
 /**
@@ -108,23 +114,21 @@ function poseFields(thing, where) {
  */
 function shapeFields(thing, where) {
   const shape = thing.shape;
+  const now = shape.disk !== undefined ? "disk" : isBox(shape.polygon) ? "box" : "polygon";
   /** @type {Field} */
   const kind = {
     label: "shape", unit: "", where,
-    options: shape.disk !== undefined || isBox(shape.polygon)
-      ? [["disk", "disk"], ["box", "box"]] : [["disk", "disk"], ["box", "box"], ["polygon", `polygon of ${shape.polygon.length}`]],
-    get: () => (shape.disk !== undefined ? "disk" : isBox(shape.polygon) ? "box" : "polygon"),
+    options: [["disk", "disk"], ["box", "box"], .../** @type {[string, string][]} */ (now === "polygon" ? [["polygon", `polygon of ${shape.polygon.length}`]] : [])],
+    get: () => now,
     set: (value) => {
       const [width, height] = sizeOf(shape);
       if (value === "disk") thing.shape = { disk: tidy(Math.min(width, height) / 2) };
       if (value === "box") thing.shape = { polygon: box(width, height) };
     },
   };
-  if (shape.disk !== undefined) {
-    return [kind, keyed(shape, "disk", "radius", "mm", MM, where)];
-  }
+  if (now === "disk") return [kind, ...numbers(thing, where.replace(/\.shape$/, ""), ["shape.disk", "radius", "mm"])];
   return [kind, ...["width", "height"].map((label, axis) => number(
-    label, "mm", MM, `${where}.polygon`,
+    label, "mm", `${where}.polygon`,
     () => sizeOf(shape)[axis],
     (value) => {
       const ratio = value / sizeOf(shape)[axis];
@@ -169,13 +173,13 @@ function bodyFields(body, where) {
   const options = [["tripod", "tripod"], ["uniform", "uniform pressure"], ["ellipsoid", "ellipsoid"], ["none", "no friction"]];
   if (kind === "points") options.unshift(["points", "given points"]);
   return [
-    keyed(body, "mass", "mass", "g", 1e3, where),
+    ...numbers(body, where, ["mass", "mass", "g"]),
     {
       label: "support", unit: "", where: `${where}.support`, options,
       get: () => kind,
       set: (value) => { body.support = support(value, body); },
     },
-    ...supportFields(body.support ?? {}, `${where}.support`),
+    ...numbers(body, where, ...SUPPORT),
   ];
 }
 
@@ -199,68 +203,19 @@ function support(kind, body) {
 }
 
 /**
- * @param {Record<string, any>} given
- * @param {string} where
- * @returns {Field[]}
- */
-function supportFields(given, where) {
-  const { tripod, uniform, ellipsoid, points } = given;
-  if (tripod) {
-    return [
-      keyed(tripod, "friction", "friction with the plane", "", 1, `${where}.tripod`),
-      keyed(tripod, "radius", "tripod radius", "mm", MM, `${where}.tripod`),
-      keyed(tripod, "angle", "tripod angle", "deg", DEG, `${where}.tripod`),
-    ];
-  }
-  if (uniform) return [keyed(uniform, "friction", "friction with the plane", "", 1, `${where}.uniform`)];
-  if (points && typeof points.friction === "number") {
-    return [keyed(points, "friction", "friction with the plane", "", 1, `${where}.points`)];
-  }
-  if (ellipsoid) {
-    return [
-      keyed(ellipsoid, "force", "largest force", "N", 1, `${where}.ellipsoid`),
-      keyed(ellipsoid, "torque", "largest torque", "N mm", 1e3, `${where}.ellipsoid`),
-    ];
-  }
-  return [];
-}
-
-/**
- * @param {Record<string, any>} drive
- * @param {string} where
- * @returns {Field[]}
- */
-function driveFields(drive, where) {
-  const limit = keyed(drive, "force_limit", "force limit", "N", 1, where, { empty: true, hint: "empty: a rigid drive" });
-  if (drive.waypoints) return [limit];
-  return [
-    number(
-      "drive direction", "deg", DEG, `${where}.direction`,
-      () => Math.atan2(drive.direction[1], drive.direction[0]),
-      (value) => { drive.direction = [tidy(Math.cos(value)), tidy(Math.sin(value))]; },
-    ),
-    keyed(drive, "speed", "speed", "mm/s", MM, where),
-    keyed(drive, "travel", "travel", "mm", MM, where, { empty: true, hint: "empty: no limit" }),
-    limit,
-  ];
-}
-
-/**
  * Fields of the scene itself.
  * @param {Scene} scene
  * @returns {Field[]}
  */
-export function sceneFields(scene) {
-  return [
-    number("duration", "s", 1, "duration", () => scene.duration, (value) => { scene.duration = value; }),
-    {
-      label: "motion", unit: "", where: "motion",
-      options: [["dynamic", "dynamic"], ["quasistatic", "quasistatic"], ["first-order", "first-order"]],
-      get: () => scene.motion ?? "dynamic",
-      set: (value) => { scene.motion = value; },
-    },
-  ];
-}
+export const sceneFields = (scene) => [
+  number("duration", "s", "duration", () => scene.duration, (value) => { scene.duration = value; }),
+  {
+    label: "motion", unit: "", where: "motion",
+    options: ["dynamic", "quasistatic", "first-order"].map((name) => [name, name]),
+    get: () => scene.motion ?? "dynamic",
+    set: (value) => { scene.motion = value; },
+  },
+];
 
 /**
  * Fields as elements.
