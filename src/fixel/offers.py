@@ -14,6 +14,7 @@ PLOTS: Final[Mapping[str, Mapping[str, str]]] = {
         "parameters": "fixel.workflows.calibration.charts:plot_parameters",
         "profiles": "fixel.workflows.calibration.charts:plot_profiles",
         "search": "fixel.workflows.calibration.charts:plot_search",
+        "starts": "fixel.workflows.calibration.charts:plot_starts",
         "errors": "fixel.workflows.calibration.charts:plot_errors",
     },
     "Calibrations": {"parameters": "fixel.workflows.calibration.charts:plot_each"},

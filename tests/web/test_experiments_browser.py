@@ -207,30 +207,6 @@ def test_a_late_answer_is_not_drawn_over_the_newest(table):
     assert names(table) == shown
 
 
-def test_a_long_search_is_drawn_in_little(table, server):
-    drawn = table.evaluate(
-        """async (home) => {
-          const { Plot } = await import(`${home}static/plot.js`);
-          const host = document.body.appendChild(document.createElement('div'));
-          const n = 200000, xs = Array.from({ length: n }, (_, k) => k + 1);
-          const ys = xs.map((x) => 1 + (x * 7919 % 1000) / 1000);
-          const best = xs.map((x) => 1 + 1 / x);
-          const axis = { label: 'x' };
-          new Plot(host).show({ title: 'many', x: axis, y: axis, series: [
-            { kind: 'points', xs, ys, name: 'tried' }, { kind: 'step', xs, ys: best, name: 'best' },
-          ] });
-          const paths = [...host.querySelectorAll('g path')];
-          const [points, step] = paths.map((one) => one.getAttribute('d'));
-          host.remove();
-          return [points.split('M').length - 1, step.length, step.slice(-20)];
-        }""",
-        server.home,
-    )
-    assert 1000 < drawn[0] < 150_000
-    assert drawn[1] < 50_000
-    assert re.search(r"H\d+\.\dV\d+\.\d$", drawn[2])
-
-
 def test_a_long_table_has_pages(table, server):
     store = server.context.store
     track = Trajectory(time=np.arange(3.0), pose=np.zeros((3, 3)))

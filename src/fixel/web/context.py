@@ -11,7 +11,7 @@ from fastapi import Depends, Request
 from fixel.database.project import Project
 from fixel.drawing.thumbnail import thumbnail
 from fixel.model.selection import ExperimentQuery
-from fixel.web.views.calibration_detail import CalibrationDetail, load_detail
+from fixel.web.views.calibration_detail import CalibrationDetail, load_detail, plot
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.web.views.domain_views import load_view
 from fixel.web.views.live_comparison import LiveComparison
@@ -37,6 +37,8 @@ class ProjectContext:
     calibrations : ProgressReader
     domain : callable
         Returns a stored map by name and time, and remembers some.
+    calibration_plot : callable
+        Returns a plot of a stored calibration as PNG, by id and kind.
     newest : dict from name to result
         Newest self-test and check of the database, for the page of the system.
     thumbnail : callable
@@ -52,6 +54,7 @@ class ProjectContext:
         self.comparison = LiveComparison(self.store)
         self.calibrations = ProgressReader(project)
         self._details = lru_cache(MAX_KEPT)(partial(load_detail, project, self.store))
+        self.calibration_plot = lru_cache(MAX_KEPT)(partial(plot, project, self.store))
         self.thumbnail = lru_cache(MAX_THUMBNAILS)(self._thumbnail)
         self.domain = lru_cache(MAX_MAPS)(partial(load_view, project, self.store))
 

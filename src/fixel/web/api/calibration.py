@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Final
 
 from fastapi import APIRouter, Query
+from fastapi.responses import Response
 from pydantic import Field
 
 from fixel.web.context import Context
@@ -108,3 +109,13 @@ def resume(context: Context, name: str) -> CalibrationJob:
 @router.get("/{number}", summary="Get a calibration")
 def calibration(context: Context, number: Number) -> StoredCalibration:
     return context.calibration_detail(number).answer
+
+
+@router.get(
+    "/{number}/{kind}.png",
+    summary="Get a plot of a calibration: search, starts or profiles",
+    response_class=Response,
+    responses={200: {"content": {"image/png": {}}}},
+)
+def plot(context: Context, number: Number, kind: str) -> Response:
+    return Response(context.calibration_plot(number, kind), media_type="image/png")

@@ -6,12 +6,15 @@ import math
 import re
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 from fastapi import Request
 
 from fixel.errors import InvalidInput
 from fixel.web.api.calibration import MAX_LISTED, calibrations
 from fixel.web.pages.experiment import Fact, number_in
 from fixel.web.views.calibration_detail import StoredCalibration, engine_of
+from fixel.web.views.calibration_progress import LiveProgress
+from fixel.web.words import rms, short
 from fixel.workflows.calibration.result import SEARCHED
 
 if TYPE_CHECKING:
@@ -20,6 +23,19 @@ if TYPE_CHECKING:
 
 LISTED = 100  # calibrations, unless more are asked for
 IDS = re.compile(r"[1-9][0-9]{0,9}(,[1-9][0-9]{0,9})*", re.ASCII)
+GRAPH = (54.0, 640.0, 220.0)  # left, width, height of the graph of errors [px]
+DOTS = 2000  # evaluations that the graph shows one by one
+CONTINUES = "Finished evaluations are saved; Resume continues from there."
+STOPPED = {
+    "lost": f"The process of this calibration ended unexpectedly. {CONTINUES}",
+    "cancelled": f"Stopped. {CONTINUES}",
+    "stopped": f"Stopped. {CONTINUES}",
+}
+STAGES = {
+    "nominal": "nominal values", "all together": "joint calibration", "squares": "least squares",
+    "alone": "each experiment", "verdicts": "intervals and verdicts", "best": "best values",
+    "neighbours": "values of neighbours",
+}  # fmt: skip
 HIDDEN = (  # shown elsewhere
     "how", "job", "nominal_error", "error_unit", "seconds", "ended", SEARCHED,
 )  # fmt: skip
@@ -49,9 +65,36 @@ def stored_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "method": method(record),
         "provenance": provenance(record),
         "errors": errors_of(one),
+        "plots": plots_of(one),
         "previous": ids[place - 1] if place else None,
         "next": next(iter(ids[place + 1 :]), None),
     }
+
+
+def plots_of(one: StoredCalibration) -> list[tuple[str, str]]:
+    """Return the kinds of plots of a calibration with their captions."""
+    found = []
+    if one.complete and one.objective is not None:
+        found.append(("search", f"Search: error against evaluation; {one.ended or 'ended'}."))
+    if one.complete and one.starts:
+        good = sum(start.good for start in one.starts)
+        found.append(
+            (
+                "starts",
+                f"Results of all starts: {good} of {len(one.starts)} searches "
+                "reached the smallest error or nearly so.",
+            )
+        )
+    if one.curves:
+        found.append(
+            (
+                "profiles",
+                "Profiles: increase of the objective when one parameter is "
+                "fixed at another value. A flat line means that the data do not determine "
+                "the parameter.",
+            )
+        )
+    return found
 
 
 class ErrorRow(NamedTuple):
@@ -77,8 +120,47 @@ def errors_of(one: StoredCalibration) -> list[ErrorRow]:
 def running_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill the page of a running calibration."""
     name = str(request.path_params["name"])
-    context.calibrations.folder(name)
-    return {"title": name, "name": name}
+    live = context.calibrations.look(context.calibrations.folder(name))
+    return {
+        "title": name,
+        "name": name,
+        "live": live,
+        "reason": STOPPED.get(live.state, live.reason),
+        "stage": STAGES.get(live.stage, live.stage),
+        "graph": _graph(live),
+    }
+
+
+def _graph(live: LiveProgress) -> dict[str, Any] | None:
+    """Return the errors of a running calibration as they are drawn, on a logarithmic axis."""
+    errors = live.objective or [one.after for one in live.singles]
+    values = np.array([rms(error, live.unit) or math.nan for error in errors])
+    start = rms(live.start, live.unit) if live.objective else None
+    known = np.append(values[np.isfinite(values)], start or [])
+    if not len(known):
+        return None
+    low, high = np.log10(known.min()) - 0.05, np.log10(known.max()) + 0.05
+    left, width, height = GRAPH
+
+    def down(value: float) -> float:
+        return 8.0 + height * float((high - np.log10(value)) / (high - low))
+
+    across = left + width * (np.arange(len(values)) + 0.5) / max(20, len(values))
+    shown = [k for k in range(0, len(values), 1 + len(values) // DOTS) if np.isfinite(values[k])]
+    best = np.nan_to_num(np.fmin.accumulate(values), nan=np.inf)
+    steps = np.flatnonzero(best < np.append(np.inf, best[:-1]))
+    corners = [(float(across[k]), down(best[k])) for k in steps]
+    line = "".join(f"H{x:.1f}V{y:.1f}" for x, y in corners)
+    decades = range(math.floor(low), math.ceil(high) + 1)
+    ticks = [m * 10.0**k for k in decades for m in (1, 2, 5) if low < np.log10(m) + k < high]
+    return {
+        "dots": "".join(f"M{across[k]:.1f} {down(values[k]):.1f}h0" for k in shown),
+        "line": f"M{corners[0][0]:.1f} {corners[0][1]:.1f}{line}H{across[-1]:.1f}"
+        if live.objective and corners
+        else "",
+        "start": None if start is None else down(start),
+        "ticks": [(down(value), short(value)) for value in ticks],
+    }  # fmt: skip
 
 
 def form_page(context: ProjectContext, request: Request) -> dict[str, Any]:

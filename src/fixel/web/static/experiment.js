@@ -164,8 +164,6 @@ document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   /** @type {Record<string, () => void>} */
   const keys = {
-    j: () => at("next").click(),
-    k: () => at("previous").click(),
     f: acts.flag,
     n: acts.note,
     Delete: acts.delete,

@@ -9,9 +9,12 @@
 // <div id data-part>         is replaced by what the server renders; data-every: again after [ms]
 // <button data-copy>         copies a text
 // <select data-sets="ID">    its value is written into the field of that id
+// <select data-goes>         its value is the page to open
+// <a data-key="j">           is opened by that key
+// <a data-goto>              is opened at once
 
 import { complain, copy, send, toast } from "./api.js";
-import { ROOT, settled } from "./dom.js";
+import { ROOT, settled, typing } from "./dom.js";
 
 let newest = 0;
 let timer = 0;
@@ -49,6 +52,8 @@ export async function renew(address = location.href) {
 /** Renew the page once more where a part of it says so. */
 function wait() {
   clearTimeout(timer);
+  const next = document.querySelector("a[data-goto]");
+  if (next instanceof HTMLAnchorElement) location.replace(next.href);
   const part = document.querySelector("[data-every]");
   if (!part) return;
   const every = Number(part.getAttribute("data-every"));
@@ -115,6 +120,7 @@ document.addEventListener("input", ({ target }) => {
   if (target instanceof HTMLInputElement && target.form?.matches("[data-live]")) typed(target.form);
 });
 document.addEventListener("change", ({ target }) => {
+  if (target instanceof HTMLSelectElement && target.matches("[data-goes]")) location.assign(target.value);
   if (!(target instanceof HTMLSelectElement) || !target.form) return;
   const field = document.getElementById(target.dataset.sets ?? "");
   if (field instanceof HTMLInputElement) field.value = target.value;
@@ -126,5 +132,10 @@ document.addEventListener("click", (event) => {
   event.preventDefault();
   if (target.matches("a")) renew(new URL(target.getAttribute("href") ?? "", location.href).href).catch(complain);
   else copy(target.getAttribute("data-copy") ?? "", target.getAttribute("data-what") ?? "the command");
+});
+document.addEventListener("keydown", (event) => {
+  if (typing(event) || event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
+  const link = document.querySelector(`a[data-key="${CSS.escape(event.key)}"]`);
+  if (link instanceof HTMLElement) link.click();
 });
 wait();

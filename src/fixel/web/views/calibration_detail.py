@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import replace
+from io import BytesIO
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -12,7 +14,7 @@ from pydantic import Field
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
-from fixel.errors import FixelError
+from fixel.errors import FixelError, NotStored
 from fixel.model.records import CalibrationRecord, Estimate, ProfileRecord, estimate_table
 from fixel.model.space import split_label
 from fixel.simulation.engine_names import is_engine
@@ -27,6 +29,8 @@ from fixel.workflows.calibration.result import ParameterSet
 from fixel.workflows.calibration.stored import misfit_of
 
 WORST: Final = 3
+PLOTS: Final = ("search", "starts", "profiles")
+_drawing = threading.Lock()
 PYTHON: Final = """import fixel
 
 calibration = fixel.Project({folder!r}).calibrations[{number}]
@@ -153,6 +157,24 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> Calibrat
         python=PYTHON.format(folder=str(project.folder.resolve()), number=calibration_id),
     )
     return CalibrationDetail(answer, _analysis_of(answer) if fit is None else fit.analysis)
+
+
+def plot(project: Project, store: Store, calibration_id: int, kind: str) -> bytes:
+    """Draw a plot of a stored calibration as PNG.
+
+    Raises
+    ------
+    NotStored
+        The calibration has no such plot.
+    """
+    run = stored_run(project, calibration_id, store.calibration(calibration_id))
+    if kind not in PLOTS or run is None or calibration_id not in run.ids:
+        raise NotStored(f"plot {kind!r} of calibration {calibration_id}")
+    picture = BytesIO()
+    with _drawing:  # Matplotlib draws in one thread
+        axes = run[run.ids.index(calibration_id)].plot(kind)
+        np.ravel(axes)[0].figure.savefig(picture, format="png", dpi=150)
+    return picture.getvalue()
 
 
 def _analysis_of(answer: StoredCalibration) -> Analysis:

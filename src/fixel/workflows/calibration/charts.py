@@ -105,6 +105,16 @@ def plot_search(fit: Calibration, ax: Axes | None = None) -> Any:
     return plot_axes(_search_chart(_data(fit), [("", fit.found)]).figure, ax)
 
 
+def plot_starts(fit: Calibration, ax: Axes | None = None) -> Any:
+    """Draw the results of the searches from several starts; return the axes."""
+    found = next(_starts(_data(fit), "starts", fit.found), None)
+    if found is None:
+        raise InvalidInput(
+            "kind", found="'starts' of a single search", expected="one with several starts"
+        )
+    return plot_axes(found.chart.figure, ax)
+
+
 def plot_errors(fit: Calibration, ax: Axes | None = None) -> Any:
     """Draw the error of every experiment before and after the calibration; return the axes."""
     lengths = _data(fit).lengths
