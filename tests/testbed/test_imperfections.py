@@ -15,7 +15,7 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
-from fixel.model.chance import stream
+from fixel.model.probability import stream
 from fixel.testbed.imperfections import (
     nominal_friction,
     planned_support,

@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence, Sized
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, final
@@ -23,16 +24,15 @@ from typing import Any, Final, NamedTuple, final
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from fixel.database.experiments import stored_experiments
 from fixel.database.store import Store
-from fixel.datasets.experiments import Experiments
+from fixel.datasets.experiments import ExperimentEntry, Experiments
 from fixel.errors import InvalidInput, StoreRefused, machine_failure
 from fixel.io.atomic import written_whole
 from fixel.io.document import read_document
 from fixel.model import Experiment
 from fixel.model.fields import instance
 from fixel.model.records import CalibrationRecord, SimulationRecord
-from fixel.model.selection import KnownNames, parse_filter, refuse_unknown
+from fixel.model.selection import ExperimentQuery, KnownNames, parse_filter, refuse_unknown
 from fixel.progress import ProgressOption, show_progress
 from fixel.registry import offered, offers
 from fixel.results import Result, Summary
@@ -461,6 +461,42 @@ def _check_inside(path: Path, database: str | None) -> None:
             expected="the URL of a server, or a file in the folder of the project",
             hint=f"to use this file, set {VARIABLE} to its URL",
         )
+
+
+MAX_STORES: Final = 8  # open at a time, for sequences of experiments
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class StoredExperiment:
+    """Function that reads an experiment of a database by its id."""
+
+    url: str
+    media: Path
+
+    def __call__(self, experiment_id: int) -> Experiment:
+        """Read an experiment."""
+        return _store(self.url, self.media).experiment(experiment_id)
+
+
+@lru_cache(MAX_STORES)
+def _store(url: str, media: Path) -> Store:
+    return Store(url, media)
+
+
+def stored_experiments(store: Store, query: ExperimentQuery) -> Experiments:
+    """Return the experiments that match a query, in its order; none of them is read yet."""
+    page = store.experiments(query, details=True)
+    entries = tuple(map(ExperimentEntry, page.rows, page.details))
+    skipped = [f"{page.left_out} with faults in their data"] if page.left_out else []
+    published = store.published_simulations()
+    simulations = {
+        entry.row.key: store.simulation(published[entry.row.id])
+        for entry in entries
+        if entry.row.id in published
+    }
+    load = StoredExperiment(store.url, store.media)
+    return Experiments(entries, load, (), tuple(skipped), simulations)
 
 
 def add_experiments(

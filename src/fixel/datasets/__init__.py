@@ -2,8 +2,7 @@
 
 from fixel.datasets.base import Importer, ImportPlan
 from fixel.datasets.experiments import Experiments
-from fixel.datasets.importers import IMPORTERS, importer_for
-from fixel.datasets.reading import example, plan_import
+from fixel.datasets.reading import IMPORTERS, example, importer_for, plan_import
 
 __all__ = [
     "IMPORTERS",

@@ -7,18 +7,60 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
-from fixel.datasets.base import ImportPlan, Origin, fixel_version, guarded
+from fixel.datasets.base import Importer, ImportPlan, Origin, fixel_version, guarded
+from fixel.datasets.cmu_tripod import CmuTripod
+from fixel.datasets.cmu_two_point import CmuTwoPoint
 from fixel.datasets.experiments import Experiments
 from fixel.datasets.files import read_table, table_rows
-from fixel.datasets.importers import IMPORTERS, importer_for
+from fixel.datasets.mit_push import MitPush
+from fixel.datasets.mit_pusher_slider import MitPusherSlider
+from fixel.datasets.rpi_2dgad import Rpi2dgad
 from fixel.datasets.table import DATASET as TABLE
 from fixel.datasets.table import CsvTable, plan_table, refuse_unknown_name
-from fixel.errors import DatasetMissing, InvalidInput
+from fixel.errors import DatasetMissing, InvalidInput, unknown_name
 from fixel.model import Body, Disk, Polygon, Provenance, Pusher, Scene, Tripod
 from fixel.model.scene import SceneChoice
 from fixel.progress import ProgressOption, show_progress
+
+_ALL: Final = (Rpi2dgad(), MitPush(), MitPusherSlider(), CmuTripod(), CmuTwoPoint(), CsvTable())
+
+IMPORTERS: Final[Mapping[str, Importer]] = MappingProxyType(
+    {importer.name: importer for importer in _ALL}
+)
+
+
+def importer_for(source: Path, name: str | None = None) -> Importer:
+    """Return the importer of a given name, or the first that recognises a file or folder.
+
+    Raises
+    ------
+    InvalidInput
+        No importer of that name.
+    DatasetMissing
+        The source does not exist, or no importer recognises it.
+    """
+    if name is not None:
+        if name not in IMPORTERS:
+            raise unknown_name("format", name, IMPORTERS)
+        return IMPORTERS[name]
+    source = Path(source)
+    if not source.exists():
+        raise DatasetMissing(source)
+    for importer in IMPORTERS.values():
+        if importer.recognised(source):
+            return importer
+    raise DatasetMissing(source, f"data for one of {', '.join(IMPORTERS)}", _hint(source))
+
+
+def _hint(source: Path) -> str:
+    """Hint that names subfolders with known data, or else the option to name an importer."""
+    inside = sorted(path for path in source.iterdir() if path.is_dir()) if source.is_dir() else []
+    found = [path.name for path in inside if any(x.recognised(path) for x in _ALL)]
+    return f"data found in: {', '.join(found)}" if found else "choose the importer"
+
 
 KINDS: Final = ("time", "length", "angle")
 EXAMPLE: Final = "example.csv.gz"

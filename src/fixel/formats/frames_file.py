@@ -27,6 +27,12 @@ FRAMES: Final = "frames.parquet"
 BATCH: Final = 100_000  # [frames] per row group
 
 _POSE = ("x_m", "y_m", "theta_rad")
+_COLUMNS: Final = (
+    *("experiment_index", "dataset", "name", "is_real", "simulated_by", "is_flagged", "flags"),
+    *("object_name", "n_frame", "duration_s", *(f"start_{p}" for p in _POSE)),
+    *(*(f"end_{p}" for p in _POSE), "effective_start_s", "effective_end_s", "contact_mode"),
+    *("object_height_m", "conditions_json", "fixel_version", "source_file", "created_at_utc"),
+)
 
 
 def write_frames(experiments: Iterable[Experiment], folder: Path) -> int:
@@ -155,28 +161,10 @@ def _frames_schema(pa: Any) -> Any:
 
 
 def _experiments_schema(pa: Any) -> Any:
-    text, number, yes = pa.string(), pa.float64(), pa.bool_()
-    ends = [(f"{end}_{label}", number) for end in ("start", "end") for label in _POSE]
+    text, number, count, yes = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+    kinds = {"experiment_index": count, "n_frame": count, "flags": pa.list_(text)}
+    kinds |= dict.fromkeys(("is_real", "is_flagged"), yes)
     return pa.schema(
-        [
-            ("experiment_index", pa.int64()),
-            ("dataset", text),
-            ("name", text),
-            ("is_real", yes),
-            ("simulated_by", text),
-            ("is_flagged", yes),
-            ("flags", pa.list_(text)),
-            ("object_name", text),
-            ("n_frame", pa.int64()),
-            ("duration_s", number),
-            *ends,
-            ("effective_start_s", number),
-            ("effective_end_s", number),
-            ("contact_mode", text),
-            ("object_height_m", number),
-            ("conditions_json", text),
-            ("fixel_version", text),
-            ("source_file", text),
-            ("created_at_utc", text),
-        ]
-    )
+        [(name, kinds.get(name, number if name.endswith(("_s", "_m", "_rad")) else text))
+         for name in _COLUMNS]
+    )  # fmt: skip

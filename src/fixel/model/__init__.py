@@ -1,6 +1,7 @@
 """Data model: shapes, bodies, pushers, fixels and scenes, checked when created."""
 
 from fixel.model.bodies import Body, Drive, Fixel, LineDrive, PathDrive, Pusher, Spring
+from fixel.model.engine_parameters import ParameterInfo
 from fixel.model.experiment import (
     Channel,
     Experiment,
@@ -21,7 +22,6 @@ from fixel.model.goals import (
     PoseRegion,
     Seated,
 )
-from fixel.model.parameter_info import ParameterInfo
 from fixel.model.parameters import KNOWN_PARAMETERS, Parameters
 from fixel.model.plane import FrictionMap, Plane
 from fixel.model.probability import Probability

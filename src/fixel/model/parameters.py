@@ -9,9 +9,8 @@ from types import MappingProxyType
 from typing import Final, final
 
 from fixel.errors import InvalidInput, unknown_name
-from fixel.model.engine_parameters import engine_parameter
+from fixel.model.engine_parameters import ParameterInfo, engine_parameter
 from fixel.model.fields import finite
-from fixel.model.parameter_info import ParameterInfo
 
 _ANY = -math.inf
 _LOADS = "the distribution of the load under the body"

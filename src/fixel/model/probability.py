@@ -1,11 +1,29 @@
-"""Probabilities with the interval that a number of runs or experiments allows."""
+"""Random number generators by purpose, and probabilities with their intervals."""
 
 from __future__ import annotations
 
+import hashlib
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from fixel.errors import InvalidInput
+
+
+def stream(seed: int, *purpose: str) -> np.random.Generator:
+    """Create a generator for one purpose, independent of the order of runs and of threads.
+
+    Parameters
+    ----------
+    seed : int
+        Seed, not negative.
+    *purpose : str
+        Purpose of the numbers: `"run"`, `"square-07"`. Streams of different purposes differ.
+    """
+    # Python's own hash of a string differs between processes.
+    digest = hashlib.sha256("\0".join(purpose).encode()).digest()
+    return np.random.default_rng(np.random.SeedSequence([seed, int.from_bytes(digest[:16])]))
 
 
 class Probability(NamedTuple):

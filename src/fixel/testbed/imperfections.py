@@ -24,9 +24,9 @@ from fixel.model import (
     Support,
     SupportPoints,
 )
-from fixel.model.chance import stream
 from fixel.model.fields import frozen
 from fixel.model.footprint import cells
+from fixel.model.probability import stream
 from fixel.model.shape import Shape
 from fixel.model.support import support_points
 from fixel.simulation import Simulation

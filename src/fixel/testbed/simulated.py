@@ -27,7 +27,6 @@ from fixel.model import (
     Shape,
     Trajectory,
 )
-from fixel.model.chance import stream
 from fixel.model.fields import (
     fraction,
     instance,
@@ -38,6 +37,7 @@ from fixel.model.fields import (
     settle,
     vector,
 )
+from fixel.model.probability import stream
 from fixel.simulation import Simulation, simulate
 from fixel.simulation.threads import cores
 from fixel.testbed.imperfections import (

@@ -9,8 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from fixel.database.bundle import import_bundle
-from fixel.database.experiments import stored_experiments
-from fixel.database.project import DATABASE, MEDIA
+from fixel.database.project import DATABASE, MEDIA, stored_experiments
 from fixel.database.store import Store
 from fixel.datasets import Experiments, plan_import
 from fixel.datasets.reading import collected

@@ -10,8 +10,7 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from fixel.model.engine_parameters import BOX2D
-from fixel.model.parameter_info import ParameterInfo
+from fixel.model.engine_parameters import BOX2D, ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine
 from fixel.simulation.engines.plane import planar_refusal, steps_of
 from fixel.simulation.engines.task import PlainOutline, PlainTask

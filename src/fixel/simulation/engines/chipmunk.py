@@ -9,8 +9,7 @@ from typing import Any, ClassVar, final
 import numpy as np
 import pymunk
 
-from fixel.model.engine_parameters import CHIPMUNK
-from fixel.model.parameter_info import ParameterInfo
+from fixel.model.engine_parameters import CHIPMUNK, ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine
 from fixel.simulation.engines.plane import planar_refusal, steps_of
 from fixel.simulation.engines.task import PlainOutline, PlainTask

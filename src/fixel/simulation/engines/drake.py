@@ -16,8 +16,7 @@ from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from fixel.model.engine_parameters import DRAKE
-from fixel.model.parameter_info import ParameterInfo
+from fixel.model.engine_parameters import DRAKE, ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine, EngineFailed
 from fixel.simulation.engines.plane import planar_refusal
 from fixel.simulation.engines.sdf import sdf

@@ -9,8 +9,7 @@ from typing import ClassVar, final
 import mujoco
 import numpy as np
 
-from fixel.model.engine_parameters import MUJOCO
-from fixel.model.parameter_info import ParameterInfo
+from fixel.model.engine_parameters import MUJOCO, ParameterInfo
 from fixel.simulation.engines.contract import AbstractPhysicsEngine, EngineFailed
 from fixel.simulation.engines.mjcf import mjcf
 from fixel.simulation.engines.plane import drive_refusal, steps_of

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, final
 
 from fixel.errors import InvalidInput
-from fixel.model.parameter_info import ParameterInfo
+from fixel.model.engine_parameters import ParameterInfo
 from fixel.simulation.engines.contract import EngineInfo
 from fixel.simulation.trust import check_command
 

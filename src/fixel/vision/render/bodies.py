@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.model import Body, Disk, Fixel, LineDrive, Pusher, Shape
-from fixel.model.chance import stream
+from fixel.model.probability import stream
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
 from fixel.vision.marks import Mark, Rig, Tag

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from fixel.model import Body, Disk, Pusher, Scene
-from fixel.model.chance import stream
+from fixel.model.probability import stream
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
 from fixel.vision.marks import Rig

@@ -10,8 +10,8 @@ import numpy as np
 
 from fixel.errors import InvalidInput
 from fixel.model import Scene, Shape, Trajectory
-from fixel.model.chance import stream
 from fixel.model.fields import frozen
+from fixel.model.probability import stream
 from fixel.model.shape import placed
 from fixel.simulation import Simulation
 from fixel.typing import FloatArray

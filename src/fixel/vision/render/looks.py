@@ -9,8 +9,8 @@ from typing import Final, final
 import numpy as np
 
 from fixel.errors import InvalidInput, unknown_name
-from fixel.model.chance import stream
 from fixel.model.fields import fraction, non_negative, settle
+from fixel.model.probability import stream
 from fixel.typing import FloatArray
 
 LIGHTINGS: Final = ("above", "through")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fixel.kernels.jit import entry
-from fixel.model.chance import stream
+from fixel.model.probability import stream
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Picture

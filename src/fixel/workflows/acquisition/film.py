@@ -19,7 +19,7 @@ from fixel.formats.scene_file import save_scene
 from fixel.formats.video_file import VideoWriter
 from fixel.io.atomic import written_whole
 from fixel.model import Trajectory
-from fixel.model.chance import stream
+from fixel.model.probability import stream
 from fixel.testbed.imperfections import tactile_channel, touching
 from fixel.typing import BoolArray, FloatArray, ProgressCallback
 from fixel.vision.frame import Frame

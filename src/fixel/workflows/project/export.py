@@ -14,8 +14,7 @@ import numpy as np
 
 from fixel.database.bundle import export_bundle, import_bundle, record_counts
 from fixel.database.bundle_file import opened_bundle
-from fixel.database.experiments import stored_experiments
-from fixel.database.project import Project
+from fixel.database.project import Project, stored_experiments
 from fixel.datasets import IMPORTERS, Experiments
 from fixel.datasets.table import CsvTable
 from fixel.drawing.chart import refuse_ending
