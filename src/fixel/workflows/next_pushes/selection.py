@@ -33,7 +33,7 @@ class Condition(NamedTuple):
         return str(experiment.conditions.get(self.name, "")) == self.value
 
 
-class PushSelection(NamedTuple):
+class NextSelection(NamedTuple):
     """Experiments and pushes among which the next ones of a part are chosen.
 
     Attributes
@@ -93,7 +93,7 @@ class PushProposal(NamedTuple):
 
     Attributes
     ----------
-    selection : PushSelection
+    selection : NextSelection
     model : PartModel
         Model after the part's own pushes.
     pushes : NextPushes
@@ -101,7 +101,7 @@ class PushProposal(NamedTuple):
         Proposed pushes, the best first.
     """
 
-    selection: PushSelection
+    selection: NextSelection
     model: PartModel
     pushes: NextPushes
     scenes: tuple[Scene, ...]
@@ -114,7 +114,7 @@ def select(
     where: Sequence[str],
     scene: Path | None,
     candidates: Path | None,
-) -> PushSelection:
+) -> NextSelection:
     """Select the experiments of a part and of the other parts; arguments of `propose_pushes`."""
     first = load_scene(scene).scene if scene else None
     offered = list(load_plan(candidates).experiments) if candidates else []
@@ -138,7 +138,7 @@ def select(
         of_surface = _only_surface(mine, of_surface.name)
     if of_surface.value:
         mine = [own for own in mine if of_surface.is_of(own)]
-    return PushSelection(
+    return NextSelection(
         part=of_part,
         surface=of_surface,
         known=known,

@@ -15,15 +15,14 @@ from fixel.planning.success import probability_text
 from fixel.table import Column, Table
 from fixel.workflows.analysis import Analysis, AnalysisReport
 from fixel.workflows.figures import Picture
-from fixel.workflows.planning.request import FoundPlan
-from fixel.workflows.planning.run import ENDING, PlanAnswer
+from fixel.workflows.planning.request import FoundPlan, PlanAnswer
 from fixel.workflows.planning.stored import save_plan
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
 
 # Files in the folder of the analysis.
-FILE: Final = f"plan{ENDING}"
+FILE: Final = "plan.plan"
 GOAL: Final = "goal.yaml"
 
 

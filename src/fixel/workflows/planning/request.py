@@ -31,7 +31,7 @@ class PlanRequest(dict[str, Any]):
 
 
 class PlanInputs(NamedTuple):
-    """What a plan is made from.
+    """Goal, scene and belief of a plan, loaded and checked.
 
     Attributes
     ----------
@@ -78,6 +78,13 @@ class FoundPlan:
     calibration: int | None = None
     wanted: float = 0.95
     warnings: tuple[str, ...] = field(default=())
+
+
+class PlanAnswer(NamedTuple):
+    """Plan for a goal file, and the plan file that was written."""
+
+    found: FoundPlan
+    file: Path | None
 
 
 def is_content(goal: str) -> bool:

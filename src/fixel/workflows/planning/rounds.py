@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Generator, Iterator
 from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
@@ -20,8 +20,13 @@ from fixel.planning.plan import plan_rounds, search_of
 from fixel.planning.search import MarginRequest, PlanSearch, SearchStage
 from fixel.progress import Progress
 from fixel.typing import FloatArray
-from fixel.workflows.planning.request import PlanInputs, found_plan, goal_content, inputs_of
-from fixel.workflows.planning.run import PLAN, PlanAnswer
+from fixel.workflows.planning.request import (
+    PlanAnswer,
+    PlanInputs,
+    found_plan,
+    goal_content,
+    inputs_of,
+)
 
 CHUNK: Final = 4096  # rollouts of a chunk
 
@@ -63,10 +68,11 @@ def _worker_search(inputs: Path) -> PlanSearch:
 def _search(
     inputs: Path, report: Callable[[Progress], None] | None = None
 ) -> tuple[Any, PlanInputs, PlanSearch]:
-    request: Any = PLAN.from_json(json.dumps(read_job(inputs.parent).options["request"]))
+    request = SimpleNamespace(**read_job(inputs.parent).options["request"])
+    scene = Path(request.scene) if request.scene else None
     project = Project(inputs.resolve().parents[2])  # the job is in the folder `jobs` of its project
     own = inputs_of(
-        project, *goal_content(request.goal), request.scene, request.experiment, request.calibration
+        project, *goal_content(request.goal), scene, request.experiment, request.calibration
     )
     search = search_of(
         *own.parts, rollouts=request.rollouts, seed=request.seed, threads=threads(), report=report

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from fixel.simulation.motion import AbstractMotionModel
     from fixel.simulation.simulate import SceneWithMethod
     from fixel.simulation.stepper import AbstractStepper
-    from fixel.workflows.planning.request import FoundPlan
+    from fixel.workflows.planning.request import PlanAnswer
 
 ENDING: Final = ".plan"  # of plan files
 
@@ -135,13 +135,6 @@ def plan(
             raise Interrupted(None, hint) from None
 
 
-class PlanAnswer(NamedTuple):
-    """Plan for a goal file, and the plan file that was written."""
-
-    found: FoundPlan
-    file: Path | None
-
-
 def plan_goal(
     project: Project | None,
     goal: Annotated[str, Door(metavar="GOAL", content=True)],
@@ -200,7 +193,7 @@ def plan_goal(
     found = request.found_plan(own, made, options)
     if out is not None:
         stored.save_plan(found, out)
-    return PlanAnswer(found, out)
+    return request.PlanAnswer(found, out)
 
 
 def _rounds(*place: Any, **options: Any) -> Iterator[Any]:
