@@ -15,7 +15,7 @@ from fixel.drawing.calibration import (
     seconds_chart,
 )
 from fixel.drawing.chart import add_banner, display_unit, draw_chart, log_scale, positive
-from fixel.drawing.overlay import Overlay, Track, overlay_chart
+from fixel.drawing.overlay import OverlayMotions, Track, overlay_chart
 from fixel.drawing.profiles import parameters_chart, profiles_chart
 from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
 from fixel.errors import InvalidInput
@@ -120,7 +120,7 @@ def overlay(time, **changes):
         "pusher": [0.3 * SQUARE, 0.3 * SQUARE + (0.1, 0.0)],
         "unit": "mm^2",
     }
-    return overlay_chart("one", Overlay(**(content | changes)))
+    return overlay_chart("one", OverlayMotions(**(content | changes)))
 
 
 TIME = np.linspace(0.0, 2.0, 40)

@@ -10,7 +10,7 @@ from tests.uncertainty.forks import fork, grid
 
 from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
-from fixel.drawing.sensitivity import Ends, ends_chart, indices_chart
+from fixel.drawing.sensitivity import OutcomePoses, ends_chart, indices_chart
 from fixel.uncertainty.indices import Factor, Indices
 
 
@@ -18,7 +18,7 @@ def ensemble_chart():
     drawn = grid(50, 1e-4)
     end = drawn + np.array([0.06, 0.0, 0.1])
     end[40:, 1] += 0.02
-    ends = Ends(
+    ends = OutcomePoses(
         scene=fork(),
         drawn=drawn,
         end=end,
@@ -68,7 +68,7 @@ def test_a_fan_names_its_outcomes_and_keeps_every_start():
 def test_numbers_of_a_fan_do_not_collide(size, turn):
     drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (60, 3)) * (size, size, turn)
     end = drawn * (1.0, 0.01, 1.0) + np.array([0.06, 0.0, -1e-9])
-    chart = ends_chart(Ends(fork(), drawn, end, end[0], np.zeros(60, int), (1.0,)))
+    chart = ends_chart(OutcomePoses(fork(), drawn, end, end[0], np.zeros(60, int), (1.0,)))
     with mpl.rc_context(palette.STYLE):
         figure = chart.figure()
     assert not collisions(figure)
@@ -78,6 +78,6 @@ def test_numbers_of_a_fan_do_not_collide(size, turn):
 @pytest.mark.parametrize(("size", "unit"), [(5e-6, "µm"), (2e-3, "mm"), (0.012, "mm")])
 def test_errors_have_the_unit_of_their_size(size, unit):
     errors = size * np.array([[1.0, 0.5, 0.0], [-0.5, 1.0, 0.0], [0.2, -0.3, 0.0]])
-    chart = ends_chart(Ends(fork(), errors, errors, np.zeros(3), np.zeros(3, int), [1.0]))
+    chart = ends_chart(OutcomePoses(fork(), errors, errors, np.zeros(3), np.zeros(3, int), [1.0]))
     labels = [axes.get_xlabel() for axes in chart.figure().axes]
     assert f"start error, x [{unit}]" in labels

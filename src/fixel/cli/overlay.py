@@ -22,6 +22,7 @@ from fixel.cli.screen import (
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
+    from fixel.model import Scene
     from fixel.testbed.frame_source import FrameSource
     from fixel.workflows.acquisition.overlay import Overlay
     from fixel.workflows.acquisition.overlay_check import Look
@@ -30,15 +31,18 @@ NOT_IN_PLACE = 4
 WAKING = 5  # pictures that are skipped: a camera that was just switched on sends dark ones
 
 
+RigName = Annotated[
+    str,
+    typer.Option(
+        help="Rig file with camera and markers, or name of an example rig.", metavar="RIG"
+    ),
+]
+
+
 @with_options
 def overlay(
     *,
-    rig: Annotated[
-        str,
-        typer.Option(
-            help="Rig file with camera and markers, or name of an example rig.", metavar="RIG"
-        ),
-    ],
+    rig: RigName,
     scene: Path | None = argument(
         None,
         "Scene file, YAML or JSON.",
@@ -78,39 +82,63 @@ def overlay(
     as_json: AsJson = False,
 ) -> None:
     """Show planned poses on the live picture, and their errors."""
-    from fixel.drawing.chart import refuse_ending
-    from fixel.formats.rig_file import rig_of
-    from fixel.io.atomic import refuse_unwritable
-    from fixel.testbed.open_source import source_of
-    from fixel.workflows.acquisition.overlay import Overlay, scene_of
-    from fixel.workflows.acquisition.overlay_check import Tolerance
+    from fixel.workflows.acquisition.overlay import scene_of
 
-    if once:
-        refuse_ending(output, (".png",), "picture")
-        refuse_unwritable(output)
-    bench = rig_of(rig)
-    placed = scene_of(scene, experiment, project)
-    tolerance = Tolerance(
-        distance=bench.position_tolerance if tolerance_mm is None else 1e-3 * tolerance_mm,
-        angle=bench.angle_tolerance if tolerance_deg is None else radians(tolerance_deg),
+    picture = output if once else None
+    looks = _overlay(
+        rig, scene_of(scene, experiment, project), tolerance_mm, tolerance_deg, picture
     )
-    looks = Overlay(bench, placed, tolerance)
-    size = bench.camera.lens.image_size
-    with source_of(camera, size=size, as_fast_as_possible=once) as source:
-        if once:
-            look = _once(looks, source, output)
-        else:
-            heading = f"{experiment or (scene.name if scene else '')} on {bench.name}"
-            look = _live(looks, source, heading, port, show=not as_json)
-    files = {"picture": str(output)} if once else {}
+    heading = f"{experiment or (scene.name if scene else '')} on {looks.rig.name}"
+    look = _look(looks, camera, picture, heading, port, show=not as_json)
     setting = ["--camera", camera, "--rig", rig] + (["--scene", str(scene)] if scene else [])
+    files = {"picture": str(output)} if once else {}
     print_answer(
         as_json,
         lambda: {**look.summary(), "files": files},
-        lambda: _lines(look, setting, output if once else None),
+        lambda: _lines(look, setting, picture),
     )
     if once and not look.placed:
         raise typer.Exit(NOT_IN_PLACE)
+
+
+def _overlay(
+    rig: str, scene: "Scene", mm: float | None, deg: float | None, picture: Path | None
+) -> "Overlay":
+    """Create the comparison, with the tolerances of the rig where none are given."""
+    from fixel.drawing.chart import refuse_ending
+    from fixel.formats.rig_file import rig_of
+    from fixel.io.atomic import refuse_unwritable
+    from fixel.workflows.acquisition.overlay import Overlay
+    from fixel.workflows.acquisition.overlay_check import Tolerance
+
+    if picture is not None:
+        refuse_ending(picture, (".png",), "picture")
+        refuse_unwritable(picture)
+    bench = rig_of(rig)
+    tolerance = Tolerance(
+        distance=bench.position_tolerance if mm is None else 1e-3 * mm,
+        angle=bench.angle_tolerance if deg is None else radians(deg),
+    )
+    return Overlay(bench, scene, tolerance)
+
+
+def _look(
+    looks: "Overlay",
+    camera: str,
+    picture: Path | None,
+    heading: str,
+    port: int | None,
+    *,
+    show: bool,
+) -> "Look":
+    """Look once and write a picture, or show the overlay in a browser."""
+    from fixel.testbed.open_source import source_of
+
+    size, once = looks.rig.camera.lens.image_size, picture is not None
+    with source_of(camera, size=size, as_fast_as_possible=once) as source:
+        if picture is not None:
+            return _once(looks, source, picture)
+        return _live(looks, source, heading, port, show=show)
 
 
 def _lines(look: "Look", setting: list[str], picture: Path | None) -> list[str]:

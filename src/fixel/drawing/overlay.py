@@ -33,7 +33,7 @@ class Track(NamedTuple):
     error: float | None = None  # difference from the measured track, in the chart's unit
 
 
-class Overlay(NamedTuple):
+class OverlayMotions(NamedTuple):
     """Measured and simulated poses of one experiment, before and after a calibration."""
 
     outline: FloatArray  # (k, 2) outline of the object, in its own frame [m]
@@ -56,7 +56,7 @@ class Overlay(NamedTuple):
         )
 
 
-def overlay_chart(title: str, own: Overlay) -> Chart:
+def overlay_chart(title: str, own: OverlayMotions) -> Chart:
     """Draw measured and simulated poses: top view of the plate, and poses against time.
 
     Source: RPI thesis, figures 5.2 and 5.3.
@@ -74,7 +74,7 @@ def overlay_chart(title: str, own: Overlay) -> Chart:
     )
 
 
-def _draw(figure: Figure, chart: Overlay) -> None:
+def _draw(figure: Figure, chart: OverlayMotions) -> None:
     axes_of = figure.subplot_mosaic(
         [["view", "x", "dx"], ["view", "y", "dy"], ["legend", "theta", "dtheta"]],
         width_ratios=(VIEW, 1.6, 1.6),
@@ -98,7 +98,7 @@ _BEFORE: Final[Style] = {"color": palette.CONE, "linewidth": 1.1, "linestyle": D
 _AFTER: Final[Style] = {"color": palette.BODY, "linewidth": 1.1}
 
 
-def _draw_view(axes: Axes, chart: Overlay) -> None:
+def _draw_view(axes: Axes, chart: OverlayMotions) -> None:
     corners = [*chart.fixels, *chart.pusher]
     for _, track, _ in chart.tracks:
         some = track.pose[evenly(len(track.pose), MAX_OUTLINES)]
@@ -126,7 +126,7 @@ def _error(track: Track, unit: str) -> str:
     return "" if track.error is None else f" ({track.error:.3g} {unit_text(unit)})"
 
 
-def _draw_poses(panels: Sequence[Axes], chart: Overlay) -> None:
+def _draw_poses(panels: Sequence[Axes], chart: OverlayMotions) -> None:
     for _, track, style in chart.tracks:
         turned = np.degrees(np.unwrap(track.pose[:, 2]))
         for axes, values in zip(panels, (*track.pose[:, :2].T * MM.factor, turned), strict=True):
@@ -135,7 +135,7 @@ def _draw_poses(panels: Sequence[Axes], chart: Overlay) -> None:
         axes.set_ylabel(label, labelpad=1.0)
 
 
-def _draw_differences(panels: Sequence[Axes], chart: Overlay) -> None:
+def _draw_differences(panels: Sequence[Axes], chart: OverlayMotions) -> None:
     """Draw the deviations of both simulations from the measured poses."""
     for _, track, style in chart.tracks[1:]:
         time, difference = _difference(track, chart.measured)

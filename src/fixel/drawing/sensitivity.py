@@ -34,7 +34,7 @@ DOTS: Final = 2000
 BINS: Final = 40
 
 
-class Ends(NamedTuple):
+class OutcomePoses(NamedTuple):
     """End poses of a body over a scene, by outcome."""
 
     scene: Scene
@@ -46,7 +46,7 @@ class Ends(NamedTuple):
     names: Sequence[str] = ()  # names of the outcomes; by default numbers
 
 
-def ends_chart(ends: Ends, title: str = "") -> Chart:
+def ends_chart(ends: OutcomePoses, title: str = "") -> Chart:
     """Draw end poses of a body over its scene, with start errors, end positions and end angles."""
     names = ("x_m", "y_m", "theta_rad")
     return Chart(
@@ -61,7 +61,7 @@ def ends_chart(ends: Ends, title: str = "") -> Chart:
     )
 
 
-def _draw_ends(figure: Figure, ends: Ends) -> None:
+def _draw_ends(figure: Figure, ends: OutcomePoses) -> None:
     axes_of = figure.subplot_mosaic(
         [["scene", "starts"], ["scene", "ends"], ["scene", "angles"]], width_ratios=(1.9, 1.0)
     )
@@ -88,7 +88,7 @@ def _colour(k: int) -> str:
     return COLOURS[k % len(COLOURS)]
 
 
-def _scene(axes: Axes, ends: Ends) -> None:
+def _scene(axes: Axes, ends: OutcomePoses) -> None:
     scene = ends.scene
     body = scene.bodies[0]
     corners = body.shape.outline
@@ -118,7 +118,7 @@ def _scene(axes: Axes, ends: Ends) -> None:
     plain_view(axes, unit)
 
 
-def _angles(axes: Axes, ends: Ends) -> None:
+def _angles(axes: Axes, ends: OutcomePoses) -> None:
     angle = np.degrees(ends.end[:, 2] - ends.nominal[2])
     low, high = float(angle.min()), float(angle.max())
     if high - low < 1e-3:
@@ -157,7 +157,7 @@ def sensitivity_chart(found: Sensitivity, title: str = "") -> Chart:
     """Draw end poses over the scene, coloured by outcome, with start errors and end angles."""
     own = found.prediction
     drawn = own.drawn[own.ended]
-    ends = Ends(own.scene, drawn, own.ends, own.nominal[-1], found.outcome, found.share)
+    ends = OutcomePoses(own.scene, drawn, own.ends, own.nominal[-1], found.outcome, found.share)
     return ends_chart(ends, title or f"Sensitivity: {found.flag}")
 
 
@@ -174,7 +174,7 @@ def prediction_chart(found: Prediction, *, goal: Goal | None = None) -> Chart:
         names = ["goal met", "goal not met"]
     share = np.bincount(outcome, minlength=len(names)) / len(outcome)
     some = np.flatnonzero(share > 0.0)
-    ends = Ends(
+    ends = OutcomePoses(
         scene=found.scene,
         drawn=found.drawn[found.ended],
         end=found.ends,

@@ -13,7 +13,7 @@ import numpy as np
 from fixel.calibration.target import Target
 from fixel.drawing.calibration import BEFORE, Quantity, errors_chart, offsets_chart, seconds_chart
 from fixel.drawing.chart import Chart, plot_axes
-from fixel.drawing.overlay import Overlay, Track, overlay_chart
+from fixel.drawing.overlay import OverlayMotions, Track, overlay_chart
 from fixel.drawing.profiles import parameters_chart, profiles_chart
 from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
 from fixel.errors import InvalidInput
@@ -376,7 +376,7 @@ def _overlay_chart(
     nominal = float(data.lengths(data.outcome.nominal[member]))
     start = np.concatenate(([0.0], target.case.times))
     title = target.key if not word else f"{target.key}: the {word} of {len(data.keys)}"
-    own = Overlay(
+    own = OverlayMotions(
         outline=body.shape.outline,
         measured=Track(start, np.vstack((body.pose, target.pose))),
         before=_track(before, nominal),
