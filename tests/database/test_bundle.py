@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.database.records import HERE, experiment, path
 
 from fixel.database import arrays
 from fixel.database.bundle import export_bundle, import_bundle
@@ -18,7 +19,7 @@ from fixel.database.bundle_file import LIMITS
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
-from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Trajectory
+from fixel.model import Channel, Flag, Parameters
 from fixel.model.records import (
     CalibrationRecord,
     Estimate,
@@ -29,9 +30,7 @@ from fixel.model.records import (
     SimulationRecord,
 )
 from fixel.model.selection import ExperimentQuery
-from fixel.testing.scenes import grasp
 
-HERE = Provenance(version="0.1", command="test", source="a.csv", sha256="00", seed=7)
 NOTHING_NEW = {
     "analyses": 0,
     "experiments": 0,
@@ -43,33 +42,6 @@ NOTHING_NEW = {
     "flags": 0,
     "outdated": 0,
 }
-
-
-def path(n=5, shift=0.0):
-    time = np.linspace(0.0, 1.0, n)
-    return Trajectory(time=time, pose=np.column_stack((time + shift, -0.0 * time, 7.0 * time)))
-
-
-def experiment(name="1", **more):
-    scene = grasp("seated")
-    given = {
-        "dataset": "lab",
-        "name": name,
-        "real": True,
-        "provenance": HERE,
-        "trajectory": path(),
-        "pusher": path(9),
-        "scene": scene,
-        "object_name": scene.bodies[0].name,
-        "height": 0.045,
-        "channels": (
-            Channel(name="tactile", time=[0.0, 0.5], columns=("a_bool",), values=[[0], [math.nan]]),
-        ),
-        "contact_mode": "010",
-        "effective": (0.1, 0.9),
-        "conditions": {"surface": "plywood", "speed_m_s": 0.02, "layout": 5, "times": 5.0},
-    }
-    return Experiment(**(given | more))
 
 
 def fill(store):

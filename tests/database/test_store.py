@@ -3,14 +3,14 @@
 import dataclasses
 import math
 
-import numpy as np
 import pytest
 import sqlalchemy as sa
+from tests.database.records import HERE, experiment, path
 
 from fixel.database import tables
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, NotStored, StoreRefused
-from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Trajectory
+from fixel.model import Experiment, Flag, Parameters, Provenance
 from fixel.model.records import (
     CalibrationRecord,
     Estimate,
@@ -21,41 +21,6 @@ from fixel.model.records import (
     SimulationRecord,
 )
 from fixel.model.selection import Bound, ExperimentQuery
-from fixel.testing.scenes import grasp
-
-HERE = Provenance(version="0.1", command="test", source="a.csv", sha256="00", seed=7)
-
-
-def path(n=5, shift=0.0):
-    time = np.linspace(0.0, 1.0, n)
-    return Trajectory(time=time, pose=np.column_stack((time + shift, 0.1 * time, 7.0 * time)))
-
-
-def experiment(name="1", **more):
-    scene = grasp("seated")
-    given = {
-        "dataset": "lab",
-        "name": name,
-        "real": True,
-        "provenance": HERE,
-        "trajectory": path(),
-        "pusher": path(9),
-        "scene": scene,
-        "object_name": scene.bodies[0].name,
-        "height": 0.045,
-        "channels": (
-            Channel(
-                name="tactile",
-                time=[0.0, 0.5],
-                columns=("fixel_1_bool", "fixel_2_bool"),
-                values=[[0, 1], [math.nan, 1]],
-            ),
-        ),
-        "contact_mode": "010",
-        "effective": (0.1, 0.9),
-        "conditions": {"surface": "plywood", "speed_m_s": 0.02},
-    }
-    return Experiment(**(given | more))
 
 
 def stored(store, *experiments):

@@ -217,8 +217,6 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
     [
         ({"bodies.0.mass": -1}, "bodies[0].mass", "found -1, expected a number greater than 0"),
         ({"bodies.0.mass": "heavy"}, "bodies[0].mass", "found 'heavy', expected a number"),
-        ({"bodies.0.mass": True}, "bodies[0].mass", "found True"),
-        ({"bodies.0.mass": inf}, "bodies[0].mass", "found inf"),
         ({"bodies.0.mass": None}, "bodies[0].mass", "found nothing"),
         ({"bodies.0.pose": [0, 0]}, "bodies[0].pose", "at least 3 entries"),
         ({"bodies.0.pose": [0, 0, "x"]}, "bodies[0].pose[2]", "found 'x', expected a number"),
@@ -241,25 +239,14 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
             "crosses or touches itself",
         ),
         (
-            {"bodies.0.shape": {"polygon": [[0, 0], [1, 1], [2, 2]]}},
-            "bodies[0].shape.polygon",
-            "no area",
-        ),
-        (
             {"bodies.0.shape": {"polygon": [[0, 0], [1, 0], [inf, 1]]}},
             "bodies[0].shape.polygon[2][0]",
             "finite",
         ),
-        ({"bodies.0.shape": {"polygon": []}}, "bodies[0].shape.polygon", "empty"),
         (
             {"bodies.0.shape": {"disk": 0}},
             "bodies[0].shape.disk",
             "greater than 0 (radius of the disk [m])",
-        ),
-        (
-            {"bodies.0.support.tripod.friction": -0.1},
-            "bodies[0].support.tripod.friction",
-            "at least 0",
         ),
         (
             {"bodies.0.support": {"points": {"at": [[1, 0], [2, 0], [1, 1]], "friction": 0.1}}},
@@ -272,11 +259,6 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
             "expected a number",
         ),
         (
-            {"bodies.0.support": {"points": {"at": SQUARE, "friction": [0.1]}}},
-            "bodies[0].support.points.friction",
-            "one coefficient for each of the 4 points",
-        ),
-        (
             {"bodies.0.support": {"tripod": {"radius": 1, "friction": 0}, "none": {}}},
             "bodies[0].support",
             "found tripod and none",
@@ -285,7 +267,6 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
         ({"bodies": {"name": "a"}}, "bodies", "a list"),
         ({"fixel": 2}, "fixel", "expected 1"),
         ({"motion": "static"}, "motion", "'dynamic', 'quasistatic' or 'first-order'"),
-        ({"duration": 0}, "duration", "greater than 0"),
         ({"support_directions": 3}, "support_directions", "at least 4"),
         (
             {"pushers.0.drive": {"speed": 1}},
@@ -305,8 +286,6 @@ def test_numbers_and_text_are_those_of_yaml_1_2():
             "pushers[0].drive.waypoints[2]",
             "has decreasing times",
         ),
-        ({"pushers.0.friction": -1}, "pushers[0].friction", "at least 0"),
-        ({"fixels.0.restitution": 1.5}, "fixels[0].restitution", "at most 1"),
         ({"fixels.0.pose": [0.09, 0.0, 0]}, "'object' and 'fixel-1'", "mm at the start"),
         ({"fixels.0.name": "object"}, "scene", "the name 'object' twice"),
         ({"contact_friction.0.pair": ["object"]}, "contact_friction[0].pair", "at least 2 entries"),

@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence, Sized
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, final
@@ -466,22 +466,13 @@ def _check_inside(path: Path, database: str | None) -> None:
 MAX_STORES: Final = 8  # open at a time, for sequences of experiments
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class StoredExperiment:
-    """Function that reads an experiment of a database by its id."""
-
-    url: str
-    media: Path
-
-    def __call__(self, experiment_id: int) -> Experiment:
-        """Read an experiment."""
-        return _store(self.url, self.media).experiment(experiment_id)
-
-
 @lru_cache(MAX_STORES)
 def _store(url: str, media: Path) -> Store:
     return Store(url, media)
+
+
+def _stored_experiment(url: str, media: Path, experiment_id: int) -> Experiment:
+    return _store(url, media).experiment(experiment_id)
 
 
 def stored_experiments(store: Store, query: ExperimentQuery) -> Experiments:
@@ -495,7 +486,7 @@ def stored_experiments(store: Store, query: ExperimentQuery) -> Experiments:
         for entry in entries
         if entry.row.id in published
     }
-    load = StoredExperiment(store.url, store.media)
+    load = partial(_stored_experiment, store.url, store.media)
     return Experiments(entries, load, (), tuple(skipped), simulations)
 
 

@@ -220,16 +220,6 @@ def goal_file_from_dict(raw: Any, folder: Path | None = None) -> GoalFile:
     )
 
 
-def goal_json_schema() -> dict[str, Any]:
-    """JSON schema of goal files, for editors and other programs."""
-    schema = GoalFileRecord.model_json_schema()
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **schema,
-        "title": "fixel goal file",
-    }
-
-
 # --- from records ---------------------------------------------------------------------------------
 
 

@@ -199,6 +199,10 @@ def _guarded(name: str, check: Callable[[], tuple[bool, str, float | None]]) -> 
     return SelfCheck(name, passed and fine, detail, residual)
 
 
+def _steps(run: Simulation) -> Found:
+    return run.converged, f"{run.status}, {run.steps} steps", run.max_residual
+
+
 def _seats() -> Found:
     run = simulate(scenes.grasp("seated"))
     trace = run.pushers["actuator"]
@@ -231,16 +235,6 @@ def _compared(run: Simulation, found: float, expected: float, unit: str) -> Foun
     return run.converged and off < CLOSED_FORM, detail, run.max_residual
 
 
-def _micro() -> Found:
-    run = simulate(scenes.micro_push(), motion=QuasiStatic())
-    return run.converged, f"{run.status}, {run.steps} steps", run.max_residual
-
-
-def _heap() -> Found:
-    run = simulate(scenes.heap(9, duration=0.5))
-    return run.converged, f"{run.status}, {run.steps} steps", run.max_residual
-
-
 def _agree() -> Found:
     scene = scenes.grasp("slip", support_directions=8)
     stepper = StewartTrinkle(step=0.05)
@@ -264,8 +258,10 @@ _CHECKS: dict[str, Callable[[], Found]] = {
     "rigid drive jams, with status jammed": _jams,
     "block stops after v^2 / 2 mu g": _slides,
     "disk stops spinning after 3 R w / 4 mu g": _spins,
-    "push of a 1.6 mm part, without inertia": _micro,
-    "heap of nine bodies": _heap,
+    "push of a 1.6 mm part, without inertia": lambda: _steps(
+        simulate(scenes.micro_push(), motion=QuasiStatic())
+    ),
+    "heap of nine bodies": lambda: _steps(simulate(scenes.heap(9, duration=0.5))),
     "newton, gauss-seidel, lemke agree": _agree,
     "one thread and two agree": _same_bits,
 }

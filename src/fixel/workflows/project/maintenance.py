@@ -216,7 +216,10 @@ def _checked(engine: sa.Engine, project: Project) -> CheckResult:
             used, videos = _used(connection)
     except StoreRefused as refused:
         # A damaged file may be readable up to some point only; report what was found until there.
-        troubles.append(Trouble("database", refused.reason, _helpful(refused.hint)))
+        # Here the advice to run a check is useless.
+        useless = refused.hint is None or "db check" in refused.hint
+        hint = RESTORE if useless else str(refused.hint)
+        troubles.append(Trouble("database", refused.reason, hint))
         used, videos = set(), set()
     files, bad = _media_files(media, read_already=used)
     return CheckResult(
@@ -227,11 +230,6 @@ def _checked(engine: sa.Engine, project: Project) -> CheckResult:
         unused_files=len(files - used - videos),
         troubles=(*troubles, *bad),
     )
-
-
-def _helpful(hint: str | None) -> str:
-    # Here the advice to run a check is useless.
-    return RESTORE if hint is None or "db check" in hint else hint
 
 
 def _damage(connection: sa.Connection) -> Iterator[Trouble]:
@@ -264,7 +262,7 @@ def _broken_references(connection: sa.Connection) -> Iterator[Trouble]:
             )
             n = connection.scalar(lost)
             if n:
-                sentence = f"{n} {_rows(n)} of {table.name} without their {column.name}"
+                sentence = f"{n} row{'s' * (n != 1)} of {table.name} without their {column.name}"
                 yield Trouble(table.name, sentence, RESTORE)
 
 
@@ -357,10 +355,6 @@ def _file_trouble(path: Path) -> str | None:
     except OSError as problem:
         return f"cannot be read: {os_reason(problem)}"
     return None if digest == path.name else "has changed: its checksum differs from its name"
-
-
-def _rows(n: int) -> str:
-    return "row" if n == 1 else "rows"
 
 
 def diagram(file: Path) -> list[str]:

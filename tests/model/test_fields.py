@@ -1,0 +1,95 @@
+"""One contract for all fields with a `Value`: constructors and files refuse the same."""
+
+from math import inf, nan
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fixel.errors import InvalidInput
+from fixel.model import (
+    Body,
+    Disk,
+    Ellipsoid,
+    Fixel,
+    FrictionMap,
+    LineDrive,
+    Plane,
+    Polygon,
+    Pusher,
+    Scene,
+    Spring,
+    Tripod,
+    UniformPressure,
+)
+from fixel.model.fields import field_types, finite, fraction, non_negative, positive, table, vector
+from fixel.model.goals import Beyond, Contact, Inside, PoseRegion
+from fixel.planning.belief import RigError
+from fixel.planning.pushes import FreePushes, RigPushes
+from fixel.sampling import PlannedShape, RegularPolygon
+from fixel.uncertainty.starts import StartError
+from fixel.vision.marks import MarkedPart, Sticker, Tag
+
+SQUARE = Polygon([[0, 0], [2, 0], [2, 2], [0, 2]])
+BODY = {"name": "a", "shape": SQUARE, "mass": 1.0}
+GIVEN: dict[Any, dict[str, Any]] = {
+    Spring: {"stiffness": 1.0, "anchor": (0, 0)},
+    Body: BODY,
+    LineDrive: {"speed": 1.0},
+    Pusher: {"name": "p", "shape": SQUARE, "friction": 0.2, "pose": (0, 0, 0),
+             "drive": LineDrive(speed=1.0)},
+    Fixel: {"name": "f", "shape": SQUARE, "friction": 0.2, "pose": (0, 0, 0)},
+    Tripod: {"radius": 0.1, "friction": 0.2},
+    UniformPressure: {"friction": 0.2},
+    Ellipsoid: {"force": 1.0, "torque": 1.0},
+    Plane: {},
+    FrictionMap: {"origin": (0, 0), "cell": (1, 1), "factor": [[1.0]]},
+    Scene: {"bodies": Body(**BODY)},
+    PoseRegion: {"pose": (0, 0, 0), "position": 1.0},
+    Inside: {"region": SQUARE},
+    Beyond: {"line": [(0, 0), (0, 1)]},
+    Contact: {"fixel": "f"},
+    FreePushes: {},
+    RigPushes: {},
+    RigError: {},
+    StartError: {"x": 1.0, "kind": "normal"},
+    RegularPolygon: {"sides": 4, "side": 1.0},
+    PlannedShape: {"name": "a", "outline": Disk(1.0), "mass": 1.0, "zone_start": 0.1},
+    Tag: {"id": 1, "size": 0.1, "height": 0.1},
+    Sticker: {"colour": "red", "diameter": 0.1, "place": (0, 0), "height": 0.1},
+    MarkedPart: {"height": 0.1},
+}  # fmt: skip
+NOT_A_NUMBER = (nan, "1", True, 10**400)
+BAD: dict[Any, tuple[Any, ...]] = {
+    finite: (*NOT_A_NUMBER, inf),
+    positive: (*NOT_A_NUMBER, 0.0, -1.0),
+    non_negative: (*NOT_A_NUMBER, -0.1),
+    fraction: (*NOT_A_NUMBER, -0.1, 1.1),
+    vector: ((0.0,), (0.0, 0.0, 0.0, 0.0), "north", 1.0),
+    table: ([], [[0.0]], "path"),
+}
+FIELDS = [
+    (kind, name, own.value.check)
+    for kind in GIVEN
+    for name, own in field_types(kind).items()
+    if own.value is not None
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "check"), FIELDS, ids=[f"{k.__name__}.{n}" for k, n, _ in FIELDS]
+)
+def test_a_value_that_cannot_be_is_refused_at_its_field(kind: Any, name: str, check: Any) -> None:
+    kind(**GIVEN[kind])
+    for bad in BAD[check]:
+        with pytest.raises(InvalidInput) as refusal:
+            kind(**{**GIVEN[kind], name: bad})
+        assert refusal.value.where.partition("[")[0].endswith(name)
+
+
+def test_values_are_stored_as_floats_and_frozen_arrays() -> None:
+    body = Body("a", SQUARE, mass=1, pose=[0, -0.0, 1])
+    assert type(body.mass) is float
+    assert not np.signbit(body.pose[1])
+    with pytest.raises(ValueError, match="read-only"):
+        body.pose[0] = 1.0
