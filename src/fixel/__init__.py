@@ -101,7 +101,7 @@ if TYPE_CHECKING:
         calibrate_campaign as calibrate_campaign,
         calibrate_each as calibrate_each,
     )
-    from fixel.workflows.domain.bound import error_bound as error_bound
+    from fixel.workflows.error_bound.run import error_bound as error_bound
     from fixel.workflows.domain.run import map_domain as map_domain
     from fixel.workflows.experiments import read_experiments as read_experiments
     from fixel.workflows.filtering.run import filter as filter
@@ -155,7 +155,7 @@ _NAMES = {
     "fixel.uncertainty.starts": "StartError",
     "fixel.workflows.calibration.calibration": "Calibration Calibrations",
     "fixel.workflows.calibration.run": "calibrate calibrate_campaign calibrate_each",
-    "fixel.workflows.domain.bound": "error_bound",
+    "fixel.workflows.error_bound.run": "error_bound",
     "fixel.workflows.domain.run": "map_domain",
     "fixel.workflows.experiments": "read_experiments",
     "fixel.workflows.filtering.run": "filter",

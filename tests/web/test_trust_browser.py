@@ -156,8 +156,8 @@ def test_the_threshold_slider_paints_the_map_anew(domain):
     domain.mouse.move(box["x"] + 10, box["y"] + box["height"] / 2, steps=10)
     domain.mouse.up()
     domain.wait_for_function(
-        "() => document.getElementById('domain').dataset.threshold"
-        " === document.getElementById('threshold').value"
+        "() => document.getElementById('domain').dataset.tau"
+        " === document.getElementById('tau').value"
     )
     assert domain.locator("td.trusted").count() == 0
 

@@ -14,8 +14,8 @@ from fixel.errors import InvalidInput
 from fixel.jobs.functions import callable_by_jobs
 from fixel.workflows.calibration.run import CALIBRATE
 from fixel.workflows.compare.run import COMPARE
-from fixel.workflows.domain.bound import ERROR_BOUND
 from fixel.workflows.domain.run import DOMAIN
+from fixel.workflows.error_bound.run import ERROR_BOUND
 from fixel.workflows.filtering.run import FILTER
 from fixel.workflows.growth.run import GROWTH
 from fixel.workflows.next_pushes.run import NEXT

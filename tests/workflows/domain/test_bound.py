@@ -9,7 +9,7 @@ import fixel
 from fixel.errors import InvalidInput
 from fixel.testing.pushes import TRUTH, example_pushes
 from fixel.testing.scenes import grasp
-from fixel.workflows.domain.bound import error_bound
+from fixel.workflows.error_bound.run import error_bound
 
 # Friction alone cannot repair the radius: errors are those of a wrong model.
 SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.03}

@@ -16,6 +16,7 @@ from fixel.simulation import Dynamic
 from fixel.testing.pushes import example_pushes
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.domain.evidence import load_evidence
+from fixel.workflows.domain.fits import ProjectRequest
 from fixel.workflows.domain.run import DOMAIN, map_domain
 
 SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
@@ -127,7 +128,9 @@ def test_a_project_stores_a_map_with_its_evidence(pushes, found, tmp_path, monke
     assert stored.analysis.numbers["threshold"] == pytest.approx(0.2)
     asked = DOMAIN.request(stored.analysis.request)
     with lab.store() as store:
-        again = load_evidence(lab, store, asked, stored.analysis.numbers["evidence"])
+        again = load_evidence(
+            ProjectRequest(lab, store, asked), stored.analysis.numbers["evidence"]
+        )
         keys = {number: store.experiment(number).key for number in again.errors.ids}
     assert [keys[k] for k in again.errors.ids] == list(found.held_out)
     np.testing.assert_array_equal(again.errors.error_mm2, found.evidence.error_mm2)

@@ -21,7 +21,7 @@ from fixel.simulation import Dynamic
 from fixel.simulation.stepper import Adaptive
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration.parameter_options import searched_unknowns
-from fixel.workflows.domain.fits import own_best, stored_model
+from fixel.workflows.domain.fits import ProjectRequest, own_best, stored_model
 from fixel.workflows.domain.run import DOMAIN, map_stored
 
 METHOD = {"how": "alone", "error": "mean-square", "error.angle_scale": 0.035, "motion": "dynamic"}
@@ -138,7 +138,10 @@ def test_fits_start_at_the_stored_calibration(tmp_path):
         for experiment in SimulatedTestbed.ideal().run(planned(2)):
             store.add_experiment(experiment)
         targets = targets_of(store.experiment(k) for k in (1, 2))
-        assert stored_model(project, store, DOMAIN.request({}), targets).calibration is None
+        assert (
+            stored_model(ProjectRequest(project, store, DOMAIN.request({})), targets).calibration
+            is None
+        )
         record = CalibrationRecord(
             name="joint",
             parameters=Parameters(mu_pusher=0.37),
@@ -147,7 +150,7 @@ def test_fits_start_at_the_stored_calibration(tmp_path):
             method=METHOD | {"how": "direct minimisation", "motion": "quasistatic"},
         )
         number = store.add_calibration(record)
-        started = stored_model(project, store, DOMAIN.request({}), targets)
+        started = stored_model(ProjectRequest(project, store, DOMAIN.request({})), targets)
     assert started.calibration == number
     space = started.model.space
     assert dict(zip(space.labels, space.nominal, strict=True))["mu_pusher"] == 0.37

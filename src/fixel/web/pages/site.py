@@ -22,6 +22,7 @@ from fixel.web.context import ProjectContext
 from fixel.web.pages import calibration, experiment, run
 from fixel.web.pages.listing import experiments_page
 from fixel.web.views import scene_editor
+from fixel.web.views.domain_views import MAP_KEY
 from fixel.workflows.analysis import load_with_errors
 
 OFFERED: Final = 300  # names in the list of experiments
@@ -105,6 +106,8 @@ def domain_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     return {
         "name": "" if chosen is None else chosen.folder.name,
         "chosen": None if chosen is None else chosen.analysis,
+        "numbers": {} if chosen is None else chosen.analysis.numbers,
+        "key": MAP_KEY,
         "maps": [(one.folder.name, one.analysis) for one in maps],
         "unreadable": [str(problem) for problem in unreadable],
     }

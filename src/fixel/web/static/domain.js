@@ -7,26 +7,22 @@ import { digits } from "./quantity.js";
 import { several } from "./units.js";
 
 /** @typedef {{name: string, unit: string, ticks: string[]}} Strip */
-/** @typedef {{across: Strip, up: Strip | null, cells: number[][]}} Panel */
+/** @typedef {{across: Strip, up: Strip | null, rows: number[][]}} Panel */
 /** @typedef {{id: number, key: string, group: number, cell: number, error: number | null}} Held */
-/** @typedef {{title: string, unit: string, low: number, high: number, claim: Record<string, number>, groups: string[], panels: Panel[], texts: string[], nominal: number, points: Held[], remarks: string[], simulated: boolean}} View */
-/** @typedef {{threshold: number, confidence: number, colours: string[], colour: number[][], chance: (number | null)[][], inside: number[][], count: Record<string, number>, sizes: number[], command: string}} Shown */
+/** @typedef {{unit: string, low: number, high: number, groups: string[], panels: Panel[], texts: string[], centre: number, points: Held[], remarks: string[], simulated: boolean}} View */
+/** @typedef {{colours: string[], colour: number[][], chance: (number | null)[][], percent: (number | null)[][], inside: number[][], figures: [string, string][], command: string}} Verdicts */
+/** @typedef {Verdicts & {tau: number}} Shown */
 /** @typedef {{proposals: {group: string, cell: number, where: string, bits: number, reason: string}[]}} Next */
 
-/** Signs tell what colours tell. @type {Record<string, [string, string]>} */
-const SIGNS = {
-  trusted: ["\u2713", "trusted: errors stay within the threshold"],
-  doubtful: ["?", "doubtful: too few experiments"],
-  "not trusted": ["\u2715", "not trusted: errors exceed the threshold"],
-  "no data": ["", "no experiment"],
-  predicted: ["\u25cc", "no experiment; predicted from other cells"],
-};
+/** Signs tell what colours tell. @type {Record<string, string>} */
+const SIGNS = { trusted: "\u2713", doubtful: "?", "not trusted": "\u2715", "no data": "", predicted: "\u25cc" };
 const BROWN = [140, 45, 4];
 const PALE = [245, 240, 230];
 const BLUE = [0, 95, 160];
 const MOST_MARKS = 4; // experiments drawn one by one in a cell
 const SETTLED = 350; // [ms] after which the next experiment is looked for
 const STEPS = 1000;
+const tau = input("tau");
 
 const root = at("domain");
 const address = `/domain/${encodeURIComponent(root.dataset.map ?? "")}`;
@@ -36,6 +32,7 @@ let view;
 let shown = null;
 /** @type {{group: number, cell: number} | null} */
 let picked = null;
+
 // --- asking ----------------------------------------------------------------------------------
 
 async function load() {
@@ -43,35 +40,20 @@ async function load() {
   at("board").hidden = false;
   at("simulated").hidden = !view.simulated;
   at("remarks").textContent = view.remarks.join(" ");
-  at("unit").textContent = view.unit || "times the smallest E of the experiment, above it";
-  input("threshold").value = String(+view.claim.threshold.toPrecision(3));
-  input("slider").value = String(onSlider(view.claim.threshold));
-  for (const id of ["level", "confidence"]) choose(/** @type {HTMLSelectElement} */ (at(id)), view.claim[id]);
+  input("slider").value = String(onSlider(Number(tau.value)));
   for (const id of /** @type {("low" | "high")[]} */ (["low", "high"])) at(id).textContent = `${digits(+view[id].toPrecision(3))} ${view.unit}`.trim();
   build();
   await refresh();
   root.dataset.ready = "yes";
 }
 
-/** Offers the number of the stored map too. @param {HTMLSelectElement} select @param {number} value */
-function choose(select, value) {
-  if (![...select.options].some((one) => Number(one.value) === value)) {
-    select.append(make("option", { value: String(value) }, `${digits(100 * value)} %`));
-  }
-  select.value = String(value);
-}
-
-let wanted = 0; // [ms] when the newest threshold was set
+let wanted = 0; // [ms] when the form was changed last
 let busy = false;
 let timer = 0;
 
-const claim = () => ({
-  threshold: +input("threshold").value,
-  level: Number(/** @type {HTMLSelectElement} */ (at("level")).value),
-  confidence: Number(/** @type {HTMLSelectElement} */ (at("confidence")).value),
-});
+const claim = () => Object.fromEntries(new FormData(/** @type {HTMLFormElement} */ (at("claim"))));
 
-/** One request at a time, the newest threshold next. */
+/** One request at a time, the newest one next. */
 async function refresh() {
   wanted ||= performance.now();
   if (busy) return;
@@ -80,9 +62,9 @@ async function refresh() {
     while (wanted) {
       const since = wanted;
       wanted = 0;
-      if (!(claim().threshold > 0)) break;
-      const asked = claim();
-      shown = { ...asked, .../** @type {Shown} */ (await get(`${address}/map`, asked)) };
+      const now = Number(tau.value);
+      if (!(now > 0)) break;
+      shown = { tau: now, .../** @type {Verdicts} */ (await get(`${address}/map`, claim())) };
       paint();
       root.dataset.roundTrip = (performance.now() - since).toFixed(1);
     }
@@ -114,8 +96,8 @@ async function suggest() {
 
 // --- controls --------------------------------------------------------------------------------
 
-/** @param {number} threshold */
-const onSlider = (threshold) => (STEPS * Math.log(threshold / view.low)) / Math.log(view.high / view.low);
+/** @param {number} value */
+const onSlider = (value) => (STEPS * Math.log(value / view.low)) / Math.log(view.high / view.low);
 /** @param {number} place */
 const offSlider = (place) => +(view.low * (view.high / view.low) ** (place / STEPS)).toPrecision(3);
 
@@ -131,21 +113,15 @@ function named(strip) {
 const minus = (text) => text.replace(/(^|\s)-(?=[\d.])/g, "$1\u2212");
 
 /** @type {Map<string, HTMLElement>} */
-const cells = new Map();
+const squares = new Map();
 
 function build() {
-  cells.clear();
+  squares.clear();
   const nodes = view.panels[0].up
     ? view.groups.map((group, g) => grid(group, view.panels[0], g))
     : view.panels.map((panel) => strips(panel));
   at("panels").replaceChildren(...nodes);
   at("panels").classList.toggle("strips", !view.panels[0].up);
-  at("map-key").replaceChildren(
-    ...Object.entries(SIGNS).map(([verdict, [sign, words]]) => make("li", {}, make("span", { class: `sample ${verdict.replaceAll(" ", "-")}`, "aria-hidden": "true" }, sign), words)),
-    make("li", {}, make("span", { class: "ramp", "aria-hidden": "true" }), "probability 0 to 100 %"),
-    make("li", {}, make("span", { class: "sample inside-sample", "aria-hidden": "true" }), "D(\u03c4), the domain around the nominal \u25ce"),
-    make("li", {}, make("span", { class: "dots", "aria-hidden": "true" }, "\u2022 \u00d7"), "experiment within, above the threshold"),
-  );
   for (const table of at("panels").querySelectorAll("table")) table.addEventListener("keydown", step);
 }
 
@@ -156,7 +132,7 @@ function strips(panel) {
     make("caption", {}, named(panel.across)),
     make("thead", {}, make("tr", {}, make("td", {}), ...panel.across.ticks.map((tick) => make("th", { scope: "col" }, minus(tick))))),
     make("tbody", {}, ...view.groups.map((group, g) => make(
-      "tr", {}, make("th", { scope: "row" }, group || "all"), ...panel.cells[0].map((cell) => square(g, cell)),
+      "tr", {}, make("th", { scope: "row" }, group || "all"), ...panel.rows[0].map((cell) => square(g, cell)),
     ))),
   );
 }
@@ -167,7 +143,7 @@ function grid(group, panel, g) {
   return make(
     "table", { class: `map${panel.across.ticks.length > 10 ? " small" : ""}`, role: "grid", "aria-label": `${group || "all experiments"}: ${named(panel.across)} and ${named(up)}` },
     make("caption", {}, group || "all experiments", make("small", {}, ` ${named(up)} against ${named(panel.across)}`)),
-    make("tbody", {}, ...panel.cells.map((row, k) => make(
+    make("tbody", {}, ...panel.rows.map((row, k) => make(
       "tr", {}, make("th", { scope: "row" }, minus(up.ticks[k])), ...row.map((cell) => square(g, cell)),
     )).reverse()),
     make("tfoot", {}, make("tr", {}, make("td", {}), ...panel.across.ticks.map((tick) => make("th", { scope: "col" }, minus(tick))))),
@@ -183,11 +159,11 @@ function square(g, cell) {
       pick(g, cell);
     }
   });
-  // The nominal is on every strip.
+  // The centre is on every strip.
   const key = `${g} ${cell}`;
-  const same = cells.get(key);
+  const same = squares.get(key);
   if (same) twins.set(node, same);
-  else cells.set(key, node);
+  else squares.set(key, node);
   return node;
 }
 
@@ -232,38 +208,32 @@ function paint() {
     const verdict = answer.colours[answer.colour[g][c]];
     const chance = answer.chance[g][c];
     const own = lying.get(`${g} ${c}`) ?? [];
-    const within = own.filter((point) => point.error !== null && point.error <= answer.threshold).length;
-    node.className = verdict.replaceAll(" ", "-") + (answer.inside[g][c] ? " inside" : "") + (c === view.nominal ? " nominal" : "");
+    const within = own.filter((point) => point.error !== null && point.error <= answer.tau).length;
+    node.className = verdict.replaceAll(" ", "-") + (answer.inside[g][c] ? " inside" : "") + (c === view.centre ? " centre" : "");
     node.classList.toggle("picked", picked?.group === g && picked.cell === c);
     const fill = chance === null ? null : ramp(chance);
     node.style.background = fill ? `rgb(${fill.join(" ")})` : "";
     node.style.color = fill ? ink(fill) : "";
-    const percent = chance === null ? "" : `${rounded(chance, answer.confidence)}`;
+    const percent = String(answer.percent[g][c] ?? "");
     node.replaceChildren(
-      make("span", { class: "sign" }, SIGNS[verdict][0]),
+      make("span", { class: "sign" }, SIGNS[verdict]),
       make("span", { class: "percent" }, percent),
       make("span", { class: "dots" }, drawn ? marks(within, own.length - within) : ""),
     );
     const words = `${view.groups[g] ? `${view.groups[g]}, ` : ""}${view.texts[c]}: ${verdict}`
       + `${chance === null ? "" : `, ${percent} % probable`}, ${several(own.length, "experiment")}${own.length ? `, ${within} within` : ""}`
-      + `${c === view.nominal ? ", the nominal" : ""}`;
+      + `${c === view.centre ? ", the nominal" : ""}`;
     node.setAttribute("aria-label", words);
     node.title = words;
   }
   for (const table of at("panels").querySelectorAll("table")) {
     if (table.querySelector("td[tabindex='0']")) continue;
-    const first = /** @type {HTMLElement | null} */ (table.querySelector("td.nominal") ?? table.querySelector("td[data-cell]"));
+    const first = /** @type {HTMLElement | null} */ (table.querySelector("td.centre") ?? table.querySelector("td[data-cell]"));
     if (first) first.tabIndex = 0;
   }
-  counts(answer);
+  at("counts").replaceChildren(...answer.figures.map(([title, value]) => make("div", {}, make("dt", {}, title), make("dd", {}, value))));
   if (picked) cellOf(picked.group, picked.cell);
-  root.dataset.threshold = String(answer.threshold);
-}
-
-/** In per cent; what is below a confidence is not rounded up to it. @param {number} chance @param {number} confidence */
-function rounded(chance, confidence) {
-  const percent = Math.round(100 * chance);
-  return chance < confidence && percent >= 100 * confidence - 1e-9 ? percent - 1 : percent;
+  root.dataset.tau = String(answer.tau);
 }
 
 /** Black or white, whichever can be read. @param {number[]} fill */
@@ -281,28 +251,13 @@ function marks(within, above) {
   return [within ? `${within}\u2022` : "", above ? `${above}\u00d7` : ""].filter(Boolean).join(" ");
 }
 
-/** @param {Shown} answer */
-function counts(answer) {
-  const sizes = answer.sizes;
-  const [low, high] = [Math.min(...sizes), Math.max(...sizes)];
-  const size = low === high ? `${low}` : `${low} to ${high}`;
-  /** @type {[string, string][]} */
-  const figures = [
-    ["\u2713 trusted", String(answer.count.trusted)], ["? doubtful", String(answer.count.doubtful)],
-    ["\u2715 not trusted", String(answer.count["not trusted"])],
-    ["no experiment", String(answer.count["no data"] + answer.count.predicted)],
-    ["cells in D(\u03c4)", `${size} of ${view.texts.length}`],
-  ];
-  at("counts").replaceChildren(...figures.map(([title, value]) => make("div", {}, make("dt", {}, title), make("dd", {}, value))));
-}
-
 // --- a cell ----------------------------------------------------------------------------------
 
 /** @param {number} g @param {number} cell @param {boolean} [focus] */
 function pick(g, cell, focus = false) {
   picked = { group: Math.max(0, g), cell };
   paint();
-  const node = cells.get(`${picked.group} ${cell}`);
+  const node = squares.get(`${picked.group} ${cell}`);
   if (focus && node) {
     node.scrollIntoView({ block: "nearest" });
     node.focus();
@@ -312,24 +267,24 @@ function pick(g, cell, focus = false) {
 /** @param {number} g @param {number} c */
 function cellOf(g, c) {
   if (!shown) return;
-  const { threshold } = shown;
+  const { tau: most } = shown;
   const verdict = shown.colours[shown.colour[g][c]];
-  const chance = shown.chance[g][c];
+  const percent = shown.percent[g][c];
   const own = view.points.filter((point) => point.group === g && point.cell === c)
     .sort((a, b) => (b.error ?? Infinity) - (a.error ?? Infinity));
   const unit = view.unit ? ` ${view.unit}` : "";
-  const where = c === view.nominal && view.panels.length > 2 ? "the nominal" : view.texts[c];
+  const where = c === view.centre && view.panels.length > 2 ? "the nominal" : view.texts[c];
   at("cell-title").textContent = `${view.groups[g] ? `${view.groups[g]}: ` : ""}${where}`;
   at("cell").replaceChildren(
-    make("p", {}, make("strong", {}, `${SIGNS[verdict][0]} ${verdict}`),
-      chance === null ? "" : `, ${rounded(chance, shown.confidence)} % probable`),
+    make("p", {}, make("strong", {}, `${SIGNS[verdict]} ${verdict}`),
+      percent === null ? "" : `, ${percent} % probable`),
     own.length
       ? make("ul", { class: "members" }, ...own.map((point) => make(
         "li", {},
         make("a", { href: `${ROOT}/experiments/${point.id}` }, point.key),
         make("span", { class: "number" }, point.error === null ? "failed" : `${digits(+point.error.toPrecision(3))}${unit}`,
-          " ", make("span", { class: `tag ${point.error !== null && point.error <= threshold ? "good" : "fault"}` },
-            point.error !== null && point.error <= threshold ? "\u2713 within" : "\u2715 above")),
+          " ", make("span", { class: `tag ${point.error !== null && point.error <= most ? "good" : "fault"}` },
+            point.error !== null && point.error <= most ? "\u2713 within" : "\u2715 above")),
       )))
       : make("p", { class: "remark" }, "This cell has no experiments and no verdict."),
   );
@@ -337,15 +292,13 @@ function cellOf(g, c) {
 
 if (root.dataset.map) {
   input("slider").addEventListener("input", () => {
-    input("threshold").value = String(offSlider(Number(input("slider").value)));
+    tau.value = String(offSlider(Number(input("slider").value)));
     void refresh();
   });
-  input("threshold").addEventListener("input", () => {
-    const value = Number(input("threshold").value);
-    if (value > 0) input("slider").value = String(onSlider(value));
+  at("claim").addEventListener("input", () => {
+    if (Number(tau.value) > 0) input("slider").value = String(onSlider(Number(tau.value)));
     void refresh();
   });
-  for (const id of ["level", "confidence"]) at(id).addEventListener("change", () => refresh());
   input("points").addEventListener("change", paint);
   at("copy-command").addEventListener("click", () => copy(shown?.command ?? "", "the command"));
   document.getElementById("which")?.addEventListener("change", (event) => {

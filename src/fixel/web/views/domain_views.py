@@ -11,18 +11,27 @@ from pydantic import Field
 from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.domain.cells import CellAxis, Cells
-from fixel.domain.claim import COLOURS, TRUSTED, Claim
+from fixel.domain.claim import COLOURS, TRUSTED, CellVerdict, Claim
 from fixel.domain.domain import DomainMap
 from fixel.domain.evidence import value_of
 from fixel.errors import InvalidInput, JobRefused, NotStored
 from fixel.web.values import Answer, Finite
 from fixel.workflows.analysis import StoredAnalysis, load_with_errors
 from fixel.workflows.domain.evidence import DomainEvidence, load_evidence
+from fixel.workflows.domain.fits import ProjectRequest
 from fixel.workflows.domain.mapping import claimed, map_of
 from fixel.workflows.domain.run import DOMAIN
 
 MAX_GROUPS: Final = 40
 MAX_CELLS: Final = 40_000  # of all groups
+# Class, sign and meaning of each colour, in the order of `COLOURS`; signs tell what colours tell.
+MAP_KEY: Final = (
+    ("trusted", "✓", "trusted: errors stay within the threshold"),
+    ("doubtful", "?", "doubtful: too few experiments"),
+    ("not-trusted", "✕", "not trusted: errors exceed the threshold"),
+    ("no-data", "", "no experiment"),
+    ("predicted", "◌", "no experiment; predicted from other cells"),
+)
 
 
 class AxisTicks(Answer):
@@ -38,7 +47,7 @@ class DomainPanel(Answer):
 
     across: AxisTicks
     up: AxisTicks | None
-    cells: list[list[int]] = Field(description="indices of the cells, by row from the bottom")
+    rows: list[list[int]] = Field(description="indices of the cells, by row from the bottom")
 
 
 class MapPoint(Answer):
@@ -61,11 +70,10 @@ class MapDocument(Answer):
     unit: str = Field(description="unit of thresholds and errors: mm, or empty for relative errors")
     low: float = Field(description="smallest useful threshold; errors below it are noise")
     high: float
-    claim: dict[str, float] = Field(description="initial threshold, level and confidence")
     groups: list[str] = Field(description="names of the groups, one map for each")
     panels: list[DomainPanel]
     texts: list[str] = Field(description="description of each cell")
-    nominal: int = Field(description="index of the nominal cell")
+    centre: int = Field(description="index of the nominal cell")
     points: list[MapPoint]
     remarks: list[str] = Field(description="sentences about experiments and maps left out")
     simulated: bool
@@ -80,9 +88,9 @@ class ThresholdMap(Answer):
         description="probability that at least the share of the claim of new experiments stays "
         "within the threshold"
     )
+    percent: list[list[int | None]] = Field(description="the same as text for people")
     inside: list[list[int]] = Field(description="1 for cells in the domain D(tau), else 0")
-    count: dict[str, int]
-    sizes: list[int] = Field(description="number of cells in D(tau) by group")
+    figures: list[tuple[str, str]] = Field(description="counts of cells, with their titles")
     command: str
 
 
@@ -124,13 +132,13 @@ def find_map(project: Project, name: str) -> StoredAnalysis:
     return one
 
 
-def load_view(project: Project, store: Store, name: str, created: str) -> MapView:
+def load_view(project: Project, records: Store, name: str, created: str) -> MapView:
     """Return a stored map; its surface is fitted again if it was too large to be stored.
 
     Parameters
     ----------
     project : Project
-    store : Store
+    records : Store
     name : str
         Name of its folder.
     created : str
@@ -148,7 +156,9 @@ def load_view(project: Project, store: Store, name: str, created: str) -> MapVie
     if not one.analysis.request:
         raise JobRefused("an earlier version of fixel has made this map", hint=again)
     asked = DOMAIN.request(one.analysis.request)
-    gathered = load_evidence(project, store, asked, str(one.analysis.numbers["evidence"]))
+    gathered = load_evidence(
+        ProjectRequest(project, records, asked), str(one.analysis.numbers["evidence"])
+    )
     if gathered is None:
         raise JobRefused(
             "the errors of this map are no longer stored, or the project has changed", hint=again
@@ -165,7 +175,7 @@ def document(view: MapView) -> MapDocument:
         It has too many cells for a page.
     """
     domain, found = view.domain, view.gathered.found
-    cells, groups, claim = domain.cells, domain.groups[:MAX_GROUPS], domain.claimed
+    cells, groups = domain.cells, domain.groups[:MAX_GROUPS]
     if len(cells) * len(groups) > MAX_CELLS:
         raise InvalidInput("axis", found="more cells than this page can show", expected="fewer")
     low, high = domain.usual_thresholds[[0, -1]].tolist()
@@ -184,15 +194,10 @@ def document(view: MapView) -> MapDocument:
         unit="mm" if domain.measure == "absolute" else "",
         low=low,
         high=high,
-        claim={
-            "threshold": min(max(claim.threshold, low), high),
-            "level": claim.level,
-            "confidence": claim.confidence,
-        },
         groups=list(groups),
         panels=_panels(cells),
         texts=[cells.text(c) for c in range(len(cells))],
-        nominal=cells.nominal,
+        centre=cells.nominal,
         points=_points(domain),
         remarks=remarks,
         simulated=not view.gathered.is_real,
@@ -208,15 +213,32 @@ def at_threshold(view: MapView, claim: Claim, folder: Path) -> ThresholdMap:
     for own in verdicts[:MAX_GROUPS]:
         connected = set(domain.cells.component([v.colour == TRUSTED for v in own]))
         inside.append([int(c in connected) for c in range(len(domain.cells))])
+    count = [sum(own.count(k) for own in colour) for k in range(len(COLOURS))]
+    figures = [(f"{MAP_KEY[k][1]} {COLOURS[k]}", str(count[k])) for k in range(3)]
+    low, high = (end(sum(own) for own in inside) for end in (min, max))
+    size = f"{low}" if low == high else f"{low} to {high}"
     return ThresholdMap(
         colours=list(COLOURS),
         colour=colour[:MAX_GROUPS],
         chance=[[round(v.confidence, 4) for v in own] for own in verdicts[:MAX_GROUPS]],
+        percent=[[_percent(v, claim) for v in own] for own in verdicts[:MAX_GROUPS]],
         inside=inside,
-        count={name: sum(own.count(k) for own in colour) for k, name in enumerate(COLOURS)},
-        sizes=[sum(own) for own in inside],
+        figures=[
+            *figures,
+            ("no experiment", str(sum(count[3:]))),
+            ("cells in D(τ)", f"{size} of {len(domain.cells)}"),
+        ],
         command=DOMAIN.command(claimed(DOMAIN.request(view.kept.analysis.request), claim), folder),
     )
+
+
+def _percent(verdict: CellVerdict, claim: Claim) -> int | None:
+    """Return a probability in per cent; one below a confidence is not rounded up to it."""
+    if not np.isfinite(verdict.confidence):
+        return None
+    percent = int(100.0 * verdict.confidence + 0.5)
+    below = verdict.confidence < claim.confidence and percent >= 100.0 * claim.confidence - 1e-9
+    return percent - int(below)
 
 
 def suggested(view: MapView, claim: Claim, most: int = 3) -> list[SuggestedExperiment]:
@@ -260,14 +282,14 @@ def _panels(cells: Cells) -> list[DomainPanel]:
     if not cells.is_strips:
         across, up = cells.axes
         grid = [[number[i, j] for i in range(len(across))] for j in range(len(up))]
-        return [DomainPanel(across=_ticks(across), up=_ticks(up), cells=grid)]
+        return [DomainPanel(across=_ticks(across), up=_ticks(up), rows=grid)]
     centre = cells.index[cells.nominal]
     strips = [
         [number[(*centre[:a], k, *centre[a + 1 :])] for k in range(len(axis))]
         for a, axis in enumerate(cells.axes)
     ]
     return [
-        DomainPanel(across=_ticks(axis), up=None, cells=[strip])
+        DomainPanel(across=_ticks(axis), up=None, rows=[strip])
         for axis, strip in zip(cells.axes, strips, strict=True)
     ]
 

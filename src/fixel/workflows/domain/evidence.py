@@ -31,11 +31,10 @@ from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
 from fixel.io.result_cache import ResultCache
-from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.typing import ProgressCallback
 from fixel.workflows.calibration.project import select_experiments
 from fixel.workflows.calibration.stored import known_pushes, load_values, newest_calibration
-from fixel.workflows.domain.fits import own_best, stored_model
+from fixel.workflows.domain.fits import ProjectRequest, own_best, stored_model
 
 FOLDER: Final = "held-out"
 WHOLE: Final = "evidence.json"
@@ -61,9 +60,7 @@ class DomainEvidence(NamedTuple):
     mark: str = ""
 
 
-def gather(
-    project: Project, asked: Any, progress: ProgressCallback | None = None
-) -> DomainEvidence:
+def gather(project: Project, asked: Any, report: ProgressCallback | None = None) -> DomainEvidence:
     """Compute the held-out errors of the requested experiments, or load them if stored.
 
     They are shared by maps of the same experiments with other axes, thresholds and nominals.
@@ -73,39 +70,41 @@ def gather(
     project : Project
     asked : BaseModel
         Request for a map.
-    progress : callable, optional
+    report : callable, optional
+        Progress.
     """
-    with project.store() as store:
-        summaries = store.experiments(query_of(asked)).rows
-        if not summaries:
+    with project.store() as records:
+        of = ProjectRequest(project, records, asked)
+        ids = [row.id for row in records.experiments(of.query).rows]
+        if not ids:
             raise InvalidInput(
                 "experiments",
                 found="none",
                 expected="some",
                 hint="fixel list shows all experiments",
             )
-        mark = mark_of(store, asked, [summary.id for summary in summaries])
+        mark = mark_of(of, ids)
         folder = project.folder / ANALYSES / FOLDER / mark
         if _read(folder) is None:
-            _write(folder, _computed(project, store, asked, ResultCache(folder).get, progress))
-        found = load_evidence(project, store, asked, mark)
+            _write(folder, _computed(of, ResultCache(folder).get, report))
+        found = load_evidence(of, mark)
     assert found is not None
     return found
 
 
-def load_evidence(project: Project, store: Store, asked: Any, mark: str) -> DomainEvidence | None:
+def load_evidence(of: ProjectRequest, mark: str) -> DomainEvidence | None:
     """Load evidence that is stored under a mark, without computation; None if it is gone."""
-    folder = project.folder / ANALYSES / FOLDER / mark
+    folder = of.project.folder / ANALYSES / FOLDER / mark
     content = _read(folder) if mark else None
     if content is None:
         return None
     with readable(folder / WHOLE, f"delete the folder {folder} and compute the map again"):
-        errors = errors_of(content, asked)
-    if asked.relative is not None:
-        targets = select_experiments(store, errors.keys[:1], query_of(asked)).targets
-        own, notes = own_best(store, errors.ids, stored_model(project, store, asked, targets).model)
+        errors = errors_of(content, of.asked)
+    if of.asked.relative is not None:
+        targets = select_experiments(of.store, errors.keys[:1], of.query).targets
+        own, notes = own_best(of.store, errors.ids, stored_model(of, targets).model)
         errors = replace(errors, own_mm2=own, notes=tuple(notes))
-    real = all(summary.is_real for summary in store.experiments(query_of(asked)).rows)
+    real = all(row.is_real for row in of.store.experiments(of.query).rows)
     return DomainEvidence(errors, content, real, mark)
 
 
@@ -114,57 +113,49 @@ def store_evidence(project: Project, content: Mapping[str, Any], asked: Any) -> 
     if not content:
         expected = "a map that fixel.map_domain has made"
         raise InvalidInput("map", found="no evidence in it", expected=expected)
-    with project.store() as store:
-        ids = [store.find(key) for key in content["keys"]]
-        real = all(store.experiment(number).real for number in ids)
+    with project.store() as records:
+        ids = [records.find(key) for key in content["keys"]]
+        real = all(records.experiment(number).real for number in ids)
     whole = {**content, "ids": ids}
     mark = hashlib.sha256(json.dumps(whole, allow_nan=False).encode()).hexdigest()[:12]
     _write(project.folder / ANALYSES / FOLDER / mark, whole)
     return DomainEvidence(errors_of(whole, asked), whole, real, mark)
 
 
-def query_of(asked: Any) -> ExperimentQuery:
-    """Return the query for the experiments of a request."""
-    return parse_filter(*asked.where, dataset=asked.dataset or None, include_faulty=asked.flagged)
-
-
-def mark_of(store: Store, asked: Any, ids: Sequence[int]) -> str:
+def mark_of(of: ProjectRequest, ids: Sequence[int]) -> str:
     """Return a hash of everything the numbers depend on; stored records never change."""
+    asked = of.asked
     names = ("calibration", "fit", "apart", "leave_out", "folds", "seed")
     kept = asked.model_dump(mode="json", include=set(names))
     kept |= {"engine": asked.engine} if asked.engine else {}
     if asked.calibration is None and not asked.fit:
-        kept["newest_calibration"] = newest_calibration(store, engine=asked.engine)
-    of = [VERSION, kept, list(ids), repr(SQUARES), MAX_TRAINING]
-    return hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()[:12]
+        kept["newest_calibration"] = newest_calibration(of.store, engine=asked.engine)
+    whole = [VERSION, kept, list(ids), repr(SQUARES), MAX_TRAINING]
+    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def _computed(
-    project: Project,
-    store: Store,
-    asked: Any,
-    finished: Finished,
-    progress: ProgressCallback | None,
+    of: ProjectRequest, finished: Finished, report: ProgressCallback | None
 ) -> dict[str, Any]:
-    chosen = select_experiments(store, (), query_of(asked))
-    started = stored_model(project, store, asked, chosen.targets)
-    if asked.relative is not None:  # raises before hours of fits if there is no own best
-        own_best(store, chosen.ids, started.model)
+    chosen = select_experiments(of.store, (), of.query)
+    started = stored_model(of, chosen.targets)
+    if of.asked.relative is not None:  # raises before hours of fits if there is no own best
+        own_best(of.store, chosen.ids, started.model)
     return {
-        **evidence_of(chosen.targets, started.model, asked, finished, progress),
+        **evidence_of(chosen.targets, started.model, of.asked, finished, report),
         "ids": chosen.ids,
-        "unseen": _unseen(store, started.calibration, chosen.targets),
+        "unseen": _unseen(of.store, started.calibration, chosen.targets),
         "calibration": started.calibration,
         "started": started.words,
         "left_out": dict(chosen.left_out),
     }
 
 
-def _unseen(store: Store, calibration: int | None, targets: Sequence[Target]) -> list[str]:
+def _unseen(records: Store, calibration: int | None, targets: Sequence[Target]) -> list[str]:
     """Return what no experiment of the calibration has, with the number of experiments."""
     if calibration is None:
         return []
-    known = known_pushes(store, load_values(store, calibration))
+    known = known_pushes(records, load_values(records, calibration))
     counts = Counter(text for target in targets for text in known.texts(target))
     return [
         f"calibration {calibration}: {text} ({n} experiment{'s' if n > 1 else ''})"
@@ -177,11 +168,11 @@ def evidence_of(
     model: CalibrationModel,
     asked: Any,
     finished: Finished,
-    progress: ProgressCallback | None = None,
+    report: ProgressCallback | None = None,
 ) -> dict[str, Any]:
     """Compute held-out errors of experiments, with coordinates and noise, as plain values."""
     apart = apart_of(targets, asked)
-    errors = held_out(targets, model, apart, finished, progress, asked.threads)
+    errors = held_out(targets, model, apart, finished, report, asked.threads)
     scale = float(getattr(model.error, "angle_scale", ANGLE_SCALE))
     floor, source = noise_floor(targets, scale, ends=isinstance(model.error, EndPose))
     return {

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from fixel.calibration.objective import EndPose, MeanSquare
+from fixel.calibration.objective import AbstractError, EndPose, MeanSquare
 from fixel.calibration.target import Target
 from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
 from fixel.database.project import Project
@@ -20,6 +20,7 @@ from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
 from fixel.io.result_cache import ResultCache
+from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model, stated_name
@@ -52,16 +53,37 @@ def calibration_model(
     motion : AbstractMotionModel or str, optional
         Motion model; by default that of the calibration, else dynamic.
     """
-    if not isinstance(fit, Calibration):
+    error: AbstractError = MeanSquare()
+    if isinstance(fit, Calibration):
+        # Maps count mean squares [mm^2]; other errors minimised before do not matter here.
+        space, motion = fit.space.started_at(fit.found.point), motion or fit.motion
+        made = fit.request.made_error
+        error = made if isinstance(made, MeanSquare | EndPose) else error
+    else:
         space = search_space(fit, targets)
-        return CalibrationModel(space=space, motion=motion_model(motion), error=MeanSquare())
-    # Maps count mean squares [mm^2]; other errors minimised before do not matter here.
-    error = fit.request.made_error
-    return CalibrationModel(
-        space=fit.space.started_at(fit.found.point),
-        motion=motion_model(motion or fit.motion),
-        error=error if isinstance(error, MeanSquare | EndPose) else MeanSquare(),
-    )
+    return CalibrationModel(space=space, motion=motion_model(motion), error=error)
+
+
+class ProjectRequest(NamedTuple):
+    """Request on a project whose store is open.
+
+    Attributes
+    ----------
+    project : Project
+    store : Store
+    asked : BaseModel
+        Request of a capability that fits: with `calibration`, `fit`, `engine`, `where` and so on.
+    """
+
+    project: Project
+    store: Store
+    asked: Any
+
+    @property
+    def query(self) -> ExperimentQuery:
+        """Query for the experiments of the request."""
+        own = self.asked
+        return parse_filter(*own.where, dataset=own.dataset or None, include_faulty=own.flagged)
 
 
 class FitStarts(NamedTuple):
@@ -72,41 +94,28 @@ class FitStarts(NamedTuple):
     words: str
 
 
-def stored_model(
-    project: Project, store: Store, asked: Any, targets: Sequence[Target]
-) -> FitStarts:
-    """Return the parameters, motion and error of a stored calibration, else the usual ones.
-
-    Parameters
-    ----------
-    project : Project
-    store : Store
-    asked : BaseModel
-        Request with `calibration`, `fit` and `engine`.
-    targets : sequence of Target
-    """
-    scenes = [target.case.scene for target in targets]
-    one = _calibration(store, asked)
+def stored_model(of: ProjectRequest, targets: Sequence[Target]) -> FitStarts:
+    """Return the parameters, motion and error of a stored calibration, else the usual ones."""
+    scenes, asked = [target.case.scene for target in targets], of.asked
+    one = None
+    if asked.calibration is not None:
+        one = load_values(of.store, asked.calibration, engine=asked.engine)
+    elif not asked.fit and (asked.engine or of.store.calibrations()):
+        one = load_values(of.store, engine=asked.engine)
     if one is not None and not asked.fit:
-        space = searched_space(project, one, scenes)
-        model = CalibrationModel(space=space, motion=one.motion, error=one.error)
-        return FitStarts(model, one.id, f"calibration {one.id}")
-    unknowns = searched_unknowns(asked.fit, scenes) if asked.fit else default_unknowns(scenes)
+        space, words = searched_space(of.project, one, scenes), f"calibration {one.id}"
+    else:
+        unknowns = searched_unknowns(asked.fit, scenes) if asked.fit else default_unknowns(scenes)
+        space = ParameterSpace(unknowns=tuple(unknowns))
+        words = (
+            "parameters of --fit" if asked.fit else "the usual parameters, no calibration stored"
+        )
     model = CalibrationModel(
-        space=ParameterSpace(unknowns=tuple(unknowns)),
+        space=space,
         motion=motion_model(stated_name(asked.engine or "dynamic")) if one is None else one.motion,
         error=MeanSquare() if one is None else one.error,
     )
-    words = "parameters of --fit" if asked.fit else "the usual parameters, no calibration stored"
-    return FitStarts(model, None, words)
-
-
-def _calibration(store: Store, asked: Any) -> CalibratedValues | None:
-    if asked.calibration is not None:
-        return load_values(store, asked.calibration, engine=asked.engine)
-    if asked.fit or not (asked.engine or store.calibrations()):
-        return None
-    return load_values(store, engine=asked.engine)
+    return FitStarts(model, None if one is None or asked.fit else one.id, words)
 
 
 def own_best(
@@ -159,7 +168,7 @@ def _differs(one: CalibratedValues, model: CalibrationModel) -> str:
 
 
 def fit_store(
-    store: str | Path | None, targets: Sequence[Target], model: CalibrationModel, apart: Apart
+    folder: str | Path | None, targets: Sequence[Target], model: CalibrationModel, apart: Apart
 ) -> Finished:
     """Return the cache of fits in a folder; one that stores nothing without a folder.
 
@@ -168,9 +177,9 @@ def fit_store(
     InvalidInput
         The folder belongs to a call that needs other fits; the difference is named.
     """
-    if store is None:
+    if folder is None:
         return ResultCache(None).get
-    folder = Path(store)
+    folder = Path(folder)
     own = _arguments(targets, model, apart)
     path = folder / CALL
     if (folder / JOB).is_file():

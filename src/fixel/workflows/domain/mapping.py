@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from fixel.domain.cells import Cells, cells_of, varying
 from fixel.domain.claim import Claim
 from fixel.domain.coordinates import coordinates_of
 from fixel.domain.domain import DomainMap, default_threshold, domain_map
-from fixel.domain.evidence import HeldOutErrors, Measure
+from fixel.domain.evidence import HeldOutErrors
 from fixel.domain.held_out import CalibrationModel, Finished, own_errors
 from fixel.domain.predicted_cells import predicted_cells
 from fixel.domain.surface import Surface
@@ -29,6 +29,7 @@ SURFACE: Final = "surface_"  # prefix of the arrays stored with a map
 BOUNDS: Final = "promised"  # name of the error bounds in stored maps
 MOST_BYTES: Final = 64_000_000  # largest size of a stored surface
 USUAL: Final = ("surface", "shape", "contact_angle_rad")  # axes if nothing was offset
+LIMITS: Final = ("threshold", "relative")  # options of which one is given
 OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
 
 
@@ -62,7 +63,7 @@ def map_targets(
     with show_progress(progress, "holding out") as report:
         content = evidence_of(targets, model, asked, finished, report)
         errors = errors_of(content, asked)
-        if measure_of(asked) == "relative":
+        if asked.relative is not None:
             report.stage = "calibrating each alone"
             own = own_errors(targets, model, asked.seed, asked.threads, report)
             errors = replace(errors, own_mm2=own)
@@ -114,33 +115,23 @@ def arrays_of(domain: DomainMap) -> dict[str, Any]:
 # --- request ------------------------------------------------------------------------------------
 
 
-def measure_of(asked: Any) -> Measure:
-    """Return the measure of the requested threshold."""
-    return "absolute" if asked.relative is None else "relative"
-
-
 def claim_of(asked: Any, usual: float) -> Claim:
     """Return the requested claim, with a usual threshold [mm] if there is none."""
-    if asked.threshold is not None and asked.relative is not None:
-        raise InvalidInput("relative", found="threshold too", expected="one of them")
-    if asked.threshold is not None:
-        usual = in_unit(asked.threshold, "mm")
-    return Claim(
-        threshold=usual if asked.relative is None else asked.relative,
-        measure=measure_of(asked),
-        level=asked.level,
-        confidence=asked.confidence,
-    )
+    absolute, relative = (getattr(asked, name) for name in LIMITS)
+    if absolute is not None and relative is not None:
+        raise InvalidInput(LIMITS[1], found=f"{LIMITS[0]} too", expected="one of them")
+    own = asked.model_dump(include={one.name for one in fields(Claim)})
+    if relative is not None:
+        return Claim(**{**own, LIMITS[0]: relative}, measure="relative")
+    return Claim(**{**own, LIMITS[0]: usual if absolute is None else in_unit(absolute, "mm")})
 
 
 def claimed(asked: Any, claim: Claim) -> Any:
     """Return a request with the threshold, the level and the confidence of a claim."""
-    now = {"level": claim.level, "confidence": claim.confidence}
-    if claim.measure == "absolute":
-        now["threshold"] = FACTORS["mm"] * claim.threshold
-    else:
-        now["relative"] = claim.threshold
-    return asked.model_copy(update=now)
+    now = asdict(claim)
+    absolute = now.pop("measure") == "absolute"
+    values = (FACTORS["mm"] * claim.threshold, None) if absolute else (None, claim.threshold)
+    return asked.model_copy(update={**now, **dict(zip(LIMITS, values, strict=True))})
 
 
 def check(targets: Sequence[Target], asked: Any) -> None:
@@ -158,7 +149,7 @@ def cut(errors: HeldOutErrors, asked: Any) -> tuple[HeldOutErrors, Cells, int]:
 
     Experiments that were offset along something that is no axis of the map are left out.
     """
-    axes = list(asked.axes) or usual_axes(errors, asked.facets)
+    axes = list(asked.axes) or _usual_axes(errors, asked)
     keep_row = np.ones(len(errors), bool)
     for name in varying(errors, OFFSETS):
         if name not in axes:
@@ -171,10 +162,10 @@ def cut(errors: HeldOutErrors, asked: Any) -> tuple[HeldOutErrors, Cells, int]:
     return errors, cells_of(errors, axes, asked.nominal, asked.cells), int((~keep_row).sum())
 
 
-def usual_axes(errors: HeldOutErrors, facets: Sequence[str] = ()) -> list[str]:
+def _usual_axes(errors: HeldOutErrors, asked: Any) -> list[str]:
     """Return the offsets that were varied; else conditions that differ, two at most."""
     offsets = varying(errors, OFFSETS)
-    others = [name for name in varying(errors, USUAL) if name not in facets]
+    others = [name for name in varying(errors, USUAL) if name not in asked.facets]
     if not (offsets or others):
         raise InvalidInput(
             "axes",
@@ -190,7 +181,7 @@ def _claim(asked: Any, gathered: DomainEvidence, errors: HeldOutErrors) -> Claim
     floor = gathered.found["floor_mm"]
     if claim.measure == "absolute" and floor is not None and claim.threshold < floor:
         raise InvalidInput(
-            "threshold",
+            LIMITS[0],
             found=f"{claim.threshold:.3g} mm, below the error that measurement noise alone causes",
             expected=f"at least {floor:.3g} mm ({gathered.found['floor_from']})",
             hint="no simulator can be more accurate than the measurement",

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, fields, replace
 from typing import Any
 
 import numpy as np
 
-from fixel.capability.options import FACTORS
 from fixel.domain.claim import DOUBTFUL, NO_DATA, CellVerdict, Claim
 from fixel.domain.domain import DomainMap
 from fixel.domain.next_experiment import Proposal
@@ -14,7 +14,7 @@ from fixel.domain.surface import NAMES
 from fixel.drawing.domain import map_chart, size_chart
 from fixel.table import Table
 from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
-from fixel.workflows.domain.mapping import DomainAnswer, arrays_of
+from fixel.workflows.domain.mapping import DomainAnswer, arrays_of, claimed
 from fixel.workflows.domain.run import DOMAIN
 from fixel.workflows.figures import Picture
 from fixel.workflows.sentences import sentences
@@ -70,15 +70,14 @@ def content(done: StoredAnswer) -> dict[str, Any]:
 
 def next_words(done: StoredAnswer) -> list[str]:
     """Return the next command: charts, then a tighter threshold or, below the noise, a report."""
-    numbers = done.analysis.numbers
-    half, floor = float(f"{0.5 * numbers['threshold']:.4g}"), numbers["floor_mm"]
     if not done.drawn:
         return [*done.again, "--plot", "domain"]
-    if numbers["threshold_unit"] != "mm":
-        return DOMAIN.words(done.request.model_copy(update={"relative": half}))
-    if floor is not None and half < floor:
+    numbers = done.analysis.numbers
+    claim = Claim(**{own.name: numbers[own.name] for own in fields(Claim)})
+    half = replace(claim, threshold=float(f"{0.5 * claim.threshold:.4g}"))
+    if claim.measure == "absolute" and half.threshold < (numbers["floor_mm"] or 0.0):
         return ["report"]
-    return DOMAIN.words(done.request.model_copy(update={"threshold": FACTORS["mm"] * half}))
+    return DOMAIN.words(claimed(done.request, half))
 
 
 def _headline(domain: DomainMap, claim: Claim, found: list[Proposal]) -> tuple[str, ...]:
@@ -171,10 +170,8 @@ def _numbers(
     inside = [set(own) for own in domain.domains(claim)]
     seen, bound = domain.statistic(claim.level), domain.predicted_mm
     return {
-        "threshold": claim.threshold,
+        **asdict(claim),
         "threshold_unit": "mm" if claim.measure == "absolute" else "share above the smallest E",
-        "level": claim.level,
-        "confidence": claim.confidence,
         "needed_by_counting": claim.needed,
         "cells": [
             {

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fixel.progress import ProgressOption
     from fixel.simulation.motion import AbstractMotionModel
     from fixel.workflows.calibration.calibration import Calibration
-    from fixel.workflows.domain.bounding import BoundAnswer
+    from fixel.workflows.error_bound.report import BoundAnswer
 
 LeftOut = Annotated[
     str | Sequence[str], Door(plain=tuple[str, ...], metavar="CONDITION[,CONDITION]", commas=True)
@@ -110,8 +110,8 @@ def error_bound(
     asked = ERROR_BOUND.asked({**locals(), "fit": (), "leave_out": tuple(filter(None, left_out))})
     from fixel.calibration.target import targets_of
     from fixel.progress import show_progress
-    from fixel.workflows.domain.bounding import bound_of
     from fixel.workflows.domain.fits import calibration_model
+    from fixel.workflows.error_bound.report import bound_of
 
     targets = targets_of(experiments)
     model = calibration_model(fit, targets, motion)
@@ -162,7 +162,7 @@ def bound_stored(
         a condition to leave out has a single value.
     """
     from fixel.progress import show_progress
-    from fixel.workflows.domain.bounding import bound_experiments
+    from fixel.workflows.error_bound.report import bound_experiments
 
     asked = ERROR_BOUND.asked(locals())
     with show_progress(progress, "holding out") as report:
@@ -170,9 +170,9 @@ def bound_stored(
 
 
 def _presentation() -> ModuleType:
-    from fixel.workflows.domain import bounding
+    from fixel.workflows.error_bound import report
 
-    return bounding
+    return report
 
 
 ERROR_BOUND: Final = Capability(

@@ -28,8 +28,8 @@ from fixel.progress import Reporter
 from fixel.typing import FloatArray, IntArray
 from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
 from fixel.workflows.calibration.project import select_experiments
-from fixel.workflows.domain.evidence import FOLDER, mark_of, query_of
-from fixel.workflows.domain.fits import fit_store, stored_model
+from fixel.workflows.domain.evidence import FOLDER, mark_of
+from fixel.workflows.domain.fits import ProjectRequest, fit_store, stored_model
 from fixel.workflows.figures import Picture
 
 # Largest number of fits with groups left out; more groups are left out several at a time.
@@ -61,12 +61,12 @@ class BoundAnswer(NamedTuple):
 def bound_experiments(project: Project, asked: Any, progress: Reporter) -> BoundAnswer:
     """Return the error bounds of the requested experiments of a project."""
     with project.store() as store:
-        chosen = select_experiments(store, (), query_of(asked))
-        started = stored_model(project, store, asked, chosen.targets)
-        mark = mark_of(store, asked, chosen.ids)
-        folder = project.folder / ANALYSES / FOLDER / f"bound-{mark}"
+        of = ProjectRequest(project, store, asked)
+        chosen = select_experiments(store, (), of.query)
+        started = stored_model(of, chosen.targets)
+        folder = project.folder / ANALYSES / FOLDER / f"bound-{mark_of(of, chosen.ids)}"
         bound = bound_of(chosen.targets, started.model, asked, folder, progress)
-        real = all(row.is_real for row in store.experiments(query_of(asked)).rows)
+        real = all(row.is_real for row in store.experiments(of.query).rows)
     return BoundAnswer(bound, chosen.ids, started.calibration, dict(chosen.left_out), real)
 
 

@@ -1,0 +1,1 @@
+"""Error bounds of untried pushes: computation, report, stored fits."""
