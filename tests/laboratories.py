@@ -36,25 +36,22 @@ def _make_laboratory(folder: Path) -> None:
 
 
 def _make_trusted(folder: Path) -> None:
-    from fixel.web.views.calibration_form import CalibrationForm
     from fixel.workflows.capabilities import call
 
     shutil.copytree(artefact("laboratory", _make_laboratory), folder)
-    form = CalibrationForm(
-        name="first",
-        experiments=range(6, 12),
-        unknowns=[
-            {"name": "mu_pusher", "low": 0.0, "high": 1.0, "start": 0.2},
-            {"name": "tripod_radius", "low": 0.001, "high": 0.0755, "start": 0.0409},
-        ],
-        optimiser="nelder-mead",
-        most_evaluations=60,
-        starts=2,
-    )
     project = Project(folder)
-    with project.store() as store:
-        chosen = form.selection(store)
-    job = run.prepare(project, chosen, form.plan(chosen).request)
+    job = call(
+        project,
+        "calibrate",
+        name="first",
+        experiments=tuple(map(str, range(6, 12))),
+        fit=("mu_pusher=0:1:0.2", "tripod_radius=0.001:0.0755:0.0409"),
+        mode="joint",
+        optimiser="nelder-mead",
+        max_evaluations=60,
+        starts=2,
+        prepare=True,
+    )
     run.run(job)
     run.collect(project, job, "fixel calibrate --name first", {})
     options = {"axes": ("offset_y_m", "shape"), "fit": ("mu_pusher",), "folds": 2}

@@ -98,6 +98,9 @@ SHORT = {
     "domain": {**PUSHES, "axes": ("offset_x_m",), "nominal": {"offset_x_m": 0.0},
                "threshold": 2.2e-3},
     "error-bound": {**PUSHES, "groups": ("layout",), "level": 0.8},
+    "calibrate": {
+        "experiments": ("push-1",), "fit": ("mu_pusher",), "verdicts": False, "max_evaluations": 5
+    },
     "filter": {"experiment": "push-1", "particles": 20, "occlusion": (0.5, 1.0)},
     "growth": {"limit": "2.2mm", "sizes": ("y=3", "x=2"), "motion": "quasistatic"},
     "next": {"part": "part-4", "contacts": 2, "number": 2},

@@ -126,14 +126,13 @@ def test_calibrating_the_selected_ones(table):
         table.locator(f"{ROW} td.select").nth(place).click()
     ids = [table.locator(ROW).nth(place).get_attribute("data-id") for place in (3, 6)]
     table.click("#act-calibrate")
-    table.wait_for_url(f"**/calibrations/new?experiments={','.join(ids)}")
-    table.wait_for_selector("#form[data-ready=yes]")
-    assert table.inner_text("#matching").startswith("2 experiments selected")
+    table.wait_for_url(f"**/run/calibrate?experiments={'&experiments='.join(ids)}")
+    assert table.input_value("#experiments").split() == ids
     table.go_back()
     table.wait_for_selector(ROW)
     table.keyboard.press("j")
     table.keyboard.press("c")  # the one that the keys are on
-    table.wait_for_url("**/calibrations/new?experiments=2")
+    table.wait_for_url("**/run/calibrate?experiments=2")
 
 
 def test_what_is_deleted_is_not_calibrated(table):

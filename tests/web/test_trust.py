@@ -29,7 +29,7 @@ from fixel.workflows.calibration.project import collected
 
 HERE = "http://127.0.0.1:8000"
 ANSWERS_WITHIN = 0.2  # [s] of processor time: a map at another threshold
-UNKNOWNS = [{"name": "mu_pusher", "low": 0.0, "high": 1.0, "start": 0.2}]
+FIT = ["mu_pusher=0:1:0.2"]
 
 
 @pytest.fixture(scope="module")
@@ -129,18 +129,8 @@ def test_the_objective_read_from_the_journal_is_the_one_that_is_stored(bench, pr
     assert seen.start == pytest.approx(np.mean([push["before"] for push in one["residuals"]]))
 
 
-def test_an_offer_names_what_can_be_found(bench):
-    offer = bench.get("/calibrations/offer?filter=shape%3Dsquare")
-    assert 0 < offer["experiments"] < 30
-    usual = [one["name"] for one in offer["unknowns"] if one["usual"]]
-    assert usual == ["mu_pusher", "mu_fixel", "mu_support", "tripod_radius"]
-    everything = bench.get("/calibrations/offer")
-    assert everything["faulty"] == 1
-    assert bench.get("/calibrations/offer?filter=shape%3Dnone")["unknowns"] == []
-
-
 def begun(bench, **changes):
-    body = {"experiments": [6, 7], "unknowns": UNKNOWNS, "verdicts": False} | changes
+    body = {"experiments": ["6", "7"], "fit": FIT, "mode": "joint", "verdicts": False} | changes
     return bench.post("/calibrations", body)
 
 
@@ -155,7 +145,7 @@ def awaited(bench, name, good, seconds=60.0):
 
 
 def test_one_is_begun_in_a_process_of_its_own_and_stored(bench, project):
-    job = begun(bench, name="mine", optimiser="nelder-mead", most_evaluations=12)
+    job = begun(bench, name="mine", optimiser="nelder-mead", max_evaluations=12)
     assert job["left_out"] == {}
     seen = awaited(bench, job["name"], lambda seen: seen["stored"])
     assert seen["evaluations"] >= 12
@@ -165,21 +155,21 @@ def test_one_is_begun_in_a_process_of_its_own_and_stored(bench, project):
     assert "--fit mu_pusher=0:1:0.2" in one["command"]
     # Asked for again, it is there already.
     assert (
-        begun(bench, name="mine", optimiser="nelder-mead", most_evaluations=12)["stored"]
+        begun(bench, name="mine", optimiser="nelder-mead", max_evaluations=12)["stored"]
         == (seen["stored"])
     )
 
 
 def test_a_sample_within_a_budget_is_the_one_that_the_command_draws(bench, project):
-    ids = [6, 7, 8, 9, 10, 11]
-    asked = {"optimiser": "least-squares", "sample": 2, "seed": 5, "budget_s": 1e-3}
+    ids = ["6", "7", "8", "9", "10", "11"]
+    asked = {"optimiser": "least-squares", "sample": 2, "seed": 5, "budget": 1e-3}
     job = begun(bench, experiments=ids, name="few", **asked)
     seen = awaited(bench, job["name"], lambda seen: seen["stored"])
     one = bench.get(f"/calibrations/{seen['stored'][0]}")
     assert len(one["residuals"]) == 2
     assert one["ended"] == OUT_OF_BUDGET
     assert (one["method"]["sample_of"], one["method"]["budget_s"]) == (6, 1e-3)
-    typed = f"calibrate {' '.join(map(str, ids))} --project {project} --fit mu_pusher --name typed"
+    typed = f"calibrate {' '.join(ids)} --project {project} --fit mu_pusher --name typed"
     typed += " --sample 2 --seed 5 --budget 1e-3 --no-verdicts --prepare --json"
     shown = json.loads(CliRunner().invoke(app, typed.split()).stdout)
     drawn = [project / "jobs" / job["name"], Path(shown["job"])]
@@ -187,11 +177,11 @@ def test_a_sample_within_a_budget_is_the_one_that_the_command_draws(bench, proje
     requests = [json.loads((d / "inputs" / "request.json").read_bytes()) for d in drawn]
     assert requests[0]["sample_of"] == requests[1]["sample_of"] == 6
     assert requests[0]["budget"] == requests[1]["budget"] == 1e-3
-    bench.post("/calibrations", {"unknowns": UNKNOWNS, "mode": "each", "budget_s": 9.0}, 422)
+    bench.post("/calibrations", {"fit": FIT, "mode": "each", "budget": 9.0}, 422)
 
 
 def test_one_is_stopped_and_goes_on(bench, project):
-    job = begun(bench, name="long", most_evaluations=1_000_000, starts=3)
+    job = begun(bench, name="long", max_evaluations=1_000_000, starts=3, optimiser="pattern-search")
     name = job["name"]
     folder = project / "jobs" / name
     seen = awaited(bench, name, lambda seen: seen["evaluations"] >= 5)
@@ -200,9 +190,10 @@ def test_one_is_stopped_and_goes_on(bench, project):
     pid = json.loads((folder / "state.json").read_text())["pid"]
     # Ctrl-C in the server's terminal goes to the server's session.
     assert os.getsid(pid) != os.getsid(0)
-    assert bench.post("/calibrations", {"experiments": [6, 7], "name": "long", "unknowns": UNKNOWNS,
-                                        "verdicts": False, "most_evaluations": 1_000_000,
-                                        "starts": 3}, 409)  # fmt: skip
+    again = {"experiments": ["6", "7"], "fit": FIT, "mode": "joint", "verdicts": False}
+    again |= {"name": "long", "max_evaluations": 1_000_000, "starts": 3}
+    again |= {"optimiser": "pattern-search"}
+    assert bench.post("/calibrations", again, 409)
     assert bench.post(f"/calibrations/jobs/{name}/stop")["state"] == "cancelled"
     kept = bench.get(f"/calibrations/jobs/{name}")
     assert kept["ended"]
@@ -255,7 +246,7 @@ def test_a_damaged_result_is_made_again_out_of_the_journal(tmp_path):
 
 DAMAGE = {"cut short": lambda data: data[: len(data) // 2], "else": lambda data: b'{"a": 1}'}
 SEEN = [
-    "/calibrations", "/calibrations/1", "/calibrations/new", "/domain", "/jobs", "/system",
+    "/calibrations", "/calibrations/1", "/run/calibrate", "/domain", "/jobs", "/system",
     "/api/v1/calibrations", "/api/v1/calibrations/1", "/api/v1/domain/{map}",
     "/api/v1/analyses", "/api/v1/jobs",
 ]  # fmt: skip
@@ -296,22 +287,21 @@ def test_a_damaged_file_is_named_and_hides_nothing_else(tmp_path, path, how):
 @pytest.mark.parametrize(
     ("changes", "where"),
     [
-        ({"unknowns": [{"name": "nonsense", "low": 0, "high": 1, "start": 0.5}]}, "nonsense"),
-        ({"unknowns": [{"name": "mu_pusher", "low": 1, "high": 0, "start": 0.5}]}, "mu_pusher"),
-        ({"unknowns": []}, "unknowns"),
-        ({"unknowns": UNKNOWNS * 2}, "mu_pusher"),
+        ({"fit": ["nonsense=0:1"]}, "nonsense"),
+        ({"fit": ["mu_pusher=1:0"]}, "mu_pusher"),
+        ({"fit": FIT * 2}, "mu_pusher"),
         ({"name": "../../x"}, "name"),
-        ({"experiments": [], "filter": '"'}, "filter"),
-        ({"experiments": [], "filter": "shape=none"}, "experiments"),
-        ({"most_evaluations": 0}, "most_evaluations"),
+        ({"experiments": [], "where": ["shape=none"]}, "shape"),
+        ({"max_evaluations": 0}, "max_evaluations"),
         ({"optimiser": "least-squares", "mode": "each"}, "least-squares"),
-        ({"experiments": [0]}, "experiments"),
+        ({"space": "/etc/passwd"}, "space"),
+        ({"motion": "/bin/true"}, "engine"),
         ({"colour": "red"}, "colour"),
     ],
 )
 def test_what_cannot_be_is_refused(bench, project, changes, where):
     before = sorted((project / "jobs").iterdir())
-    body = {"experiments": [6, 7], "unknowns": UNKNOWNS} | changes
+    body = {"experiments": ["6", "7"], "fit": FIT} | changes
     assert where in bench.post("/calibrations", body, 422)["sentence"]
     assert sorted((project / "jobs").iterdir()) == before
 
@@ -325,13 +315,12 @@ def test_no_part_of_an_address_becomes_a_path(bench, name):
 
 
 def test_pages_are_there(bench):
-    for path in ("/calibrations", "/calibrations/new", "/calibrations/1", "/domain"):
+    for path in ("/calibrations", "/run/calibrate", "/calibrations/1", "/domain"):
         assert bench.client.get(path).status_code == 200, path
     assert bench.client.get("/calibrations/999").status_code == 404
-    for ids in ("abc", "1;2", "0", "1,,2", "\u0661"):
-        assert bench.client.get(f"/calibrations/new?experiments={ids}").status_code == 422
-    asked = bench.client.get('/calibrations/new?filter="><script>alert(1)</script>')
+    asked = bench.client.get('/run/calibrate?where="><script>alert(1)</script>&experiments=6')
     assert "<script>alert" not in asked.text
+    assert ">6</textarea>" in asked.text
 
 
 # --- the domain ---------------------------------------------------------------------------------

@@ -52,17 +52,14 @@ def test_a_calibration_is_begun_watched_stopped_and_resumed(browser_page, server
     page.click("nav >> text=Calibrations")
     page.wait_for_selector("#rows tr")
     page.click("text=Calibrate…")
-    page.wait_for_selector("#form[data-ready]", timeout=30_000)
-    page.fill("#filter", "shape=square")
-    page.wait_for_function(
-        "() => /^1\\d experiments/.test(document.getElementById('matching').textContent)"
-    )
-    page.uncheck("#fit-mu_support")
-    page.fill("input[name='tripod_radius.high']", "60")
+    page.click("summary >> text=Options")
+    page.fill("#where", "shape=square")
+    page.fill("#fit", "mu_pusher\nmu_fixel\ntripod_radius_mm=10:60")
     page.fill("#name", "seen")
     page.fill("#starts", "9")
-    page.uncheck("#verdicts")
-    page.click("#begin")
+    page.select_option("#optimiser", "pattern-search")
+    page.select_option("#verdicts", "no")
+    page.click("button[type=submit]")
     page.wait_for_selector("#calibrating", timeout=30_000)
     until_more(page, 10)
     assert page.locator("#objective path.best").count() >= 1
@@ -85,31 +82,10 @@ def test_a_calibration_is_begun_watched_stopped_and_resumed(browser_page, server
 def test_a_wrong_request_says_why_and_can_be_mended(browser_page, server):
     page = browser_page
     page.expected_problems.append("422")
-    page.goto(server.home + "calibrations/new?experiments=6,7")
-    page.wait_for_selector("#form[data-ready]", timeout=30_000)
-    assert page.inner_text("#matching").startswith("2 experiments")
-    page.fill("input[name='mu_pusher.high']", "-1")
-    page.click("#begin")
-    page.wait_for_selector(".toast.bad >> text=mu_pusher")
-    assert page.is_enabled("#begin")
-
-
-def test_a_sample_and_a_budget_are_fields_of_the_form(browser_page, server):
-    page = browser_page
-    page.goto(server.home + "calibrations/new?experiments=6,7,8,9")
-    page.wait_for_selector("#form[data-ready]", timeout=30_000)
-    page.check("[name=mode][value=each]")
-    assert page.is_disabled("#budget")
-    page.check("[name=mode][value=joint]")
-    page.select_option("#optimiser", "least-squares")
-    page.fill("#sample", "2")
-    page.fill("#budget", "0.1")
-    page.fill("#name", "short")
-    with page.expect_request("**/api/v1/calibrations") as sent:
-        page.click("#begin")
-    asked = sent.value.post_data_json
-    assert (asked["sample"], asked["budget_s"], asked["most_evaluations"]) == (2, 0.1, None)
-    page.wait_for_url("**/calibrations/running/short-*")
+    page.goto(server.home + "run/calibrate?experiments=6&experiments=7&fit=mu_pusher%3D1:-1")
+    page.click("button[type=submit]")
+    assert "mu_pusher" in page.inner_text("#about-fit strong")
+    assert page.input_value("#experiments").split() == ["6", "7"]
 
 
 def test_the_page_shows_the_report_and_leads_to_the_worst_experiments(one, project):
@@ -213,7 +189,7 @@ def test_no_map_yet(browser_page, server, project):
         (project / "aside").rename(project / "analyses")
 
 
-@pytest.mark.parametrize("path", ["calibrations", "calibrations/new", "calibrations/1", "domain"])
+@pytest.mark.parametrize("path", ["calibrations", "run/calibrate", "calibrations/1", "domain"])
 def test_nothing_is_wider_than_a_phone(browser_page, server, path):
     browser_page.set_viewport_size({"width": 390, "height": 800})
     browser_page.goto(server.home + path)

@@ -51,7 +51,8 @@ class Capability:
         Returns the module that reports results: `report_of(result)`, an `AnalysisReport`;
         `content(done)`, the content of `--json` of a `StoredAnswer`; `next_words(done)`, words of
         the next command or none; `draw(result, path)` if `plot` is `"file"`; where a run can stop
-        early, `failed(result)`; and `add_files(result, folder)` for files of the stored analysis.
+        early, `failed(result)`; `add_files(result, folder)` for files of the stored analysis; and
+        `about()`, tables below the form of the page.
     plot : str
         What `--plot` names: a `"folder"` to which the stored figures are copied, one `"file"`, or
         nothing (`""`) where there is no such option.

@@ -14,9 +14,8 @@ from fixel.model.selection import ExperimentQuery
 from fixel.sampling.thesis import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views import calibration_detail
-from fixel.workflows.calibration.charts import draw_all, pictures_of
+from fixel.workflows.calibration.charts import _ChartData, draw_all, pictures_of
 from fixel.workflows.calibration.parameter_options import searched_unknowns
-from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.figures import write_picture
 
@@ -176,9 +175,7 @@ def test_what_could_not_be_calibrated_is_drawn_too(lab):
     lost = replace(done.outcome.found[3], errors=np.array([np.inf]), trace=None, note="crashed")
     outcome = replace(done.outcome, found=(*done.outcome.found[:3], lost))
 
-    pictures = {
-        p.name: p.chart for p in pictures_of(CalibrationReportData(replace(done, outcome=outcome)))
-    }
+    pictures = {p.name: p.chart for p in pictures_of(replace(done, outcome=outcome))}
     for chart in pictures.values():
         chart.figure()
 
@@ -188,7 +185,7 @@ def test_what_could_not_be_calibrated_is_drawn_too(lab):
 
 
 def test_simulated_experiments_never_look_real(lab):
-    desk = CalibrationReportData(_done(lab, mode="each"))
+    desk = _ChartData(_done(lab, mode="each"))
 
     assert desk.banner.startswith("SIMULATED by ")
     assert all(banner == desk.banner for banner in desk.banners)
@@ -235,7 +232,7 @@ def test_pictures_of_a_search_with_failed_evaluations(lab, tmp_path):
     errors[1::3] = np.inf
     failed = replace(one, trace=one.trace._replace(errors=errors))
     broken = replace(done, outcome=replace(done.outcome, found=(failed,)))
-    search = next(p for p in pictures_of(CalibrationReportData(broken)) if p.name == "search")
+    search = next(p for p in pictures_of(broken) if p.name == "search")
     low, high = search.chart.figure().axes[0].get_ylim()
     assert high < 10.0 * np.sqrt(errors[np.isfinite(errors)].max())
     assert low > 0.0

@@ -20,7 +20,6 @@ from fixel.web.views.live_comparison import LiveComparison
 from fixel.workflows.calibration.charts import pictures_of
 from fixel.workflows.calibration.commands import enlarged_command
 from fixel.workflows.calibration.parameter_options import searched_unknowns
-from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.calibration.request import (
     LEAST_SQUARES,
     CalibrationRequest,
@@ -73,7 +72,7 @@ def test_one_value_inside_its_interval_wherever_one_looks(found):
         told = load_detail(project, store, done.ids[-1]).answer
         one = load_values(store, done.ids[-1])
     summary = done.summary()["found"][-1]
-    charts = {p.name: p.chart for p in pictures_of(CalibrationReportData(done))}
+    charts = {p.name: p.chart for p in pictures_of(done)}
     profiles = charts["profiles"]
     table = done.joint.analysis.tables[0].lines()
     assert parameters_section(done.joint, []).tables[0].lines() == table

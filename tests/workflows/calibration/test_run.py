@@ -134,7 +134,7 @@ def test_the_box_that_was_searched_outlives_its_job(project, chosen):
 
     # Stored by an earlier version, without the box: its own parameters within their usual bounds.
     method = {k: v for k, v in one.record.method.items() if k != "unknowns"}
-    earlier = replace(one, record=replace(one.record, method=method))
+    earlier = replace(one, record=replace(one.record, method=method, request=None))
     space = searched_space(project, earlier, scenes)
     assert {u.name for u in space.unknowns} == {u.name for u in request.space.unknowns}
     assert space.values(space.nominal) == {**one.record.parameters}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Final
 
 from fastapi import APIRouter, Query
@@ -9,18 +10,22 @@ from fastapi.responses import Response
 from pydantic import Field
 
 from fixel.web.context import Context
-from fixel.web.values import Answer, FilterText, Id, Number
-from fixel.web.views import calibration_form, job_list
+from fixel.web.pages.run import begin_from_page
+from fixel.web.values import Answer, Number
+from fixel.web.views import job_list
 from fixel.web.views.calibration_detail import (
     CalibrationSummary,
     StoredCalibration,
     list_calibrations,
 )
-from fixel.web.views.calibration_form import CalibrationForm, CalibrationOffer
 from fixel.web.views.calibration_progress import CalibrationProgress, LiveProgress
 from fixel.workflows import jobs
+from fixel.workflows.calibration.project import STORE_RESULT
+from fixel.workflows.calibration.run import CALIBRATE
+from fixel.workflows.calibration.stored_run import left_out_in
 
 MAX_LISTED: Final = 500
+Options = CALIBRATE.model
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
 
@@ -62,26 +67,15 @@ def calibrations(
     )
 
 
-@router.get("/offer", summary="List parameters, methods and experiments for a calibration")
-def offer(
-    context: Context,
-    filter: Annotated[FilterText, Query()] = "",
-    experiments: Annotated[list[Id] | None, Query(max_length=2000)] = None,
-) -> CalibrationOffer:
-    return calibration_form.offer(context.store, filter, experiments or ())
-
-
 @router.post("", summary="Start a calibration in a separate process")
-def start(context: Context, form: CalibrationForm) -> CalibrationJob:
-    chosen = form.selection(context.store)
-    plan = form.plan(chosen)
+def start(context: Context, request: Options) -> CalibrationJob:  # type: ignore[valid-type]
     with job_list.job_slot(context.project.folder):
-        folder = calibration_form.begin(context.project, plan)
+        folder = begin_from_page(CALIBRATE, request, context.project)
     progress = context.calibrations.look(folder)
     return CalibrationJob(
         name=folder.name,
         state=progress.state,
-        left_out=dict(chosen.left_out),
+        left_out=left_out_in(folder),
         stored=progress.stored,
     )
 
@@ -103,7 +97,12 @@ def stop(context: Context, name: str) -> CalibrationJob:
 def resume(context: Context, name: str) -> CalibrationJob:
     folder = context.calibrations.folder(name)
     with job_list.job_slot(context.project.folder):
-        return CalibrationJob(name=name, state=calibration_form.go_on(folder).state)
+        return CalibrationJob(name=name, state=_resumed(folder))
+
+
+def _resumed(folder: Path) -> str:
+    jobs.arrange(folder)
+    return jobs.run_detached(folder, STORE_RESULT).state
 
 
 @router.get("/{number}", summary="Get a calibration")

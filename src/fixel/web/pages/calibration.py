@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import re
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from fastapi import Request
 
-from fixel.errors import InvalidInput
 from fixel.web.api.calibration import MAX_LISTED, calibrations
 from fixel.web.pages.experiment import Fact, number_in
 from fixel.web.views.calibration_detail import StoredCalibration, engine_of
@@ -22,7 +20,6 @@ if TYPE_CHECKING:
     from fixel.web.context import ProjectContext
 
 LISTED = 100  # calibrations, unless more are asked for
-IDS = re.compile(r"[1-9][0-9]{0,9}(,[1-9][0-9]{0,9})*", re.ASCII)
 GRAPH = (54.0, 640.0, 220.0)  # left, width, height of the graph of errors [px]
 DOTS = 2000  # evaluations that the graph shows one by one
 CONTINUES = "Finished evaluations are saved; Resume continues from there."
@@ -161,15 +158,6 @@ def _graph(live: LiveProgress) -> dict[str, Any] | None:
         "start": None if start is None else down(start),
         "ticks": [(down(value), short(value)) for value in ticks],
     }  # fmt: skip
-
-
-def form_page(context: ProjectContext, request: Request) -> dict[str, Any]:
-    """Fill the page on which a calibration is begun."""
-    wanted = request.query_params
-    ids = wanted.get("experiments", "")
-    if ids and not IDS.fullmatch(ids):
-        raise InvalidInput("experiments", found=repr(ids), expected="ids separated by commas")
-    return {"filter": wanted.get("filter", ""), "experiments": ids}
 
 
 def method(record: CalibrationRecord) -> list[Fact]:

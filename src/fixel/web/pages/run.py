@@ -30,6 +30,8 @@ from fixel.workflows.jobs import JobStatus
 
 OFFERED: Final = 300  # names in the list of experiments
 LOG_LINES: Final = 200
+# Pages of jobs that show more than the progress of their chunks.
+PROGRESS: Final = {"calibrate": "/calibrations/running"}
 FORMS: Final[Mapping[str, Capability]] = {
     name: one
     for name, one in capabilities.CAPABILITIES.items()
@@ -78,9 +80,14 @@ def plan_page(context: ProjectContext, request: Request) -> dict[str, Any]:
 
 
 def form_page(context: ProjectContext, request: Request) -> dict[str, Any]:
-    """Fill `/run/NAME?from=RESULT`, with the defaults or the request of a stored result."""
+    """Fill `/run/NAME?from=RESULT`, with the defaults or the request of a stored result.
+
+    Options may be in the address, as in `?experiments=6&experiments=7`.
+    """
     capability = form_of(request.url.path)
     texts = {name: o.texts(o.default) for name, o in capability.shown.items()}
+    for name in texts.keys() & request.query_params.keys():
+        texts[name] = texts_of(capability, name, request.query_params.getlist(name))
     if source := request.query_params.get("from", ""):
         kept = _result(context, source)
         if kept.analysis.kind == capability.name and kept.analysis.request:
@@ -98,7 +105,7 @@ def start(
         folder = begin(context, capability, capability.from_texts(texts))
     except FixelError as error:
         return _form(context, capability, texts, error)
-    return f"/jobs/{quote(folder.name)}"
+    return f"{PROGRESS.get(capability.name, '/jobs')}/{quote(folder.name)}"
 
 
 def begin(context: ProjectContext, capability: Capability, asked: BaseModel) -> Path:
@@ -164,6 +171,7 @@ def _form(
             at.error = str(own)
     return {
         "title": capability.heading,
+        "about": getattr(capability.presentation(), "about", tuple)(),
         "capability": capability,
         "fields": [own for own in shown if own.option.place or own.option.required],
         "options": [own for own in shown if not (own.option.place or own.option.required)],

@@ -46,7 +46,6 @@ def project_pages(context: ProjectContext) -> list[Page]:
         ("/api", "API", "api.html", 90, api_page),
     ]
     others = [
-        ("/calibrations/new", "Calibrate", "calibrate.html", calibration.form_page),
         ("/calibrations/running/{name}", "Calibration", "calibrating.html",
          calibration.running_page),
         ("/calibrations/{number}", "Calibration", "calibration.html", calibration.stored_page),

@@ -56,8 +56,8 @@ async function changed() {
 function calibrate(ids) {
   if (!ids.length || deleted()) return;
   // An address holds so many ids and no more; all that match are named by the filter.
-  if (ids.length <= MOST_CHOSEN) location.assign(`${ROOT}/calibrations/new?experiments=${ids.sort((a, b) => a - b).join(",")}`);
-  else if (ids.length === Number(at("list").dataset.total)) location.assign(`${ROOT}/calibrations/new?${new URLSearchParams({ filter: input("filter").value })}`);
+  if (ids.length <= MOST_CHOSEN) location.assign(`${ROOT}/run/calibrate?${new URLSearchParams(ids.sort((a, b) => a - b).map((id) => ["experiments", String(id)]))}`);
+  else if (ids.length === Number(at("list").dataset.total)) location.assign(`${ROOT}/run/calibrate?${new URLSearchParams({ where: input("filter").value })}`);
   else toast(`At most ${MOST_CHOSEN} experiments can be selected one by one; filter the table and select all that match.`, { bad: true });
 }
 

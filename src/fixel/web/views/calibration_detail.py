@@ -24,8 +24,6 @@ from fixel.workflows.analysis import Analysis
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.project import stored_run
-from fixel.workflows.calibration.report_data import CalibrationReportData
-from fixel.workflows.calibration.result import ParameterSet
 from fixel.workflows.calibration.stored import misfit_of
 
 WORST: Final = 3
@@ -121,14 +119,13 @@ class CalibrationDetail(NamedTuple):
 def load_detail(project: Project, store: Store, calibration_id: int) -> CalibrationDetail:
     """Load everything about a stored calibration."""
     record = store.calibration(calibration_id)
-    fit, data, note = None, None, ""
+    fit, note = None, ""
     starts: list[Start] = []
     try:
         run = stored_run(project, calibration_id, record)
         if run is not None and calibration_id in run.ids:
             fit = run[run.ids.index(calibration_id)]
-            data = CalibrationReportData(run, project)
-            starts = starts_of(data, fit.found)
+            starts = starts_of(fit)
             note = fit.found.note if starts or not _lacks_starts(fit) else EARLIER
     except FixelError as problem:  # what is stored can be shown all the same
         fit, note = None, str(problem)
@@ -196,14 +193,15 @@ def _lacks_starts(fit: Calibration) -> bool:
     return fit.request.starts > 1 and trace is not None and not len(trace.starts)
 
 
-def starts_of(data: CalibrationReportData, one: ParameterSet) -> list[Start]:
+def starts_of(fit: Calibration) -> list[Start]:
     """Return the ends of several searches, best first; empty for a single search."""
-    if data.request.starts == 1 or one.trace is None:
+    one = fit.found
+    if fit.request.starts == 1 or one.trace is None:
         return []
     ends = one.trace.ends()
     best = min((end.error for end in ends), default=math.inf)
     evaluations = np.bincount(one.trace.starts, minlength=len(ends)).tolist()
-    shared = len(one.members) if data.request.combine == "sum" else 1
+    shared = len(one.members) if fit.request.combine == "sum" else 1
     found = [
         Start(
             error=end.error / shared,

@@ -37,8 +37,8 @@ from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.commands import enlarged_command
-from fixel.workflows.calibration.request import CalibrationRequest, call_of
+from fixel.workflows.calibration.commands import call_of, enlarged_command
+from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import (
     CalibrationResult,
     FitKind,

@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from fixel.calibration.study import NOMINAL
 from fixel.calibration.target import Target
 from fixel.drawing.calibration import BEFORE, Quantity, errors_chart, offsets_chart, seconds_chart
 from fixel.drawing.chart import Chart, plot_axes
 from fixel.drawing.overlay import OverlayMotions, Track, overlay_chart
 from fixel.drawing.profiles import parameters_chart, profiles_chart
 from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
+from fixel.database.project import Project
+from fixel.database.query import ALL_EXPERIMENTS
+from fixel.drawing.calibration import OffsetSeries
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, placed
+from fixel.model.records import Estimate
+from fixel.model.space import ParameterSpace
 from fixel.simulation import Simulation, simulate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.job import NEARLY
-from fixel.workflows.calibration.report_data import CalibrationReportData, title_of
-from fixel.workflows.calibration.result import FitKind, ParameterSet
-from fixel.workflows.figures import Picture, make_folder, write_picture
+from fixel.workflows.calibration.request import CalibrationRequest
+from fixel.workflows.calibration.result import CalibrationResult, FitKind, ParameterSet
+from fixel.workflows.figures import Picture, banner_of, make_folder, write_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,6 +42,125 @@ MAX_ROWS: Final = 20  # calibrations in a drawing of all
 
 
 Pictures = Iterator[Picture]
+
+# Axes of a sampling plan, with the units of their offsets among an experiment's conditions.
+OFFSETS: Final = {"x": "m", "y": "m", "theta": "rad"}
+
+
+class _ChartData:
+    """Cached data of a calibration.
+
+    Parameters
+    ----------
+    calibration : Calibrations
+    project : Project, optional
+        Project that contains the experiments; by default that of the job's folder.
+    """
+
+    def __init__(self, calibration: Calibrations, project: Project | None = None) -> None:
+        self.calibration = calibration
+        self._project = project
+        self.request: CalibrationRequest = calibration.request
+        self.outcome: CalibrationResult = calibration.outcome
+        self.space: ParameterSpace = calibration.request.space
+        self.keys: Sequence[str] = calibration.outcome.keys
+        self.unit: str = calibration.request.made_error.unit
+
+    def lengths(self, errors: FloatArray, members: int = 1) -> FloatArray:
+        """Convert errors to lengths [mm], the unit of all charts and tables.
+
+        Parameters
+        ----------
+        errors : array
+            Errors in the unit of the calibration.
+        members : int
+            Number of experiments in each error; a sum is divided by it.
+        """
+        shared = errors / members if self.request.combine == "sum" else errors
+        return np.asarray(np.sqrt(shared) if self.unit == "mm^2" else shared)
+
+    @cached_property
+    def targets(self) -> Sequence[Target]:
+        """Experiments of the calibration."""
+        return self.calibration.targets
+
+    @cached_property
+    def alone(self) -> list[ParameterSet]:
+        """Best set of each single experiment: its own, or a neighbour's."""
+        # Neighbours' sets follow the experiments' own, and only where they are better.
+        best = {one.members[0]: one for one in self.outcome.alone}
+        return [best[member] for member in sorted(best)]
+
+    @cached_property
+    def searched(self) -> list[ParameterSet]:
+        """Sets for single experiments that were searched for."""
+        return [one for one in self.outcome.alone if one.trace is not None]
+
+    @cached_property
+    def together(self) -> ParameterSet | None:
+        """Best set for all experiments."""
+        return next(
+            (one for one in self.outcome.together if one.how in (FitKind.DIRECT, FitKind.STORED)),
+            None,
+        )
+
+    @cached_property
+    def banners(self) -> list[str]:
+        """Banner over charts of each experiment; empty for real ones."""
+        folder, project = self.calibration.folder, self._project
+        if project is None and folder is not None and self.calibration.ids:
+            project = Project(folder.parents[1])
+        if project is None:
+            return [""] * len(self.keys)
+        with project.store() as store:
+            ids = [store.find(key) for key in self.keys]
+            listed = store.experiments(ALL_EXPERIMENTS).rows
+            real = {summary.id for summary in listed if summary.is_real}
+            makers = {k: store.experiment(k).simulated_by for k in set(ids) - real}
+        return [f"SIMULATED by {makers[k]}" if makers.get(k) else "" for k in ids]
+
+    @cached_property
+    def banner(self) -> str:
+        """Banner over charts of all experiments."""
+        return banner_of(self.banners)
+
+    @cached_property
+    def groups(self) -> list[str]:
+        """Shape and layout of each experiment."""
+        return [
+            " ".join(str(own[name]) for name in ("shape", "layout") if name in own)
+            for own in (target.conditions for target in self.targets)
+        ]
+
+    @cached_property
+    def offset_axes(self) -> list[OffsetSeries]:
+        """Axes along which experiments were offset; each contains the nominal ones."""
+        found = []
+        conditions = [target.conditions for target in self.targets]
+        for name, unit in OFFSETS.items():
+            offset = f"offset_{name}_{unit}"
+            members = [
+                k for k, own in enumerate(conditions)
+                if own.get("axis") in (name, NOMINAL) and offset in own
+            ]  # fmt: skip
+            values = np.array([float(conditions[k][offset]) for k in members])
+            if len(np.unique(values)) > 1:
+                found.append(OffsetSeries(name, unit, np.array(members), values))
+        return found
+
+    def estimates(self, one: ParameterSet) -> list[Estimate]:
+        """Return the estimates of the free parameters of a set, with the bounds of the search."""
+        number = next(k for k, own in enumerate(self.outcome.found) if own is one)
+        known = self.calibration[number].estimates.values()
+        return [estimate for estimate in known if estimate.bounds is not None]
+
+
+def _title_of(data: _ChartData, one: ParameterSet, word: str = "") -> str:
+    """Title of a set: its experiments, and why it was selected."""
+    if len(one.members) > 1:
+        return f"{len(one.members)} experiments, {one.how}"
+    name = data.keys[one.members[0]]
+    return f"{name} ({word})" if word else name
 
 
 def draw_all(calibration: Calibrations, folder: Path) -> list[Path]:
@@ -57,8 +183,7 @@ def draw_all(calibration: Calibrations, folder: Path) -> list[Path]:
         The folder cannot be written to.
     """
     make_folder(folder)
-    pictures = pictures_of(CalibrationReportData(calibration))
-    return [path for picture in pictures for path in write_picture(folder, picture)]
+    return [path for picture in pictures_of(calibration) for path in write_picture(folder, picture)]
 
 
 # --- plots of a single result -------------------------------------------------------------------
@@ -72,7 +197,7 @@ def plot_parameters(fit: Calibration, ax: Axes | None = None) -> Any:
 def plot_each(fits: Calibrations, ax: Axes | None = None) -> Any:
     """Draw values and intervals of all calibrations of a run, by parameter; return the axes."""
     many = fits[:MAX_ROWS]
-    named = [title_of(_data(fit), fit.found, "") if len(fit.found.members) > 1
+    named = [_title_of(_data(fit), fit.found, "") if len(fit.found.members) > 1
              else fit.keys_of_experiments[0] for fit in many]  # fmt: skip
     rows = [
         replace(fit.estimates[unknown.label], label=f"{unknown.label} {name}")
@@ -124,8 +249,8 @@ def plot_errors(fit: Calibration, ax: Axes | None = None) -> Any:
     return plot_axes(chart.figure, ax)
 
 
-def _data(fit: Calibration) -> CalibrationReportData:
-    return CalibrationReportData(fit.run)
+def _data(fit: Calibration) -> _ChartData:
+    return _ChartData(fit.run)
 
 
 # --- which pictures -----------------------------------------------------------------------------
@@ -151,8 +276,16 @@ CAPTIONS: Final = {
 }
 
 
-def pictures_of(data: CalibrationReportData) -> Pictures:
-    """Yield the charts of a calibration, with captions."""
+def pictures_of(calibration: Calibrations, project: Project | None = None) -> Pictures:
+    """Yield the charts of a calibration, with captions.
+
+    Parameters
+    ----------
+    calibration : Calibrations
+    project : Project, optional
+        Project that contains the experiments; by default that of the job's folder.
+    """
+    data = _ChartData(calibration, project)
     for parts in (_of_searches, _of_parameters, _of_experiments, _overlays):
         for picture in parts(data):
             yield picture._replace(caption=_caption(picture.name))
@@ -164,7 +297,7 @@ def _caption(name: str) -> str:
     return CAPTIONS[stem] + (f" Here the {which}." if stem == "overlay" and which else "")
 
 
-def _of_searches(data: CalibrationReportData) -> Pictures:
+def _of_searches(data: _ChartData) -> Pictures:
     """Charts of the search for all experiments, of three single searches, and of all durations."""
     together, searched = data.together, data.searched
     if together is not None and together.trace is not None:
@@ -180,7 +313,7 @@ def _of_searches(data: CalibrationReportData) -> Pictures:
         yield Picture("seconds", _seconds_chart(data, searched), data.banner)
 
 
-def _of_parameters(data: CalibrationReportData) -> Pictures:
+def _of_parameters(data: _ChartData) -> Pictures:
     """Charts of the set for all experiments, or of single ones if there is no such set."""
     together = data.together
     sets = [("", together)] if together is not None else _picks(data.searched)
@@ -205,7 +338,7 @@ def _of_parameters(data: CalibrationReportData) -> Pictures:
         yield Picture("parameters_by_offset", chart, data.banner)
 
 
-def _of_experiments(data: CalibrationReportData) -> Pictures:
+def _of_experiments(data: _ChartData) -> Pictures:
     """Charts of the errors of all experiments, before and after."""
     if len(data.keys) == 1:  # the overlay shows it
         return
@@ -218,7 +351,7 @@ def _of_experiments(data: CalibrationReportData) -> Pictures:
         yield Picture("errors_by_offset", chart, data.banner)
 
 
-def _overlays(data: CalibrationReportData) -> Pictures:
+def _overlays(data: _ChartData) -> Pictures:
     """Overlays of the best, the median and the worst experiment, before and after."""
     together, alone = data.together, {one.members[0]: one for one in data.alone}
     after = list(_series(data).values())[-1]
@@ -231,7 +364,7 @@ def _overlays(data: CalibrationReportData) -> Pictures:
 # --- choices ------------------------------------------------------------------------------------
 
 
-def _named(stem: str, word: str, data: CalibrationReportData) -> str:
+def _named(stem: str, word: str, data: _ChartData) -> str:
     """Add a word such as "best" to a name, unless there is only one experiment."""
     return f"{stem}_{word}" if word and len(data.keys) > 1 else stem
 
@@ -253,7 +386,7 @@ def _picks(found: list[ParameterSet]) -> list[tuple[str, ParameterSet]]:
     return [(word, found[k]) for word, k in _three(errors)]
 
 
-def _series(data: CalibrationReportData) -> dict[str, FloatArray]:
+def _series(data: _ChartData) -> dict[str, FloatArray]:
     """Errors of all experiments by the set used; the last is the requested result."""
     series = {BEFORE: data.outcome.nominal}
     if data.alone:
@@ -264,7 +397,7 @@ def _series(data: CalibrationReportData) -> dict[str, FloatArray]:
     return series
 
 
-def _column(data: CalibrationReportData, values: list[float]) -> FloatArray:
+def _column(data: _ChartData, values: list[float]) -> FloatArray:
     """Arrange values of the single calibrations by experiment; nan where one has none."""
     column = np.full(len(data.keys), np.nan)
     for one, value in zip(data.alone, values, strict=True):
@@ -275,11 +408,11 @@ def _column(data: CalibrationReportData, values: list[float]) -> FloatArray:
 # --- charts -------------------------------------------------------------------------------------
 
 
-def _search_chart(data: CalibrationReportData, picks: list[tuple[str, ParameterSet]]) -> Chart:
+def _search_chart(data: _ChartData, picks: list[tuple[str, ParameterSet]]) -> Chart:
     panels = []
     for word, one in picks:
         assert one.trace is not None
-        title = title_of(data, one)
+        title = _title_of(data, one)
         if word:
             title = f"{word} of {len(data.searched)}\n{title}"
         panels.append(
@@ -288,14 +421,14 @@ def _search_chart(data: CalibrationReportData, picks: list[tuple[str, ParameterS
     return search_chart(panels, unit="mm", what=_what(data, picks[0][1]))
 
 
-def _what(data: CalibrationReportData, one: ParameterSet) -> str:
+def _what(data: _ChartData, one: ParameterSet) -> str:
     """Name of the number that a search minimised."""
     if len(one.members) == 1:
         return "RMS error"
     return "largest RMS error" if data.request.combine == "largest" else "RMS error"
 
 
-def _starts(data: CalibrationReportData, name: str, one: ParameterSet) -> Pictures:
+def _starts(data: _ChartData, name: str, one: ParameterSet) -> Pictures:
     """Chart of the ends of all starts, if there were several."""
     if data.request.starts == 1 or one.trace is None:
         return
@@ -303,7 +436,7 @@ def _starts(data: CalibrationReportData, name: str, one: ParameterSet) -> Pictur
     if len(ends) < 2:
         return
     chart = starts_chart(
-        title=f"{len(ends)} starts: {title_of(data, one)}",
+        title=f"{len(ends)} starts: {_title_of(data, one)}",
         unit="mm",
         errors=data.lengths(np.array([end.error for end in ends]), len(one.members)),
         points=np.array([end.point for end in ends]),
@@ -315,7 +448,7 @@ def _starts(data: CalibrationReportData, name: str, one: ParameterSet) -> Pictur
     yield Picture(name, chart, data.banner)
 
 
-def _seconds_chart(data: CalibrationReportData, searched: list[ParameterSet]) -> Chart:
+def _seconds_chart(data: _ChartData, searched: list[ParameterSet]) -> Chart:
     return seconds_chart(
         keys=[data.keys[one.members[0]] for one in searched],
         seconds=np.array([one.seconds for one in searched]),
@@ -323,16 +456,16 @@ def _seconds_chart(data: CalibrationReportData, searched: list[ParameterSet]) ->
     )
 
 
-def _parameters_chart(data: CalibrationReportData, word: str, one: ParameterSet) -> Chart:
+def _parameters_chart(data: _ChartData, word: str, one: ParameterSet) -> Chart:
     return parameters_chart(
-        title=title_of(data, one, word),
-        rows=data.estimates(one.estimates, one),
+        title=_title_of(data, one, word),
+        rows=data.estimates(one),
         others={name: point.tolist() for name, point in _other_sets(data, one).items()},
         level=data.request.level,
     )
 
 
-def _other_sets(data: CalibrationReportData, one: ParameterSet) -> dict[str, FloatArray]:
+def _other_sets(data: _ChartData, one: ParameterSet) -> dict[str, FloatArray]:
     """Other sets for the same experiments, and distinct solutions that are nearly as good."""
     found = {
         str(o.how): o.point
@@ -344,16 +477,16 @@ def _other_sets(data: CalibrationReportData, one: ParameterSet) -> dict[str, Flo
     return dict(list(found.items())[:MAX_OTHERS])
 
 
-def _profiles_chart(data: CalibrationReportData, word: str, one: ParameterSet) -> Chart:
+def _profiles_chart(data: _ChartData, word: str, one: ParameterSet) -> Chart:
     return profiles_chart(
-        title=title_of(data, one, word),
+        title=_title_of(data, one, word),
         profiles=one.profiles,
         estimates={estimate.label: estimate for estimate in one.estimates},
         level=data.request.level,
     )
 
 
-def _offsets_chart(data: CalibrationReportData, title: str, quantities: list[Quantity]) -> Chart:
+def _offsets_chart(data: _ChartData, title: str, quantities: list[Quantity]) -> Chart:
     return offsets_chart(
         title=title,
         keys=data.keys,
@@ -367,7 +500,7 @@ def _offsets_chart(data: CalibrationReportData, title: str, quantities: list[Qua
 
 
 def _overlay_chart(
-    data: CalibrationReportData, word: str, member: int, point: FloatArray, error: float
+    data: _ChartData, word: str, member: int, point: FloatArray, error: float
 ) -> Chart:
     target = data.targets[member]
     scene = target.case.scene
@@ -389,7 +522,7 @@ def _overlay_chart(
     return overlay_chart(title, own)
 
 
-def _simulated(data: CalibrationReportData, target: Target, point: FloatArray) -> Simulation:
+def _simulated(data: _ChartData, target: Target, point: FloatArray) -> Simulation:
     columns = data.space.columns(point[None], target.conditions)
     duration = float(target.case.times[-1])
     return simulate(

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from inspect import signature
 from pathlib import Path
 from typing import Any, Final
 
 from fixel.calibration.noise import Noise
+from fixel.model.space import SHARE_OF_RANGE, Unknown
 from fixel.registry import offered
 from fixel.workflows.calibration.parameter_options import in_si
-from fixel.workflows.calibration.request import CalibrationRequest
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 
+# Functions that begin a run, by its mode.
+FUNCTIONS: Final = {
+    "joint": "calibrate",
+    "each": "calibrate_each",
+    "campaign": "calibrate_campaign",
+    "stored": "calibrate",
+}
 # Parameters that let a wrong model fit better: pressure is hardly ever centred...
 CENTRE: Final = ("friction_centre_x", "friction_centre_y")
 PRESSURE: Final = "pressure_spread"  # ... and hardly ever on a tripod
@@ -52,6 +61,46 @@ def options_of(request: CalibrationRequest, keys: Sequence[str]) -> dict[str, An
         **{k: v for k, v in request.error.options.items() if k == "angle_scale"},
     }
     return plain_options({name: value for name, value in own.items() if name in known})
+
+
+def call_of(request: CalibrationRequest, source: str) -> str:
+    """Return the Python expression of a calibration.
+
+    Parameters
+    ----------
+    request : CalibrationRequest
+    source : str
+        Expression of the experiments.
+    """
+
+    def text(value: Any) -> str:
+        if isinstance(value, Noise):
+            return f"fixel.Noise(position_m={value.position_m!r}, angle_rad={value.angle_rad!r})"
+        if isinstance(value, NamedOptions):
+            return repr({"name": value.name, **value.options} if value.options else value.name)
+        return repr(value)
+
+    space = ", ".join(f"{u.label!r}: {_bounds_text(u)}" for u in request.unknowns)
+    words = [source, f"{{{space}}}"]
+    for name, usual in signature(offered("capability", "calibrate").of).parameters.items():
+        own = text(getattr(request, name, usual.default))
+        if own != repr(usual.default) and name != "name":
+            words.append(f"{name}={own}")
+    return f"fixel.{FUNCTIONS[request.mode]}({', '.join(words)})"
+
+
+def _bounds_text(unknown: Unknown) -> str:
+    """Expression of the bounds of a parameter, or of its value if it is fixed."""
+    if unknown.frozen:
+        return repr(unknown.nominal)
+    words = [repr(unknown.low), repr(unknown.high)]
+    if unknown.prior is None:
+        words.append(f"start={unknown.nominal!r}")
+    else:
+        words.append(f"prior={(unknown.nominal, unknown.prior)!r}")
+    if unknown.scale != SHARE_OF_RANGE * (unknown.high - unknown.low):
+        words.append(f"scale={unknown.scale!r}")
+    return f"fixel.Parameter({', '.join(words)})"
 
 
 def command_of(options: Mapping[str, Any]) -> str:

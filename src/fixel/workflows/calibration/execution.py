@@ -3,43 +3,87 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+import math
+import shlex
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
+from fixel.calibration.objective import Comparer
+from fixel.calibration.study import at_points, run_study
 from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space, default_unknowns, search_space
-from fixel.errors import Interrupted, InvalidInput
-from fixel.jobs.work import run_work
+from fixel.errors import FixelError, Interrupted, InvalidInput
+from fixel.io.array_bytes import arrays_of
+from fixel.io.journal import Journal
+from fixel.jobs import folder as files
+from fixel.jobs.site import Site, load_site
+from fixel.jobs.work import (
+    AbstractEngine,
+    Batch,
+    Chunk,
+    JobProgress,
+    Show,
+    StopRequest,
+    answer_of,
+    run_work,
+)
 from fixel.model import Experiment, Scene
 from fixel.model.selection import parse_filter
 from fixel.model.space import ParameterSpace
-from fixel.progress import ProgressOption, show_progress
+from fixel.progress import Progress, ProgressOption, Reporter, show_progress
 from fixel.simulation.trust import permit
-from fixel.workflows.calibration.calibration import Calibrations
+from fixel.workflows import jobs
+from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.commands import plain_options
-from fixel.workflows.calibration.job import SearchState, calibration_rounds, comparer_of
+from fixel.workflows.calibration.job import (
+    CHUNKS,
+    SearchState,
+    calibration_rounds,
+    comparer_of,
+    evaluate_here,
+)
 from fixel.workflows.calibration.parameter_options import (
     fixed_unknowns,
     from_dakota,
     read_space,
     searched_unknowns,
 )
-from fixel.workflows.calibration.plan import (
-    CalibrationPlan,
-    DirectEngine,
-    best_so_far,
-    reporting,
+from fixel.workflows.calibration.plan import CalibrationPlan
+from fixel.workflows.calibration.request import CalibrationRequest, Mode, NamedOptions
+from fixel.workflows.calibration.result import (
+    CalibrationResult,
+    FitKind,
+    ParameterSet,
+    found_of,
+    outcome_of,
 )
-from fixel.workflows.calibration.request import Mode, NamedOptions
-from fixel.workflows.calibration.result import outcome_of
-from fixel.workflows.calibration.stored_run import job_folder, prepare_folder, run_stored
+from fixel.workflows.calibration.stored_run import collect, job_folder, prepare_folder
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
 
+SINGLES: Final = "calibration:calibrate_alone"  # chunks that calibrate single experiments
 PROJECT_FILE: Final = "fixel.yaml"  # makes a folder a project
+
+
+class Place(NamedTuple):
+    """Options of `calibrate` that decide where it computes and stores."""
+
+    threads: int | None = None
+    workers: int = 0
+    site: Any = None
+    store: Any = None
+    progress: ProgressOption = None
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> Self:
+        """Return the place among other options."""
+        return cls(**{name: options[name] for name in cls._fields if name in options})
 
 
 def calibrate_in(
@@ -47,51 +91,162 @@ def calibrate_in(
 ) -> Calibrations:
     """Calibrate in one of the modes of a request; the options are those of `calibrate`."""
     permit(options.get("motion"))
-    if (workers := options["workers"]) < 0:
-        raise InvalidInput("workers", found=workers, expected="0 or more")
+    place = Place.of(options)
+    if place.workers < 0:
+        raise InvalidInput("workers", found=place.workers, expected="0 or more")
     plan = CalibrationPlan.of(mode, experiments, parameters, **options)
-    return _run(plan.rehearse(options.get("threads")), **options)
+    return _run(plan.rehearse(place.threads), place)
 
 
-def _run(
-    plan: CalibrationPlan,
-    *,
-    threads: int | None = None,
-    workers: int = 0,
-    site: Any = None,
-    store: Any = None,
-    progress: ProgressOption = None,
-    **_: Any,
-) -> Calibrations:
+def _run(plan: CalibrationPlan, place: Place) -> Calibrations:
     """Run a plan in this process, or in a folder with a journal; store the result in a project."""
-    if store is None and not workers and site is None:
-        return _run_here(plan, threads, progress)
-    given = None if store is None else Path(getattr(store, "folder", store))
-    in_project = given is not None and (given / PROJECT_FILE).is_file()
-    folder = job_folder(given, plan) if given is not None and in_project else given
-    run = run_stored(plan, folder, threads, workers, site, progress)
-    if given is None or not in_project:
-        return run
+    if place.store is None and not place.workers and place.site is None:
+        return _run_here(plan, place)
+    given = None if place.store is None else Path(getattr(place.store, "folder", place.store))
+    if given is None:
+        with tempfile.TemporaryDirectory(prefix="fixel-") as temporary:
+            return replace(_run_in_folder(plan, Path(temporary) / "job", place), folder=None)
+    if not (given / PROJECT_FILE).is_file():
+        return _run_in_folder(plan, given, place)
     from fixel.database.project import Project
     from fixel.workflows.calibration.project import add_to_project
 
-    return add_to_project(Project(given), run)
+    return add_to_project(Project(given), _run_in_folder(plan, job_folder(given, plan), place))
 
 
-def _run_here(plan: CalibrationPlan, threads: int | None, progress: ProgressOption) -> Calibrations:
-    comparer = comparer_of(plan.request, plan.targets, threads)
+def _run_here(plan: CalibrationPlan, place: Place) -> Calibrations:
+    comparer = comparer_of(plan.request, plan.targets, place.threads)
     state = SearchState(plan.request)
     work = calibration_rounds(plan.request, comparer, state)
     engine = DirectEngine(plan.request, comparer)
-    with show_progress(progress, "searching") as report:
+    with show_progress(place.progress, "searching") as report:
         try:
-            result = run_work(work, engine, Path(), None, progress=reporting(report))
+            result = run_work(work, engine, Path(), None, progress=_reporting(report))
         except KeyboardInterrupt:
             hint = "with store='FOLDER' the same call would continue"
-            found = best_so_far(plan, comparer, state, engine.alone)
+            found = _best_so_far(plan, comparer, state, engine.alone)
             best = found[-1] if found and plan.request.mode == "joint" else found
             raise Interrupted(best, hint) from None
     return plan.result(outcome_of(result))
+
+
+def _run_in_folder(plan: CalibrationPlan, folder: Path, place: Place) -> Calibrations:
+    """Run or continue a calibration in a folder."""
+    prepare_folder(plan, folder)
+    if jobs.status_of(folder).state == "done":
+        return collect(plan, folder)
+    site = place.site if isinstance(place.site, Site | None) else load_site(Path(place.site))
+    count = None if site is not None and not place.workers else place.workers
+    local = None
+    if not jobs.arrange(folder, workers=count, site=site).workers:
+        local = DirectEngine(plan.request, comparer_of(plan.request, plan.targets, place.threads))
+    with show_progress(place.progress, "searching") as report:
+        try:
+            jobs.run_here(folder, _reporting(report), local=local)
+        except KeyboardInterrupt:
+            again = f"fixel jobs resume {shlex.quote(str(folder))}"
+            hint = f"the same call with this store continues, or: {again}"
+            raise Interrupted(_best_in(plan, folder), hint) from None
+    return collect(plan, folder)
+
+
+def _best_in(plan: CalibrationPlan, folder: Path) -> Calibration | None:
+    """Return the best parameter set in the journal of an interrupted calibration."""
+    comparer = comparer_of(plan.request, plan.targets, None)
+    state = SearchState(plan.request)
+
+    class Nothing(DirectEngine):
+        """Engine that ends where the journal ends."""
+
+        def results(self, *_: Any) -> Any:
+            raise StopRequest
+
+    with suppress(StopRequest, FixelError), Journal(folder / files.JOURNAL) as journal:
+        work = calibration_rounds(plan.request, comparer, state)
+        run_work(work, Nothing(plan.request, comparer), folder, journal)
+    found = _best_so_far(plan, comparer, state)
+    return found[-1] if found else None
+
+
+class DirectEngine(AbstractEngine):
+    """Engine that computes the chunks of one calibration in this process, without files."""
+
+    workers = 1
+
+    def __init__(self, request: CalibrationRequest, comparer: Comparer) -> None:
+        self._own = request, comparer
+        self.alone: list[bytes] = []  # calibrations of single experiments so far
+
+    def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
+        call = CHUNKS[function]
+        for chunk in chunks:
+            answer = answer_of(call, *self._own, chunk.payload)
+            if function == SINGLES and isinstance(answer, bytes):
+                self.alone.append(answer)
+            yield [(chunk.name, answer)]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def _best_so_far(
+    plan: CalibrationPlan, comparer: Comparer, state: SearchState, alone: Sequence[bytes] = ()
+) -> Calibrations | None:
+    """Return what an interrupted calibration has found; None if there is nothing yet.
+
+    Parameters
+    ----------
+    plan : CalibrationPlan
+    comparer : Comparer
+    state : SearchState
+    alone : sequence of bytes
+        Answers of the chunks that calibrated single experiments.
+    """
+    found = [*state.found] or [one for own in alone for one in found_of(arrays_of(own))]
+    members = tuple(range(len(plan.targets)))
+    here = evaluate_here(comparer)
+    if not state.found and math.isfinite(state.best.error):
+        point = state.best.point
+        errors, _ = run_study(at_points(members, point[None]), here)
+        found.append(
+            ParameterSet(
+                how=FitKind.DIRECT,
+                members=members,
+                point=point,
+                errors=errors[0],
+                trace=state.trace,
+            )
+        )
+    if not found:
+        return None
+    nominal, _ = run_study(at_points(members, comparer.space.nominal[None]), here)
+    outcome = CalibrationResult(
+        keys=tuple(target.key for target in plan.targets),
+        labels=comparer.space.labels,
+        nominal=nominal[0],
+        found=tuple(found),
+    )
+    return plan.result(outcome, interrupted=True)
+
+
+def _reporting(report: Reporter) -> Show:
+    """Return a callback that reports the progress of rounds."""
+
+    def show(progress: JobProgress) -> None:
+        report.show(
+            Progress(
+                stage=progress.note or report.stage,
+                done=progress.done,
+                total=None if progress.share is None else progress.total,
+                best=progress.best,
+                left=progress.left_s,
+            )
+        )
+
+    return show
 
 
 # --- experiments of a project -------------------------------------------------------------------
@@ -113,7 +268,7 @@ def run_in_project(
     if asked["prepare"]:
         return prepare_in_project(project, asked)
     plan = plan_in_project(project, asked)
-    return _run(plan, **asked, store=project, progress=progress)
+    return _run(plan, Place.of({**asked, "store": project, "progress": progress}))
 
 
 def prepare_in_project(project: Project, asked: Mapping[str, Any]) -> Path:
@@ -124,46 +279,46 @@ def prepare_in_project(project: Project, asked: Mapping[str, Any]) -> Path:
     return folder
 
 
-def plan_in_project(project: Project, asked: Mapping[str, Any]) -> CalibrationPlan:
+def plan_in_project(project: Project, options: Mapping[str, Any]) -> CalibrationPlan:
     """Return the plan of a calibration of experiments of a project, checked and rehearsed."""
     from fixel.workflows.calibration.project import draw_sample, select_experiments, stored_points
     from fixel.workflows.compilation import get_ready
 
-    keys, given = asked["experiments"], {k: asked[k] for k in ("dataset", "where") if asked[k]}
-    if keys and given:
-        name = next(iter(given))
-        raise InvalidInput(name, found="names of experiments too", expected="one of them")
-    query = parse_filter(*asked["where"], dataset=asked["dataset"], include_faulty=asked["faulty"])
+    asked = SimpleNamespace(**options)
+    given = [name for name in ("dataset", "where") if options[name]]
+    if asked.experiments and given:
+        raise InvalidInput(given[0], found="names of experiments too", expected="one of them")
+    query = parse_filter(*asked.where, dataset=asked.dataset, include_faulty=asked.faulty)
     with project.store() as store:
-        chosen = select_experiments(store, keys, query)
-    if asked["sample"] is not None:
-        chosen = draw_sample(chosen, asked["sample"], asked["seed"])
-    mode: Mode = asked["mode"] or ("each" if len(chosen.targets) == 1 else "joint")
+        chosen = select_experiments(store, asked.experiments, query)
+    if asked.sample is not None:
+        chosen = draw_sample(chosen, asked.sample, asked.seed)
+    mode: Mode = asked.mode or ("each" if len(chosen.targets) == 1 else "joint")
     search, space = _search_and_space(asked, [target.case.scene for target in chosen.targets])
     own: dict[str, Any] = {
-        "error": {"name": asked["error"], "angle_scale": asked["angle_scale"]},
+        "error": {"name": asked.error, "angle_scale": asked.angle_scale},
         "optimiser": search,
     }
     if mode == "stored":
         points = stored_points(project, search_space(space, targets_of(chosen)))
         own |= {"stored": points, "verdicts": False}
     get_ready(chosen.targets[0].case.scene)  # before the clock runs
-    plan = CalibrationPlan.of(mode, chosen, space, **{**asked, **own})
-    plain = plain_options(asked) | {"project": str(project.folder)}
-    return replace(plan.rehearse(asked["threads"]), asked=plain)
+    plan = CalibrationPlan.of(mode, chosen, space, **{**options, **own})
+    plain = plain_options(options) | {"project": str(project.folder)}
+    return replace(plan.rehearse(asked.threads), asked=plain)
 
 
 def _search_and_space(
-    asked: Mapping[str, Any], scenes: list[Scene]
+    asked: SimpleNamespace, scenes: list[Scene]
 ) -> tuple[NamedOptions, ParameterSpace]:
-    search = NamedOptions(name=asked["optimiser"], options=dict(map(_setting, asked["option"])))
-    if asked["dakota"] is not None:
-        search, unknowns = from_dakota(asked["dakota"])
-    elif asked["space"] is not None:
-        unknowns = list(read_space(asked["space"]).unknowns)
+    search = NamedOptions(name=asked.optimiser, options=dict(map(_setting, asked.option)))
+    if asked.dakota is not None:
+        search, unknowns = from_dakota(asked.dakota)
+    elif asked.space is not None:
+        unknowns = list(read_space(asked.space).unknowns)
     else:
-        unknowns = searched_unknowns(asked["fit"], scenes) or default_unknowns(scenes)
-    fixed = fixed_unknowns(asked["fixed"])
+        unknowns = searched_unknowns(asked.fit, scenes) or default_unknowns(scenes)
+    fixed = fixed_unknowns(asked.fixed)
     names = {unknown.name for unknown in fixed}
     free = [unknown for unknown in unknowns if unknown.name not in names]
     return search, ParameterSpace(unknowns=(*free, *fixed))

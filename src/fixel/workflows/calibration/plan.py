@@ -3,33 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, Self, final
 
 import numpy as np
 from pydantic import ValidationError
 
-from fixel.calibration.objective import Comparer, EndPose
-from fixel.calibration.study import at_points, run_study
+from fixel.calibration.objective import EndPose
 from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space, search_space
 from fixel.errors import InvalidInput
-from fixel.io.array_bytes import arrays_of
-from fixel.jobs.work import AbstractEngine, Batch, Chunk, JobProgress, Show, answer_of
 from fixel.kernels import codes
 from fixel.model import Experiment, Scene
 from fixel.model.space import ParameterSpace
-from fixel.progress import Progress, Reporter
 from fixel.simulation.motion import stated_name
 from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.job import (
-    CHUNKS,
-    SearchState,
     comparer_of,
-    evaluate_here,
     explained,
 )
 from fixel.workflows.calibration.request import (
@@ -40,9 +31,6 @@ from fixel.workflows.calibration.request import (
 )
 from fixel.workflows.calibration.result import (
     CalibrationResult,
-    FitKind,
-    ParameterSet,
-    found_of,
 )
 
 PREFLIGHT: Final = 16  # experiments that are simulated before any work starts
@@ -162,87 +150,6 @@ class CalibrationPlan:
             left_out=self.left_out,
             **more,
         )
-
-
-class DirectEngine(AbstractEngine):
-    """Engine that computes the chunks of one calibration in this process, without files."""
-
-    workers = 1
-
-    def __init__(self, request: CalibrationRequest, comparer: Comparer) -> None:
-        self._own = request, comparer
-        self.alone: list[bytes] = []  # calibrations of single experiments so far
-
-    def results(self, function: str, inputs: Path, chunks: Sequence[Chunk]) -> Iterator[Batch]:
-        call = CHUNKS[function]
-        for chunk in chunks:
-            answer = answer_of(call, *self._own, chunk.payload)
-            if function == SINGLES and isinstance(answer, bytes):
-                self.alone.append(answer)
-            yield [(chunk.name, answer)]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-
-def best_so_far(
-    plan: CalibrationPlan, comparer: Comparer, state: SearchState, alone: Sequence[bytes] = ()
-) -> Calibrations | None:
-    """Return what an interrupted calibration has found; None if there is nothing yet.
-
-    Parameters
-    ----------
-    plan : CalibrationPlan
-    comparer : Comparer
-    state : SearchState
-    alone : sequence of bytes
-        Answers of the chunks that calibrated single experiments.
-    """
-    found = [*state.found] or [one for own in alone for one in found_of(arrays_of(own))]
-    members = tuple(range(len(plan.targets)))
-    here = evaluate_here(comparer)
-    if not state.found and math.isfinite(state.best.error):
-        point = state.best.point
-        errors, _ = run_study(at_points(members, point[None]), here)
-        found.append(
-            ParameterSet(
-                how=FitKind.DIRECT,
-                members=members,
-                point=point,
-                errors=errors[0],
-                trace=state.trace,
-            )
-        )
-    if not found:
-        return None
-    nominal, _ = run_study(at_points(members, comparer.space.nominal[None]), here)
-    outcome = CalibrationResult(
-        keys=tuple(target.key for target in plan.targets),
-        labels=comparer.space.labels,
-        nominal=nominal[0],
-        found=tuple(found),
-    )
-    return plan.result(outcome, interrupted=True)
-
-
-def reporting(report: Reporter) -> Show:
-    """Return a callback that reports the progress of rounds."""
-
-    def show(progress: JobProgress) -> None:
-        report.show(
-            Progress(
-                stage=progress.note or report.stage,
-                done=progress.done,
-                total=None if progress.share is None else progress.total,
-                best=progress.best,
-                left=progress.left_s,
-            )
-        )
-
-    return show
 
 
 def may_jam(scene: Scene) -> bool:

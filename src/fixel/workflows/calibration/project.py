@@ -14,7 +14,6 @@ from typing import Any, Final, final, overload
 
 import numpy as np
 
-from fixel.calibration.objective import MeanSquare
 from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import Project
@@ -28,7 +27,7 @@ from fixel.jobs.functions import callable_by_jobs
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Evaluations, Member
 from fixel.model.selection import ExperimentQuery
-from fixel.model.space import ParameterSpace, Unknown
+from fixel.model.space import ParameterSpace
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
@@ -36,7 +35,6 @@ from fixel.workflows.calibration.commands import command_of, options_of
 from fixel.workflows.calibration.request import TARGETS, CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.result import (
     RUN,
-    SEARCHED,
     CalibrationResult,
     FitKind,
     ParameterSet,
@@ -44,11 +42,11 @@ from fixel.workflows.calibration.result import (
     set_content,
     set_of,
 )
+from fixel.workflows.calibration.stored import VERSION, request_in
 from fixel.workflows.calibration.stored_run import collect, job_of, plan_in
 from fixel.workflows.project.filters import check_known_names
 
 STORE_RESULT: Final = "calibration-result:store_result"  # what follows a job in the background
-VERSION: Final = 1  # of stored requests; those without one are as of version 1
 STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
 MEMBERS_A_GROUP: Final = 5  # experiments for each value of a condition that a sample is spread over
 
@@ -306,7 +304,7 @@ def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Cal
             own = tuple(places[m.experiment_id] for m in record.members)
             nominal[list(own)] = _nominal(record)
             sets.append(replace(_set_of(record), members=own))
-        request, result = _request_of(ordered[0]), ordered[0].result or {}
+        request, result = request_in(ordered[0]), ordered[0].result or {}
         n_free = len(request.space.labels)
         if any((len(s.errors), len(s.point)) != (len(s.members), n_free) for s in sets):
             raise ValueError("its result has other experiments or parameters than its request")
@@ -341,48 +339,13 @@ def _nominal(record: CalibrationRecord) -> FloatArray:
     return np.full(len(record.members), mean if len(record.members) == 1 else math.nan)
 
 
-def _request_of(record: CalibrationRecord) -> CalibrationRequest:
-    """Return the request of a record; of an earlier version, without the level."""
-    if record.request is not None:
-        content = dict(record.request)
-        if content.pop("version", VERSION) > VERSION:
-            raise ValueError("a newer version of fixel stored its request")
-        return CalibrationRequest.model_validate(content)
-    method = dict(record.method)
-    searched = json.loads(str(method.get(SEARCHED, "[]")))
-    kinds = {"error": MeanSquare.name, "optimiser": "unknown"}
-    named = {
-        kind: NamedOptions(
-            name=str(method.get(kind, usual)),
-            options={k.removeprefix(f"{kind}."): v for k, v in method.items()
-                     if k.startswith(f"{kind}.")},
-        )
-        for kind, usual in kinds.items()
-    }  # fmt: skip
-    own = {k: v for k, v in method.items() if k in ("motion", "starts", "combine")}
-    unknowns = [Unknown(**one) for one in searched] or [
-        Unknown.fixed(name, value) for name, value in record.parameters.items()
-    ]
-    return CalibrationRequest.model_validate(
-        {
-            **own,
-            **named,
-            "name": record.name.partition(":")[0],
-            "unknowns": unknowns,
-            "seed": record.provenance.seed or 0,
-            "level": None,
-            "verdicts": bool(record.estimates),
-        }
-    )
-
-
 def _set_of(record: CalibrationRecord) -> ParameterSet:
     """Return the parameter set of a record; of an earlier version, without noise and profiles."""
     if record.result is not None:
         return set_of(record.result["set"], record.evaluations)
     method, evaluations = record.method, record.evaluations
     known = {own.label: own.value for own in record.estimates} | dict(record.parameters)
-    point = np.array([known[label] for label in _request_of(record).space.labels])
+    point = np.array([known[label] for label in request_in(record).space.labels])
     trace = None
     if evaluations is not None:
         best = float(evaluations.error.min(initial=math.inf))
@@ -511,18 +474,12 @@ def _parameters(request: CalibrationRequest, one: ParameterSet) -> Parameters:
     return Parameters({u.name: values[u.label] for u in request.space.unknowns if not u.where})
 
 
-def _without_defaults(unknown: Unknown) -> dict[str, Any]:
-    usual: dict[str, Any] = {"frozen": False, "prior": None, "where": {}}
-    return {k: v for k, v in unknown.plain().items() if k not in usual or v != usual[k]}
-
-
 def _method(run: Calibrations, one: ParameterSet) -> dict[str, str | float]:
     """Return the method for lists; everything about it is in the request."""
     nominal = run.outcome.nominal[list(one.members)]
     found: dict[str, str | float] = {
         "how": one.how,
         "error_unit": run.request.made_error.unit,
-        SEARCHED: json.dumps([_without_defaults(unknown) for unknown in run.request.unknowns]),
         "seconds": one.seconds,
         "nominal_error": float(nominal.mean()),
         "ended": "" if one.trace is None else one.trace.ended,

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fixel.calibration.usual_parameters import known_parameters
 from fixel.simulation.engine_names import compare_words
+from fixel.table import Table
 from fixel.workflows.analysis import Analysis, AnalysisReport
 from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.charts import pictures_of
-from fixel.workflows.calibration.report_data import CalibrationReportData
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
@@ -30,7 +32,12 @@ def report_of(found: Calibrations | Path) -> AnalysisReport:
     analysis = found.analysis.model_copy(
         update={"notes": (*found.analysis.notes, stored), "calibrations": tuple(found.ids)}
     )
-    return AnalysisReport(analysis, pictures_of(CalibrationReportData(found)))
+    return AnalysisReport(analysis, pictures_of(found))
+
+
+def about() -> tuple[Table, ...]:
+    """Return the tables that a form shows: parameters that can be calibrated."""
+    return (replace(known_parameters(), title="Parameters that can be calibrated"),)
 
 
 def content(done: StoredAnswer) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from fixel.formats.scene_schema import SceneRecord, scene_content, scene_of
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.damaged_files import readable
 from fixel.model.fields import name_of
-from fixel.model.space import SHARE_OF_RANGE, ParameterSpace, Unknown
+from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model
 from fixel.simulation.rollouts import RolloutCase
@@ -205,58 +205,6 @@ class CalibrationRequest(_RequestLevel):
                 expected="mode joint and a sum or mean of squares",
                 hint="choose pattern-search or nelder-mead",
             )
-
-
-# Functions that begin a run, by its mode.
-FUNCTIONS: Final = {
-    "joint": "calibrate",
-    "each": "calibrate_each",
-    "campaign": "calibrate_campaign",
-    "stored": "calibrate",
-}
-
-
-def call_of(request: CalibrationRequest, source: str) -> str:
-    """Return the Python expression of a calibration.
-
-    Parameters
-    ----------
-    request : CalibrationRequest
-    source : str
-        Expression of the experiments.
-    """
-    usual = CalibrationRequest(unknowns=request.unknowns)
-    space = ", ".join(f"{u.label!r}: {_bounds_text(u)}" for u in request.unknowns)
-    words = [source, f"{{{space}}}"]
-    for name in ("error", "optimiser"):
-        own: NamedOptions = getattr(request, name)
-        plain = {"name": own.name, **own.options} if own.options else own.name
-        if own != getattr(usual, name) or name == "optimiser":
-            words.append(f"{name}={plain!r}")
-    if request.noise is not None:
-        position, angle = request.noise_position, request.noise_angle
-        words.append(f"noise=fixel.Noise(position_m={position!r}, angle_rad={angle!r})")
-    for name in (
-        *("combine", "starts", "level", "verdicts", "max_evaluations", "motion", "seed", "budget"),
-    ):
-        value = getattr(request, name)
-        if value != getattr(usual, name):
-            words.append(f"{name}={value!r}")
-    return f"fixel.{FUNCTIONS[request.mode]}({', '.join(words)})"
-
-
-def _bounds_text(unknown: Unknown) -> str:
-    """Expression of the bounds of a parameter, or of its value if it is fixed."""
-    if unknown.frozen:
-        return repr(unknown.nominal)
-    words = [repr(unknown.low), repr(unknown.high)]
-    if unknown.prior is None:
-        words.append(f"start={unknown.nominal!r}")
-    else:
-        words.append(f"prior={(unknown.nominal, unknown.prior)!r}")
-    if unknown.scale != SHARE_OF_RANGE * (unknown.high - unknown.low):
-        words.append(f"scale={unknown.scale!r}")
-    return f"fixel.Parameter({', '.join(words)})"
 
 
 def usual_optimiser(mode: str, combine: str, error: str, residuals: int, unknowns: int) -> str:

@@ -17,7 +17,7 @@ from fixel.model.fields import settle
 from fixel.model.records import Estimate, Evaluations, ProfileRecord
 from fixel.typing import FloatArray
 
-SEARCHED: Final = "unknowns"  # in the method of a record: the searched parameters, as JSON
+SEARCHED: Final = "unknowns"  # in the method of earlier records: the parameters, as JSON
 RUN: Final = "run"  # in the method of a record: checksum that all calibrations of a run share
 
 

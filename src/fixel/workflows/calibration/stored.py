@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import final
+from typing import Final, final
 
 from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.objective import ANGLE_SCALE, ERRORS, AbstractError, MeanSquare
@@ -25,8 +25,11 @@ from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import motion_model
 from fixel.workflows.calibration.job import REQUEST
 from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.result import SEARCHED, FitKind
 from fixel.workflows.calibration.stored_run import job_of, request_of
+
+VERSION: Final = 1  # of stored requests; those without one are as of version 1
 
 
 @final
@@ -210,19 +213,52 @@ def searched_space(
     Calibrations stored by earlier versions have the bounds in their job folder only. If it is
     gone, the usual bounds of their parameters are returned.
     """
-    searched = one.record.method.get(SEARCHED)
-    folder = job_of(project, one.record)
+    record, folder = one.record, job_of(project, one.record)
     found = dict(one.record.parameters) | {e.label: e.value for e in one.record.estimates}
-    if searched is not None:
+    if record.request is not None or SEARCHED in record.method:
         with readable(project.folder / DATABASE):
-            unknowns = [Unknown(**entry) for entry in json.loads(str(searched))]
-        space = ParameterSpace(unknowns=tuple(unknowns))
+            space = request_in(record).space
     elif (folder / "inputs" / REQUEST).is_file():
         space = request_of(folder).space
     else:
         space = _usual_space(one, found, scenes)
     start = zip(space.labels, space.nominal.tolist(), strict=True)
     return space.started_at([found.get(label, value) for label, value in start])
+
+
+def request_in(record: CalibrationRecord) -> CalibrationRequest:
+    """Return the request of a record; of an earlier version, without the level."""
+    if record.request is not None:
+        content = dict(record.request)
+        if content.pop("version", VERSION) > VERSION:
+            raise ValueError("a newer version of fixel stored its request")
+        return CalibrationRequest.model_validate(content)
+    method = dict(record.method)
+    searched = json.loads(str(method.get(SEARCHED, "[]")))
+    kinds = {"error": MeanSquare.name, "optimiser": "unknown"}
+    named = {
+        kind: NamedOptions(
+            name=str(method.get(kind, usual)),
+            options={k.removeprefix(f"{kind}."): v for k, v in method.items()
+                     if k.startswith(f"{kind}.")},
+        )
+        for kind, usual in kinds.items()
+    }  # fmt: skip
+    own = {k: v for k, v in method.items() if k in ("motion", "starts", "combine")}
+    unknowns = [Unknown(**one) for one in searched] or [
+        Unknown.fixed(name, value) for name, value in record.parameters.items()
+    ]
+    return CalibrationRequest.model_validate(
+        {
+            **own,
+            **named,
+            "name": record.name.partition(":")[0],
+            "unknowns": unknowns,
+            "seed": record.provenance.seed or 0,
+            "level": None,
+            "verdicts": bool(record.estimates),
+        }
+    )
 
 
 def _usual_space(

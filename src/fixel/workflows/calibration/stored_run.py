@@ -5,75 +5,30 @@ from __future__ import annotations
 import hashlib
 import json
 import shlex
-import tempfile
-from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from fixel.errors import FixelError, Interrupted, InvalidInput
+from fixel.errors import InvalidInput
 from fixel.io.damaged_files import readable
-from fixel.io.journal import Journal
 from fixel.jobs import folder as files
-from fixel.jobs.site import Site, load_site
-from fixel.jobs.work import StopRequest, run_work
-from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.trust import remember
 from fixel.workflows import jobs
-from fixel.workflows.calibration.calibration import Calibration, Calibrations
+from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.job import (
     REQUEST,
-    SearchState,
-    calibration_rounds,
-    comparer_of,
 )
 from fixel.workflows.calibration.plan import (
     CalibrationPlan,
-    DirectEngine,
-    best_so_far,
-    reporting,
 )
 from fixel.workflows.calibration.request import CalibrationRequest, read_targets, target_files
 from fixel.workflows.calibration.result import outcome_of
 
 if TYPE_CHECKING:
-    from os import PathLike
-
     from fixel.database.project import Project
     from fixel.model.records import CalibrationRecord
 
 LEFT_OUT: Final = "left_out.json"  # skipped experiments with reasons
 MAKER: Final = "calibration:calibration_work"
-
-
-def run_stored(
-    plan: CalibrationPlan,
-    folder: Path | None,
-    threads: int | None = None,
-    workers: int = 0,
-    site: PathLike[str] | str | Site | None = None,
-    progress: ProgressOption = None,
-) -> Calibrations:
-    """Run or continue a calibration in a folder.
-
-    Parameters
-    ----------
-    plan : CalibrationPlan
-    folder : Path or None
-        Folder of the job; None for a temporary one.
-    threads, workers, site, progress
-        As for `fixel.calibrate`.
-    """
-    if folder is None:
-        with tempfile.TemporaryDirectory(prefix="fixel-") as place:
-            run = run_stored(plan, Path(place) / "job", threads, workers, site, progress)
-        return replace(run, folder=None)
-    prepare_folder(plan, folder)
-    if jobs.status_of(folder).state != "done":
-        cluster = site if isinstance(site, Site | None) else load_site(Path(site))
-        number = None if cluster is not None and not workers else workers
-        _run(plan, folder, threads, number, cluster, progress)
-    return collect(plan, folder)
 
 
 def job_folder(project: Path, plan: CalibrationPlan) -> Path:
@@ -157,45 +112,6 @@ def _plain(value: Any) -> str:
     return str(getattr(value, "name", value))
 
 
-def _run(
-    plan: CalibrationPlan,
-    folder: Path,
-    threads: int | None,
-    workers: int | None,
-    site: Site | None,
-    progress: ProgressOption,
-) -> None:
-    settings = jobs.arrange(folder, workers=workers, site=site)
-    local = None
-    if not settings.workers:
-        local = DirectEngine(plan.request, comparer_of(plan.request, plan.targets, threads))
-    with show_progress(progress, "searching") as report:
-        try:
-            jobs.run_here(folder, reporting(report), local=local)
-        except KeyboardInterrupt:
-            again = f"fixel jobs resume {shlex.quote(str(folder))}"
-            hint = f"the same call with this store continues, or: {again}"
-            raise Interrupted(_best_in(plan, folder), hint) from None
-
-
-def _best_in(plan: CalibrationPlan, folder: Path) -> Calibration | None:
-    """Return the best parameter set in the journal of an interrupted calibration."""
-    comparer = comparer_of(plan.request, plan.targets, None)
-    state = SearchState(plan.request)
-
-    class Nothing(DirectEngine):
-        """Engine that ends where the journal ends."""
-
-        def results(self, *_: Any) -> Any:
-            raise StopRequest
-
-    with suppress(StopRequest, FixelError), Journal(folder / files.JOURNAL) as journal:
-        work = calibration_rounds(plan.request, comparer, state)
-        run_work(work, Nothing(plan.request, comparer), folder, journal)
-    found = best_so_far(plan, comparer, state)
-    return found[-1] if found else None
-
-
 def collect(plan: CalibrationPlan, folder: Path) -> Calibrations:
     """Load the result of a finished job."""
     path = folder / files.RESULT
@@ -205,12 +121,18 @@ def collect(plan: CalibrationPlan, folder: Path) -> Calibrations:
 
 def plan_in(folder: Path) -> CalibrationPlan:
     """Load the plan of a calibration from the folder of its job."""
-    path, left_out = folder / "inputs" / LEFT_OUT, {}
-    if path.is_file():
-        with readable(path, f"delete the folder {folder}"):
-            left_out = {str(k): str(v) for k, v in json.loads(path.read_bytes()).items()}
     targets = read_targets(folder / "inputs")
+    left_out = left_out_in(folder)
     return CalibrationPlan(request=request_of(folder), targets=targets, left_out=left_out)
+
+
+def left_out_in(folder: Path) -> dict[str, str]:
+    """Load the experiments that a calibration's job leaves out, with the reasons."""
+    path = folder / "inputs" / LEFT_OUT
+    if not path.is_file():
+        return {}
+    with readable(path, f"delete the folder {folder}"):
+        return {str(k): str(v) for k, v in json.loads(path.read_bytes()).items()}
 
 
 def request_of(folder: Path) -> CalibrationRequest:

@@ -15,7 +15,6 @@ from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.charts import pictures_of
-from fixel.workflows.calibration.report_data import CalibrationReportData
 from fixel.workflows.figures import write_picture
 from fixel.workflows.report.content import Figure, Section
 from fixel.workflows.sentences import sentences
@@ -29,7 +28,7 @@ OF_PARAMETERS: Final = ("parameters", "profiles", "starts", "search")
 def figures_of(calibration: Calibrations, folder: Path, project: Project) -> list[Figure]:
     """Draw the charts of a calibration that is stored in a project into a folder."""
     found = []
-    for picture in pictures_of(CalibrationReportData(calibration, project)):
+    for picture in pictures_of(calibration, project):
         files = write_picture(folder, picture._replace(name=f"calibration_{picture.name}"))
         found.append(Figure(name=files[0].stem, caption=picture.caption, png=files[0]))
     return found
