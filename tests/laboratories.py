@@ -36,13 +36,12 @@ def _make_laboratory(folder: Path) -> None:
 
 
 def _make_trusted(folder: Path) -> None:
-    from fixel.workflows.capabilities import call
+    from fixel.workflows.capabilities import CAPABILITIES, call, prepare
 
     shutil.copytree(artefact("laboratory", _make_laboratory), folder)
     project = Project(folder)
-    job = call(
-        project,
-        "calibrate",
+    own = CAPABILITIES["calibrate"]
+    asked = dict(
         name="first",
         experiments=tuple(map(str, range(6, 12))),
         fit=("mu_pusher=0:1:0.2", "tripod_radius=0.001:0.0755:0.0409"),
@@ -50,8 +49,8 @@ def _make_trusted(folder: Path) -> None:
         optimiser="nelder-mead",
         max_evaluations=60,
         starts=2,
-        prepare=True,
     )
+    job = prepare(own, own.request(asked), project)
     run.run(job)
     run.collect(project, job, "fixel calibrate --name first", {})
     options = {"axes": ("offset_y_m", "shape"), "fit": ("mu_pusher",), "folds": 2}

@@ -61,8 +61,7 @@ def typer_command(capability: Capability) -> Callable[..., None]:
     parameters.append(_keyword("context", typer.Context, Parameter.empty))
     if capability.on_project:
         parameters.append(_keyword("project", ProjectFolder, Path()))
-        if "prepare" not in capability.options:  # of a capability that makes its own jobs
-            parameters.append(_keyword("prepare_only", _PREPARE, False))
+        parameters.append(_keyword("prepare_only", _PREPARE, False))
     if capability.plot:
         parameters.append(_keyword("plot", Annotated[Path | None, _PLOT[capability.plot]], None))
     parameters.append(_keyword("as_json", AsJson, False))

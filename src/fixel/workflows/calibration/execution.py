@@ -254,8 +254,8 @@ def _reporting(report: Reporter) -> Show:
 
 def run_in_project(
     project: Project, asked: Mapping[str, Any], progress: ProgressOption = None
-) -> Calibrations | Path:
-    """Calibrate experiments of a project, or only prepare the job and return its folder.
+) -> Calibrations:
+    """Calibrate experiments of a project, and store the result there.
 
     Parameters
     ----------
@@ -265,8 +265,6 @@ def run_in_project(
     progress : bool or callable, optional
         See `fixel.progress.show_progress`.
     """
-    if asked["prepare"]:
-        return prepare_in_project(project, asked)
     plan = plan_in_project(project, asked)
     return _run(plan, Place.of({**asked, "store": project, "progress": progress}))
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fixel.calibration.usual_parameters import known_parameters
 from fixel.simulation.engine_names import compare_words
 from fixel.table import Table
-from fixel.workflows.analysis import Analysis, AnalysisReport
+from fixel.workflows.analysis import AnalysisReport
 from fixel.workflows.calibration.calibration import Calibrations
 from fixel.workflows.calibration.charts import pictures_of
 
@@ -17,16 +16,8 @@ if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
 
 
-def report_of(found: Calibrations | Path) -> AnalysisReport:
-    """Return the report of the calibrations of a run, or of a job that was prepared."""
-    if isinstance(found, Path):
-        sentence = (
-            f"Prepared {found}. When it has finished, run this command without --prepare to store"
-            " the result."
-        )
-        return AnalysisReport(
-            Analysis(kind="calibrate", title="Prepared job", question={}, headline=(sentence,))
-        )
+def report_of(found: Calibrations) -> AnalysisReport:
+    """Return the report of the calibrations of a run."""
     ids = f"{', '.join(map(str, found.ids[:3]))}{', ...' * (len(found.ids) > 3)}"
     stored = f"stored as calibration {ids}; job {found.folder}"
     analysis = found.analysis.model_copy(
@@ -42,8 +33,6 @@ def about() -> tuple[Table, ...]:
 
 def content(done: StoredAnswer) -> dict[str, Any]:
     """Return the content of `--json`."""
-    if isinstance(done.result, Path):
-        return {"job": str(done.result)}
     run: Calibrations = done.result
     return run.summary() | {"pictures": [str(path) for path in done.files.values()]}
 
@@ -51,8 +40,6 @@ def content(done: StoredAnswer) -> dict[str, Any]:
 def next_words(done: StoredAnswer) -> list[str]:
     """Return the words of the command that compares the worst experiment with its simulation."""
     run = done.result
-    if isinstance(run, Path):
-        return ["jobs", "submit", str(run), "--workers", "2"]
     fits = [run.joint] if run.joint else run.each or [*run]
     fit = max(fits, key=lambda one: float(one.found.errors.max()))
     target = fit.targets[int(fit.found.errors.argmax())]

@@ -249,10 +249,9 @@ def calibrate_in_project(
     dataset: str | None = None,
     where: Where = (),
     faulty: Annotated[bool, Door(flag="--all")] = False,
-    prepare: Annotated[bool, Door(flag="--prepare", effort=True)] = False,
     progress: ProgressOption = None,
     **options: Any,
-) -> Calibrations | Path:
+) -> Calibrations:
     """Estimate parameters from experiments, with verdicts.
 
     Finished evaluations are stored: repeat the command after an interruption to continue.
@@ -285,8 +284,6 @@ def calibrate_in_project(
         Filter that experiments match, such as "surface=abs error>5 real"; may be repeated.
     faulty : bool
         Whether to include experiments whose data have faults.
-    prepare : bool
-        Whether only to prepare the job, for fixel jobs submit.
     progress : bool or callable, optional
         See `fixel.progress.show_progress`.
     **options
@@ -294,8 +291,8 @@ def calibrate_in_project(
 
     Returns
     -------
-    Calibrations or Path
-        The stored calibrations, or the folder of a job that was only prepared.
+    Calibrations
+        The stored calibrations.
 
     Raises
     ------
