@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from fixel.workflows import jobs
-from fixel.workflows.calibration import stored_run
+from fixel.workflows.calibration import plan as plans
 from fixel.workflows.calibration.plan import CalibrationPlan
 from fixel.workflows.calibration.project import (
     ExperimentSelection,
@@ -20,8 +20,8 @@ def prepare(project, chosen, request):
     """Prepare the job of a request on selected experiments; return its folder."""
     request.check()
     plan = CalibrationPlan(request=request, targets=chosen.targets).rehearse()
-    folder = stored_run.job_folder(project.folder, plan)
-    stored_run.prepare_folder(plan, folder)
+    folder = plans.job_folder(project.folder, plan)
+    plans.prepare_folder(plan, folder)
     return folder
 
 
@@ -34,6 +34,6 @@ def run(folder, progress=None):
 
 def collect(project, folder, command, left_out):
     """Store what a job has found, once."""
-    plan = replace(stored_run.plan_in(folder), left_out=left_out)
-    found = stored_run.collect(plan, folder)
+    plan = replace(plans.plan_in(folder), left_out=left_out)
+    found = plans.collect(plan, folder)
     return add_to_project(project, replace(found, command=command))

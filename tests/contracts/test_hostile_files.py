@@ -42,9 +42,9 @@ from fixel.simulation import trust
 from fixel.testing.pushes import example_pushes
 from fixel.testing.scenes import pushed_square
 from fixel.workflows import jobs
+from fixel.workflows.calibration.plan import collect, plan_in
 from fixel.workflows.calibration.project import list_calibrations, stored_calibration
 from fixel.workflows.calibration.stored import load_values
-from fixel.workflows.calibration.stored_run import collect, plan_in
 from fixel.workflows.planning.stored import load_plan as load_saved_plan
 from fixel.workflows.planning.stored import load_trials
 

@@ -84,7 +84,7 @@ def test_a_wrong_request_says_why_and_can_be_mended(browser_page, server):
     page.expected_problems.append("422")
     page.goto(server.home + "run/calibrate?experiments=6&experiments=7&fit=mu_pusher%3D1:-1")
     page.click("button[type=submit]")
-    assert "mu_pusher" in page.inner_text("#about-fit strong")
+    assert "mu_pusher" in page.inner_text("[role=alert]")
     assert page.input_value("#experiments").split() == ["6", "7"]
 
 
@@ -193,7 +193,7 @@ def test_no_map_yet(browser_page, server, project):
 def test_nothing_is_wider_than_a_phone(browser_page, server, path):
     browser_page.set_viewport_size({"width": 390, "height": 800})
     browser_page.goto(server.home + path)
-    browser_page.wait_for_selector("[data-ready]", state="attached", timeout=30_000)
+    browser_page.wait_for_selector("h1", timeout=30_000)
     assert browser_page.evaluate("document.documentElement.scrollWidth") <= 390
 
 

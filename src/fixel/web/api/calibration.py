@@ -20,9 +20,9 @@ from fixel.web.views.calibration_detail import (
 )
 from fixel.web.views.calibration_progress import CalibrationProgress, LiveProgress
 from fixel.workflows import jobs
+from fixel.workflows.calibration.plan import left_out_in
 from fixel.workflows.calibration.project import STORE_RESULT
 from fixel.workflows.calibration.run import CALIBRATE
-from fixel.workflows.calibration.stored_run import left_out_in
 
 MAX_LISTED: Final = 500
 Options = CALIBRATE.model

@@ -24,10 +24,10 @@ from fixel.web.values import Answer, Finite
 from fixel.workflows import jobs
 from fixel.workflows.calibration.commands import command_of, options_of
 from fixel.workflows.calibration.job import ROLLOUTS_A_CHUNK
+from fixel.workflows.calibration.plan import MAKER, request_of
 from fixel.workflows.calibration.project import collected, experiments_of, stored_ids
 from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import found_of
-from fixel.workflows.calibration.stored_run import MAKER, request_of
 
 SEARCHES: Final = ("all together", "squares")  # stages whose errors are the objective
 # Options by which searches limit their evaluations.

@@ -53,7 +53,7 @@ from fixel.workflows.calibration.parameter_options import (
     read_space,
     searched_unknowns,
 )
-from fixel.workflows.calibration.plan import CalibrationPlan
+from fixel.workflows.calibration.plan import CalibrationPlan, collect, job_folder, prepare_folder
 from fixel.workflows.calibration.request import CalibrationRequest, Mode, NamedOptions
 from fixel.workflows.calibration.result import (
     CalibrationResult,
@@ -62,7 +62,6 @@ from fixel.workflows.calibration.result import (
     found_of,
     outcome_of,
 )
-from fixel.workflows.calibration.stored_run import collect, job_folder, prepare_folder
 
 if TYPE_CHECKING:
     from fixel.database.project import Project

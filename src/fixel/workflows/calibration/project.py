@@ -32,6 +32,7 @@ from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.commands import command_of, options_of
+from fixel.workflows.calibration.plan import collect, job_of, plan_in
 from fixel.workflows.calibration.request import TARGETS, CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.result import (
     RUN,
@@ -43,7 +44,6 @@ from fixel.workflows.calibration.result import (
     set_of,
 )
 from fixel.workflows.calibration.stored import VERSION, request_in
-from fixel.workflows.calibration.stored_run import collect, job_of, plan_in
 from fixel.workflows.project.filters import check_known_names
 
 STORE_RESULT: Final = "calibration-result:store_result"  # what follows a job in the background

@@ -25,9 +25,9 @@ from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import motion_model
 from fixel.workflows.calibration.job import REQUEST
 from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.plan import job_of, request_of
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.result import SEARCHED, FitKind
-from fixel.workflows.calibration.stored_run import job_of, request_of
 
 VERSION: Final = 1  # of stored requests; those without one are as of version 1
 
