@@ -1,4 +1,4 @@
-"""Calibrations: stored and running ones; begin, stop and resume a calibration."""
+"""Calibrations: stored and running ones; stop and resume a calibration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from fastapi.responses import Response
 from pydantic import Field
 
 from fixel.web.context import Context
-from fixel.web.pages.run import begin_from_page
 from fixel.web.values import Answer, Number
 from fixel.web.views import job_list
 from fixel.web.views.calibration_detail import (
@@ -20,12 +19,9 @@ from fixel.web.views.calibration_detail import (
 )
 from fixel.web.views.calibration_progress import CalibrationProgress, LiveProgress
 from fixel.workflows import jobs
-from fixel.workflows.calibration.plan import left_out_in
 from fixel.workflows.calibration.project import STORE_RESULT
-from fixel.workflows.calibration.run import CALIBRATE
 
 MAX_LISTED: Final = 500
-Options = CALIBRATE.model
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
 
@@ -44,10 +40,6 @@ class CalibrationJob(Answer):
 
     name: str
     state: str
-    left_out: dict[str, str] = Field(
-        default_factory=dict, description="reason by skipped experiment"
-    )
-    stored: list[int] = Field(default_factory=list)
 
 
 @router.get("", summary="List calibrations, grouped by run")
@@ -64,19 +56,6 @@ def calibrations(
         total=len(every),
         running=[*running],
         unreadable=[str(problem) for problem in unreadable],
-    )
-
-
-@router.post("", summary="Start a calibration in a separate process")
-def start(context: Context, request: Options) -> CalibrationJob:  # type: ignore[valid-type]
-    with job_list.job_slot(context.project.folder):
-        folder = begin_from_page(CALIBRATE, request, context.project)
-    progress = context.calibrations.look(folder)
-    return CalibrationJob(
-        name=folder.name,
-        state=progress.state,
-        left_out=left_out_in(folder),
-        stored=progress.stored,
     )
 
 

@@ -13,14 +13,20 @@ import numpy as np
 
 from fixel.calibration.study import NOMINAL
 from fixel.calibration.target import Target
-from fixel.drawing.calibration import BEFORE, Quantity, errors_chart, offsets_chart, seconds_chart
+from fixel.database.project import Project
+from fixel.database.query import ALL_EXPERIMENTS
+from fixel.drawing.calibration import (
+    BEFORE,
+    OffsetSeries,
+    Quantity,
+    errors_chart,
+    offsets_chart,
+    seconds_chart,
+)
 from fixel.drawing.chart import Chart, plot_axes
 from fixel.drawing.overlay import OverlayMotions, Track, overlay_chart
 from fixel.drawing.profiles import parameters_chart, profiles_chart
 from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
-from fixel.database.project import Project
-from fixel.database.query import ALL_EXPERIMENTS
-from fixel.drawing.calibration import OffsetSeries
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, placed
 from fixel.model.records import Estimate

@@ -278,18 +278,12 @@ def collect(plan: CalibrationPlan, folder: Path) -> Calibrations:
 
 def plan_in(folder: Path) -> CalibrationPlan:
     """Load the plan of a calibration from the folder of its job."""
+    path, left_out = folder / "inputs" / LEFT_OUT, {}
+    if path.is_file():
+        with readable(path, f"delete the folder {folder}"):
+            left_out = {str(k): str(v) for k, v in json.loads(path.read_bytes()).items()}
     targets = read_targets(folder / "inputs")
-    left_out = left_out_in(folder)
     return CalibrationPlan(request=request_of(folder), targets=targets, left_out=left_out)
-
-
-def left_out_in(folder: Path) -> dict[str, str]:
-    """Load the experiments that a calibration's job leaves out, with the reasons."""
-    path = folder / "inputs" / LEFT_OUT
-    if not path.is_file():
-        return {}
-    with readable(path, f"delete the folder {folder}"):
-        return {str(k): str(v) for k, v in json.loads(path.read_bytes()).items()}
 
 
 def request_of(folder: Path) -> CalibrationRequest:
