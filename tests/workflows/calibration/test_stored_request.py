@@ -180,6 +180,7 @@ def earlier(project, fit):
     with project.store() as store:
         record = store.calibration(fit.run.ids[0])
         method = {k: v for k, v in record.method.items() if k not in (RUN, "job")}
+        method["unknowns"] = json.dumps([unknown.plain() for unknown in fit.request.unknowns])
         old = dataclasses.replace(record, request=None, result=None, method=method)
         return store.add_calibration(old)
 
