@@ -144,7 +144,6 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fixel.planning.orienting": "OrientingPlan PushFunction",
         "fixel.planning.plan": "PlanRuns PushPlan",
         "fixel.planning.pushes": "FreePushes PlanPush RigPush RigPushes",
-        "fixel.planning.race": "RaceResult RaceRound",
         "fixel.planning.success": "SuccessProbability",
         "fixel.planning.trials": "PlanTrial Trials",
         "fixel.simulation.motion": "Dynamic FirstOrder OtherEngine QuasiStatic",

@@ -12,9 +12,8 @@ import pytest
 
 import fixel
 from fixel.domain.error_bound import min_experiments
-from fixel.errors import InvalidInput
 from fixel.parts.left_out import leave_parts_out
-from fixel.parts.model import PartModel, distinct
+from fixel.parts.model import PartModel
 from fixel.parts.pushes import PartPushes
 from fixel.testing.pushes import example_parts
 
@@ -87,47 +86,10 @@ def test_the_left_out_part_has_no_influence_on_its_own_prediction(model):
     assert (before.errors[~own] != after.errors[~own]).any()
 
 
-def test_repetitions_of_one_push_count_as_one(model, new):
-    again = [replace(new[0], name=f"again-{k}") for k in range(6)]
-    assert distinct(PartPushes([fixel_target(own) for own in again])) == 1
-    assert model.after(again).left_out.pushes == 1
-
-
 def fixel_target(own):
     from fixel.calibration.target import target_of
 
     return target_of(own)
-
-
-def test_few_parts_give_no_bound_but_a_reason(new):
-    two = fixel.part_model(example_parts(2, 8), progress=False)
-    bound = two.at(new[0]).bound
-    assert bound.position is None
-    assert "a bound needs 3 at least" in bound.reason
-    one = fixel.part_model(example_parts(1, 1), progress=False)
-    assert one.at(new[0]).bound.position is None
-
-
-def test_a_part_of_another_size_has_no_bound(model, new):
-    scene = new[0].scene
-    body = scene.bodies[0]
-    small = fixel.Polygon(0.3 * body.shape.outline)
-    tiny = fixel.push_candidates(replace(body, shape=small), travel=0.04)[0]
-    bound = model.at(tiny, part="tiny", surface="board").bound
-    assert bound.position is None
-    assert "size" in bound.reason
-
-
-def test_pushes_of_two_parts_are_refused(model, new):
-    other = replace(new[1], conditions={**new[1].conditions, "part": "other"})
-    with pytest.raises(InvalidInput, match="pushes of one part on one surface"):
-        model.after([new[0], other])
-
-
-def test_experiments_without_a_name_of_the_part_are_refused():
-    pushes = [replace(own, conditions={}) for own in example_parts(1, 3)]
-    with pytest.raises(InvalidInput, match="no condition that names the part"):
-        fixel.part_model(pushes, progress=False)
 
 
 def test_saved_and_loaded_it_predicts_the_same(model, new, tmp_path):

@@ -97,10 +97,6 @@ def test_continues_from_its_store(found, tmp_path):
     assert again == found
 
 
-def test_saved_and_loaded(found, tmp_path):
-    assert fixel.load(found.save(tmp_path / "plan.fixel")) == found
-
-
 def test_capture_is_certain_where_nothing_is_off(found):
     near, far = found.capture(0, [[0.0, 0.0, 0.0], [0.03, 0.03, 0.5]])
     assert near > 0.9

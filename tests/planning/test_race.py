@@ -74,7 +74,8 @@ def test_race_is_repeated_from_its_answers():
         except StopIteration as end:
             found = end.value
             break
-    assert found == first
+    np.testing.assert_array_equal(found.plans, first.plans)
+    assert found.rounds == first.rounds
 
 
 def test_race_compares_plans_by_their_worst_draws():
@@ -100,13 +101,11 @@ def test_race_reports_its_best_plan_after_every_round_and_respects_its_budget():
     assert reports[-1].n_scenarios < N
     assert found.met.max() == reports[-1].n_scenarios
     assert found.rollouts == found.met.sum()
-    assert "Race of 100 plans" in repr(found)
 
 
 def test_race_of_one_plan():
     found = race(lambda plans, scenarios: np.ones((len(plans), len(scenarios))), 1)
     assert found.best == 0
-    assert found.tied.tolist() == [0]
 
 
 @pytest.mark.parametrize(

@@ -130,10 +130,3 @@ def test_a_larger_tolerance_never_lowers_anything():
 def test_margins_that_are_no_answer_are_rejected(bad):
     with pytest.raises(InvalidInput, match="margins"):
         SuccessProbability.of(bad)
-
-
-def test_result_is_saved_and_loaded(tmp_path):
-    import fixel
-
-    found = SuccessProbability.of(np.random.default_rng(5).normal(1.0, 1.0, (16, 8)))
-    assert fixel.load(found.save(tmp_path / "success.fixel")) == found

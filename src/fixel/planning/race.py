@@ -9,8 +9,7 @@ for one plan are often hard for the others.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,8 +17,6 @@ from scipy.special import betainc
 
 from fixel.errors import InvalidInput
 from fixel.planning.success import WORST, finite_margins
-from fixel.results import Result, Summary
-from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray, IntArray
 
 SIZES: Final = (8, 16, 32, 64, 128, 256, 512, 1024)  # scenarios of a plan up to each round's end
@@ -41,52 +38,35 @@ class RaceRequest(NamedTuple):
     scenarios: IntArray
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class RaceRound:
+class RaceRound(NamedTuple):
     """State of a race after one round.
 
     Attributes
     ----------
     n_scenarios : int
         Number of scenarios that each remaining plan has met.
-    n_plans : int
-        Number of plans in this round.
     rollouts : int
         Number of rollouts so far.
-    best : int
-        Index of the best plan so far.
     success : float
-        Share of scenarios in which it succeeded.
-    rejected : int
-        Number of plans that left because the paired bound is below the best plan.
+        Share of scenarios in which the best plan so far succeeded.
     """
 
     n_scenarios: int
-    n_plans: int
     rollouts: int
-    best: int
     success: float
-    rejected: int
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
-class RaceResult(Result):
+class RaceResult(NamedTuple):
     """Result of a race between plans.
 
     Attributes
     ----------
     plans : (m,) int64
         Indices of the plans of the last round, the best first.
-    margins : (m, n) float64
-        Their margins in the scenarios of the race. They chose the plan, so they must not state
-        its success probability: use fresh scenarios.
     score : (m,) float64
         Success rates by which they are ordered: of all scenarios, or of the worst tenth of the
-        parameter draws.
-    tied : (k,) int64
-        Plans that are not significantly worse than the best one, the best first.
+        parameter draws. They chose the plan, so they must not state its success probability: use
+        fresh scenarios.
     success : (n_plans,) float64
         Success rate of every plan in the scenarios it met.
     met : (n_plans,) int64
@@ -95,9 +75,7 @@ class RaceResult(Result):
     """
 
     plans: IntArray
-    margins: FloatArray
     score: FloatArray
-    tied: IntArray
     success: FloatArray
     met: IntArray
     rounds: tuple[RaceRound, ...]
@@ -112,29 +90,8 @@ class RaceResult(Result):
         """Number of rollouts."""
         return self.rounds[-1].rollouts
 
-    def _summary(self) -> Summary:
-        columns = ("scenarios", "plans", "rollouts", "best plan", Column("success", "", ".3f"))
-        rows = [(r.n_scenarios, r.n_plans, r.rollouts, r.best, r.success) for r in self.rounds]
-        heading = f"Race of {len(self.success)} plans: plan {self.best} is the best"
-        uniform = len(self.success) * self.rounds[-1].n_scenarios
-        notes = [
-            f"{self.rollouts} rollouts; every plan in every scenario would need {uniform}.",
-            f"{len(self.tied)} plans are about equally good.",
-        ]
-        return Summary(heading, [Table(columns, rows, left=0)], notes[: 1 + (len(self.tied) > 1)])
 
-
-def race(
-    evaluate: Evaluate,
-    n_plans: int,
-    *,
-    sizes: Sequence[int] = SIZES,
-    worlds: ArrayLike | None = None,
-    finalists: int = 8,
-    confidence: float = 0.99,
-    budget: int | None = None,
-    report: Callable[[RaceRound], None] | None = None,
-) -> RaceResult:
+def race(evaluate: Evaluate, n_plans: int, **options: Any) -> RaceResult:
     """Find the plan with the highest success rate, with few rollouts.
 
     Parameters
@@ -143,30 +100,8 @@ def race(
         Function `evaluate(plans, scenarios)` of (m,) and (k,) int64 indices that returns the
         margins (m, k) of these plans in these scenarios, in units of the goal's tolerance.
     n_plans : int
-    sizes : sequence of int
-        Number of scenarios that a plan has met at the end of each round, increasing.
-    worlds : (n,) int64, optional
-        Parameter draw of each scenario. If given, plans are compared by their success in the worst
-        tenth of the draws as soon as each draw has 4 scenarios. Scenario k should be of draw
-        `k % n_worlds`.
-    finalists : int
-        Number of plans that the last round has at least.
-    confidence : float
-        Confidence of the paired comparisons by which plans leave early.
-    budget : int, optional
-        Number of rollouts that the race must not exceed. The first round is always done.
-    report : callable, optional
-        Function that is called with a `RaceRound` after every round.
-
-    Returns
-    -------
-    RaceResult
-
-    Raises
-    ------
-    InvalidInput
-        Sizes do not increase, scenarios are without a draw, or `evaluate` returns another shape or
-        NaN.
+    **options
+        Options of `race_rounds`.
 
     Examples
     --------
@@ -179,15 +114,7 @@ def race(
     >>> found.best, found.rollouts
     (51, 9728)
     """
-    rounds = race_rounds(
-        n_plans,
-        sizes=sizes,
-        worlds=worlds,
-        finalists=finalists,
-        confidence=confidence,
-        budget=budget,
-        report=report,
-    )
+    rounds = race_rounds(n_plans, **options)
     try:
         wanted = next(rounds)
         while True:
@@ -210,7 +137,29 @@ def race_rounds(
     """Run a race as a generator that yields requests and receives margins (m, k).
 
     It depends on the margins alone. To resume a race, send it the stored margins again.
-    The parameters are those of `race`, and it returns a `RaceResult`.
+
+    Parameters
+    ----------
+    n_plans : int
+    sizes : sequence of int
+        Number of scenarios that a plan has met at the end of each round, increasing.
+    worlds : (n,) int64, optional
+        Parameter draw of each scenario. If given, plans are compared by their success in the worst
+        tenth of the draws as soon as each draw has 4 scenarios. Scenario k should be of draw
+        `k % n_worlds`.
+    finalists : int
+        Number of plans that the last round has at least.
+    confidence : float
+        Confidence of the paired comparisons by which plans leave early.
+    budget : int, optional
+        Number of rollouts that the race must not exceed. The first round is always done.
+    report : callable, optional
+        Function that is called with a `RaceRound` after every round.
+
+    Raises
+    ------
+    InvalidInput
+        Sizes do not increase, scenarios are without a draw, or margins have another shape or NaN.
     """
     _check(n_plans, sizes, finalists, confidence)
     draws = None if worlds is None else np.asarray(worlds, dtype=np.int64)
@@ -236,9 +185,8 @@ def race_rounds(
         success[plans], met[plans] = np.mean(margins >= 0.0, axis=1), size
         last = size == sizes[-1]
         standing = _standing(margins, None if draws is None else draws[:size], soft=not last)
-        kept, rejected = _remaining(margins, standing, finalists, 1.0 - confidence)
-        best = int(plans[standing.order[0]])
-        rounds.append(RaceRound(size, len(plans), rollouts, best, float(success[best]), rejected))
+        kept = _remaining(margins, standing, finalists, 1.0 - confidence)
+        rounds.append(RaceRound(size, rollouts, float(success[plans[standing.order[0]]])))
         if report is not None:
             report(rounds[-1])
         if not last:
@@ -246,16 +194,7 @@ def race_rounds(
     size = rounds[-1].n_scenarios
     standing = _standing(margins, None if draws is None else draws[:size], soft=False)
     order = standing.order
-    tied = plans[order][standing.chance(margins)[order] > 1.0 - confidence]
-    return RaceResult(
-        plans=plans[order],
-        margins=margins[order],
-        score=standing.score[order],
-        tied=tied,
-        success=success,
-        met=met,
-        rounds=tuple(rounds),
-    )
+    return RaceResult(plans[order], standing.score[order], success, met, tuple(rounds))
 
 
 class _Standing(NamedTuple):
@@ -331,16 +270,14 @@ def _jackknife_test(counts: IntArray, n_runs: int, first: int) -> FloatArray:
     )
 
 
-def _remaining(
-    margins: FloatArray, standing: _Standing, finalists: int, chance: float
-) -> tuple[IntArray, int]:
-    """Return the rows of the plans that remain, and how many the paired comparison rejects."""
+def _remaining(margins: FloatArray, standing: _Standing, finalists: int, chance: float) -> IntArray:
+    """Return the rows of the plans that remain."""
     n = len(margins)
     quota = max(finalists, -(-n // 2))
     rank = np.empty(n, dtype=np.int64)
     rank[standing.order] = np.arange(n)
     rejected = (standing.chance(margins) <= chance) & (rank >= finalists)
-    return np.flatnonzero((rank < quota) & ~rejected), int(np.sum(rejected))
+    return np.flatnonzero((rank < quota) & ~rejected)
 
 
 def _check(n_plans: int, sizes: Sequence[int], finalists: int, confidence: float) -> None:
