@@ -2,7 +2,7 @@
 
 from fixel.simulation.batch import simulate_batch
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, FirstOrder, QuasiStatic
-from fixel.simulation.result import BatchResult, PusherTrace, Simulation
+from fixel.simulation.result import BatchResult, PusherTrajectory, Simulation
 from fixel.simulation.simulate import Simulator, simulate
 from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint, StewartTrinkle
@@ -19,7 +19,7 @@ __all__ = [
     "Lemke",
     "Midpoint",
     "Newton",
-    "PusherTrace",
+    "PusherTrajectory",
     "QuasiStatic",
     "Simulation",
     "Simulator",

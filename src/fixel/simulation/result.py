@@ -54,26 +54,6 @@ POSE_NAMES: Final = ("x", "y", "theta")
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PusherTrace:
-    """Travel and force of one pusher.
-
-    Attributes
-    ----------
-    travel : float
-        Length of the path covered [m].
-    force : (n_sample,) float64
-        Force of the bodies on it, along its path [N].
-    stalled : (n_sample,) bool
-        Whether its drive stalled: a speed below 1 % of the commanded one.
-    """
-
-    travel: float
-    force: FloatArray
-    stalled: BoolArray
-
-
-@final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PusherTrajectory(Trajectory):
     """Pose and force of one pusher against time.
@@ -124,8 +104,8 @@ class Simulation(Result):
         Pose of every body's shape frame, twist of its centre of mass [m, m, rad; m/s, m/s, rad/s].
     contacts : (n_contact,) structured, see CONTACT_FIELDS
         Touching contacts of every sample.
-    pushers : mapping from name to PusherTrace
-        Travel and forces of the pushers.
+    pushers : mapping from name to PusherTrajectory
+        Motion, travel and forces of the pushers.
     steps, fallbacks : int
         Number of steps, and of those that needed another solver.
     max_residual : float
@@ -157,7 +137,7 @@ class Simulation(Result):
     pose: Mapping[str, FloatArray]
     twist: Mapping[str, FloatArray]
     contacts: NDArray[np.void]
-    pushers: Mapping[str, PusherTrace]
+    pushers: Mapping[str, PusherTrajectory]
     steps: int
     fallbacks: int
     max_residual: float
@@ -229,16 +209,7 @@ class Simulation(Result):
     def __getitem__(self, name: str) -> Trajectory:
         """Return the trajectory of a free or driven body, with forces for a pusher."""
         pose = self.pose[_known(name, list(self.pose))]
-        if name not in self.pushers:
-            return Trajectory(time=self.time, pose=pose)
-        trace = self.pushers[name]
-        return PusherTrajectory(
-            time=self.time,
-            pose=pose,
-            travel=trace.travel,
-            force=trace.force,
-            stalled=trace.stalled,
-        )
+        return self.pushers.get(name) or Trajectory(time=self.time, pose=pose)
 
     def animate(self, path: str | Path, *, progress: Any = None) -> Path:
         """Write an animation of the motion.

@@ -34,7 +34,7 @@ from fixel.registry import offered
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack
 from fixel.simulation.plain import rollout_in_python
-from fixel.simulation.result import CONTACT_FIELDS, PusherTrace, Simulation
+from fixel.simulation.result import CONTACT_FIELDS, PusherTrajectory, Simulation
 from fixel.simulation.solver import SOLVERS, AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
@@ -507,7 +507,9 @@ def _unpacked(
         path = poses[:, len(scene.bodies) + k]
         step = path[1:] - path[:-1]
         force, stalled = record.drive[0, :n_sample, k].T
-        pushers[pusher.name] = PusherTrace(
+        pushers[pusher.name] = PusherTrajectory(
+            time=time,
+            pose=path,
             travel=float(np.hypot(step[:, 0], step[:, 1]).sum()),
             force=force * units.force,
             stalled=stalled > 0.0,
