@@ -58,8 +58,7 @@ def predict_repetition(
     n_free = len(comparer.space.labels)
     errors = rng.standard_normal((k, 3)) * noise.standard_deviations
     # Start errors that are among the unknowns are not drawn again.
-    unknown = {u.name for u in comparer.space.free}
-    errors = np.where([name in unknown for name in START], 0.0, errors)
+    errors[:, np.isin(START, [u.name for u in comparer.space.free])] = 0.0
     still = np.zeros_like(errors)
     best = np.repeat(posterior.best[None], k, axis=0)
     (centre,), (fine,), _ = _simulated(comparer, member, best[:1, :n_free], still[:1])
@@ -77,12 +76,11 @@ def predict_repetition(
     truths = (paths[2] + walk)[good]
     if len(truths) < 2:
         raise SolveFailed("hardly any sample can be simulated from the starts drawn")
-    scene = target.case.scene
     return Prediction(
-        scene=scene,
+        scene=target.case.scene,
         error=None,
         drawn=errors,
-        start=scene.bodies[0].pose + errors,
+        start=target.case.scene.bodies[0].pose + errors,
         time=np.asarray(target.case.times),
         pose=paths[2],
         nominal=centre,

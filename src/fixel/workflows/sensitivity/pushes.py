@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from fixel.calibration.target import target_of
 from fixel.database.project import Project
@@ -15,17 +15,17 @@ from fixel.model import Experiment, Parameters, Scene
 from fixel.model.parameters import info_of
 from fixel.model.selection import ExperimentQuery
 from fixel.model.space import split_label
-from fixel.progress import ProgressOption
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model, stated_name
 from fixel.simulation.stepper import AbstractStepper
 from fixel.uncertainty.outcomes import FLAGS, Sensitivity
 from fixel.uncertainty.starts import StartError
 from fixel.workflows.calibration.stored import CalibratedValues, load_values, newest_calibration
-from fixel.workflows.compilation import get_ready
-from fixel.workflows.sensitivity.run import is_scene_file, sensitivity
 
 Ranges = Mapping[str, tuple[float, float]]
+
+
+SCENE_ENDINGS: Final = (".yaml", ".yml", ".json")
 
 
 class PushSelection(NamedTuple):
@@ -79,18 +79,16 @@ class RankedPushes(NamedTuple):
     calibration: int | None = None
 
 
-def ranked(
-    own: PushSelection, error: StartError, *, progress: ProgressOption = None, **options: Any
-) -> RankedPushes:
-    """Analyse pushes, and order them by their sensitivity.
+def selected(own: PushSelection) -> tuple[PushSelection, list[Subject], dict[str, str]]:
+    """Load the pushes to analyse.
 
-    Parameters
-    ----------
-    own : PushSelection
-    error : StartError
-    progress : bool or callable, optional
-    **options
-        Options of `sensitivity`.
+    Returns
+    -------
+    PushSelection
+        The same, with the calibration that is used by default.
+    list of Subject
+    dict from str to str
+        Experiments that cannot be simulated, and why.
 
     Raises
     ------
@@ -111,29 +109,18 @@ def ranked(
         raise InvalidInput(
             "experiments", found=why or "none", expected="a push that can be simulated"
         )
-    get_ready(subjects[0].scene)
-    found = []
-    for one in subjects:
-        method: Any = {"vary": one.ranges, "motion": one.motion, "stepper": one.stepper}
-        try:
-            result = sensitivity(
-                one.scene, error, one.values, **method, **options, progress=progress
-            )
-        except InvalidInput as problem:
-            if len(subjects) == 1:
-                raise
-            skipped[one.key] = str(problem)
-        else:
-            found.append(Finding(one, result))
-    if not found:
-        raise InvalidInput("experiments", found=next(iter(skipped.values())), expected="an outcome")
-    found.sort(key=_badness)
-    return RankedPushes(found, skipped, error, own.calibration)
+    return own, subjects, skipped
 
 
-def _badness(finding: Finding) -> tuple[int, float, str]:
+def by_flag(finding: Finding) -> tuple[int, float, str]:
+    """Return the key by which the push to avoid first comes first."""
     own = finding.sensitivity
     return FLAGS.index(own.flag), -max(own.amplification, own.gain), finding.subject.key
+
+
+def is_scene_file(thing: str) -> bool:
+    """Whether this is the name of a scene file, not of an experiment."""
+    return thing.lower().endswith(SCENE_ENDINGS)
 
 
 def _subjects(own: PushSelection) -> tuple[list[Subject], dict[str, str]]:

@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     from fixel.simulation.stepper import AbstractStepper
     from fixel.uncertainty.outcomes import Sensitivity
     from fixel.uncertainty.starts import StartError
-    from fixel.workflows.sensitivity.pushes import RankedPushes
-
-SCENE_ENDINGS: Final = (".yaml", ".yml", ".json")
+    from fixel.workflows.sensitivity.pushes import Finding, RankedPushes, Subject
 
 
 def sensitivity(
@@ -208,31 +206,56 @@ def sensitivity_of_pushes(
         There is no such experiment or calibration.
     """
     from fixel.uncertainty.starts import preset as named
-    from fixel.workflows.sensitivity.pushes import PushSelection, ranked
+    from fixel.workflows.compilation import get_ready
+    from fixel.workflows.sensitivity.pushes import PushSelection, RankedPushes, by_flag, selected
 
     if preset is not None and start_error is not None:
         raise InvalidInput("preset", found="a preset and a start error", expected="one of them")
     usual = replace(StartSizes(), uniform=True)
     error = named(preset) if preset is not None else start_error or usual.build()
     ranges = options.pop("vary", None) or {}
-    own = PushSelection(project, experiments, calibration, engine or "", values or {}, ranges)
+    given = PushSelection(project, experiments, calibration, engine or "", values or {}, ranges)
+    own, subjects, skipped = selected(given)
+    get_ready(subjects[0].scene)
     options["indices"] = options.get("indices") or bool(ranges)
-    return ranked(own, error, progress=progress, **options)
+    found = _analysed(subjects, skipped, error, {**options, "progress": progress})
+    return RankedPushes(sorted(found, key=by_flag), skipped, error, own.calibration)
+
+
+def _analysed(
+    subjects: list[Subject], skipped: dict[str, str], error: StartError, options: dict[str, Any]
+) -> list[Finding]:
+    """Analyse pushes; those without an outcome are skipped, unless there is only one push."""
+    from fixel.workflows.sensitivity.pushes import Finding
+
+    found = []
+    for one in subjects:
+        method: Any = {"vary": one.ranges, "motion": one.motion, "stepper": one.stepper}
+        try:
+            found.append(
+                Finding(one, sensitivity(one.scene, error, one.values, **method, **options))
+            )
+        except InvalidInput as problem:
+            if len(subjects) == 1:
+                raise
+            skipped[one.key] = str(problem)
+    if not found:
+        raise InvalidInput("experiments", found=next(iter(skipped.values())), expected="an outcome")
+    return found
 
 
 def in_project(request: Any) -> bool:
     """Return whether a request needs a project: for stored experiments or a calibration."""
+    from fixel.workflows.sensitivity.pushes import is_scene_file
+
     things = request.experiments
     return request.calibration is not None or not things or not all(map(is_scene_file, things))
 
 
-def is_scene_file(thing: str) -> bool:
-    """Whether this is the name of a scene file, not of an experiment."""
-    return thing.lower().endswith(SCENE_ENDINGS)
-
-
 def _settled(project: Project, request: Any) -> Any:
     """Return the request; raise for files, which the browser that starts a job must not name."""
+    from fixel.workflows.sensitivity.pushes import is_scene_file
+
     if files := list(filter(is_scene_file, request.experiments)):
         expected = "experiments of the project, where a job computes"
         raise InvalidInput("experiments", found=files[0], expected=expected)
