@@ -26,56 +26,27 @@ class CameraEffects:
 
     The sensor is linear: grey levels are proportional to light, so that the true place of an edge
     has the mean level of its two sides.
-
-    Parameters
-    ----------
-    lighting : str
-        `"above"`: a testbed under a lamp. `"through"`: a microscope's bright field.
-    exposure : float
-        Exposure time of a frame, whose time stamp is its middle [s].
-    blur : float
-        Standard deviation of the lens's blur [px].
-    vignetting : float
-        Share of the light that is missing in the corners of the picture [-].
-    shadows : float
-        Share of the light that is missing in a full shadow [-].
-    read_noise : float
-        Standard deviation of the noise in the dark [grey levels of 255].
-    shot_noise : float
-        Standard deviation of the photon noise at full white [grey levels]; it grows with the root
-        of the light.
-    drift : float
-        Standard deviation of slow changes of the brightness, as a share [-].
-    light_change : float
-        Share of the light that is missing for a while in the middle of the film [-].
-    colour_change : float
-        Relative increase of red and decrease of blue at the same time [-].
-    occlusion : float
-        Duration for which a hand lies over the object [s].
-    occluded : float
-        Share of the object's upper face that the hand covers [-].
-    dropped : float
-        Probability that a frame is lost [-].
-    jitter : float
-        Standard deviation of frame times, as a share of the interval [-].
-    tab : (float, float)
-        Width and length of the rest of the lead on a short side of a part under the microscope [m].
     """
 
+    # `"above"`: a testbed under a lamp. `"through"`: a microscope's bright field.
     lighting: str = "above"
-    exposure: float = 0.0
-    blur: float = 0.0
-    vignetting: float = 0.0
-    shadows: float = 0.5
-    read_noise: float = 0.0
+    exposure: float = 0.0  # exposure time of a frame, whose time stamp is its middle [s]
+    blur: float = 0.0  # standard deviation of the lens's blur [px]
+    vignetting: float = 0.0  # share of the light that is missing in the corners of the picture [-]
+    shadows: float = 0.5  # share of the light that is missing in a full shadow [-]
+    read_noise: float = 0.0  # standard deviation of the noise in the dark [grey levels of 255]
+    # Standard deviation of the photon noise at full white [grey levels]; it grows with the root of
+    # the light.
     shot_noise: float = 0.0
-    drift: float = 0.0
+    drift: float = 0.0  # standard deviation of slow changes of the brightness, as a share [-]
+    # Share of the light that is missing for a while in the middle of the film [-].
     light_change: float = 0.0
-    colour_change: float = 0.0
-    occlusion: float = 0.0
-    occluded: float = 0.5
-    dropped: float = 0.0
-    jitter: float = 0.0
+    colour_change: float = 0.0  # relative increase of red and decrease of blue at the same time [-]
+    occlusion: float = 0.0  # duration for which a hand lies over the object [s]
+    occluded: float = 0.5  # share of the object's upper face that the hand covers [-]
+    dropped: float = 0.0  # probability that a frame is lost [-]
+    jitter: float = 0.0  # standard deviation of frame times, as a share of the interval [-]
+    # Width and length of the rest of the lead on a short side of a part under the microscope [m].
     tab: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:

@@ -34,23 +34,13 @@ SETTLED: Final = 0.35  # [px] of movement at which the rounds end
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OutlineEdges(Comparable):
-    """Points on the edges of a flat thing.
+    """Points on the edges of a flat thing."""
 
-    Attributes
-    ----------
-    point : (n, 2) float64
-        Points in the frame of the thing [m].
-    outward : (n, 2) float64
-        Unit vectors from the dark side to the bright one, in the same frame [-].
-    height : (n,) float64
-        Heights above the plane [m].
-    group : (n,) int64
-        Edge or marker of each point: levels of brightness are common to a group.
-    """
-
-    point: FloatArray
+    point: FloatArray  # (n, 2) points in the frame of the thing [m]
+    # (n, 2) Unit vectors from the dark side to the bright one, in the same frame [-].
     outward: FloatArray
-    height: FloatArray
+    height: FloatArray  # (n,) heights above the plane [m]
+    # Edge or marker of each point: levels of brightness are common to a group.
     group: np.ndarray[tuple[int], np.dtype[np.int64]]
     thing: FloatArray = field(init=False, repr=False, compare=False)
 

@@ -80,23 +80,12 @@ class PartTrack(Comparable):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FoundFixel(Comparable):
-    """Measured place of a fixel.
-
-    Attributes
-    ----------
-    name : str
-    place : (2,) float64
-        Median over the frames in which it was measured [m].
-    scatter : float
-        Root mean square distance of single frames from the median [m].
-    n : int
-        Number of these frames.
-    """
+    """Measured place of a fixel."""
 
     name: str
-    place: FloatArray
-    scatter: float
-    n: int
+    place: FloatArray  # (2,) median over the frames in which it was measured [m]
+    scatter: float  # root mean square distance of single frames from the median [m]
+    n: int  # number of these frames
 
     def __post_init__(self) -> None:
         settle(self, place=frozen(self.place))

@@ -40,18 +40,10 @@ EXAGGERATED: Final = 8.0  # drawn length of a push over its true length
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tolerance:
-    """Largest allowed deviation of a part from its place.
+    """Largest allowed deviation of a part from its place."""
 
-    Parameters
-    ----------
-    distance : float
-        Deviation of the origin of its frame [m].
-    angle : float
-        Deviation of its angle [rad].
-    """
-
-    distance: float
-    angle: float
+    distance: float  # deviation of the origin of its frame [m]
+    angle: float  # deviation of its angle [rad]
 
     def __post_init__(self) -> None:
         positive(self.distance, "--tolerance-mm", "mm")

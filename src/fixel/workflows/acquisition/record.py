@@ -34,48 +34,22 @@ CHOICES: Final = ("auto", *CODECS)
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordPlan:
-    """Source, destination and end of a recording.
+    """Source, destination and end of a recording."""
 
-    Parameters
-    ----------
-    camera : str
-        See `source_of`.
-    folder : Path
-        Folder to create.
-    tactile : str, optional
-        Port of the tactile board; `film`, or `film:FOLDER`, for the readings of a recording.
-    rig : str, optional
-        Name or file of a rig; pictures must have the size of its camera.
-    scene : Path, optional
-        Scene file of what lies on the plate; copied into the recording.
-    size : (int, int), optional
-        Picture size requested from the camera if there is no rig [px].
-    rate : float
-        Frame rate requested from the camera [frames/s].
-    codec : str
-        One of `CHOICES`; `auto` stores JPEG unchanged and pixels as `near`.
-    until : str
-        One of `ENDS`; a key ends the recording in any case.
-    mode : str, optional
-        Digits of fixels 1, 2, 3 that count as seated: `"010"`.
-    limit : float, optional
-        Maximum duration [s].
-    fast : bool
-        Whether a file is played as fast as it can be read.
-    """
-
-    camera: str
-    folder: Path
+    camera: str  # see `source_of`
+    folder: Path  # folder to create
+    # Port of the tactile board; `film`, or `film:FOLDER`, for the readings of a recording.
     tactile: str | None = None
-    rig: str | None = None
-    scene: Path | None = None
+    rig: str | None = None  # name or file of a rig; pictures must have the size of its camera
+    scene: Path | None = None  # scene file of what lies on the plate; copied into the recording
+    # Picture size requested from the camera if there is no rig [px].
     size: tuple[int, int] | None = None
-    rate: float = 30.0
-    codec: str = "auto"
-    until: str = "key"
-    mode: str | None = None
-    limit: float | None = None
-    fast: bool = False
+    rate: float = 30.0  # frame rate requested from the camera [frames/s]
+    codec: str = "auto"  # one of `CHOICES`; `auto` stores JPEG unchanged and pixels as `near`
+    until: str = "key"  # one of `ENDS`; a key ends the recording in any case
+    mode: str | None = None  # digits of fixels 1, 2, 3 that count as seated: `"010"`
+    limit: float | None = None  # maximum duration [s]
+    fast: bool = False  # whether a file is played as fast as it can be read
 
     def __post_init__(self) -> None:
         for option, value, known in (
