@@ -22,10 +22,10 @@ from fixel.cli.screen import (
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.model import Scene
     from fixel.testbed.frame_source import FrameSource
+    from fixel.vision.marks import Rig
     from fixel.workflows.acquisition.overlay import Overlay
-    from fixel.workflows.acquisition.overlay_check import Look
+    from fixel.workflows.acquisition.overlay_check import Look, Tolerance
 
 NOT_IN_PLACE = 4
 WAKING = 5  # pictures that are skipped: a camera that was just switched on sends dark ones
@@ -82,13 +82,13 @@ def overlay(
     as_json: AsJson = False,
 ) -> None:
     """Show planned poses on the live picture, and their errors."""
-    from fixel.workflows.acquisition.overlay import scene_of
+    from fixel.workflows.acquisition.overlay import Overlay, scene_of
 
     picture = output if once else None
-    looks = _overlay(
-        rig, scene_of(scene, experiment, project), tolerance_mm, tolerance_deg, picture
-    )
-    heading = f"{experiment or (scene.name if scene else '')} on {looks.rig.name}"
+    bench = _bench(rig, picture)
+    placed = scene_of(scene, experiment, project)
+    looks = Overlay(bench, placed, _tolerance(bench, tolerance_mm, tolerance_deg))
+    heading = f"{experiment or (scene.name if scene else '')} on {bench.name}"
     look = _look(looks, camera, picture, heading, port, show=not as_json)
     setting = ["--camera", camera, "--rig", rig] + (["--scene", str(scene)] if scene else [])
     files = {"picture": str(output)} if once else {}
@@ -101,25 +101,26 @@ def overlay(
         raise typer.Exit(NOT_IN_PLACE)
 
 
-def _overlay(
-    rig: str, scene: "Scene", mm: float | None, deg: float | None, picture: Path | None
-) -> "Overlay":
-    """Create the comparison, with the tolerances of the rig where none are given."""
+def _bench(rig: str, picture: Path | None) -> "Rig":
+    """Load a rig, after a check of the file to write."""
     from fixel.drawing.chart import refuse_ending
     from fixel.formats.rig_file import rig_of
     from fixel.io.atomic import refuse_unwritable
-    from fixel.workflows.acquisition.overlay import Overlay
-    from fixel.workflows.acquisition.overlay_check import Tolerance
 
     if picture is not None:
         refuse_ending(picture, (".png",), "picture")
         refuse_unwritable(picture)
-    bench = rig_of(rig)
-    tolerance = Tolerance(
+    return rig_of(rig)
+
+
+def _tolerance(bench: "Rig", mm: float | None, deg: float | None) -> "Tolerance":
+    """Return the tolerance; where none is given, that of the rig."""
+    from fixel.workflows.acquisition.overlay_check import Tolerance
+
+    return Tolerance(
         distance=bench.position_tolerance if mm is None else 1e-3 * mm,
         angle=bench.angle_tolerance if deg is None else radians(deg),
     )
-    return Overlay(bench, scene, tolerance)
 
 
 def _look(
