@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from fixel.planning.goal_places import goal_poses
 
+from fixel.planning.candidates import goal_poses
 from fixel.planning.rollout import CARRIED_OUT, PlanSimulator
 from fixel.typing import FloatArray
 
