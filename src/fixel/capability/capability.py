@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from inspect import cleandoc, signature
 from pathlib import Path
 from types import ModuleType
@@ -47,9 +49,10 @@ class Capability:
         Public function whose arguments are options too.
     leave_out : tuple of str
         Arguments of `of` that only Python has.
-    presentation : callable
-        Returns the module that reports results: `report_of(result)`, an `AnalysisReport`;
-        `content(done)`, the content of `--json` of a `StoredAnswer`; `next_words(done)`, words of
+    presentation : callable, optional
+        Returns the module that reports results, by default that of the function, or `report` in the
+        same folder: `report_of(result)`, an `AnalysisReport`; `content(done)`, the content of
+        `--json` of a `StoredAnswer`, if it is another than usual; `next_words(done)`, words of
         the next command or none; `draw(result, path)` if `plot` is `"file"`; where a run can stop
         early, `failed(result)`; `add_files(result, folder)` for files of the stored analysis; and
         `about()`, tables below the form of the page.
@@ -80,7 +83,7 @@ class Capability:
     function: Callable[..., Any]
     of: Callable[..., Any] | None = None
     leave_out: tuple[str, ...] = ()
-    presentation: Callable[[], ModuleType]
+    presentation: Callable[[], ModuleType] | None = None
     plot: Literal["folder", "file", ""] = "folder"
     rounds: Callable[..., Any] | None = None
     settled: Callable[..., Any] | None = None
@@ -104,6 +107,14 @@ class Capability:
     def path(self) -> list[str]:
         """Words of the command."""
         return [*([self.group] if self.group else []), self.verb or self.name]
+
+    @property
+    def present(self) -> ModuleType:
+        """Module that reports results."""
+        if self.presentation is not None:
+            return self.presentation()
+        own = sys.modules[self.function.__module__]
+        return own if hasattr(own, "report_of") else import_module(f"{own.__package__}.report")
 
     @property
     def on_project(self) -> bool:

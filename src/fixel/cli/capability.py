@@ -132,16 +132,17 @@ def _prepare(capability: Capability, request: "BaseModel", folder: Path, as_json
 def _run(
     capability: Capability, request: "BaseModel", folder: Path, plot: Path | None, as_json: bool
 ) -> None:
+    from fixel.workflows.analysis import usual_content
     from fixel.workflows.capabilities import run
 
     (require_picture if capability.plot == "file" else require_folder)(plot)
     done = run(capability, request, folder, plot=plot)
-    analysis, present = done.analysis, capability.presentation()
+    analysis, present = done.analysis, capability.present
     words = present.next_words(done)
     kept = [] if done.folder is None else [f"stored in {done.folder}"]
     print_answer(
         as_json,
-        lambda: present.content(done),
+        lambda: getattr(present, "content", usual_content)(done),
         lambda: paragraphs(
             analysis.lines(),
             [f"Took {seconds(analysis.seconds)}.", *wrote(done.files.values()), *kept],

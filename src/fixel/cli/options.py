@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_type_hints
 
 import typer
 
-from fixel.errors import InvalidInput, unknown_name
+from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.model.selection import ExperimentQuery
@@ -37,17 +37,6 @@ def _permitted(name: str | None) -> str | None:
     return name
 
 
-Engine = Annotated[
-    str | None,
-    typer.Option(
-        "--engine",
-        callback=_permitted,
-        metavar="NAME",
-        help="Simulate by another engine: mujoco, drake, pymunk, box2d, or the path of a "
-        "program; with choices as in mujoco:step=0.001.",
-        show_default=False,
-    ),
-]
 CalibrationEngine = Annotated[
     str | None,
     typer.Option(
@@ -70,28 +59,11 @@ Where = Annotated[
     ),
 ]
 Flagged = Annotated[bool, typer.Option("--all", help="Include experiments whose data have faults.")]
-NoiseMm = Annotated[
-    float | None,
-    typer.Option(help="Standard deviation of measured positions [mm].", show_default="estimated"),
-]
-NoiseMrad = Annotated[
-    float | None,
-    typer.Option(help="Standard deviation of measured angles [mrad].", show_default="estimated"),
-]
 Seed = Annotated[int, typer.Option(help="Seed of the random number generator.", min=0)]
 AnySeed = Annotated[int, typer.Option(help="Seed of the random number generator.")]
 PictureFolder = Annotated[
     Path | None,
     typer.Option(help="Folder for charts as PNG and PDF, and for their data.", metavar="FOLDER"),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option(
-        help="Number of worker processes; 0 computes in this process.",
-        min=0,
-        metavar="N",
-        show_default="0",
-    ),
 ]
 SiteFile = Annotated[
     Path | None,
@@ -219,13 +191,6 @@ def require_picture(file: Path | None) -> None:
         refuse_unwritable(file)
 
 
-def require_one_of(option: str, value: str, known: tuple[str, ...]) -> Any:
-    """Return a value if it is one of those that an option knows."""
-    if value not in known:
-        raise unknown_name(option, value, known)
-    return value
-
-
 @dataclass(frozen=True, kw_only=True)
 class Selection:
     """Options that select experiments of a project by their properties."""
@@ -240,11 +205,3 @@ class Selection:
         from fixel.model.selection import parse_filter
 
         return parse_filter(*(self.where or ()), dataset=self.dataset, include_faulty=self.flagged)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeasurementNoise:
-    """Options for the standard deviations of measured poses."""
-
-    noise_mm: NoiseMm = None
-    noise_mrad: NoiseMrad = None

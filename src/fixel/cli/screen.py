@@ -75,15 +75,6 @@ def command_of(*words: object, project: Path = Path()) -> str:
     return shlex.join(["fixel", *map(str, words), *project_words(project)])
 
 
-def compare_command(
-    key: str, values: Mapping[str, float], motion: str, folder: Path = Path()
-) -> str:
-    """Return the command that compares an experiment with its simulation."""
-    from fixel.simulation.engine_names import compare_words
-
-    return command_of(*compare_words(key, values, motion), project=folder)
-
-
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:
     """Format the lines of a table of texts; the first `left` columns are left-aligned."""
     return Table(head, rows, left=left).lines()

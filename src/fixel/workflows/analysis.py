@@ -227,6 +227,11 @@ class StoredAnswer(NamedTuple):
         return self.capability.words(self.request)
 
 
+def usual_content(done: StoredAnswer) -> dict[str, Any]:
+    """Return the content of `--json`, for reports that define no other."""
+    return done.analysis.numbers | {"files": {k: str(path) for k, path in done.files.items()}}
+
+
 def store_analysis(
     project: Project,
     analysis: Analysis,

@@ -144,7 +144,7 @@ def report_result(
     from fixel.workflows.analysis import StoredAnswer, store_analysis
     from fixel.workflows.figures import write_picture
 
-    present = capability.presentation()
+    present = capability.present
     report = present.report_of(result)
     analysis = report.analysis.model_copy(
         update={

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from fixel.capability.capability import Capability
@@ -137,11 +135,6 @@ def report_of(answer: SampleAnswer) -> AnalysisReport:
     )
 
 
-def content(done: StoredAnswer) -> dict[str, Any]:
-    """Return the content of `--json`."""
-    return done.analysis.numbers | {"files": {k: str(path) for k, path in done.files.items()}}
-
-
 def draw(answer: SampleAnswer, path: Path) -> None:
     """Draw a plan into a file."""
     from fixel.drawing.plan import draw_plan
@@ -183,8 +176,4 @@ def _problems(answer: SampleAnswer) -> list[str]:
     return [f"{n} problem{'s' * (n != 1)}, checked {how}", *shown, *more]
 
 
-def _presentation() -> ModuleType:
-    return sys.modules[__name__]
-
-
-SAMPLE: Final = Capability(name="sample", function=sample, presentation=_presentation, plot="file")
+SAMPLE: Final = Capability(name="sample", function=sample, plot="file")

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, final
+from typing import TYPE_CHECKING, Annotated, Final, Literal, final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
@@ -107,7 +106,7 @@ def simulate_scene(
     scene: Annotated[Path, Door(metavar="SCENE")],
     *,
     trajectory: Written = None,
-    changes: Annotated[
+    overrides: Annotated[
         Sequence[str], Door(flag="--set", metavar="PATH=VALUE", plain=tuple[str, ...])
     ] = (),
     plot: Written = None,
@@ -127,7 +126,7 @@ def simulate_scene(
         Scene file, YAML or JSON.
     trajectory : path, optional
         Write the trajectory to this file: .csv or .parquet.
-    changes : sequence of str
+    overrides : sequence of str
         Change one value of the scene, e.g. bodies.0.mass=0.2; may be repeated.
     plot : path, optional
         Draw the motion: .png, .svg or .pdf.
@@ -157,7 +156,7 @@ def simulate_scene(
     from fixel.simulation.stepper import stepper_of
 
     return simulate_file(
-        load_scene(scene, changes),
+        load_scene(scene, overrides),
         Outputs(trajectory=trajectory, plot=plot, animate=animate),
         motion=motion if motion is None else str(motion),
         stepper=stepper_of(step, tolerance),
@@ -174,11 +173,6 @@ def report_of(simulation: Simulation) -> AnalysisReport:
     return AnalysisReport(
         analysis_of("simulate", simulation, numbers=simulation.summary(), seconds=seconds)
     )
-
-
-def content(done: StoredAnswer) -> dict[str, Any]:
-    """Return the content of `--json`."""
-    return done.analysis.numbers | {"files": {k: str(path) for k, path in done.files.items()}}
 
 
 def failed(simulation: Simulation) -> bool:
@@ -205,6 +199,5 @@ def next_words(done: StoredAnswer) -> list[str]:
 SIMULATE: Final = Capability(
     name="simulate",
     function=simulate_scene,
-    presentation=lambda: sys.modules[__name__],
     plot="",
 )

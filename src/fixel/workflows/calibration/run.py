@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from inspect import signature
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from fixel.capability.capability import Capability
@@ -313,18 +312,11 @@ def _prepare(project: Project, **asked: Any) -> Path:
     return prepare_in_project(project, asked)
 
 
-def _presentation() -> ModuleType:
-    from fixel.workflows.calibration import report
-
-    return report
-
-
 CALIBRATE: Final = Capability(
     name="calibrate",
     function=calibrate_in_project,
     of=calibrate,
     leave_out=("experiments", "parameters", "start", "store"),
-    presentation=_presentation,
     prepare=_prepare,
     after="calibration-result:store_result",
 )

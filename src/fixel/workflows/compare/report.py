@@ -38,11 +38,6 @@ def report_of(found: StoredComparison) -> AnalysisReport:
     )  # fmt: skip
 
 
-def content(done: StoredAnswer) -> dict[str, Any]:
-    """Return the content of `--json`."""
-    return done.analysis.numbers | {"files": {k: str(path) for k, path in done.files.items()}}
-
-
 def draw(found: StoredComparison, path: Path) -> None:
     """Draw measured and simulated motion into a file."""
     shown = found.run or found.published

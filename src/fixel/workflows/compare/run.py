@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 from fixel.capability.capability import Capability
@@ -121,12 +120,4 @@ def _published(store: Store, number: int, experiment: Experiment) -> PathCompari
     return None if simulation is None else compare_path(experiment, store.simulation(simulation))
 
 
-def _presentation() -> ModuleType:
-    from fixel.workflows.compare import report
-
-    return report
-
-
-COMPARE: Final = Capability(
-    name="compare", function=compare_stored, presentation=_presentation, plot="file"
-)
+COMPARE: Final = Capability(name="compare", function=compare_stored, plot="file")

@@ -49,11 +49,6 @@ def report_of(answer: FilterAnswer) -> AnalysisReport:
     )
 
 
-def content(done: StoredAnswer) -> dict[str, Any]:
-    """Return the content of `--json`."""
-    return done.analysis.numbers | {"files": {k: str(path) for k, path in done.files.items()}}
-
-
 def draw(answer: FilterAnswer, path: Path) -> None:
     """Draw a run into a file."""
     with written_whole(path) as unfinished:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
@@ -156,17 +155,10 @@ def filter_stored(
     return FilterAnswer(number, estimates, run_id, of_it)
 
 
-def _presentation() -> ModuleType:
-    from fixel.workflows.filtering import report
-
-    return report
-
-
 FILTER: Final = Capability(
     name="filter",
     function=filter_stored,
     of=filter,
     leave_out=("experiment", "options"),
-    presentation=_presentation,
     plot="file",
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Final
 
 from fixel.capability.capability import Capability
@@ -100,12 +99,4 @@ def propose_pushes(
     return found
 
 
-def _presentation() -> ModuleType:
-    from fixel.workflows.next_pushes import report
-
-    return report
-
-
-NEXT: Final = Capability(
-    name="next", title="Next pushes", function=propose_pushes, presentation=_presentation
-)
+NEXT: Final = Capability(name="next", title="Next pushes", function=propose_pushes)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
@@ -208,12 +207,6 @@ def _settled(project: Project, request: Any) -> Any:
     return settled(project, request)
 
 
-def _presentation() -> ModuleType:
-    from fixel.workflows.planning import report
-
-    return report
-
-
 PLAN: Final = Capability(
     name="plan",
     title="Plan",
@@ -222,7 +215,6 @@ PLAN: Final = Capability(
     function=plan_goal,
     of=plan,
     leave_out=("scene", "goal", "choose", "belief", "motion", "stepper", "first"),
-    presentation=_presentation,
     rounds=_rounds,
     settled=_settled,
 )

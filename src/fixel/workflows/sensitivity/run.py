@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
@@ -262,18 +261,11 @@ def _settled(project: Project, request: Any) -> Any:
     return request
 
 
-def _presentation() -> ModuleType:
-    from fixel.workflows.sensitivity import report
-
-    return report
-
-
 SENSITIVITY: Final = Capability(
     name="sensitivity",
     function=sensitivity_of_pushes,
     of=sensitivity,
     leave_out=("scene", "start", "model", "motion", "stepper"),
-    presentation=_presentation,
     in_project=in_project,
     settled=_settled,
 )

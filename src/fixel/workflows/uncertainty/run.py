@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
@@ -155,16 +154,9 @@ def uncertainty(
     return with_predictions(own, found, options["samples"], point)
 
 
-def _presentation() -> ModuleType:
-    from fixel.workflows.uncertainty import report
-
-    return report
-
-
 UNCERTAINTY: Final = Capability(
     name="uncertainty",
     function=uncertainty,
     of=posterior,
     leave_out=("experiments", "parameters", "threads"),
-    presentation=_presentation,
 )
