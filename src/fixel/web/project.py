@@ -21,7 +21,6 @@ from fixel.web.api import (
     experiments,
     jobs,
     planning,
-    run,
     scenes,
     system,
 )
@@ -31,12 +30,15 @@ from fixel.web.problems import Refusal, answer_errors
 from fixel.web.serve import HERE_ONLY, WebServer
 from fixel.web.views.live_comparison import warm_up
 
-ROUTERS: Final = tuple(
-    resource.router
-    for resource in (
-        analyses, calibration, changes, compare, domain, experiments, jobs,
-        planning, run, scenes, system,
-    )
+ROUTERS: Final = (
+    jobs.runs,
+    *(
+        resource.router
+        for resource in (
+            analyses, calibration, changes, compare, domain, experiments, jobs, planning, scenes,
+            system,
+        )
+    ),
 )  # fmt: skip
 
 ABOUT: Final = """Experiments, simulations, calibrations and domains of one project.

@@ -29,8 +29,8 @@ from fixel.workflows.calibration.project import stored_calibration
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.stored import load_values
 from fixel.workflows.figures import Picture
-from fixel.workflows.report.bibliography import bibtex, known_works, line, works
 from fixel.workflows.report.calibration import calibration_warnings
+from fixel.workflows.report.write import bibtex, known_works, line, works
 
 PLANNED = thesis_plan().experiments
 EVIL = '<script>alert("x")</script>'

@@ -1,13 +1,15 @@
-"""Jobs: progress and workers; cancel and resume a job."""
+"""Capabilities and the jobs that run them: start, progress and workers, cancel and resume."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path as FilePath
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Path, Query
 
 from fixel.web.context import Context
+from fixel.web.pages.run import FORMS, begin, form_of
 from fixel.web.values import Answer
 from fixel.web.views import job_list
 from fixel.web.views.job_list import JobLog, Worker
@@ -20,6 +22,7 @@ JobName = Annotated[
 ]
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
+runs = APIRouter(prefix="/run", tags=["capabilities"])
 
 
 class JobList(Answer):
@@ -64,3 +67,14 @@ def resume(context: Context, name: JobName) -> JobDetail:
     with job_list.job_slot(context.project.folder):
         job_list.resume(job_list.job_named(context.project.folder, name))
     return one(context, name)
+
+
+@runs.get("", summary="List capabilities with the JSON schemas of their requests")
+def capabilities() -> dict[str, dict[str, Any]]:
+    return {name: own.model.model_json_schema() for name, own in FORMS.items()}
+
+
+@runs.post("/{name}", summary="Run a capability as a job; its result is an analysis")
+def start(context: Context, name: str, request: dict[str, Any]) -> JobDetail:
+    own = form_of(name)
+    return one(context, begin(context, own, own.from_json(json.dumps(request))).name)

@@ -6,17 +6,22 @@ import base64
 import io
 import os
 import platform
+import re
 import shlex
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, final
 
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
 from fixel.io.atomic import written_whole
+from fixel.model.fields import instance
+from fixel.registry import offers
 from fixel.results import Result
 from fixel.typing import Notify
 from fixel.workflows.analysis import StoredAnalysis, load_analyses
@@ -24,7 +29,6 @@ from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.project import stored_calibration, stored_run
 from fixel.workflows.calibration.stored import CalibratedValues, load_values
 from fixel.workflows.figures import ENDINGS, make_folder
-from fixel.workflows.report.bibliography import bibtex, line, works
 from fixel.workflows.report.calibration import (
     calibration_warnings,
     errors_section,
@@ -35,7 +39,6 @@ from fixel.workflows.report.calibration import (
 )
 from fixel.workflows.report.content import Content, Figure, Section
 from fixel.workflows.report.data import ReportData, data_of, data_section, data_warnings
-from fixel.workflows.report.results import results_content
 from fixel.workflows.sentences import environment, sentences
 
 PAGE: Final = "report.html"
@@ -44,6 +47,13 @@ BIBLIOGRAPHY: Final = "cite.bib"
 MAX_PAGE_BYTES: Final = 10_000_000  # largest size of the page [byte]
 PER_INCH: Final = 116  # of a picture, on the page [pixel]: a figure of two columns fills it
 WIDEST: Final = 1500  # largest width of a picture on the page [pixel]; its PDF has full detail
+
+_ENTRY: Final = re.compile(r"^@\w+\{(\w+),\n.*?^\}\n", re.MULTILINE | re.DOTALL)
+_FIELD: Final = re.compile(r"^  (\w+) = \{(.*)\},$", re.MULTILINE)
+OWN: Final = "fixel"  # key of the program itself
+
+# BibTeX notation, and how people read it.
+READ: Final = {'{\\"u}': "ü", "{\\`e}": "è", "{": "", "}": ""}
 
 # Kinds of analyses in the order of a report, with the titles of their sections.
 WANTED: Final[dict[str, str]] = {
@@ -355,3 +365,103 @@ def _embedded(path: Path) -> dict[str, Any]:
     image.quantize(128, dither=Image.Dither.NONE).save(out, format="PNG", optimize=True)
     data = base64.b64encode(out.getvalue()).decode()
     return {"source": f"data:image/png;base64,{data}", "width": round(inches * PER_INCH)}
+
+
+# --- results that are in no project ---------------------------------------------------------------
+
+
+def results_content(results: Sequence[Result], folder: Path, title: str = "") -> Content:
+    """Collect tables and figures of results; the figures are drawn into an existing folder.
+
+    Parameters
+    ----------
+    results : sequence of Result
+    folder : Path
+    title : str
+
+    Raises
+    ------
+    InvalidInput
+        There is no result, or another object.
+    """
+    if not results:
+        raise InvalidInput("results", found="none", expected="at least one")
+    sections = []
+    for k, result in enumerate(results):
+        instance(result, Result, f"results[{k}]", "a result, such as a Calibration")
+        summary = result._summary()
+        name = f"result_{k + 1}"
+        sections.append(
+            Section(
+                title=summary.heading.partition(":")[0],
+                anchor=name,
+                lead=(summary.heading,),
+                tables=tuple(summary.tables),
+                figures=_drawn(result, name, folder),
+                notes=tuple(summary.notes),
+            )
+        )
+    facts = (
+        ("fixel", version("fixel")),
+        ("Python", platform.python_version()),
+        ("machine", f"{platform.system()}, {platform.machine()}"),
+    )
+    findings = tuple(section.lead[0] for section in sections)
+    return Content(
+        title=title or sections[0].title,
+        banner="",
+        facts=facts,
+        warnings=(),
+        findings=findings,
+        sections=tuple(sections),
+        methods=(),
+    )
+
+
+def _drawn(result: Result, name: str, folder: Path) -> tuple[Figure, ...]:
+    """Draw the usual plot of a result, if it has one."""
+    if not offers(f"plots of {type(result).__name__}"):
+        return ()
+    from matplotlib import pyplot
+
+    axes = result.plot()
+    figure = (axes.flat[0] if hasattr(axes, "flat") else axes).figure
+    for ending in ("png", "pdf"):
+        with written_whole(folder / f"{name}.{ending}") as file:
+            figure.savefig(file, dpi=300)
+    pyplot.close(figure)
+    return (Figure(name, type(result).__name__, folder / f"{name}.png"),)
+
+
+# --- works to cite, from `references.bib` ---------------------------------------------------------
+
+
+@cache
+def known_works() -> dict[str, str]:
+    """Load the BibTeX entry of every known work, by key; the program has its version."""
+    text = (files("fixel.workflows.report") / "references.bib").read_text(encoding="utf-8")
+    text = text.replace("Version VERSION", f"Version {version('fixel')}")
+    return {found[1]: found[0] for found in _ENTRY.finditer(text)}
+
+
+def works(keys: Sequence[str]) -> dict[str, str]:
+    """Select the entries of the program and of what is cited, each once; skip unknown keys."""
+    known = known_works()
+    return {key: known[key] for key in dict.fromkeys((OWN, *keys)) if key in known}
+
+
+def bibtex(cited: dict[str, str]) -> str:
+    """Return the content of a `.bib` file."""
+    return "\n".join(cited.values())
+
+
+def line(entry: str) -> str:
+    """Format an entry as a line of a list of references."""
+    fields = dict(_FIELD.findall(entry))
+    authors = fields.pop("author").replace(" and others", " et al.").replace(" and ", ", ")
+    title, year = fields.pop("title")[1:-1], fields.pop("year")
+    for written, read in READ.items():
+        authors = authors.replace(written, read)
+    rest = [value.replace("--", "-") for name, value in fields.items() if name != "number"]
+    parts = [f"{authors} ({year})", title, ", ".join(rest)]
+    return ". ".join(part for part in parts if part) + "."
