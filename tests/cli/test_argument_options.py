@@ -1,35 +1,14 @@
-"""Commands name their options where Python names its arguments."""
+"""Python names its own arguments where commands name their options."""
 
 import pytest
 
 import fixel
-from fixel.cli.argument_options import in_options
-from fixel.cli.main import app
 from fixel.errors import InvalidInput
 from fixel.testing.pushes import example_pushes
 from fixel.workflows.calibration.run import calibrate, calibrate_each
 from fixel.workflows.domain.run import map_domain
 
 SPACE = {"mu_pusher": (0, 1), "tripod_radius": 0.038}
-
-
-@pytest.mark.parametrize(
-    ("words", "where", "named"),
-    [
-        (["simulate", "scene.yaml"], "overrides duration", "--set duration"),
-        (["simulate", "scene.yaml"], "nominal", "nominal"),
-        (["calibrate"], "bodies[0].mass", "bodies[0].mass"),
-    ],
-)
-def test_the_option_of_an_argument(words, where, named):
-    assert in_options(InvalidInput(where, found=1, expected="2"), app, words).where == named
-
-
-def test_hints_name_options_too():
-    folds = InvalidInput("experiments", found=1, expected="2", hint="use fewer folds: folds=2")
-
-    assert in_options(folds, app, ["domain"]).hint == "use fewer folds: --folds 2"
-    assert in_options(folds, app, ["simulate"]) is folds
 
 
 @pytest.mark.parametrize(

@@ -340,6 +340,11 @@ def _text(kind: Any, value: Any) -> str:
     return repr(float(value)) if kind is float or isinstance(value, float) else str(value)
 
 
+def in_unit(value: float, unit: str) -> float:
+    """Return the number that states an SI value in a unit of `FACTORS`."""
+    return _preimage(value, FACTORS[unit])
+
+
 def _preimage(value: float, factor: float) -> float:
     """Return the shortest number whose product with a factor is the value, or the nearest."""
     near = value / factor

@@ -41,7 +41,6 @@ from fixel.cli import (
     track,
     trust,
 )
-from fixel.cli.argument_options import in_options
 from fixel.cli.capability import typer_command, typer_commands
 from fixel.errors import (
     DatasetMissing,
@@ -174,9 +173,7 @@ def run(
     try:
         # With --json, errors in options come here too.
         code = (program or app)(arguments, prog_name=name, standalone_mode=not as_json)
-    except InvalidInput as error:
-        _exit(BAD_INPUT, in_options(error, program or app, sys.argv[1:]), as_json)
-    except (DatasetMissing, NotStored) as error:
+    except (InvalidInput, DatasetMissing, NotStored) as error:
         _exit(BAD_INPUT, error, as_json)
     except SolveFailed as error:
         _exit(NOT_SOLVED, error, as_json)

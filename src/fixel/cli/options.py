@@ -1,7 +1,7 @@
 """Options of commands: groups of options as dataclasses, and those that several commands share."""
 
 from collections.abc import Callable
-from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, Field, field, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -12,7 +12,7 @@ import typer
 from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from fixel.model.selection import ExperimentQuery
+    pass
 
 T = TypeVar("T")
 _INFO: Final = "typer"  # key in the metadata of a dataclass field
@@ -189,19 +189,3 @@ def require_picture(file: Path | None) -> None:
 
         refuse_ending(file, PICTURE_ENDINGS, "picture")
         refuse_unwritable(file)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Selection:
-    """Options that select experiments of a project by their properties."""
-
-    dataset: DatasetName = None
-    where: Where = None
-    flagged: Flagged = False
-
-    @property
-    def query(self) -> "ExperimentQuery":
-        """Query for the selected experiments."""
-        from fixel.model.selection import parse_filter
-
-        return parse_filter(*(self.where or ()), dataset=self.dataset, include_faulty=self.flagged)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
@@ -206,16 +205,9 @@ def map_stored(
     return DomainAnswer(asked, gathered, *map_of(gathered, asked))
 
 
-def _presentation() -> ModuleType:
-    from fixel.workflows.domain import report
-
-    return report
-
-
 DOMAIN: Final = Capability(
     name="domain",
     function=map_stored,
     of=map_domain,
     leave_out=("experiments", "motion", "store"),
-    presentation=_presentation,
 )

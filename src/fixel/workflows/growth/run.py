@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from fixel.capability.capability import Capability
@@ -69,12 +68,4 @@ def grow_stored(
         return explore(store, asked, project.folder, report)
 
 
-def _presentation() -> ModuleType:
-    from fixel.workflows.growth import report
-
-    return report
-
-
-GROWTH: Final = Capability(
-    name="growth", group="domain", function=grow_stored, presentation=_presentation
-)
+GROWTH: Final = Capability(name="growth", group="domain", function=grow_stored)
