@@ -24,7 +24,7 @@ from typing import Any, Final, final
 
 from pydantic import Field, computed_field
 
-from fixel.errors import InvalidInput, JobRefused
+from fixel.errors import FixelError, InvalidInput, JobRefused
 from fixel.io.array_bytes import RATIO, SMALL
 from fixel.io.atomic import written_whole
 from fixel.io.journal import read_journal
@@ -260,11 +260,25 @@ def shown_name(folder: Path) -> str:
     return folder.name.encode("utf-8", "replace").decode()
 
 
+def job_folders(project: Path) -> dict[str, Path]:
+    """Return the folders of a project's jobs by the names that are shown."""
+    found = [path.parent for path in (project / JOBS).glob("*/job.json")]
+    return {shown_name(folder): folder for folder in sorted(found)}
+
+
 def jobs_in(project: Path) -> list[JobStatus]:
-    """Return the jobs of a project, newest first."""
-    folders = [path.parent for path in (project / JOBS).glob("*/job.json")]
-    made = {folder: files.read_job(folder).made_utc for folder in folders}
-    return [status_of(folder) for folder in sorted(folders, key=made.__getitem__, reverse=True)]
+    """Return the jobs of a project, newest first; those that cannot be read are `unreadable`."""
+    found = [readable_status(folder) for folder in job_folders(project).values()]
+    return sorted(found, key=lambda job: (job.made_utc, job.name), reverse=True)
+
+
+def readable_status(folder: Path) -> JobStatus:
+    """Return the status of a job; `unreadable`, with the reason, if another program wrote it."""
+    try:
+        return status_of(folder)
+    except (FixelError, OSError) as problem:
+        name = shown_name(folder)
+        return JobStatus(folder=str(folder), name=name, state=UNREADABLE, reason=str(problem))
 
 
 def cancel(folder: Path) -> JobStatus:

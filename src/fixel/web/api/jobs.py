@@ -40,7 +40,7 @@ class JobDetail(Answer):
 
 @router.get("", summary="List jobs of the project, the newest first")
 def all_jobs(context: Context) -> JobList:
-    return JobList(jobs=job_list.list_jobs(context.project.folder))
+    return JobList(jobs=jobs.jobs_in(context.project.folder))
 
 
 @router.get("/{name}", summary="Get a job and its workers")

@@ -243,7 +243,7 @@ def _result(context: ProjectContext, name: str) -> StoredAnalysis:
 
 def jobs_page(context: ProjectContext, _: Request) -> dict[str, Any]:
     """Fill `/jobs`."""
-    every = job_list.list_jobs(context.project.folder)
+    every = jobs.jobs_in(context.project.folder)
     return {"jobs": every, "running": sum(job.can_cancel and not job.can_resume for job in every)}
 
 

@@ -12,7 +12,7 @@ from typing import Final, Literal, get_args
 
 from pydantic import Field
 
-from fixel.errors import FixelError, JobRefused, NotStored
+from fixel.errors import JobRefused, NotStored
 from fixel.io.lock import Owner, is_running
 from fixel.jobs import folder as files
 from fixel.jobs import link
@@ -70,18 +70,12 @@ class PageJob(Answer):
         )
 
 
-def list_jobs(project: Path) -> list[JobStatus]:
-    """Return the jobs of a project, newest first."""
-    found = [_status(folder) for folder in _folders(project).values()]
-    return sorted(found, key=lambda job: (job.made_utc, job.name), reverse=True)
-
-
 def job_named(project: Path, name: str) -> JobStatus:
     """Return the job of a name, which is compared with existing ones and never used as a path."""
-    folders = _folders(project)
+    folders = jobs.job_folders(project)
     if name not in folders:
         raise NotStored(f"job {name!r}", hint="list the jobs: fixel jobs status")
-    return _status(folders[name])
+    return jobs.readable_status(folders[name])
 
 
 def workers(job: JobStatus) -> list[Worker]:
@@ -134,31 +128,15 @@ def job_slot(project: Path) -> Iterator[None]:
         Too many jobs are running.
     """
     with _starting:
-        running = [path for path in _folders(project).values() if files.coordinator_of(path)]
+        running = [
+            path for path in jobs.job_folders(project).values() if files.coordinator_of(path)
+        ]
         if len(running) >= MAX_AT_ONCE:
             raise JobRefused(
                 f"{len(running)} jobs of this project are running",
                 hint="wait until one has finished, or cancel one on the page Jobs",
             )
         yield
-
-
-def _folders(project: Path) -> dict[str, Path]:
-    """Folders of jobs by the names that are shown, which any text can contain."""
-    found = [path.parent for path in (project / jobs.JOBS).glob("*/job.json")]
-    return {jobs.shown_name(folder): folder for folder in sorted(found)}
-
-
-def _status(folder: Path) -> JobStatus:
-    try:
-        return jobs.status_of(folder)
-    except (FixelError, OSError) as problem:
-        return JobStatus(
-            folder=str(folder),
-            name=jobs.shown_name(folder),
-            state=jobs.UNREADABLE,
-            reason=str(problem),
-        )
 
 
 def _worker_names(folder: Path) -> list[str]:
