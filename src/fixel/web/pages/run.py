@@ -171,7 +171,7 @@ def _form(
             at.error = str(own)
     return {
         "title": capability.heading,
-        "about": getattr(capability.presentation(), "about", tuple)(),
+        "about": getattr(capability.present, "about", tuple)(),
         "capability": capability,
         "fields": [own for own in shown if own.option.place or own.option.required],
         "options": [own for own in shown if not (own.option.place or own.option.required)],
