@@ -7,7 +7,6 @@ seed a test either always passes or never.
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -333,12 +332,3 @@ def test_refuses_a_centre_of_pressure_nothing_can_carry():
     bench = replace(BENCH, centre_of_pressure=(0.05, 0.0))
     with pytest.raises(InvalidInput, match=r"'push-0'.*centre_of_pressure.*5\d.* mm"):
         list(bench.run(PLAN[:1]))
-
-
-def test_the_page_runs_as_written():
-    page = Path(__file__).parents[2] / "docs" / "how-to" / "simulated-testbed.md"
-    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
-    namespace = {}
-    assert blocks
-    for block in blocks:
-        exec(compile(block, str(page), "exec"), namespace)

@@ -14,7 +14,7 @@ from fixel.typing import FloatArray
 from fixel.vision.boards import Board
 from fixel.vision.marks import Tag
 from fixel.vision.opencv import opencv
-from fixel.vision.tracking.tag_reader import DICTIONARIES
+from fixel.vision.tracking.tag_reader import dictionary_of
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -59,9 +59,10 @@ def tag_sheets(
     words: list[tuple[float, float, str]] = []
     x, y, row = EDGE, EDGE, 0.0
     for tag, word in sorted(tags, key=lambda pair: -pair[0].size):
-        one = tag_rectangles(tag.family, tag.id, tag.size)
+        dictionary = dictionary_of(tag.family, tag.id)
+        one = _cells_of(dictionary, tag.id, tag.size)
         # Detection of a tag needs a white border, one cell wide.
-        cell = tag.size / _cells(tag.family)
+        cell = tag.size / (dictionary.markerSize + 2)
         wide = max(tag.size + 2.0 * cell, 0.02) + BETWEEN
         tall = tag.size + 2.0 * cell + LETTERS + BETWEEN
         if wide > page[0] - 2 * EDGE or tall > page[1] - 2 * EDGE - FOOT:
@@ -132,21 +133,6 @@ def board_rectangles(board: Board) -> FloatArray:
         cells = _cells_of(found.getDictionary(), number, board.marker)
         rectangles.append(_at(x, y, cells))
     return np.concatenate(rectangles)
-
-
-def tag_rectangles(family: str, number: int, size: float) -> FloatArray:
-    """Black rectangles (n, 4) of a tag, from its upper left corner [m]."""
-    aruco = opencv().aruco
-    dictionary = aruco.getPredefinedDictionary(getattr(aruco, DICTIONARIES[family]))
-    count = len(dictionary.bytesList)
-    if number >= count:
-        raise InvalidInput("tag.id", found=number, expected=f"0 to {count - 1} of {family}")
-    return _cells_of(dictionary, number, size)
-
-
-def _cells(family: str) -> int:
-    aruco = opencv().aruco
-    return int(aruco.getPredefinedDictionary(getattr(aruco, DICTIONARIES[family])).markerSize + 2)
 
 
 def _cells_of(dictionary: Any, number: int, size: float) -> FloatArray:

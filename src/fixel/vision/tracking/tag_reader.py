@@ -74,23 +74,24 @@ def _detector(family: str) -> Any:
     cv2 = opencv()
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    return cv2.aruco.ArucoDetector(_dictionary(family), parameters)
+    return cv2.aruco.ArucoDetector(dictionary_of(family), parameters)
 
 
 @functools.cache
-def _dictionary(family: str) -> Any:
-    cv2 = opencv()
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, KNOWN[family]))
+def dictionary_of(family: str, id_: int = 0) -> Any:
+    """Return OpenCV's dictionary of a family; raise where it has no tag of this number."""
+    aruco = opencv().aruco
+    dictionary = aruco.getPredefinedDictionary(getattr(aruco, KNOWN[family]))
+    count = len(dictionary.bytesList)
+    if id_ >= count:
+        raise InvalidInput("tag.id", found=id_, expected=f"0 to {count - 1} of {family}")
+    return dictionary
 
 
 @functools.cache
 def cells(family: str, id_: int) -> tuple[FloatArray, BoolArray]:
     """Middles (n, 2) of the cells of a tag of side 1, with its border, and which are white."""
-    dictionary = _dictionary(family)
-    if id_ >= len(dictionary.bytesList):
-        raise InvalidInput(
-            "tag.id", found=id_, expected=f"below {len(dictionary.bytesList)} in {family}"
-        )
+    dictionary = dictionary_of(family, id_)
     size = dictionary.markerSize
     inner = dictionary.getBitsFromByteList(dictionary.bytesList[id_ : id_ + 1], size)
     white: NDArray[np.bool_] = np.pad(np.asarray(inner).reshape(size, size) > 0, 1)
