@@ -203,7 +203,7 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Report whether a camera has moved, and its accuracy."""
-    from fixel.workflows.acquisition.camera.check import check as run
+    from fixel.workflows.acquisition.camera.calibrate import check as run
 
     found = run(camera, video=video, heights=_heights(height_mm), plot=plot)
     record = f"record --camera 0 --out FOLDER --rig {_quoted(camera)}"

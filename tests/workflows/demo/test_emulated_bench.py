@@ -13,7 +13,7 @@ from fixel.model import Scene
 from fixel.testbed.emulators import mega as emulated_mega
 from fixel.workflows.acquisition.film import FilmSettings, film
 from fixel.workflows.acquisition.track import track_film
-from fixel.workflows.demo.emulated_bench import record_film
+from fixel.workflows.demo.camera_demo import record_film
 
 pytestmark = pytest.mark.system
 

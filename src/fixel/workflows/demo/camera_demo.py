@@ -18,19 +18,22 @@ from fixel.drawing.tracking import TrackedRun, side_by_side
 from fixel.errors import InvalidInput
 from fixel.formats.recording import is_recording, open_recording
 from fixel.formats.scene_file import load_scene
-from fixel.model import Experiment, PathDrive, Trajectory, placed
+from fixel.model import Experiment, PathDrive, Scene, Trajectory, placed
 from fixel.model.records import Estimate
 from fixel.model.selection import ExperimentQuery
 from fixel.sampling.thesis import thesis_plan
 from fixel.table import Table
 from fixel.testbed.emulators import mega
+from fixel.testbed.emulators.bench import emulated_bench
+from fixel.testbed.frame_source import CameraPicture
+from fixel.testbed.recorder import RecordingStatus, RecordingSummary
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import Notify, ProgressCallback
 from fixel.workflows.acquisition.film import ARRAYS, FilmSettings, film
+from fixel.workflows.acquisition.record import RecordPlan, record
 from fixel.workflows.acquisition.track import TrackAnswer, track_film
 from fixel.workflows.analysis import Analysis, store_analysis
 from fixel.workflows.capabilities import call
-from fixel.workflows.demo.emulated_bench import record_film
 from fixel.workflows.demo.laboratory_demo import true_mean
 from fixel.workflows.figures import Picture
 from fixel.workflows.report.write import Report
@@ -218,6 +221,48 @@ def _tracked(folder: Path, made: Path, firmware: Path | None, notify: Notify) ->
         expected="an object that is tracked from its start",
         hint="the computer may be too busy to record; repeat the command to continue with this run",
     )
+
+
+def record_film(
+    film: Path, out: Path, scene: Scene, lead: float, firmware: Path | None
+) -> tuple[RecordingSummary, float | None]:
+    """Record a film as if it took place on a bench.
+
+    Parameters
+    ----------
+    film, out : Path
+        Folders of the film and of the recording.
+    scene : Scene
+        Planned scene, from which the drive gets its motion.
+    lead : float
+        Duration of the rest before the motion [s].
+    firmware : Path, optional
+        See `emulated_bench`.
+
+    Returns
+    -------
+    recorded : RecordingSummary
+    position : float or None
+        Position of the drive at the end [m].
+    """
+    with emulated_bench(film, firmware) as bench:
+        begun = False
+
+        def watch(_: CameraPicture, status: RecordingStatus) -> None:
+            nonlocal begun
+            if not begun:
+                begun = True
+                bench.begin(status, scene, lead)
+
+        plan = RecordPlan(
+            camera=bench.camera,
+            folder=out,
+            tactile=bench.tactile,
+            rig=str(film / "rig.yaml"),
+            scene=film / "scene.yaml",
+        )
+        recorded = record(plan, watch=watch)
+        return recorded, bench.end()
 
 
 def _noted(folder: Path) -> dict[str, float | None]:

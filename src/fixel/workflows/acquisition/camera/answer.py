@@ -171,6 +171,38 @@ def _corners(camera: MeasuredCamera) -> list[str]:
     ]
 
 
+class CameraCheck(NamedTuple):
+    """Result of checking a camera."""
+
+    answer: CameraAnswer
+    # Largest error from pixels to directions and back, over the whole picture [px].
+    round_trip: float
+    # Distance of each plate tag from its place [m]; empty if none was searched for.
+    tags: dict[int, float]
+    problems: tuple[str, ...]  # reasons not to use the camera
+
+    def summary(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        return {
+            **self.answer.summary(),
+            "round_trip_px": self.round_trip,
+            "plate_tags_off_m": {str(k): v for k, v in self.tags.items()},
+            "problems": list(self.problems),
+        }
+
+    def blocks(self) -> list[list[str]]:
+        """Return paragraphs of text for people."""
+        return [
+            *self.answer.blocks(),
+            [f"round trip from pixels to directions and back: {self.round_trip:.1g} px"],
+            [
+                f"tag {number} on the plate is {1e3 * off:.2f} mm from its nominal position"
+                for number, off in self.tags.items()
+            ],
+            [f"PROBLEM: {problem}" for problem in self.problems],
+        ]
+
+
 class PlaceAccuracy(NamedTuple):
     """Expected accuracy of places at one height."""
 
