@@ -254,7 +254,7 @@ def test_an_experiment_beside_its_simulation(one):
     assert "simulation 1, nominal values" in one.inner_text("#which")
     assert one.locator(".legend li").count() == 2
     assert "mm" in one.inner_text("#figures")
-    assert one.locator("#charts canvas").count() == 6
+    assert one.locator("#charts svg.panel").count() == 6
 
 
 def test_scrubbing_moves_all_of_it(one):

@@ -102,8 +102,8 @@ def test_scrubber_and_arrow_keys_and_charts_move_the_time(compare):
     assert 0.0 < player(compare, "time") - half < 0.3
     compare.keyboard.press("Home")
     assert player(compare, "time") == player(compare, "start")
-    compare.locator("#charts canvas").last.scroll_into_view_if_needed()
-    chart = compare.locator("#charts canvas").last.bounding_box()
+    compare.locator("#charts svg.panel").last.scroll_into_view_if_needed()
+    chart = compare.locator("#charts svg.panel").last.bounding_box()
     start = (chart["x"] + 0.4 * chart["width"], chart["y"] + 20)
     drag(compare, start, (0.3 * chart["width"], 0))
     assert 0.5 < player(compare, "time") / player(compare, "end") < 0.9

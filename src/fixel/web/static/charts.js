@@ -1,9 +1,9 @@
 // @ts-check
 // Small line charts under one another, on one axis of time, with a cursor that all share.
 
-import { make } from "./dom.js";
+import { make, svg } from "./dom.js";
 import { column, valueAt } from "./motion.js";
-import { colour, roundNumber } from "./stage.js";
+import { roundNumber } from "./stage.js";
 import { stylesOf } from "./view.js";
 
 /** @typedef {import("./motion.js").Motion} Motion */
@@ -19,6 +19,7 @@ import { stylesOf } from "./view.js";
 /** @typedef {{title: string, unit: string, series: Series[], digits?: number}} LinePanel */
 /** @typedef {{title: string, strips: Series[]}} StripPanel rows of on and off */
 /** @typedef {LinePanel | StripPanel} Panel */
+/** @typedef {{series: Series, digits: number, node: HTMLElement}} Value */
 
 const LEFT = 58; // [px] of the plot in a chart
 const RIGHT = 10;
@@ -35,14 +36,16 @@ export class Charts extends EventTarget {
     host.classList.add("charts");
     /** @type {Panel[]} */
     this.panels = [];
-    /** @type {{canvas: HTMLCanvasElement, values: HTMLElement[], panel: Panel}[]} */
-    this.rows = [];
+    /** @type {Value[]} values at the cursor */
+    this.values = [];
     this.from = 0;
     this.to = 1;
     this.time = 0;
+    this.width = 0;
     this.pointer = make("div", { class: "cursor", "aria-hidden": "true" });
-    new ResizeObserver(() => this.draw()).observe(host);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    new ResizeObserver(() => {
+      if (host.clientWidth !== this.width) this.draw();
+    }).observe(host);
     this.#listen();
   }
 
@@ -51,69 +54,27 @@ export class Charts extends EventTarget {
    * @param {[number, number]} span first and last instant [s]
    */
   show(panels, span) {
-    const alike = this.#alike(panels);
     this.panels = panels;
     [this.from, this.to] = span[1] > span[0] ? span : [span[0], span[0] + 1];
-    if (alike) {
-      this.rows.forEach((row, k) => { row.panel = panels[k]; });
-      this.draw();
-      return;
-    }
-    this.rows = panels.map((panel, k) => this.#row(panel, k === panels.length - 1));
-    this.host.replaceChildren(
-      ...this.rows.map(({ canvas }) => /** @type {HTMLElement} */ (canvas.parentElement)),
-      this.pointer,
-    );
     this.draw();
-    this.cursor(this.time);
-  }
-
-  /**
-   * Whether these can be drawn where others were.
-   * @param {Panel[]} panels
-   */
-  #alike(panels) {
-    /** @param {Panel} panel */
-    const key = (panel) => [panel.title, ...("strips" in panel ? panel.strips : panel.series)
-      .map((one) => `${one.label} ${one.colour}`)].join();
-    return panels.length === this.rows.length
-      && panels.every((panel, k) => key(panel) === key(this.rows[k].panel));
   }
 
   /** @param {number} time [s] */
   cursor(time) {
     this.time = time;
-    const x = this.#x(time, this.host.clientWidth);
-    this.pointer.style.transform = `translateX(${x.toFixed(1)}px)`;
-    for (const { values, panel } of this.rows) {
-      const series = "series" in panel ? panel.series : [];
-      series.forEach((one, k) => {
-        const known = one.values.length > 2 || Array.from(one.time).includes(time);
-        const value = known && one.values.length ? valueAt(one.time, one.values, time) : NaN;
-        const digits = "digits" in panel ? panel.digits ?? 1 : 1;
-        values[k].textContent = Number.isFinite(value) ? value.toFixed(digits).replace("-", "\u2212") : "\u2013";
-      });
+    this.pointer.style.transform = `translateX(${this.#x(time).toFixed(1)}px)`;
+    for (const { series: { time: instants, values }, digits, node } of this.values) {
+      const known = values.length > 2 || Array.from(instants).includes(time);
+      const value = known && values.length ? valueAt(instants, values, time) : NaN;
+      node.textContent = Number.isFinite(value) ? value.toFixed(digits).replace("-", "\u2212") : "\u2013";
     }
   }
 
   draw() {
-    this.rows.forEach(({ canvas, panel }, k) => {
-      const last = k === this.rows.length - 1;
-      const width = canvas.clientWidth;
-      const height = canvas.clientHeight;
-      if (!width || !height) return;
-      const ratio = window.devicePixelRatio || 1;
-      canvas.width = Math.round(width * ratio);
-      canvas.height = Math.round(height * ratio);
-      const context = canvas.getContext("2d");
-      if (!context) return;
-      context.setTransform(ratio, 0, 0, ratio, 0, 0);
-      context.font = `12px ${getComputedStyle(canvas).fontFamily}`;
-      const bottom = last ? height - AXIS : height - 4;
-      this.#grid(context, width, bottom, last);
-      if ("strips" in panel) this.#strips(context, panel, width);
-      else this.#lines(context, panel, width, bottom);
-    });
+    this.width = this.host.clientWidth;
+    if (!this.width) return;
+    this.values = [];
+    this.host.replaceChildren(...this.panels.map((panel, k) => this.#chart(panel, k === this.panels.length - 1)), this.pointer);
     this.cursor(this.time);
   }
 
@@ -121,131 +82,90 @@ export class Charts extends EventTarget {
    * @param {Panel} panel
    * @param {boolean} last
    */
-  #row(panel, last) {
-    const canvas = make("canvas", { role: "img", "aria-label": described(panel) });
-    const lines = "strips" in panel ? panel.strips.length * ROW + 8 : HEIGHT;
-    canvas.style.height = `${lines + (last ? AXIS : 0)}px`;
+  #chart(panel, last) {
+    const bottom = "strips" in panel ? panel.strips.length * ROW + 4 : HEIGHT - 4;
+    const height = bottom + (last ? AXIS : 4);
     const series = "series" in panel ? panel.series : [];
     const values = series.map((one) => {
       const node = make("output", { title: one.label });
       node.style.color = one.text;
+      this.values.push({ series: one, digits: "digits" in panel ? panel.digits ?? 1 : 1, node });
       return node;
     });
     const unit = "unit" in panel ? ` [${panel.unit}]` : "";
-    const head = make("div", { class: "head" }, make("span", {}, panel.title + unit), ...values);
-    make("div", { class: "chart" }, head, canvas);
-    return { canvas, values, panel };
+    return make("div", { class: "chart" },
+      make("div", { class: "head" }, make("span", {}, panel.title + unit), ...values),
+      svg("svg", { class: "panel", width: this.width, height, role: "img", "aria-label": described(panel) },
+        ...this.#grid(bottom, last),
+        ...("strips" in panel ? this.#strips(panel) : this.#lines(panel, bottom))));
   }
 
   /**
-   * @param {CanvasRenderingContext2D} context
-   * @param {number} width
    * @param {number} bottom
    * @param {boolean} last
    */
-  #grid(context, width, bottom, last) {
+  #grid(bottom, last) {
     const step = roundNumber((this.to - this.from) / 4);
-    context.strokeStyle = colour(this.host, "line", "#d7dce1");
-    context.fillStyle = colour(this.host, "soft", "#59636d");
-    context.lineWidth = 1;
-    context.textAlign = "center";
+    const drawn = [];
     for (let t = Math.ceil(this.from / step - 1e-9) * step; t <= this.to + 1e-9; t += step) {
-      const x = Math.round(this.#x(t, width)) + 0.5;
-      context.beginPath();
-      context.moveTo(x, 0);
-      context.lineTo(x, bottom);
-      context.stroke();
-      if (last && x < width - 34) context.fillText(`${+t.toPrecision(6)}`, x, bottom + 16);
+      const x = Math.round(this.#x(t)) + 0.5;
+      drawn.push(svg("path", { class: "grid", d: `M${x} 0V${bottom}` }));
+      if (last && x < this.width - 34) drawn.push(svg("text", { x, y: bottom + 16, "text-anchor": "middle" }, +t.toPrecision(6)));
     }
-    if (last) {
-      context.textAlign = "right";
-      context.fillText("t [s]", width - 2, bottom + 16);
-    }
+    if (last) drawn.push(svg("text", { x: this.width - 2, y: bottom + 16, "text-anchor": "end" }, "t [s]"));
+    return drawn;
   }
 
   /**
-   * @param {CanvasRenderingContext2D} context
    * @param {LinePanel} panel
-   * @param {number} width
    * @param {number} bottom
    */
-  #lines(context, panel, width, bottom) {
+  #lines(panel, bottom) {
     const [low, high] = limits(panel.series);
     /** @param {number} value */
     const y = (value) => bottom - 4 - ((value - low) / (high - low)) * (bottom - 10);
     const step = roundNumber((high - low) / 2.2);
-    context.textAlign = "right";
+    const drawn = [];
     for (let value = Math.ceil(low / step) * step; value <= high + 1e-9 * step; value += step) {
       const place = Math.round(y(value)) + 0.5;
-      context.strokeStyle = colour(this.host, "line", "#d7dce1");
-      context.beginPath();
-      context.moveTo(LEFT, place);
-      context.lineTo(width - RIGHT, place);
-      context.stroke();
-      context.fillStyle = colour(this.host, "soft", "#59636d");
-      context.fillText(`${+value.toPrecision(4)}`.replace("-", "\u2212"), LEFT - 6, place + 4);
+      drawn.push(svg("path", { class: "grid", d: `M${LEFT} ${place}H${this.width - RIGHT}` }),
+        svg("text", { x: LEFT - 6, y: place + 4, "text-anchor": "end" }, `${+value.toPrecision(4)}`.replace("-", "\u2212")));
     }
-    context.save();
-    context.beginPath();
-    context.rect(LEFT, 0, width - LEFT - RIGHT, bottom);
-    context.clip();
-    for (const one of panel.series) {
-      if (one.time.length <= 2) {
-        // Two poses are no measured line.
-        context.fillStyle = one.colour;
-        for (let k = 0; k < one.time.length; k += 1) {
-          context.beginPath();
-          context.arc(this.#x(one.time[k], width), y(one.values[k]), 4, 0, 2 * Math.PI);
-          context.fill();
-        }
-        continue;
-      }
-      context.beginPath();
-      for (let k = 0; k < one.time.length; k += 1) {
-        context.lineTo(this.#x(one.time[k], width), y(one.values[k]));
-      }
-      context.setLineDash(one.dash);
-      context.strokeStyle = one.colour;
-      context.lineWidth = 1.8;
-      context.stroke();
+    const inner = svg("svg", { x: LEFT, width: Math.max(0, this.width - LEFT - RIGHT), height: bottom });
+    for (const { time, values, colour, dash } of panel.series) {
+      // Two poses are no measured line.
+      const dots = time.length <= 2;
+      const points = Array.from(time, (t, k) => [this.#x(t) - LEFT, y(values[k])]).filter(([, down]) => Number.isFinite(down));
+      const d = points.map(([x, down], k) => `${dots || k === 0 ? "M" : "L"}${x.toFixed(1)} ${down.toFixed(1)}${dots ? "h0" : ""}`).join("");
+      inner.append(svg("path", { class: dots ? "dots" : "line", d, stroke: colour, "stroke-dasharray": dash.join(" ") || null }));
     }
-    context.restore();
+    return [...drawn, inner];
   }
 
-  /**
-   * @param {CanvasRenderingContext2D} context
-   * @param {StripPanel} panel
-   * @param {number} width
-   */
-  #strips(context, panel, width) {
-    panel.strips.forEach((one, row) => {
+  /** @param {StripPanel} panel */
+  #strips(panel) {
+    return panel.strips.flatMap(({ label, time, values, colour }, row) => {
       const top = row * ROW + 4;
-      context.textAlign = "right";
-      context.fillStyle = colour(this.host, "soft", "#59636d");
-      context.fillText(one.label, LEFT - 6, top + 10);
-      context.fillStyle = colour(this.host, "line", "#d7dce1");
-      context.fillRect(LEFT, top + 9, width - LEFT - RIGHT, 1);
-      context.fillStyle = one.colour;
+      let d = "";
       let since = -1;
-      for (let k = 0; k <= one.time.length; k += 1) {
-        const on = k < one.time.length && one.values[k] > 0.5;
+      for (let k = 0; k <= time.length; k += 1) {
+        const on = k < time.length && values[k] > 0.5;
         if (on && since < 0) since = k;
         if (!on && since >= 0) {
-          const x = this.#x(one.time[since], width);
-          const end = this.#x(one.time[Math.min(k, one.time.length - 1)], width);
-          context.fillRect(x, top, Math.max(1.5, end - x), 10);
+          const x = this.#x(time[since]);
+          d += `M${x.toFixed(1)} ${top + 5}h${Math.max(1.5, this.#x(time[Math.min(k, time.length - 1)]) - x).toFixed(1)}`;
           since = -1;
         }
       }
+      return [svg("text", { x: LEFT - 6, y: top + 10, "text-anchor": "end" }, label),
+        svg("path", { class: "grid", d: `M${LEFT} ${top + 9.5}H${this.width - RIGHT}` }),
+        svg("path", { class: "strip", d, stroke: colour })];
     });
   }
 
-  /**
-   * @param {number} time
-   * @param {number} width
-   */
-  #x(time, width) {
-    return LEFT + ((time - this.from) / (this.to - this.from)) * (width - LEFT - RIGHT);
+  /** @param {number} time */
+  #x(time) {
+    return LEFT + ((time - this.from) / (this.to - this.from)) * (this.width - LEFT - RIGHT);
   }
 
   #listen() {
@@ -257,7 +177,7 @@ export class Charts extends EventTarget {
       this.dispatchEvent(new CustomEvent("seek", { detail: time }));
     };
     this.host.addEventListener("pointerdown", (event) => {
-      if (event.button !== 0 || !(event.target instanceof HTMLCanvasElement)) return;
+      if (event.button !== 0 || !(event.target instanceof Element) || !event.target.closest("svg")) return;
       this.host.setPointerCapture(event.pointerId);
       seek(event);
     });

@@ -94,6 +94,3 @@ export function settled(action, pause) {
  */
 export const typing = (event) =>
   event.target instanceof Element && event.target.matches("input, textarea, select, [contenteditable]");
-
-/** "1 experiment", "2 experiments". @param {number} n @param {string} what */
-export const several = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;

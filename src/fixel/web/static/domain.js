@@ -3,8 +3,7 @@
 
 import { complain, copy, get } from "./api.js";
 import { ROOT, at, input, make } from "./dom.js";
-import { digits } from "./quantity.js";
-import { several } from "./units.js";
+import { digits, several } from "./units.js";
 
 /** @typedef {{name: string, unit: string, ticks: string[]}} Strip */
 /** @typedef {{across: Strip, up: Strip | null, rows: number[][]}} Panel */

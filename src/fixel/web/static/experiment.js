@@ -33,88 +33,53 @@ async function show() {
   const draw = () => charts.show(usualPanels(at("charts"), player.motions, player.object), /** @type {[number, number]} */ ([player.start, player.end]));
   draw();
   if (root.dataset.video) film(player).catch(complain);
-  await simulate(player);
+  await simulate(player, simulations.find((/** @type {Stored} */ one) => !byPublisher(one)));
   draw();
   root.dataset.ready = "yes";
 }
 
-/** Nominal against calibrated values; without a calibration, one simulation. @param {Player} player */
-async function simulate(player) {
+/**
+ * Nominal against calibrated values; without a calibration, the newest stored simulation, made again for its forces.
+ * @param {Player} player
+ * @param {Stored | undefined} stored
+ */
+async function simulate(player, stored) {
+  /** @type {{sets: any[]}} */
   const { sets } = await get(`${address}/comparison`).catch(() => ({ sets: [] }));
   const calibrated = calibratedOf(sets);
-  if (calibrated) await both(player, [sets[0], calibrated]);
-  else await newest(player);
-}
-
-/**
- * @param {Player} player
- * @param {{id: string, label: string, parameters: Record<string, number>, motion: string}[]} sets
- */
-async function both(player, sets) {
+  const motion = ["dynamic", "quasistatic", "first-order"].find((name) => name === stored?.method.motion) ?? "dynamic";
+  const shown = calibrated ? [{ ...sets[0], head: "nominal" }, { ...calibrated, head: "calibrated" }]
+    : [{ id: "simulated", label: stored ? `simulation ${stored.id}` : "simulated now", head: "simulated", parameters: stored?.parameters ?? {}, motion }];
   try {
-    const answers = await Promise.all(sets.map(({ parameters, motion }) => send(`${address}/comparison`, { parameters, motion })));
-    const motions = answers.map((answer, k) => new Motion({ ...answer.motion, id: sets[k].id, label: sets[k].label }));
+    const answers = await Promise.all(shown.map(({ parameters, motion }) => send(`${address}/comparison`, { parameters, motion })));
+    const motions = answers.map((answer, k) => new Motion({ ...answer.motion, id: shown[k].id, label: shown[k].label }));
     player.setMotions([...player.motions, ...motions], { keepTime: true });
-    const styles = stylesOf(at("player"), player.motions);
-    at("which").textContent = `nominal against ${sets[1].label}`;
-    /** @type {[string, (answer: any) => string][]} */
-    const lines = [
-      ["error, root of E [mm]", (answer) => fixed(answer.error_mm2 === null ? null : Math.sqrt(answer.error_mm2), 2)],
-      ["distance, rms [mm]", (answer) => mm(answer.position_rms_m, 2)],
-      ["distance, end [mm]", (answer) => mm(answer.final_position_m, 2)],
-      ["angle, end [deg]", (answer) => deg(answer.final_angle_rad, 2)],
-      ["contacts", (answer) => `${answer.contact_mode || "\u2013"}${answer.measured_contact_mode && answer.contact_mode !== answer.measured_contact_mode ? ` \u2260 ${answer.measured_contact_mode}` : ""}`],
-    ];
-    at("figures").replaceWith(make("table", { id: "figures", class: "plain against" },
-      make("thead", {}, make("tr", {}, make("td"), ...motions.map((motion, k) =>
-        make("th", { scope: "col" }, swatch(styles.get(motion.id)), " ", k ? "calibrated" : "nominal")))),
+    const values = Object.entries(shown[0].parameters).map(([name, value]) => `${name} ${Number(value).toPrecision(3)}`);
+    at("which").textContent = calibrated ? `nominal against ${calibrated.label}` : `${shown[0].label}, ${values.join(", ") || "nominal values"}`;
+    table(answers, shown.map(({ id, head }) => [swatch(stylesOf(at("player"), player.motions).get(id)), " ", head]));
+  } catch (problem) {
+    at("which").textContent = "not simulated";
+    at("figures").replaceChildren(make("p", {}, problem instanceof Error ? problem.message : String(problem)));
+  }
+}
+
+/** @param {any[]} answers @param {(Node | string)[][]} heads */
+function table(answers, heads) {
+  /** @type {[string, (answer: any) => string][]} */
+  const lines = [
+    ["error, root of E [mm]", (answer) => fixed(Math.sqrt(answer.error_mm2), 2)],
+    ["distance, rms [mm]", (answer) => mm(answer.position_rms_m, 2)],
+    ["distance, end [mm]", (answer) => mm(answer.final_position_m, 2)],
+    ["angle, end [deg]", (answer) => deg(answer.final_angle_rad, 2)],
+    ["contacts", (answer) => `${answer.contact_mode || "\u2013"}${answer.measured_contact_mode && answer.contact_mode !== answer.measured_contact_mode ? ` \u2260 ${answer.measured_contact_mode}` : ""}`],
+  ];
+  at("figures").replaceChildren(
+    make("table", { class: "plain against" },
+      make("thead", {}, make("tr", {}, make("td"), ...heads.map((head) => make("th", { scope: "col" }, ...head)))),
       make("tbody", {}, ...lines.map(([name, value]) => make("tr", {}, make("th", { scope: "row" }, name),
-        ...answers.map((answer) => make("td", {}, answer.error_mm2 === null ? answer.motion.status : value(answer))))))));
-  } catch (problem) {
-    refused(problem);
-  }
+        ...answers.map((answer) => make("td", {}, answer.error_mm2 === null ? answer.motion.status : value(answer))))))),
+    ...answers.filter(({ motion }) => motion.advice).map(({ motion }) => make("p", {}, motion.advice)));
 }
-
-/** The newest stored simulation, made again for its forces; without one, with nominal values. @param {Player} player */
-async function newest(player) {
-  const { simulations } = await get(`${address}/simulations`);
-  const stored = simulations.find((/** @type {Stored} */ one) => !byPublisher(one));
-  const parameters = stored?.parameters ?? {};
-  const motion = ["dynamic", "quasistatic", "first-order"].find((name) => name === stored?.method?.motion) ?? "dynamic";
-  const label = stored ? `simulation ${stored.id}` : "simulated now";
-  try {
-    const answer = await send(`${address}/comparison`, { parameters, motion });
-    const values = Object.entries(parameters).map(([name, value]) => `${name} ${Number(value).toPrecision(3)}`);
-    at("which").textContent = `${label}, ${values.join(", ") || "nominal values"}`;
-    const complete = answer.error_mm2 !== null;
-    const same = answer.contact_mode === answer.measured_contact_mode;
-    at("figures").replaceChildren(...(complete ? [
-      figure("error, root of E", fixed(Math.sqrt(answer.error_mm2), 2), "mm"),
-      figure("distance, rms", mm(answer.position_rms_m, 2), "mm"),
-      figure("distance, end", mm(answer.final_position_m, 2), "mm"),
-      figure("angle, end", deg(answer.final_angle_rad, 2), "deg"),
-      answer.measured_contact_mode
-        ? figure("contacts", `${answer.contact_mode} ${same ? "\u2713" : `\u2260 ${answer.measured_contact_mode}`}`, "", same ? "good" : "bad")
-        : figure("contacts", answer.contact_mode || "\u2013", ""),
-    ] : [
-      figure("stopped early", answer.motion.status, "", "bad"),
-      figure("advice", answer.motion.advice, "", "words"),
-    ]));
-    player.setMotions([...player.motions, new Motion({ ...answer.motion, id: "simulated", label })], { keepTime: true });
-  } catch (problem) {
-    refused(problem);
-  }
-}
-
-/** @param {unknown} problem */
-function refused(problem) {
-  at("which").textContent = "not simulated";
-  at("figures").replaceChildren(figure("why", problem instanceof Error ? problem.message : String(problem), "", "words"));
-}
-
-/** @param {string} name @param {string} value @param {string} unit @param {string} [kind] */
-const figure = (name, value, unit, kind) =>
-  make("div", { class: kind ?? null }, make("dt", {}, name), make("dd", {}, value, unit ? make("small", {}, ` ${unit}`) : ""));
 
 /** @param {Player} player */
 async function film(player) {

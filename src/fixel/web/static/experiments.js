@@ -2,10 +2,11 @@
 // The table of experiments: keys, selection, marks of what is selected.
 
 import { complain, get, send, toast, undoNewest } from "./api.js";
-import { ROOT, at, input, several, typing } from "./dom.js";
+import { ROOT, at, input, typing } from "./dom.js";
 import { offerImport } from "./import.js";
 import * as marks from "./marks.js";
 import { renew } from "./page.js";
+import { several } from "./units.js";
 
 const MOST_CHOSEN = 2000; // experiments that an address can name
 const AT_ONCE = 20; // experiments that a request simulates; about a second

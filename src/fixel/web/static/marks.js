@@ -2,7 +2,8 @@
 // Flags, notes and deletions, each with a way back.
 
 import { complain, send, toast } from "./api.js";
-import { at, input, several } from "./dom.js";
+import { at, input } from "./dom.js";
+import { several } from "./units.js";
 
 /** @typedef {() => unknown} After what follows a change */
 
