@@ -50,7 +50,7 @@ let wanted = 0; // [ms] when the form was changed last
 let busy = false;
 let timer = 0;
 
-const claim = () => Object.fromEntries(new FormData(/** @type {HTMLFormElement} */ (at("claim"))));
+const claim = () => /** @type {Record<string, string>} */ (Object.fromEntries(new FormData(/** @type {HTMLFormElement} */ (at("claim")))));
 
 /** One request at a time, the newest one next. */
 async function refresh() {
