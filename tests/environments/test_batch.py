@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -155,11 +156,20 @@ def test_an_episode_may_end_and_be_truncated_in_one_step(mode):
         assert cut.any() == (mode == AutoresetMode.SAME_STEP)
 
 
-@pytest.mark.parametrize("world", ["legacy", "nominal", "posterior"])
-@pytest.mark.parametrize("obs_type", ["state", "environment_state_agent_pos", "pixels_agent_pos"])
-@pytest.mark.filterwarnings("ignore")
-def test_gymnasium_finds_no_fault_in_any_world(obs_type, world):
-    check_env(gymnasium.make("fixel/PushT-v0", obs_type=obs_type, world=world).unwrapped)
+OBSERVED = ("state", "environment_state_agent_pos", "pixels", "pixels_agent_pos")
+CHECKED = [
+    *(("PushT", {"obs_type": o, "world": w}) for o in OBSERVED for w in ("legacy", "posterior")),
+    *((name, {"world": w}) for name in KINDS for w in ("nominal", "posterior")),
+]
+
+
+@pytest.mark.parametrize(("name", "options"), CHECKED)
+def test_gymnasium_finds_no_fault_in_any_world(name, options):
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        check_env(gymnasium.make(f"fixel/{name}-v0", **options).unwrapped)
+    if name == "PushT":
+        assert all("symmetric and normalized" in str(own.message) for own in found)
 
 
 @every_task

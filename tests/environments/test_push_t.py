@@ -4,14 +4,12 @@ The numbers of gym-pusht are recorded by `record_push_t.py`. Tolerances are thos
 docs/how-to/environments.md.
 """
 
-import warnings
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
 import shapely
-from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from PIL import Image
 from tests.environments.record_push_t import PICTURES, actions
@@ -126,16 +124,6 @@ def test_every_start_is_in_the_space_of_the_observations(kind, seeds, block_cog)
     env = PushTVectorEnv(3000, obs_type=kind, seeds=seeds, block_cog=block_cog)
     found, _ = env.reset(seed=0)
     assert env.observation_space.contains(found)
-
-
-@pytest.mark.parametrize(
-    "kind", ["state", "environment_state_agent_pos", "pixels", "pixels_agent_pos"]
-)
-def test_gymnasium_finds_no_fault(kind):
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always")
-        check_env(gymnasium.make("fixel/PushT-v0", obs_type=kind).unwrapped)
-    assert all("symmetric and normalized" in str(own.message) for own in found)
 
 
 def test_a_t_at_its_goal_ends_the_episode():

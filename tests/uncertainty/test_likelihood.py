@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benchmarks.sbc import MODEL_ERROR, NOISE, pushes
@@ -11,6 +13,7 @@ from scipy.stats import multivariate_normal, norm
 from fixel.calibration.noise import Noise
 from fixel.calibration.objective import Comparer
 from fixel.errors import InvalidInput
+from fixel.model.space import ParameterSpace
 from fixel.uncertainty.discrepancy import ModelError, draw_walks, shares_of_way, walk_over
 from fixel.uncertainty.likelihood import LogLikelihood, ParameterPrior, camera_noise
 from fixel.uncertainty.posterior import NestedSampling
@@ -29,6 +32,15 @@ def measured(seed=0, threads=None, truth=TRUTH, noise=NOISE):
     ]
     motion, stepper = bare.ensemble.motion, bare.ensemble.stepper
     return Comparer(targets, bare.space, motion=motion, stepper=stepper, threads=threads)
+
+
+def sampled(samples, live):
+    """Return a comparer of two pushes, and a posterior of the first."""
+    comparer = measured(seed=5)
+    likelihood = LogLikelihood(comparer, [0], NOISE, MODEL_ERROR)
+    found = NestedSampling(samples=samples, live=live).sample(likelihood, likelihood.prior)
+    known = {"space": comparer.space, "motion": comparer.ensemble.motion.name}
+    return comparer, replace(found, **known, noise=NOISE, model_error=MODEL_ERROR)
 
 
 @pytest.fixture(scope="module")
@@ -130,10 +142,6 @@ def test_walks_have_the_variance_they_are_said_to_have():
 
 
 def test_priors_are_uniform_or_cut_normal(comparer):
-    from dataclasses import replace
-
-    from fixel.model.space import ParameterSpace
-
     first, second = comparer.space.unknowns
     space = ParameterSpace(unknowns=(replace(first, prior=0.1), second))
     drawn = ParameterPrior(space, MODEL_ERROR).draw(4000, np.random.default_rng(0))

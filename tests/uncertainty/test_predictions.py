@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from benchmarks.sbc import MODEL_ERROR, NOISE
+from benchmarks.sbc import NOISE
 from reproductions.linear import Outcomes, fit_predictive
-from tests.uncertainty.test_likelihood import TRUTH, measured
+from tests.uncertainty.test_likelihood import TRUTH, sampled
 
 from fixel.errors import InvalidInput
 from fixel.uncertainty.bands import LEVELS, bounds_of, coverage_curve, levels_of, shortest
-from fixel.uncertainty.likelihood import LogLikelihood
 from fixel.uncertainty.near_optimal import near_optimal, rise_of
-from fixel.uncertainty.posterior import NestedSampling
 from fixel.uncertainty.repetition import PARTS, predict_repetition
 
 
 @pytest.fixture(scope="module")
 def found():
-    comparer = measured(seed=5)
-    likelihood = LogLikelihood(comparer, [0], NOISE, MODEL_ERROR)
-    posterior = NestedSampling(samples=300, live=100).sample(likelihood, likelihood.prior)
-    return comparer, replace(posterior, noise=NOISE, model_error=MODEL_ERROR)
+    return sampled(300, 100)
 
 
 def test_the_parts_of_a_prediction_add_up(found):

@@ -5,10 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.sbc import MODEL_ERROR, NOISE
 from tests.fixtures import project_of
+from tests.uncertainty import test_likelihood
 from tests.uncertainty.forks import fork
-from tests.uncertainty.test_likelihood import measured
 
 import fixel
 from fixel.calibration.noise import Noise
@@ -16,8 +15,6 @@ from fixel.errors import InvalidInput
 from fixel.model import Probability, Seated
 from fixel.testing.pushes import ANGLE_NOISE, POSITION_NOISE, TRUTH, example_pushes
 from fixel.testing.scenes import grasp, micro_push, pushed_square
-from fixel.uncertainty.likelihood import LogLikelihood
-from fixel.uncertainty.posterior import NestedSampling
 from fixel.uncertainty.run_to_run import RunToRun
 from fixel.uncertainty.starts import ASME, StartError
 from fixel.workflows.prediction import predict
@@ -76,18 +73,7 @@ def test_model_error_widens_the_ends_and_leaves_the_contacts():
 
 @pytest.fixture(scope="module")
 def sampled():
-    from dataclasses import replace
-
-    comparer = measured(seed=5)
-    likelihood = LogLikelihood(comparer, [0], NOISE, MODEL_ERROR)
-    posterior = NestedSampling(samples=60, live=40).sample(likelihood, likelihood.prior)
-    posterior = replace(
-        posterior,
-        space=comparer.space,
-        noise=NOISE,
-        model_error=MODEL_ERROR,
-        motion=comparer.ensemble.motion.name,
-    )
+    comparer, posterior = test_likelihood.sampled(60, 40)
     return comparer.targets[0].case.scene, posterior
 
 
