@@ -117,31 +117,29 @@ def browse(
     return ExperimentPage(rows, total - left_out, faulty, left_out, more)
 
 
-def ids(connection: sa.Connection, query: ExperimentQuery) -> list[int]:
+def ids(
+    connection: sa.Connection, query: ExperimentQuery, *more: sa.ColumnElement[bool]
+) -> list[int]:
     """Ids of the matching experiments on all pages, in the order of the query."""
+    dialect = connection.dialect.name
     wanted = (
         sa.select(experiment.c.id)
         .select_from(sources(query))
-        .where(*clauses(query, connection.dialect.name))
-        .order_by(*order(query, connection.dialect.name))
+        .where(*clauses(query, dialect), *more)
+        .order_by(*order(query, dialect))
     )
     return list(connection.scalars(wanted))
 
 
 def unsimulated(connection: sa.Connection, query: ExperimentQuery) -> list[int]:
-    """Ids of matching experiments with a scene but no simulation with nominal parameters yet."""
-    wanted = (
-        sa.select(experiment.c.id)
-        .select_from(WITH_ERRORS)
-        .where(
-            *clauses(query, connection.dialect.name),
-            experiment.c.deleted_at_utc.is_(None),
-            experiment.c.scene.is_not(None),
-            experiment.c.id.not_in(sa.select(NEWEST_NOMINAL.c.experiment_id)),
-        )
-        .order_by(*order(query, connection.dialect.name))
+    """Ids of matching experiments with a scene but no simulation with nominal parameters."""
+    return ids(
+        connection,
+        query,
+        experiment.c.deleted_at_utc.is_(None),
+        experiment.c.scene.is_not(None),
+        experiment.c.id.not_in(sa.select(NEWEST_NOMINAL.c.experiment_id)),
     )
-    return list(connection.scalars(wanted))
 
 
 def checksum(connection: sa.Connection, experiment_ids: Iterable[int]) -> str:
