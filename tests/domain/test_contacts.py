@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fixel.calibration.contacts import Configurations, PushedContacts, TouchedPlaces, contacts_of
-from fixel.domain.error_bound import ConformalBound, held_out_bounds
+from fixel.domain.error_bound import ConformalBound
 from fixel.errors import InvalidInput
 from fixel.model import Polygon
 from fixel.typing import FloatArray
@@ -100,17 +100,15 @@ def test_a_new_side_or_speed_has_no_data_and_says_why() -> None:
     ways = (contacts_on(1, np.zeros(1)), contacts_on(3, np.zeros(1)),
             contacts_on(1, np.zeros(1), 0.02), contacts_on(3, np.zeros(1), 0.02),
             contacts_on(1, np.full(1, 1.5)))  # fmt: skip
-    answer = held_out_bounds(
-        x, e, np.zeros((5, 2)), contacts=(contacts, TouchedPlaces.joined(ways))
-    )
-    assert np.isfinite(answer.bound).tolist() == [True, False, False, False, False]
-    assert answer.near.tolist() == [True, False, False, False, False]
-    assert answer.colours(1e6).tolist() == ["trusted"] + 4 * ["no data"]
+    asked = (np.zeros((5, 2)), None, TouchedPlaces.joined(ways))
+    promise = ConformalBound.fit(x, e).for_contacts(contacts)
+    reasons = promise.reasons(*asked)
+    assert np.isfinite(promise.bounds(*asked)).tolist() == [True, False, False, False, False]
     why = ("", "90 degrees from those of all pushed", "speed never pushed: 20 mm/s, nearest 10",
            "side never pushed", "contact point never pushed")  # fmt: skip
-    assert all(part in reason for part, reason in zip(why, answer.reasons, strict=True))
-    assert answer.reasons[0] == ""
-    assert "speed never pushed" in answer.reasons[3]
+    assert all(part in reason for part, reason in zip(why, reasons, strict=True))
+    assert reasons[0] == ""
+    assert "speed never pushed" in reasons[3]
 
 
 def test_what_is_new_in_both_or_of_a_new_part_has_no_data_even_with_left_out_sides() -> None:

@@ -8,12 +8,9 @@ import pytest
 
 from fixel.domain import scale_model
 from fixel.domain.error_bound import (
-    COLOURS,
     ConformalBound,
     Experience,
-    colours,
     constant_bound,
-    held_out_bounds,
     min_experiments,
 )
 from fixel.errors import InvalidInput
@@ -95,7 +92,7 @@ def test_too_few_experiments_are_refused_with_the_number_needed() -> None:
     with pytest.raises(InvalidInput, match="8 held out, expected at least 9"):
         ConformalBound.fit(features, errors)
     with pytest.raises(InvalidInput, match="19 for bounds with 95 %"):
-        held_out_bounds(features, errors, features, 0.95)
+        ConformalBound.fit(features, errors, level=0.95)
     with pytest.raises(InvalidInput, match="at least 9"):
         constant_bound(errors)
     nine, off, _ = made_up(9, 0)
@@ -144,8 +141,8 @@ def test_nothing_is_promised_far_from_all_evidence() -> None:
     far[1, 3] = 8.0  # a setting that never varied
     bound = promise.bounds(far, groups[:3])
     assert np.isinf(bound).tolist() == [True, True, False]
-    assert promise.near(far).tolist() == [False, False, True]
-    assert promise.near(features).all()
+    assert [not reason for reason in promise.reasons(far)] == [False, False, True]
+    assert not any(promise.reasons(features))
     assert not np.isnan(promise.quantiles(far, groups[:3], (0.2, 0.99))).any()
 
 
@@ -177,7 +174,6 @@ def test_same_seed_same_bits_and_higher_levels_are_wider() -> None:
     assert np.array_equal(first.bounds(new, where), again.bounds(new, where))
     table = first.quantiles(new, where, (0.3, 0.5, 0.7, 0.9))
     assert (np.diff(table, axis=0) >= 0.0).all()
-    assert np.array_equal(table[1], first.expected(new, where))
 
 
 def test_what_shapes_the_model_judges_nothing() -> None:
@@ -204,24 +200,3 @@ def test_without_scikit_learn_neighbours_are_asked(monkeypatch: pytest.MonkeyPat
 def test_no_configurations_have_no_bounds() -> None:
     features, errors, groups = made_up(60, 0)
     assert ConformalBound.fit(features, errors, groups).bounds(features[:0], []).shape == (0,)
-
-
-def test_colours_say_what_is_tolerated() -> None:
-    bound = np.array([1.0, 3.0, 4.0, np.inf, 1.0])
-    expected = np.array([0.5, 1.5, 2.5, np.inf, 0.5])
-    near = np.array([True, True, True, True, False])
-    found = colours(bound, expected, near, 2.0).tolist()
-    assert found == ["trusted", "doubtful", "not trusted", "not trusted", "no data"]
-    assert set(found) == set(COLOURS)
-    with pytest.raises(InvalidInput, match="tau"):
-        colours(bound, expected, near, 0.0)
-
-
-def test_one_call_for_cells_never_tried() -> None:
-    features, errors, _ = made_up(60, 0)
-    new = np.vstack((features[:5], features[:1] + 50.0))
-    answer = held_out_bounds(features, errors, new, 0.9)
-    assert np.isinf(answer.bound[-1])
-    assert not answer.near[-1]
-    assert (answer.expected[:-1] <= answer.bound[:-1]).all()
-    assert answer.colours(1e6).tolist() == ["trusted"] * 5 + ["no data"]

@@ -10,12 +10,12 @@ from fixel.domain.growth import (
     ROWS,
     STORED,
     AxisPlace,
+    DomainGrowth,
     ExperimentGroup,
     Joint,
     RolloutQueue,
     SingleCalibrations,
     group_parameters,
-    grow,
     weights,
 )
 from fixel.errors import InvalidInput
@@ -32,6 +32,12 @@ def _evaluate(which, points):
 
 def _singles(**joint):
     return SingleCalibrations(points=BEST, errors=FLOOR, **joint)
+
+
+def grow(groups, singles, evaluate, index="corrected"):
+    grower, wanted = DomainGrowth(groups, singles, index), RolloutQueue()
+    grower.ask(wanted)
+    return grower.read(wanted.run(evaluate))
 
 
 def _group(rows=ROWS):

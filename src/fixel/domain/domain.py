@@ -149,7 +149,7 @@ class DomainMap(Result):
             Largest allowed error [m], or share above the own best for a relative map.
         """
         factor = 1e3 if self.measure == "absolute" else 1.0
-        return replace(self, claim=_at(self.claimed, factor * threshold))
+        return replace(self, claim=replace(self.claimed, threshold=factor * threshold))
 
     def at(self, scene: Scene | Experiment, **conditions: str | float) -> Applicability:
         """Return the verdict of the map on a push; without data for what no experiment has.
@@ -449,7 +449,10 @@ class DomainMap(Result):
 
     def curve(self, claim: Claim, thresholds: Sequence[float]) -> FloatArray:
         """Return the number of cells (n_group, n_threshold) in D(tau)."""
-        sizes = [[len(domain) for domain in self.domains(_at(claim, tau))] for tau in thresholds]
+        sizes = [
+            [len(domain) for domain in self.domains(replace(claim, threshold=tau))]
+            for tau in thresholds
+        ]
         return np.array(sizes, np.float64).T
 
     @property
@@ -462,20 +465,9 @@ class DomainMap(Result):
         return np.array([value for value in values if value > 0.0])
 
 
-def _at(claim: Claim, threshold: float) -> Claim:
-    return Claim(
-        threshold=threshold,
-        measure=claim.measure,
-        level=claim.level,
-        confidence=claim.confidence,
-    )
-
-
 def _reach(
-    inside: set[tuple[int, ...]], centre: tuple[int, ...], a: int, axis: object
+    inside: set[tuple[int, ...]], centre: tuple[int, ...], a: int, axis: CellAxis
 ) -> tuple[str, str] | None:
-
-    assert isinstance(axis, CellAxis)
     if centre not in inside:
         return None
     if axis.is_text:

@@ -46,11 +46,7 @@ FAR_SHARE: Final = 0.99
 SAME: Final = 1e-6  # distance of features below which they count as repeated
 FAR_AWAY: Final = "its features are far from those of all experiments"
 
-TRUSTED: Final = "trusted"
-DOUBTFUL: Final = "doubtful"
-NOT_TRUSTED: Final = "not trusted"
 NO_DATA: Final = "no data"
-COLOURS: Final = (TRUSTED, DOUBTFUL, NOT_TRUSTED, NO_DATA)
 
 # How scores of units that were left out as a whole bound the error in a new unit.
 GUARANTEED: Final = "guaranteed"  # a new unit is one more draw; it has a weight at infinity
@@ -263,15 +259,6 @@ class ConformalBound:
         """
         return np.asarray(self.quantiles(features, groups, (self.level,), contacts)[0])
 
-    def expected(
-        self,
-        features: ArrayLike,
-        groups: Labels | None = None,
-        contacts: TouchedPlaces | None = None,
-    ) -> FloatArray:
-        """Return medians of the errors of new configurations (m,); infinite without data."""
-        return np.asarray(self.quantiles(features, groups, (0.5,), contacts)[0])
-
     def quantiles(
         self,
         features: ArrayLike,
@@ -337,15 +324,6 @@ class ConformalBound:
             (np.isin(kind, (SIDE, SPEED)), self._beyond),
             (np.asarray(kind == PART, bool), self._part),
         )
-
-    def near(
-        self,
-        features: ArrayLike,
-        groups: Labels | None = None,
-        contacts: TouchedPlaces | None = None,
-    ) -> BoolArray:
-        """Return a mask (m,) of the configurations with data for a bound."""
-        return np.array([not reason for reason in self.reasons(features, groups, contacts)], bool)
 
     def _novelty(self, contacts: TouchedPlaces | None, labels: list[Hashable]) -> Novelty:
         if (self._pushed is None) != (contacts is None):
@@ -427,78 +405,6 @@ def constant_bound(errors: ArrayLike, level: float = LEVEL) -> float:
     off = np.sort(np.asarray(errors, np.float64))
     _check_experiments(level, len(off))
     return float(off[math.ceil(round((len(off) + 1) * level, 9)) - 1])
-
-
-def colours(bounds: FloatArray, expected: FloatArray, near: BoolArray, tau: float) -> NDArray:  # type: ignore[type-arg]
-    """Return the `COLOURS` (m,) of configurations for a tolerance.
-
-    Parameters
-    ----------
-    bounds, expected : (m,) float64
-        Answers of `ConformalBound`, in one unit.
-    near : (m,) bool
-        Mask of the configurations with data.
-    tau : float
-        Tolerated error, in the same unit.
-
-    Returns
-    -------
-    (m,) of str
-        Trusted: the bound is within the tolerance. Doubtful: the expected error is, the bound is
-        not. Not trusted: the expected error is beyond it. No data: there is no bound.
-    """
-    if not (math.isfinite(tau) and tau > 0.0):
-        raise InvalidInput("tau", found=tau, expected="a positive tolerance")
-    chosen = np.where(bounds <= tau, 0, np.where(expected <= tau, 1, 2))
-    return np.array(COLOURS)[np.where(near, chosen, 3)]
-
-
-class PredictedBounds(NamedTuple):
-    """Predicted error bounds of configurations without experiments."""
-
-    bound: FloatArray  # (m,) inf without data
-    expected: FloatArray  # (m,) median; inf without data
-    near: BoolArray  # (m,) mask of those with data
-    reasons: tuple[str, ...]  # (m,) reason of missing data; empty with data
-
-    def colours(self, tau: float) -> NDArray:  # type: ignore[type-arg]
-        """Return the `COLOURS` (m,) for a tolerance; see `colours`."""
-        return colours(self.bound, self.expected, self.near, tau)
-
-
-def held_out_bounds(
-    evidence: ArrayLike,
-    errors: ArrayLike,
-    new: ArrayLike,
-    level: float = LEVEL,
-    *,
-    seed: int = 0,
-    contacts: tuple[TouchedPlaces, TouchedPlaces] | None = None,
-) -> PredictedBounds:
-    """Compute error bounds for new configurations of one part.
-
-    Parameters
-    ----------
-    evidence : (n, f) array_like
-        Features of experiments that the calibration has not seen.
-    errors : (n,) array_like
-        Errors of the calibrated simulator in them.
-    new : (m, f) array_like
-        Features of untried configurations.
-    level : float
-    seed : int
-    contacts : (TouchedPlaces, TouchedPlaces), optional
-        Contacts of the experiments and of the new configurations. Sides and speeds that were never
-        pushed then have no data.
-    """
-    known, asked = (None, None) if contacts is None else contacts
-    bounds = ConformalBound.fit(evidence, errors, None, level, seed)
-    if known is not None:
-        bounds = bounds.for_contacts(known)
-    bound, expected = bounds.quantiles(new, None, (level, 0.5), asked)
-    reasons = bounds.reasons(new, None, asked)
-    near = np.array([not reason for reason in reasons], bool)
-    return PredictedBounds(bound, expected, near, reasons)
 
 
 class _Sizes(NamedTuple):

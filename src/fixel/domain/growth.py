@@ -401,23 +401,3 @@ class DomainGrowth:
             at = domain(step, self.index)[k].name
             reason = f"no simulation of {at}: {answer.reasons[places[k]]}"
         return Step(group=group, step=step, used=used, errors=errors, reason=reason)
-
-
-def grow(
-    groups: Sequence[ExperimentGroup],
-    singles: SingleCalibrations,
-    evaluate: Evaluate,
-    index: Index = "corrected",
-) -> Growth:
-    """Compute the growth of the domains of groups, with all rollouts in one call.
-
-    Parameters
-    ----------
-    groups, singles, index
-        Arguments of `DomainGrowth`.
-    evaluate : callable
-        Function of experiments (n,) and points (n, n_parameter) -> errors; `Comparer.errors`.
-    """
-    grower, wanted = DomainGrowth(groups, singles, index), RolloutQueue()
-    grower.ask(wanted)
-    return grower.read(wanted.run(evaluate))
