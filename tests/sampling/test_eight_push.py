@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.cli.shell import fixel
 
-from fixel.formats.plan_file import load_plan, plan_from_text, plan_text
 from fixel.model import SupportPoints
 from fixel.sampling import eight_push_plan, thesis_plan
 from fixel.simulation import QuasiStatic, simulate
@@ -51,20 +49,7 @@ def test_the_plan_pushes_as_the_plain_scene_does(test):
     assert ends[0] == pytest.approx(ends[1], abs=1e-9)
 
 
-def test_the_plan_file_reads_back(capsys, tmp_path):
-    plan = eight_push_plan()
-    assert plan_from_text(plan_text(plan)) == plan
-    code, _, err = fixel(capsys, "sample", "--eight-push", "--output", tmp_path / "eight.yaml")
-    assert code == 0, err
-    assert load_plan(tmp_path / "eight.yaml") == plan
-    assert fixel(capsys, "sample", tmp_path / "eight.yaml", "--eight-push")[0] == 2
-
-
-def test_the_thesis_layouts_have_their_numbers(capsys):
+def test_the_thesis_layouts_have_their_numbers():
     plan = thesis_plan()
     assert [layout.number for layout in plan.layouts] == list(range(1, 11))
     assert all(("collinear" in x.name) == (x.number <= 4) for x in plan.layouts)
-    assert plan_from_text(plan_text(plan)) == plan
-    _, out, _ = fixel(capsys, "sample")
-    assert "4 collinear-minus45" in out
-    assert "10 asymmetric-b" in out
