@@ -76,6 +76,14 @@ def test_the_list_says_what_came_of_each(bench):
     assert answer["running"] == []
 
 
+def test_plots_of_one_are_pictures(bench):
+    for kind in ("search", "starts", "profiles"):
+        answer = bench.client.get(f"/api/v1/calibrations/1/{kind}.png")
+        assert (answer.status_code, answer.content[:4]) == (200, b"\x89PNG")
+    for address in ("1/other", "99/search"):
+        assert bench.client.get(f"/api/v1/calibrations/{address}.png").status_code == 404
+
+
 def test_one_has_parameters_starts_profiles_and_residuals(bench):
     one = bench.get("/calibrations/1")
     assert [row["label"] for row in one["parameters"]] == ["mu_pusher", "tripod_radius"]

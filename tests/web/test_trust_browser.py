@@ -63,8 +63,9 @@ def test_a_calibration_is_begun_watched_stopped_and_resumed(browser_page, server
     page.click("button[type=submit]")
     page.wait_for_selector("#calibrating", timeout=30_000)
     until_more(page, 10)
-    page.wait_for_selector("path.best", state="attached")
+    assert page.get_attribute(".graph path.best", "d").startswith("M")
     assert "best so far" in page.inner_text(".figures")
+    assert "evaluations/s" in page.inner_text(".figures")
     page.click("#stop")
     page.wait_for_selector("#calibrating[data-state=cancelled]", timeout=30_000)
     assert "Resume continues from there" in page.inner_text(".notice")
@@ -93,7 +94,10 @@ def test_the_page_shows_the_report_and_leads_to_the_worst_experiments(one, proje
     assert one.locator(".result tbody tr").count() == len(shown.tables[0].rows)
     text = one.inner_text("#calibration")
     assert all(word in text for word in (*shown.headline, *shown.warnings, *shown.notes))
-    assert one.locator(".pictures img").count() >= 3
+    drawn = "async image => { image.loading = 'eager'; await image.decode(); return image.width }"
+    pictures = one.locator(".pictures img").all()
+    assert len(pictures) == 3
+    assert all(picture.evaluate(drawn) > 100 for picture in pictures)
     assert one.locator(".bars tbody tr").count() == 6
     link = one.locator(".worst a").first
     key = link.inner_text()
