@@ -185,7 +185,9 @@ def document(view: MapView) -> MapDocument:
         low = max(low, floor) if domain.measure == "absolute" else low
     high = max(high, 1.1 * low)
     if n := view.n_aside:
-        remarks.append(f"{n} experiments are skipped: their offset is along a coordinate without an axis.")
+        remarks.append(
+            f"{n} experiments are skipped: their offset is along a coordinate without an axis."
+        )
     if n := len(domain.groups) - len(groups):
         remarks.append(f"{n} more maps cannot be shown here.")
     return MapDocument(
