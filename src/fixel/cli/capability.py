@@ -55,7 +55,7 @@ def typer_command(capability: Capability) -> Callable[..., None]:
             else:
                 _run(capability, request, project, plot, as_json)
         except InvalidInput as error:
-            raise named(error, capability.flags()) from None
+            raise named(error, capability.flags() | {"project": "--project"}) from None
 
     parameters = [_parameter(option) for option in capability.shown.values()]
     parameters.append(_keyword("context", typer.Context, Parameter.empty))

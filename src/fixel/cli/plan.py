@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 from typer.core import TyperGroup
 
+from fixel.capability.capability import named
 from fixel.cli.capability import typer_command
 from fixel.cli.options import (
     AsJson,
@@ -137,7 +138,10 @@ def next_(
     from fixel.workflows.planning.stored import save_plan
 
     pose = seen_pose(seen)
-    found = next_plan(_project(folder), plan, pose, done=done, rollouts=rollouts)
+    try:
+        found = next_plan(_project(folder), plan, pose, done=done, rollouts=rollouts)
+    except InvalidInput as error:
+        raise named(error, {name: f"--{name}" for name in ("done", "seen")}) from None
     target = out or plan.with_name(f"{plan.stem}-next{ENDING}")
     save_plan(found, target)
     analysis = analysis_of(found)
