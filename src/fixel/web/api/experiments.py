@@ -14,8 +14,7 @@ from fixel.model import Flag
 from fixel.model.selection import ExperimentDetails, ExperimentRow, meant_filter
 from fixel.web.context import Context, ProjectContext
 from fixel.web.values import MAX_ID, Answer, Array, Number
-from fixel.web.views.browser_video import browser_video
-from fixel.web.views.video_outlines import VideoOutlines, outlines_in_video
+from fixel.web.views.video import VideoOutlines, browser_video, outlines_in_video
 from fixel.workflows.project.compare import summary
 from fixel.workflows.project.filters import (
     Coverage,

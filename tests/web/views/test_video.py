@@ -9,7 +9,7 @@ from fixel.database.project import Project
 from fixel.formats.rig_file import rig_of, save_rig
 from fixel.model import Experiment, Provenance, Trajectory
 from fixel.testing.scenes import grasp
-from fixel.web.views.video_outlines import MAX_OUTLINES, outlines_in_video, rig_named
+from fixel.web.views.video import MAX_OUTLINES, outlines_in_video, rig_named
 
 
 @pytest.fixture
