@@ -76,6 +76,14 @@ def test_the_list_says_what_came_of_each(bench):
     assert answer["running"] == []
 
 
+def test_former_addresses_of_forms_lead_to_them(bench):
+    answer = bench.client.get("/calibrations/new?experiments=6,7&filter=shape=square")
+    assert answer.status_code == 200
+    assert answer.url.path.endswith("/run/calibrate")
+    assert answer.url.query == b"experiments=6&experiments=7&where=shape%3Dsquare"
+    assert bench.client.get("/next").url.path.endswith("/run/next")
+
+
 def test_plots_of_one_are_pictures(bench):
     for kind in ("search", "starts", "profiles"):
         answer = bench.client.get(f"/api/v1/calibrations/1/{kind}.png")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, final
+from urllib.parse import urlencode
 
 import jinja2
 from fastapi import APIRouter, FastAPI, Request
@@ -42,6 +43,8 @@ DOCS_POLICY: Final = (
     "default-src 'self' data: 'unsafe-inline'; object-src 'none'; base-uri 'none'; "
     "frame-ancestors 'none'"
 )
+# Former addresses of forms, and present ones.
+MOVED: Final = {"/calibrations/new": "/run/calibrate", "/next": "/run/next"}
 _log = logging.getLogger("fixel.web")
 
 
@@ -132,6 +135,8 @@ def create_app(
     def palette() -> Response:
         return Response(css, media_type="text/css")
 
+    for old, new in MOVED.items():
+        app.add_api_route(old, _moved(gate.root + new), response_class=RedirectResponse)
     for page in pages:
         app.add_api_route(page.path, _shown(page, render), response_class=HTMLResponse)
         if page.post is not None:
@@ -203,6 +208,17 @@ def _renderer(pages: Sequence[Page], name: str, gate: Gate, has_docs: bool) -> A
         return environment.get_template(page.template).render(page=page, **context)
 
     return render
+
+
+def _moved(address: str) -> Any:
+    def lead(request: Request) -> RedirectResponse:
+        given = request.query_params
+        fields = [("experiments", one) for one in given.get("experiments", "").split(",") if one]
+        fields += [("where", given["filter"])] if given.get("filter") else []
+        query = f"?{urlencode(fields)}" if fields else ""
+        return RedirectResponse(address + query, status_code=303)
+
+    return lead
 
 
 def _shown(page: Page, render: Any) -> Any:
