@@ -65,7 +65,7 @@ def report(project, tmp_path_factory):
 @pytest.fixture
 def without_charts(monkeypatch):
     """Reports of this test have no charts of the calibration, which take seconds each time."""
-    monkeypatch.setattr("fixel.workflows.report.calibration.pictures_of", lambda data: [])
+    monkeypatch.setattr("fixel.workflows.report.calibration.pictures_of", lambda *_: [])
 
 
 def _kept(project, **changes):
