@@ -60,7 +60,7 @@ def test_a_calibration_is_begun_watched_stopped_and_resumed(browser_page, server
     page.fill("#starts", "9")
     page.select_option("#optimiser", "pattern-search")
     page.select_option("#verdicts", "no")
-    page.click("button[type=submit]")
+    page.click("button[type=submit]", timeout=60_000)  # simulates a few experiments first
     page.wait_for_selector("#calibrating", timeout=30_000)
     until_more(page, 10)
     assert page.get_attribute(".graph path.best", "d").startswith("M")
