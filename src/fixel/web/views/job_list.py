@@ -49,27 +49,6 @@ class JobLog(Answer):
     whole: bool = Field(description="whether these are all lines")
 
 
-class PageJob(Answer):
-    """A job that a page has started."""
-
-    name: str
-    state: str
-    ended: bool
-    reason: str
-    stage: str = Field(description="stage of the computation")
-
-    @classmethod
-    def of(cls, folder: Path) -> PageJob:
-        one = jobs.status_of(folder)
-        return cls(
-            name=folder.name,
-            state=one.state,
-            ended=one.ended,
-            reason=one.reason,
-            stage=one.text,
-        )
-
-
 def job_named(project: Path, name: str) -> JobStatus:
     """Return the job of a name, which is compared with existing ones and never used as a path."""
     folders = jobs.job_folders(project)
