@@ -294,6 +294,7 @@ if (root.dataset.map) {
     tau.value = String(offSlider(Number(input("slider").value)));
     void refresh();
   });
+  at("claim").addEventListener("submit", (event) => event.preventDefault());
   at("claim").addEventListener("input", () => {
     if (Number(tau.value) > 0) input("slider").value = String(onSlider(Number(tau.value)));
     void refresh();
