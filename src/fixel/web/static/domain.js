@@ -289,24 +289,22 @@ function cellOf(g, c) {
   );
 }
 
-if (root.dataset.map) {
-  input("slider").addEventListener("input", () => {
-    tau.value = String(offSlider(Number(input("slider").value)));
-    void refresh();
-  });
-  at("claim").addEventListener("submit", (event) => event.preventDefault());
-  at("claim").addEventListener("input", () => {
-    if (Number(tau.value) > 0) input("slider").value = String(onSlider(Number(tau.value)));
-    void refresh();
-  });
-  input("points").addEventListener("change", paint);
-  at("copy-command").addEventListener("click", () => copy(shown?.command ?? "", "the command"));
-  document.getElementById("which")?.addEventListener("change", (event) => {
-    location.assign(`${ROOT}/domain?map=${encodeURIComponent(/** @type {HTMLSelectElement} */ (event.target).value)}`);
-  });
-  load().catch((problem) => {
-    at("trouble").textContent = problem instanceof Error ? problem.message : String(problem);
-    at("trouble").hidden = false;
-    root.dataset.ready = "yes";
-  });
-} else root.dataset.ready = "yes";
+input("slider").addEventListener("input", () => {
+  tau.value = String(offSlider(Number(input("slider").value)));
+  void refresh();
+});
+at("claim").addEventListener("submit", (event) => event.preventDefault());
+at("claim").addEventListener("input", () => {
+  if (Number(tau.value) > 0) input("slider").value = String(onSlider(Number(tau.value)));
+  void refresh();
+});
+input("points").addEventListener("change", paint);
+at("copy-command").addEventListener("click", () => copy(shown?.command ?? "", "the command"));
+document.getElementById("which")?.addEventListener("change", (event) => {
+  location.assign(`${ROOT}/domain?map=${encodeURIComponent(/** @type {HTMLSelectElement} */ (event.target).value)}`);
+});
+load().catch((problem) => {
+  at("trouble").textContent = problem instanceof Error ? problem.message : String(problem);
+  at("trouble").hidden = false;
+  root.dataset.ready = "yes";
+});
