@@ -291,11 +291,10 @@ function cellOf(g, c) {
 
 input("slider").addEventListener("input", () => {
   tau.value = String(offSlider(Number(input("slider").value)));
-  void refresh();
 });
 at("claim").addEventListener("submit", (event) => event.preventDefault());
-at("claim").addEventListener("input", () => {
-  if (Number(tau.value) > 0) input("slider").value = String(onSlider(Number(tau.value)));
+at("claim").addEventListener("input", (event) => {
+  if (event.target === tau && Number(tau.value) > 0) input("slider").value = String(onSlider(Number(tau.value)));
   void refresh();
 });
 input("points").addEventListener("change", paint);
