@@ -245,6 +245,9 @@ def _known() -> Mapping[str, tuple[str, str]]:
 
 
 def _class_of(path: str) -> Any:
+    if path not in _known():
+        found = repr(path.rpartition(":")[2])
+        raise InvalidInput("class", found=found, expected="one that this version of fixel saves")
     module, name = _known()[path]
     return getattr(import_module(module), name)
 
