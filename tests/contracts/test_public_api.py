@@ -275,8 +275,14 @@ def rewritten(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
     ("change", "reason"),
     [
         (lambda head: head.update(format=2, fixel="9.0.0"), r"fixel 9\.0\.0 in format 2.*newer"),
-        (lambda head: head["content"].update({"class": "os:system"}), "found 'system', expected one"),
-        (lambda head: head["content"].update({"class": "fixel:simulate"}), "found 'simulate', expected one"),
+        (
+            lambda head: head["content"].update({"class": "os:system"}),
+            "found 'system', expected one",
+        ),
+        (
+            lambda head: head["content"].update({"class": "fixel:simulate"}),
+            "found 'simulate', expected one",
+        ),
         (lambda head: head["content"]["items"].append(["new", 1]), "another kind of file"),
         (lambda head: head.pop("format"), "another kind of file"),
     ],
