@@ -32,7 +32,6 @@ from fixel.model.space import ParameterSpace, Unknown
 from fixel.progress import Reporter
 from fixel.workflows.calibration.result import FitKind
 from fixel.workflows.compilation import get_ready
-from fixel.workflows.growth.run import GROWTH
 from fixel.workflows.growth.samples import GrowthSamples, read_samples
 from fixel.workflows.growth.singles import StoredSets, best_singles
 
@@ -82,7 +81,11 @@ class Exploration:
 
 
 def explore(
-    store: Store, asked: Any, folder: Path = Path(), progress: Reporter | None = None
+    store: Store,
+    asked: Any,
+    folder: Path = Path(),
+    command: str = "",
+    progress: Reporter | None = None,
 ) -> Exploration:
     """Explore the domain of applicability as in the thesis.
 
@@ -94,6 +97,8 @@ def explore(
         Request of `grow_stored`.
     folder : Path
         Folder of the project, for commands.
+    command : str
+        Command that repeats it.
     progress : Reporter, optional
     """
     limits = {**SIZES, **sizes_in(asked.sizes)}
@@ -114,7 +119,7 @@ def explore(
     )
     answer = wanted.run(comparer.errors)
     growth = grower.read(answer)
-    added = _keep(store, summaries, growth, samples, stored, GROWTH.command(asked, folder))
+    added = _keep(store, summaries, growth, samples, stored, command)
     return Exploration(
         samples=samples,
         stored=stored,

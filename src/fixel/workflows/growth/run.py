@@ -65,7 +65,8 @@ def grow_stored(
 
     asked = GROWTH.asked(locals())
     with project.store() as store, show_progress(progress, "reading experiments") as report:
-        return explore(store, asked, project.folder, report)
+        command = GROWTH.command(asked, project.folder)
+        return explore(store, asked, project.folder, command, report)
 
 
 GROWTH: Final = Capability(name="growth", group="domain", function=grow_stored)
