@@ -42,7 +42,7 @@ def artefact(name, make):
     ----------
     name : str
     make : callable
-        Fills a folder, which does not exist yet. Other processes wait for it.
+        Fills a folder `my_lab`, which does not exist yet. Other processes wait for it.
     """
     folder = store() / name
     with (store() / f"{name}.lock").open("w") as lock:
@@ -50,9 +50,10 @@ def artefact(name, make):
         if not folder.is_dir():
             unfinished = store() / f"{name}.unfinished"
             shutil.rmtree(unfinished, ignore_errors=True)
-            make(unfinished)
+            unfinished.mkdir()
+            make(unfinished / "my_lab")  # a project has the name of its first folder
             unfinished.rename(folder)
-    return folder
+    return folder / "my_lab"
 
 
 def copied(name, make, folder):

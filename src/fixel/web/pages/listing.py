@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from urllib.parse import urlencode
@@ -38,8 +38,8 @@ _TOKEN: Final = re.compile(r'(?:"[^"]*"?|[^\s"])+')
 _SUBJECT: Final = re.compile(r"([\w.-]+)(?:[<>!]?=|[<>:])")
 
 
-class Column(NamedTuple):
-    """Column of the table."""
+class ListColumn(NamedTuple):
+    """Column of the table of experiments."""
 
     key: str
     label: str
@@ -49,18 +49,19 @@ class Column(NamedTuple):
 
 
 COLUMNS: Final = (
-    Column("run", "Run"),
-    Column("name", "Experiment", "name"),
-    Column("shape", "Shape", "shape"),
-    Column("contacts", "Contacts", "contacts", "", "Fixels that the object touches at the end"),
-    Column("moved", "Moved", "moved", "mm"),
-    Column("turned", "Turned", "turned", "deg"),
-    Column("duration", "Time", "duration", "s"),
-    Column("before", "Error", "before", "mm",
-           "Error before calibration, of the newest stored simulation with nominal values"),
-    Column("after", "calibrated", "after", "mm",
-           "Error after calibration, of the newest calibration of this experiment"),
-    Column("marks", "Flags", "flags"),
+    ListColumn("run", "Run"),
+    ListColumn("name", "Experiment", "name"),
+    ListColumn("shape", "Shape", "shape"),
+    ListColumn("contacts", "Contacts", "contacts",
+               title="Fixels that the object touches at the end"),
+    ListColumn("moved", "Moved", "moved", "mm"),
+    ListColumn("turned", "Turned", "turned", "deg"),
+    ListColumn("duration", "Time", "duration", "s"),
+    ListColumn("before", "Error", "before", "mm",
+               "Error before calibration, of the newest stored simulation with nominal values"),
+    ListColumn("after", "calibrated", "after", "mm",
+               "Error after calibration, of the newest calibration of this experiment"),
+    ListColumn("marks", "Flags", "flags"),
 )  # fmt: skip
 
 
@@ -140,7 +141,7 @@ def tokens(filter: str) -> list[str]:
 
 
 def replaced(filter: str, subjects: tuple[str, ...], *terms: str) -> str:
-    """Return a filter with terms in place of those about some subjects, as `shape` or `flag`."""
+    """Return a filter with terms instead of those about some subjects, as `shape` or `flag`."""
     kept = [
         token
         for token in _TOKEN.findall(filter)
@@ -154,7 +155,7 @@ def _quoted(text: str) -> str:
 
 
 def picks(known: Vocabulary, filter: str) -> list[dict[str, Any]]:
-    """Return the choices beside the filter, each with the filter that it leads to."""
+    """Return the choices next to the filter, each with the filter that it leads to."""
     usual = ("shape", "layout")
     names = [name for name, one in known.conditions.items() if len(one.texts) > 1]
     names.sort(key=lambda name: usual.index(name) if name in usual else len(usual))
@@ -193,12 +194,11 @@ def covered(
     # What a cell selects does not empty the rest of the picture.
     rest = replaced(filter, (*axes, "shape", "layout"))
     found = coverage(context.store, view_of(rest), *axes)
-    now = tokens(filter)
 
     def cell(
         number: int, most: int, subjects: tuple[str, ...], bounds: list[str]
     ) -> dict[str, Any]:
-        here = {bound.replace('"', "") for bound in bounds} <= {*now}
+        here = {bound.replace('"', "") for bound in bounds} <= {*tokens(filter)}
         return {
             "number": number,
             "share": (number / most) ** 0.5,
@@ -209,7 +209,7 @@ def covered(
     left, top, width, height = PLANE
     x, y = found.x, found.y
     across, up = width / len(x.centres), height / len(y.centres)
-    most = max(1, *(n for row in found.number for n in row))
+    most = _largest(found.number)
     places = [
         {
             **cell(found.number[i][j], most, (x.name, y.name), [*_within(x, i), *_within(y, j)]),
@@ -221,7 +221,7 @@ def covered(
         for i, j in product(range(len(x.centres)), range(len(y.centres)))
         if found.number[i][j]
     ]
-    largest = max(1, *(n for row in found.table for n in row)) if found.table else 1
+    largest = _largest(found.table)
     return {
         "axes": [(name, _titled(name)) for name in found.axes],
         "x": x.name,
@@ -246,6 +246,10 @@ def covered(
             for j, layout in enumerate(found.layouts)
         ],
     }  # fmt: skip
+
+
+def _largest(rows: Sequence[Sequence[int]]) -> int:
+    return max((n for row in rows for n in row), default=1) or 1
 
 
 def _within(axis: CoverageAxis, k: int) -> list[str]:

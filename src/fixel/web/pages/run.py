@@ -40,7 +40,7 @@ FORMS: Final[Mapping[str, Capability]] = {
 
 
 @dataclass
-class Field:
+class FormField:
     """Field of a form.
 
     Attributes
@@ -153,7 +153,7 @@ def _form(
 ) -> dict[str, Any]:
     offered = _offered(context)
     shown = [
-        Field(o, texts.get(name, []), offered=offered.get(name, []))
+        FormField(o, texts.get(name, []), offered=offered.get(name, []))
         for name, o in capability.shown.items()
         if o.on_page
     ]
