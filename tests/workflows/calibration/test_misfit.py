@@ -73,7 +73,8 @@ def test_one_value_inside_its_interval_wherever_one_looks(found):
         one = load_values(store, done.ids[-1])
     summary = done.summary()["found"][-1]
     charts = {p.name: p.chart for p in pictures_of(done)}
-    profiles = charts["profiles"]
+    values = {row[0]: row[5] for row in charts["parameters"].data.rows}
+    curves = {row[0]: row for row in charts["profiles"].data.rows}
     table = done.joint.analysis.tables[0].lines()
     assert parameters_section(done.joint, []).tables[0].lines() == table
     assert [line.strip() for line in repr(done.joint).splitlines()[1 : 1 + len(table)]] == [
@@ -81,18 +82,18 @@ def test_one_value_inside_its_interval_wherever_one_looks(found):
     ]
     assert {*table} <= {*done.analysis.lines()}
     rows = {row[0]: (row, below) for row, below in pairwise([line.split() for line in table])}
-    for row, drawn in zip(told.parameters, charts["parameters"].rows, strict=True):
+    assert [*values] == [row.label for row in told.parameters]
+    for row in told.parameters:
         low = -math.inf if row.low is None else row.low
         high = math.inf if row.high is None else row.high
         assert low <= row.value <= high
-        assert summary["parameters"][row.label] == row.value == drawn.value
+        assert summary["parameters"][row.label] == row.value == values[row.label]
         shown, below = rows[row.label]
         assert shown[1] == row.value_text.split()[0]
         # What noise alone would state is a labelled line below, and what the profile shows.
         assert below[:3] == ["noise", "alone", row.noise_alone.value_text.split()[0]]
-        curve = next(c for c in profiles.profiles if c.label == row.label)
-        assert profiles.estimates[row.label].value == row.value
-        assert (row.noise_low, row.noise_high) == (curve.low, curve.high)
+        assert curves[row.label][6:] == (row.low, row.high, row.noise_low, row.noise_high)
+        (curve,) = (own for own in done.joint.found.profiles if own.label == row.label)
         assert abs(row.noise_value - curve.best) <= 0.02 * (row.bounds[1] - row.bounds[0])
         assert summary["best_fit"][row.label] == row.best_fit == one.record.parameters[row.label]
     assert any(row.value != row.best_fit for row in told.parameters)

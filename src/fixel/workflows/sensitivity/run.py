@@ -88,6 +88,7 @@ def sensitivity(
 
     Examples
     --------
+    >>> from fixel import StartError
     >>> from fixel.testing.scenes import micro_push
     >>> from fixel.units import deg, um
     >>> start = StartError(x=5*um, y=5*um, theta=0.5*deg, kind="uniform")
