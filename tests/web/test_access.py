@@ -25,7 +25,7 @@ METHODS = ("GET", "HEAD", "OPTIONS", "POST", "PUT", "PATCH", "DELETE", "TRACE")
 SAFE = ("GET", "HEAD", "OPTIONS")
 HOSTS = ("127.0.0.1:8000", "localhost:8000", "[::1]:8000", "evil.example", None)
 ORIGINS = ("absent", "same", "http://evil.example", "null", "picture on a page of another port")
-ORIGINS += ("link on another page",)
+ORIGINS += ("link on another page", "form of ours", "form of another port", "form in a sandbox")
 CREDENTIALS = (
     "nothing",
     "prefix",
@@ -59,14 +59,18 @@ def bench(project):
 def expected(credential, host, origin, method):
     """The rules."""
     ours = host in HOSTS[:3]
-    at_home = origin in ("absent", "same", "link on another page")
+    at_home = origin in ("absent", "same", "form of ours")
     if not ours:
         return 400
     if credential == "token in query" and method in SAFE:
         return 303
     if "bearer" in credential:
         return ADMITTED if "wrong" not in credential and at_home else 401
-    if "cookie and prefix" not in credential or "wrong cookie" in credential or not at_home:
+    if (
+        "cookie and prefix" not in credential
+        or "wrong cookie" in credential
+        or not (at_home or (origin == "link on another page" and method in SAFE))
+    ):
         return 403
     if method in SAFE or credential == "cookie and prefix and word":
         return ADMITTED
@@ -91,6 +95,15 @@ def request(gate, path, credential, host, origin, method):
         case "link on another page":
             headers |= {"sec-fetch-site": "cross-site", "sec-fetch-dest": "document"}
             headers["sec-fetch-mode"] = "navigate"
+        case "form of ours" | "form of another port" | "form in a sandbox":
+            # Pages that send no referrer do not name their origin; a sandboxed frame has none.
+            came, site = {
+                "form of ours": ("null", "same-origin"),
+                "form of another port": ("http://127.0.0.1:9000", "same-site"),
+                "form in a sandbox": ("null", "cross-site"),
+            }[origin]
+            headers |= {"origin": came, "sec-fetch-site": site, "sec-fetch-mode": "navigate"}
+            headers["sec-fetch-dest"] = "document"
         case _:
             headers["origin"] = origin
     wrong = "x" * len(gate.token)

@@ -17,6 +17,7 @@ from urllib.parse import urlsplit
 import pytest
 
 import fixel.web
+from fixel.model.selection import ExperimentQuery
 from fixel.web.security import WORD_HEADER
 
 TOTAL = "api/v1/experiments?limit=1"
@@ -45,6 +46,21 @@ ATTACKS = """async home => {
   await new Promise(done => setTimeout(done, 500));
   return found;
 }"""
+
+# A form that a page of another port posts: itself, and from a frame without an origin. What the
+# page could never learn is given to it: the address with the prefix, and the word.
+FORM = """<form method="post" action="{home}run/filter">
+<input name="fixel-word" value="{word}"><input name="experiment" value="{experiment}"></form>
+<script>document.forms[0].submit()</script>"""
+FRAMES = {
+    "another port": "html => { document.open(); document.write(html); document.close(); }",
+    "sandbox": """html => {
+      const frame = document.createElement("iframe");
+      frame.sandbox = "allow-forms allow-scripts";
+      frame.srcdoc = html;
+      document.body.append(frame);
+    }""",
+}
 
 
 class Neighbour(http.server.BaseHTTPRequestHandler):
@@ -172,6 +188,21 @@ def test_a_real_browser_and_a_hostile_page(browser_page, server):
         assert rob(server, cookies) == []
     assert received == {""}
     assert total(server) == before
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_form_of_another_port_starts_nothing(frame, browser_page, server, project):
+    experiment = server.context.store.experiments(ExperimentQuery(limit=1)).rows[0].key
+    form = FORM.format(home=server.home, word=server.gate.word, experiment=experiment)
+    before = {*project.glob("jobs/*")}
+    with neighbour() as other:
+        hostile = browser_page.context.new_page()
+        hostile.goto(f"http://127.0.0.1:{other.server_port}/innocent")
+        with hostile.expect_response("**/run/filter") as answer:
+            hostile.evaluate(FRAMES[frame], form)
+        assert answer.value.status == 403
+        hostile.close()
+    assert {*project.glob("jobs/*")} == before
 
 
 def test_whoever_opened_the_link_goes_where_he_likes(browser_page, server):

@@ -20,6 +20,7 @@ EVERY = pytest.mark.parametrize("capability", FORMS.values(), ids=[*FORMS])
 SLOW = ("domain", "error-bound", "growth")
 STORING = [own for own in FORMS.values() if own.prepare is None and own.name not in SLOW]
 WITH_RESULT = pytest.mark.parametrize("capability", STORING, ids=[own.name for own in STORING])
+DOCUMENT = {"sec-fetch-mode": "navigate", "sec-fetch-dest": "document"}
 EVIL = "<script>window.hacked = 1</script>"
 
 
@@ -161,9 +162,12 @@ def test_forms_of_others_are_refused(fields, status, bench, begun):
     ("headers", "status"),
     [
         ({"origin": "null", "sec-fetch-site": "same-origin"}, 303),
-        ({"origin": "null", "sec-fetch-site": "cross-site"}, 403),
+        ({"origin": "null", "sec-fetch-site": "cross-site", **DOCUMENT}, 403),
+        ({"origin": "null", "sec-fetch-site": "none", **DOCUMENT}, 403),
         ({"origin": "null"}, 403),
-        ({"origin": "http://127.0.0.1:9000", "sec-fetch-site": "same-site"}, 403),
+        ({"origin": "http://127.0.0.1:9000", "sec-fetch-site": "same-site", **DOCUMENT}, 403),
+        ({"sec-fetch-site": "same-site", **DOCUMENT}, 403),
+        ({"sec-fetch-site": "cross-site", **DOCUMENT}, 403),
         ({"authorization": "Bearer guess"}, 401),
     ],
 )

@@ -106,11 +106,12 @@ class Gate:
         return kind.lower() == "bearer" and _same(token.strip(), self.token) and at_home(headers)
 
 
-def at_home(headers: Headers) -> bool:
+def at_home(headers: Headers, *, safe: bool = False) -> bool:
     """Whether a request comes from no page at all, or from one of this server.
 
     A page of another port of this machine is of the same *site*, but not ours. A link on it may be
-    followed: what a link opens changes nothing, and no other page can read it.
+    followed, by a `safe` method only: what a link opens changes nothing, and no other page can read
+    it. A form on it may not be sent.
     """
     origin = headers.get("origin")
     site = headers.get("sec-fetch-site", "none")  # older browsers, and programs, do not send it
@@ -118,8 +119,10 @@ def at_home(headers: Headers) -> bool:
     ours = (None, f"http://{headers.get('host', '')}", *(["null"] * (site == "same-origin")))
     if origin not in ours:
         return False
+    if site in ("none", "same-origin"):
+        return True
     navigation = (headers.get("sec-fetch-mode"), headers.get("sec-fetch-dest"))
-    return site in ("none", "same-origin") or navigation == ("navigate", "document")
+    return safe and navigation == ("navigate", "document")
 
 
 class SecurityHeaders:
@@ -177,7 +180,8 @@ class Guard:
         # The cookie alone is not enough: it may have come from anywhere.
         if not (knows_prefix and self.gate.opens(headers)):
             return _refusal(scope, 403, NO_COOKIE)
-        if not at_home(headers) or not (safe or self.gate.admits(headers) or _is_form(scope)):
+        ours = at_home(headers, safe=safe)
+        if not ours or not (safe or self.gate.admits(headers) or _is_form(scope)):
             return _refusal(scope, 403, NOT_OURS)
         return None
 
