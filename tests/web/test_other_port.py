@@ -47,20 +47,11 @@ ATTACKS = """async home => {
   return found;
 }"""
 
-# A form that a page of another port posts: itself, and from a frame without an origin. What the
-# page could never learn is given to it: the address with the prefix, and the word.
+# A form that a page of another port posts. What the page could never learn is given to it: the
+# address with the prefix, and the word.
 FORM = """<form method="post" action="{home}run/filter">
-<input name="fixel-word" value="{word}"><input name="experiment" value="{experiment}"></form>
-<script>document.forms[0].submit()</script>"""
-FRAMES = {
-    "another port": "html => { document.open(); document.write(html); document.close(); }",
-    "sandbox": """html => {
-      const frame = document.createElement("iframe");
-      frame.sandbox = "allow-forms allow-scripts";
-      frame.srcdoc = html;
-      document.body.append(frame);
-    }""",
-}
+<input name="fixel-word" value="{word}"><input name="experiment" value="{experiment}"></form>"""
+POST = "html => { document.body.innerHTML = html; document.forms[0].submit(); }"
 
 
 class Neighbour(http.server.BaseHTTPRequestHandler):
@@ -70,6 +61,8 @@ class Neighbour(http.server.BaseHTTPRequestHandler):
         self.server.received.append((self.path, self.headers.get("cookie")))
         self.send_response(200)
         self.send_header("content-type", "text/html")
+        if self.path == "/sandboxed":  # its pages have no origin
+            self.send_header("content-security-policy", "sandbox allow-forms allow-scripts")
         self.end_headers()
         self.wfile.write(b"<h1>hello</h1>")
 
@@ -190,18 +183,20 @@ def test_a_real_browser_and_a_hostile_page(browser_page, server):
     assert total(server) == before
 
 
-@pytest.mark.parametrize("frame", FRAMES)
-def test_a_form_of_another_port_starts_nothing(frame, browser_page, server, project):
+@pytest.mark.parametrize(("path", "site"), [("innocent", "same-site"), ("sandboxed", "cross-site")])
+def test_a_form_of_another_port_starts_nothing(path, site, browser_page, server, project):
     experiment = server.context.store.experiments(ExperimentQuery(limit=1)).rows[0].key
     form = FORM.format(home=server.home, word=server.gate.word, experiment=experiment)
     before = {*project.glob("jobs/*")}
     with neighbour() as other:
         hostile = browser_page.context.new_page()
-        hostile.goto(f"http://127.0.0.1:{other.server_port}/innocent")
+        hostile.goto(f"http://127.0.0.1:{other.server_port}/{path}")
         with hostile.expect_response("**/run/filter") as answer:
-            hostile.evaluate(FRAMES[frame], form)
+            hostile.evaluate(POST, form)
         assert answer.value.status == 403
+        sent = answer.value.request.all_headers()
         hostile.close()
+    assert (sent["sec-fetch-site"], sent["origin"] == "null") == (site, path == "sandboxed")
     assert {*project.glob("jobs/*")} == before
 
 
