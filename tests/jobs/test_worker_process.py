@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from functools import partial
 
 import pytest
 
@@ -82,6 +83,16 @@ def test_others_wait_for_their_turn_only_so_long():
         with pytest.raises(CallCancellation):
             sleep.call(0.0, lambda: True)
         sleep._turn.release()
+
+
+def test_the_first_call_waits_for_a_process_that_starts_longer_than_for_another_call():
+    with WorkerProcess(len, limit=1.0, ready=partial(time.sleep, 3.0)) as length:
+        starter = threading.Thread(target=length.start)
+        starter.start()
+        while not length._starting:
+            time.sleep(0.01)
+        assert length.call(b"abc") == 3
+        starter.join()
 
 
 def test_it_ends_with_the_program_that_started_it_also_in_the_middle_of_a_call(tmp_path):

@@ -62,6 +62,7 @@ class WorkerProcess:
     ) -> None:
         self._function, self._ready, self.limit, self._hint = function, ready, limit, hint
         self._turn = threading.Lock()
+        self._starting = False
         self._process: Any = None
         self._pipe: Connection | None = None
 
@@ -108,6 +109,8 @@ class WorkerProcess:
         while not self._turn.acquire(timeout=GLANCE):
             if nobody_waits():
                 raise CallCancellation
+            if self._starting:  # has a limit of its own, as it may have to compile
+                until = time.monotonic() + self.limit
             if time.monotonic() > until:
                 raise JobRefused(
                     f"the server is busy: another computation has run for {self.limit:g} s",
@@ -135,7 +138,11 @@ class WorkerProcess:
             f"a process to compute in was not ready within {STARTS_WITHIN:g} s",
             hint="try again later",
         )
-        self._received(ours, STARTS_WITHIN, nobody_waits, late)
+        self._starting = True
+        try:
+            self._received(ours, STARTS_WITHIN, nobody_waits, late)
+        finally:
+            self._starting = False
         return ours
 
     def _hand_over(self, pipe: Connection, argument: Any) -> None:
