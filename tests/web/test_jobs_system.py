@@ -83,7 +83,7 @@ def test_only_so_many_run_at_once_whatever_they_are(bench, monkeypatch):
     bench.job("other")
     assert bench.post("/jobs/long/resume").status_code == 200
     try:
-        for address, body in (("/jobs/other/resume", None), ("/domain", {"by": ["shape"]})):
+        for address, body in (("/jobs/other/resume", None), ("/run/domain", {"axes": ["shape"]})):
             refused = bench.client.request(
                 "POST", f"/api/v1{address}", headers={WORD_HEADER: bench.gate.word}, json=body
             )
