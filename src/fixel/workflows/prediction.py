@@ -91,7 +91,7 @@ def predict(
     Returns
     -------
     Prediction
-        Poses of all runs; `.probability(goal)`, `.modes`, `.bands()`, `.region()`.
+        Poses of all runs; ``.probability(goal)``, ``.modes``, ``.bands()``, ``.region()``.
 
     Raises
     ------
