@@ -35,7 +35,6 @@ from fixel.workflows.calibration.request import (
     NamedOptions,
     read_targets,
     target_files,
-    usual_optimiser,
 )
 from fixel.workflows.calibration.result import outcome_bytes, outcome_of, outliers
 from fixel.workflows.calibration.stored import load_values, searched_space
@@ -330,13 +329,24 @@ def test_experiments_that_stand_out_are_the_strange_ones():
     assert outliers(np.array([1.0] * 10 + [np.inf]), "mm") == []
 
 
-def test_least_squares_is_the_usual_search_for_sums_of_squares():
-    assert usual_optimiser("joint", "sum", "mean-square", 300, 4) == "least-squares"
-    assert usual_optimiser("joint", "mean", "robust", 300, 4) == "least-squares"
-    assert usual_optimiser("joint", "mean", "root-mean-square", 300, 4) == "pattern-search"
-    assert usual_optimiser("joint", "largest", "mean-square", 300, 4) == "pattern-search"
-    assert usual_optimiser("each", "sum", "mean-square", 300, 4) == "pattern-search"
-    assert usual_optimiser("joint", "sum", "end-pose", 6, 4) == "pattern-search"
+@pytest.mark.parametrize(
+    ("mode", "combine", "error", "n", "expected"),
+    [
+        ("joint", "sum", "mean-square", 2, "least-squares"),
+        ("joint", "mean", "robust", 2, "least-squares"),
+        ("joint", "mean", "root-mean-square", 2, "pattern-search"),
+        ("joint", "largest", "mean-square", 2, "pattern-search"),
+        ("each", "sum", "mean-square", 2, "pattern-search"),
+        ("joint", "sum", "end-pose", 2, "pattern-search"),
+        ("joint", "sum", "mean-square", 1, "pattern-search"),
+    ],
+)
+def test_least_squares_is_the_usual_search_for_sums_of_squares(
+    chosen, mode, combine, error, n, expected
+):
+    usual = {"mode": mode, "combine": combine, "error": NamedOptions(name=error)}
+    request = _request(chosen, optimiser=NamedOptions(name="auto"), **usual)
+    assert request.with_usual_search(chosen.targets[:n]).optimiser.name == expected
 
 
 @pytest.mark.parametrize("optimiser", ["pattern-search", "least-squares"])

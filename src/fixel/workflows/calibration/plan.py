@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Final, Self, final
 import numpy as np
 from pydantic import ValidationError
 
-from fixel.calibration.objective import EndPose
 from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space, search_space
 from fixel.errors import InvalidInput
@@ -22,7 +21,6 @@ from fixel.io.damaged_files import readable
 from fixel.jobs import folder as files
 from fixel.kernels import codes
 from fixel.model import Experiment, Scene
-from fixel.model.space import ParameterSpace
 from fixel.simulation.motion import stated_name
 from fixel.simulation.trust import remember
 from fixel.workflows import jobs
@@ -38,7 +36,6 @@ from fixel.workflows.calibration.request import (
     named_options,
     read_targets,
     target_files,
-    usual_optimiser,
 )
 from fixel.workflows.calibration.result import (
     CalibrationResult,
@@ -53,7 +50,6 @@ LEFT_OUT: Final = "left_out.json"  # skipped experiments with reasons
 MAKER: Final = "calibration:calibration_work"
 PREFLIGHT: Final = 16  # experiments that are simulated before any work starts
 JAMMED: Final = codes.STATUS_NAMES[codes.JAMMED]
-SINGLES: Final = "calibration:calibrate_alone"  # chunks that calibrate single experiments
 
 
 @final
@@ -94,18 +90,14 @@ class CalibrationPlan:
         targets = targets_of(experiments)
         space = search_space(parameters, targets, start)
         own = {name: v for name, v in options.items() if name in CalibrationRequest.model_fields}
-        kind = named_options(options["error"], "error")
-        search = named_options(options["optimiser"], "optimiser")
-        if search.name == "auto":
-            usual = usual_search(mode, options["combine"], kind.name, targets, space)
-            search = search.model_copy(update={"name": usual})
-        own |= {"mode": mode, "unknowns": list(space.unknowns), "error": kind, "optimiser": search}
+        own |= {name: named_options(options[name], name) for name in ("error", "optimiser")}
+        own |= {"mode": mode, "unknowns": list(space.unknowns)}
         if (noise := options["noise"]) is not None:
             own |= {"noise_position": noise.position_m, "noise_angle": noise.angle_rad}
         own["motion"] = stated_name(options["motion"])
         own["sample_of"] = getattr(experiments, "sample_of", None)
         try:
-            request = CalibrationRequest(**own)
+            request = CalibrationRequest(**own).with_usual_search(targets)
         except ValidationError as problem:
             first = problem.errors(include_url=False)[0]
             where = ".".join(map(str, first["loc"]))
@@ -173,16 +165,6 @@ class CalibrationPlan:
 def may_jam(scene: Scene) -> bool:
     """Whether a rigid drive could push a body against fixels."""
     return bool(scene.fixels) and any(p.drive.force_limit is None for p in scene.pushers)
-
-
-def usual_search(
-    mode: Mode, combine: str, error: str, targets: Sequence[Target], space: ParameterSpace
-) -> str:
-    """Return the name of the search that suits a calibration best."""
-    ends = error == EndPose.name
-    frames = sum(1 if ends else len(target.pose) for target in targets)
-    several = mode if len(targets) > 1 else "each"
-    return usual_optimiser(several, combine, error, 3 * frames, len(space.free))
 
 
 # --- folders of jobs ----------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator
@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidat
 from fixel.calibration import OPTIMISERS, AbstractOptimiser, MultiStart, PatternSearch
 from fixel.calibration.least_squares import LeastSquares
 from fixel.calibration.noise import Noise
-from fixel.calibration.objective import ERRORS, AbstractError, Robust, RootMeanSquare
+from fixel.calibration.objective import ERRORS, AbstractError, EndPose, Robust, RootMeanSquare
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, unknown_name
 from fixel.formats.scene_schema import SceneRecord, scene_content, scene_of
@@ -25,10 +25,13 @@ from fixel.model.space import ParameterSpace, Unknown
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model
 from fixel.simulation.rollouts import RolloutCase
+from fixel.typing import FloatArray
 
 Mode = Literal["each", "joint", "campaign", "stored"]
 Combine = Literal["sum", "mean", "largest"]
+Error = TypeVar("Error", float, FloatArray)
 
+AUTO: Final = "auto"
 LEAST_SQUARES: Final = "least-squares"
 PATTERN_SEARCH: Final = PatternSearch.name
 ENOUGH: Final = 10  # residuals an unknown, for least squares unless asked for another search
@@ -153,6 +156,27 @@ class CalibrationRequest(_RequestLevel):
         return made
 
     @property
+    def sums_squares(self) -> bool:
+        """Whether one set of parameters is searched whose error is a sum of squares."""
+        return self.mode == "joint" and self.combine != "largest" and self.error.name != PAPER
+
+    def with_usual_search(self, targets: Sequence[Target]) -> Self:
+        """Return the request with the search that suits it best, if it has `"auto"`.
+
+        Least squares for one set of parameters of several experiments, where the error is a sum of
+        squares (also softened ones) and there are several residuals an unknown; else pattern
+        search.
+        """
+        if self.optimiser.name != AUTO:
+            return self
+        ends = self.error.name == EndPose.name
+        n_residuals = 3 * sum(1 if ends else len(target.pose) for target in targets)
+        enough = len(targets) > 1 and n_residuals >= ENOUGH * len(self.space.free)
+        name = LEAST_SQUARES if self.sums_squares and enough else PATTERN_SEARCH
+        search = self.optimiser.model_copy(update={"name": name})
+        return self.model_copy(update={"optimiser": search})
+
+    @property
     def made_motion(self) -> AbstractMotionModel:
         """The motion model, or another engine."""
         return motion_model(self.motion)
@@ -163,6 +187,10 @@ class CalibrationRequest(_RequestLevel):
         if self.noise_position is None or self.noise_angle is None:
             return None
         return Noise(position_m=self.noise_position, angle_rad=self.noise_angle, source="stated")
+
+    def error_of_one(self, error: Error, n: int) -> Error:
+        """Return the share of one of n experiments in a combined error, where that is a sum."""
+        return error / n if self.combine == "sum" else error
 
     def listed(self) -> dict[str, Any]:
         """Return the fields that lists of calibrations show, by name."""
@@ -198,32 +226,13 @@ class CalibrationRequest(_RequestLevel):
             pass
 
     def _check_squares(self) -> None:
-        if self.mode != "joint" or self.combine == "largest" or self.error.name == PAPER:
+        if not self.sums_squares:
             raise InvalidInput(
                 f"optimiser {LEAST_SQUARES}",
                 found=f"mode {self.mode}, combine {self.combine}, error {self.error.name}",
                 expected="mode joint and a sum or mean of squares",
                 hint="choose pattern-search or nelder-mead",
             )
-
-
-def usual_optimiser(mode: str, combine: str, error: str, residuals: int, unknowns: int) -> str:
-    """Name of the search that suits a calibration best.
-
-    Least squares for one set of parameters, where the error is a sum of squares (also softened
-    ones) and there are several residuals an unknown; else pattern search.
-
-    Parameters
-    ----------
-    mode, combine, error : str
-        As in `CalibrationRequest`.
-    residuals : int
-        Numbers compared: three a frame, or three an experiment where only the end counts.
-    unknowns : int
-        Free ones.
-    """
-    squares = mode == "joint" and combine != "largest" and error != PAPER
-    return LEAST_SQUARES if squares and residuals >= ENOUGH * unknowns else PATTERN_SEARCH
 
 
 def _made(family: tuple[Any, ...], choice: NamedOptions, where: str) -> Any:
