@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from fixel.calibration.objective import Comparer
 from fixel.calibration.study import at_points, run_study
@@ -70,55 +70,43 @@ SINGLES: Final = "calibration:calibrate_alone"  # chunks that calibrate single e
 PROJECT_FILE: Final = "fixel.yaml"  # makes a folder a project
 
 
-class Place(NamedTuple):
-    """Options of `calibrate` that decide where it computes and stores."""
-
-    threads: int | None = None
-    workers: int = 0
-    site: Any = None
-    store: Any = None
-    progress: ProgressOption = None
-
-    @classmethod
-    def of(cls, options: Mapping[str, Any]) -> Self:
-        """Return the place among other options."""
-        return cls(**{name: options[name] for name in cls._fields if name in options})
-
-
 def calibrate_in(
     mode: Mode, experiments: Iterable[Experiment | Target], parameters: Space = None, **options: Any
 ) -> Calibrations:
     """Calibrate in one of the modes of a request; the options are those of `calibrate`."""
-    permit(options.get("motion"))
-    place = Place.of(options)
-    if place.workers < 0:
-        raise InvalidInput("workers", found=place.workers, expected="0 or more")
+    asked = SimpleNamespace(**options)
+    permit(asked.motion)
+    if asked.workers < 0:
+        raise InvalidInput("workers", found=asked.workers, expected="0 or more")
     plan = CalibrationPlan.of(mode, experiments, parameters, **options)
-    return _run(plan.rehearse(place.threads), place)
+    return _run(plan.rehearse(asked.threads), asked)
 
 
-def _run(plan: CalibrationPlan, place: Place) -> Calibrations:
-    """Run a plan in this process, or in a folder with a journal; store the result in a project."""
-    if place.store is None and not place.workers and place.site is None:
-        return _run_here(plan, place)
-    given = None if place.store is None else Path(getattr(place.store, "folder", place.store))
+def _run(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
+    """Run a plan in this process, or in a folder with a journal; store the result in a project.
+
+    Options of `calibrate` decide where.
+    """
+    if asked.store is None and not asked.workers and asked.site is None:
+        return _run_here(plan, asked)
+    given = None if asked.store is None else Path(getattr(asked.store, "folder", asked.store))
     if given is None:
         with tempfile.TemporaryDirectory(prefix="fixel-") as temporary:
-            return replace(_run_in_folder(plan, Path(temporary) / "job", place), folder=None)
+            return replace(_run_in_folder(plan, Path(temporary) / "job", asked), folder=None)
     if not (given / PROJECT_FILE).is_file():
-        return _run_in_folder(plan, given, place)
+        return _run_in_folder(plan, given, asked)
     from fixel.database.project import Project
     from fixel.workflows.calibration.project import add_to_project
 
-    return add_to_project(Project(given), _run_in_folder(plan, job_folder(given, plan), place))
+    return add_to_project(Project(given), _run_in_folder(plan, job_folder(given, plan), asked))
 
 
-def _run_here(plan: CalibrationPlan, place: Place) -> Calibrations:
-    comparer = comparer_of(plan.request, plan.targets, place.threads)
+def _run_here(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
+    comparer = comparer_of(plan.request, plan.targets, asked.threads)
     state = SearchState(plan.request)
     work = calibration_rounds(plan.request, comparer, state)
     engine = DirectEngine(plan.request, comparer)
-    with show_progress(place.progress, "searching") as report:
+    with show_progress(asked.progress, "searching") as report:
         try:
             result = run_work(work, engine, Path(), None, progress=_reporting(report))
         except KeyboardInterrupt:
@@ -129,17 +117,17 @@ def _run_here(plan: CalibrationPlan, place: Place) -> Calibrations:
     return plan.result(outcome_of(result))
 
 
-def _run_in_folder(plan: CalibrationPlan, folder: Path, place: Place) -> Calibrations:
+def _run_in_folder(plan: CalibrationPlan, folder: Path, asked: SimpleNamespace) -> Calibrations:
     """Run or continue a calibration in a folder."""
     prepare_folder(plan, folder)
     if jobs.status_of(folder).state == "done":
         return collect(plan, folder)
-    site = place.site if isinstance(place.site, Site | None) else load_site(Path(place.site))
-    count = None if site is not None and not place.workers else place.workers
+    site = asked.site if isinstance(asked.site, Site | None) else load_site(Path(asked.site))
+    count = None if site is not None and not asked.workers else asked.workers
     local = None
     if not jobs.arrange(folder, workers=count, site=site).workers:
-        local = DirectEngine(plan.request, comparer_of(plan.request, plan.targets, place.threads))
-    with show_progress(place.progress, "searching") as report:
+        local = DirectEngine(plan.request, comparer_of(plan.request, plan.targets, asked.threads))
+    with show_progress(asked.progress, "searching") as report:
         try:
             jobs.run_here(folder, _reporting(report), local=local)
         except KeyboardInterrupt:
@@ -254,18 +242,9 @@ def _reporting(report: Reporter) -> Show:
 def run_in_project(
     project: Project, asked: Mapping[str, Any], progress: ProgressOption = None
 ) -> Calibrations:
-    """Calibrate experiments of a project, and store the result there.
-
-    Parameters
-    ----------
-    project : Project
-    asked : mapping
-        Arguments of `calibrate_in_project` and of `calibrate`, by name.
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
-    """
+    """Calibrate experiments of a project with the options of `calibrate_in_project`."""
     plan = plan_in_project(project, asked)
-    return _run(plan, Place.of({**asked, "store": project, "progress": progress}))
+    return _run(plan, SimpleNamespace(**{**asked, "store": project, "progress": progress}))
 
 
 def prepare_in_project(project: Project, asked: Mapping[str, Any]) -> Path:
