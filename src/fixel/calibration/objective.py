@@ -355,10 +355,15 @@ class Objective:
 
     def combined(self, errors: FloatArray) -> FloatArray:
         """Return the combination (k,) of errors (k, n_member)."""
-        if self.combine == "largest":
-            return np.asarray(errors.max(axis=1))
-        return np.asarray(errors.sum(axis=1) if self.combine == "sum" else errors.mean(axis=1))
+        return combined_errors(errors, self.combine)
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Return the combined errors (k,) at points (k, n_free)."""
         return self.combined(self.members_at(points)[0])
+
+
+def combined_errors(errors: FloatArray, combine: str) -> FloatArray:
+    """Return the sum, mean or largest (k,) of errors (k, n_member)."""
+    if combine == "largest":
+        return np.asarray(errors.max(axis=1))
+    return np.asarray(errors.sum(axis=1) if combine == "sum" else errors.mean(axis=1))

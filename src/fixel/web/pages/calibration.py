@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from fastapi import Request
@@ -61,7 +61,10 @@ def stored_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "engine": engine_of(record),
         "method": method(record),
         "provenance": provenance(record),
-        "errors": errors_of(one),
+        "errors": [
+            row.model_copy(update={k: rms(getattr(row, k), one.unit) for k in ("before", "after")})
+            for row in one.residuals
+        ],
         "plots": plots_of(one),
         "previous": ids[place - 1] if place else None,
         "next": next(iter(ids[place + 1 :]), None),
@@ -92,26 +95,6 @@ def plots_of(one: StoredCalibration) -> list[tuple[str, str]]:
             )
         )
     return found
-
-
-class ErrorRow(NamedTuple):
-    """Errors of an experiment before and after the calibration [mm]; None if unknown."""
-
-    id: int
-    key: str
-    before: float | None
-    after: float | None
-
-
-def errors_of(one: StoredCalibration) -> list[ErrorRow]:
-    """Return the errors of all experiments, the largest first."""
-
-    def rms(error: float | None) -> float | None:
-        if error is None or not math.isfinite(error):
-            return None
-        return math.sqrt(error) if one.unit == "mm^2" else error
-
-    return [ErrorRow(r.id, r.key, rms(r.before), rms(r.after)) for r in one.residuals]
 
 
 def running_page(context: ProjectContext, request: Request) -> dict[str, Any]:

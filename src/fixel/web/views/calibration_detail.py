@@ -201,10 +201,9 @@ def starts_of(fit: Calibration) -> list[Start]:
     ends = one.trace.ends()
     best = min((end.error for end in ends), default=math.inf)
     evaluations = np.bincount(one.trace.starts, minlength=len(ends)).tolist()
-    shared = len(one.members) if fit.request.combine == "sum" else 1
     found = [
         Start(
-            error=end.error / shared,
+            error=fit.request.error_of_one(end.error, len(one.members)),
             point=end.point.tolist(),
             evaluations=count,
             good=math.isfinite(end.error) and end.error <= best * (1.0 + NEARLY),

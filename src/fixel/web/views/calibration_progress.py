@@ -13,6 +13,7 @@ from typing import Any, Final, final
 import numpy as np
 from pydantic import Field
 
+from fixel.calibration.objective import combined_errors
 from fixel.database.project import Project
 from fixel.errors import FixelError, JobRefused, NotStored
 from fixel.io.array_bytes import arrays_of
@@ -149,7 +150,7 @@ class ProgressReader:
                 progress.ids = experiments_of(self._project, folder)
             ids = progress.ids
             _read(folder / files.JOURNAL, progress, request, len(ids))
-            objective = [_shared(e, request, len(ids)) for e in progress.objective]
+            objective = [request.error_of_one(e, len(ids)) for e in progress.objective]
             rate = 0.0 if status.ended else _rate(progress)
         stored = stored_ids(folder)
         if status.state == "done" and not stored:
@@ -242,29 +243,18 @@ def _take(
         values = np.concatenate(progress.waiting)
         if len(values) % n == 0 and len(arrays["error"]) <= ROLLOUTS_A_CHUNK:
             table = values.reshape(-1, n)
-            progress.objective += _combined(table, request).tolist()
+            progress.objective += combined_errors(table, request.combine).tolist()
             progress.waiting.clear()
     elif stage == SEARCHES[1]:
         squares = np.einsum("km,km->k", arrays["table"], arrays["table"])
         progress.objective += squares.tolist()
 
 
-def _combined(table: FloatArray, request: CalibrationRequest) -> FloatArray:
-    if request.combine == "largest":
-        return np.asarray(table.max(axis=1))
-    return np.asarray(table.sum(axis=1) if request.combine == "sum" else table.mean(axis=1))
-
-
-def _shared(error: float, request: CalibrationRequest, n: int) -> float:
-    """Convert a sum of errors to their mean, which is comparable with other calibrations."""
-    return error / n if request.combine == "sum" else error
-
-
 def _start(nominal: FloatArray, request: CalibrationRequest) -> float | None:
     if not len(nominal):
         return None
-    value = float(_combined(nominal[None], request)[0])
-    value = _shared(value, request, len(nominal))
+    value = float(combined_errors(nominal[None], request.combine)[0])
+    value = request.error_of_one(value, len(nominal))
     return value if math.isfinite(value) else None
 
 

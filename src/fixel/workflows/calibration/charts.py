@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -30,13 +30,11 @@ from fixel.drawing.searches import SearchPanel, search_chart, starts_chart
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, placed
 from fixel.model.records import Estimate
-from fixel.model.space import ParameterSpace
 from fixel.simulation import Simulation, simulate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.job import NEARLY
-from fixel.workflows.calibration.request import CalibrationRequest
-from fixel.workflows.calibration.result import CalibrationResult, FitKind, ParameterSet
+from fixel.workflows.calibration.result import FitKind, ParameterSet
 from fixel.workflows.figures import Picture, banner_of, make_folder, write_picture
 
 if TYPE_CHECKING:
@@ -66,11 +64,9 @@ class _ChartData:
     def __init__(self, calibration: Calibrations, project: Project | None = None) -> None:
         self.calibration = calibration
         self._project = project
-        self.request: CalibrationRequest = calibration.request
-        self.outcome: CalibrationResult = calibration.outcome
-        self.space: ParameterSpace = calibration.request.space
-        self.keys: Sequence[str] = calibration.outcome.keys
-        self.unit: str = calibration.request.made_error.unit
+        self.request, self.outcome = calibration.request, calibration.outcome
+        self.space, self.unit = self.request.space, self.request.made_error.unit
+        self.keys, self.targets = self.outcome.keys, calibration.targets
 
     def lengths(self, errors: FloatArray, members: int = 1) -> FloatArray:
         """Convert errors to lengths [mm], the unit of all charts and tables.
@@ -82,20 +78,13 @@ class _ChartData:
         members : int
             Number of experiments in each error; a sum is divided by it.
         """
-        shared = errors / members if self.request.combine == "sum" else errors
+        shared = self.request.error_of_one(errors, members)
         return np.asarray(np.sqrt(shared) if self.unit == "mm^2" else shared)
-
-    @cached_property
-    def targets(self) -> Sequence[Target]:
-        """Experiments of the calibration."""
-        return self.calibration.targets
 
     @cached_property
     def alone(self) -> list[ParameterSet]:
         """Best set of each single experiment: its own, or a neighbour's."""
-        # Neighbours' sets follow the experiments' own, and only where they are better.
-        best = {one.members[0]: one for one in self.outcome.alone}
-        return [best[member] for member in sorted(best)]
+        return sorted((one.found for one in self.calibration.each), key=lambda one: one.members)
 
     @cached_property
     def searched(self) -> list[ParameterSet]:
@@ -105,10 +94,8 @@ class _ChartData:
     @cached_property
     def together(self) -> ParameterSet | None:
         """Best set for all experiments."""
-        return next(
-            (one for one in self.outcome.together if one.how in (FitKind.DIRECT, FitKind.STORED)),
-            None,
-        )
+        joint = self.calibration.joint
+        return None if joint is None else joint.found
 
     @cached_property
     def banners(self) -> list[str]:
