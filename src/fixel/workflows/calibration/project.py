@@ -74,17 +74,6 @@ class ExperimentSelection:
     def __iter__(self) -> Iterator[Target]:
         return iter(self.targets)
 
-    def check_some(self, which: str, hint: str) -> None:
-        """Raise `InvalidInput` if there are none."""
-        if not self.targets:
-            reason = next(iter(self.left_out.values()), "")
-            raise InvalidInput(
-                "experiments",
-                found=f"none to calibrate with{f' ({reason})' if reason else ''}",
-                expected=f"one at least {which}",
-                hint=hint,
-            )
-
 
 def select_experiments(
     store: Store, keys: Sequence[str], query: ExperimentQuery
@@ -99,13 +88,6 @@ def select_experiments(
         ids = [summary.id for summary in store.experiments(query).rows]
         if not ids:
             check_known_names(store, query)
-    found = comparable(store, ids, strict=bool(keys))
-    found.check_some("with a scene and measured poses", "fixel list shows all experiments")
-    return found
-
-
-def comparable(store: Store, ids: Sequence[int], *, strict: bool = False) -> ExperimentSelection:
-    """Select the experiments that can be compared with simulations; raise if `strict` and not."""
     targets: dict[int, Target] = {}
     left_out: dict[str, str] = {}
     for experiment_id in ids:
@@ -113,9 +95,17 @@ def comparable(store: Store, ids: Sequence[int], *, strict: bool = False) -> Exp
         try:
             targets[experiment_id] = target_of(experiment)
         except InvalidInput as problem:
-            if strict:
+            if keys:
                 raise
             left_out[experiment.key] = str(problem)
+    if not targets:
+        reason = next(iter(left_out.values()), "")
+        raise InvalidInput(
+            "experiments",
+            found=f"none to calibrate with{f' ({reason})' if reason else ''}",
+            expected="one at least with a scene and measured poses",
+            hint="fixel list shows all experiments",
+        )
     return ExperimentSelection(ids=list(targets), targets=list(targets.values()), left_out=left_out)
 
 
