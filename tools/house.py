@@ -24,6 +24,9 @@ PACKAGE = Path(__file__).parents[1] / "src" / "fixel"
 LIMITS = Path(__file__).with_name("limits.toml")
 PROJECT = Path(__file__).parents[1] / "pyproject.toml"
 
+# Module of the function that the command `fixel calibrate` is made of.
+CALIBRATE = CAPABILITIES["calibration"].function.rpartition(".")[0]
+
 Modules = Mapping[str, Module]
 
 # First words of a docstring that needs the name above it to be understood.
@@ -80,7 +83,7 @@ def measure(modules: Modules) -> dict[str, Figure]:
     n_lines = rooms.total()
     room, n_largest = rooms.most_common(1)[0]
     workflows = [module for module in modules.values() if module.room == "workflows"]
-    campaign = [modules[name] for name in sorted(reached(edges, "fixel.cli.calibration"))]
+    campaign = [modules[name] for name in sorted(reached(edges, CALIBRATE))]
     docstrings = [
         (f"{module.path}:{line}", node, text)
         for module in modules.values()
