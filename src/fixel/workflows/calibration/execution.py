@@ -247,14 +247,6 @@ def run_in_project(
     return _run(plan, SimpleNamespace(**{**asked, "store": project, "progress": progress}))
 
 
-def prepare_in_project(project: Project, asked: Mapping[str, Any]) -> Path:
-    """Make the job of a calibration in a project, if it is not there; return its folder."""
-    plan = plan_in_project(project, asked)
-    folder = job_folder(project.folder, plan)
-    prepare_folder(plan, folder)
-    return folder
-
-
 def plan_in_project(project: Project, options: Mapping[str, Any]) -> CalibrationPlan:
     """Return the plan of a calibration of experiments of a project, checked and rehearsed."""
     from fixel.workflows.calibration.project import draw_sample, select_experiments, stored_points

@@ -109,11 +109,13 @@ def calibration_rounds(request: CalibrationRequest, comparer: Comparer, state: S
         pooled = yield from _evaluate_study(minimax_of_stored(members, points), "stored")
         found.append(_pooled(FitKind.STORED, members, pooled))
     elif request.mode == "joint":
-        one = _by_squares if request.least_squares is not None else _direct
-        found.append((yield from one(request, comparer, members, start, state)))
+        search = _by_squares if request.least_squares is not None else _direct
+        found.append((yield from search(request, comparer, members, start, state)))
     if request.verdicts and request.mode != "each":
-        state.found = found
-        found = yield from _assess_all(request, comparer, found, state)
+        state.found = [*found]
+        for k, one in enumerate(found):
+            if one.how == FitKind.DIRECT:
+                found[k] = yield from _with_verdicts(request, comparer, one, state)
     return outcome_bytes(
         CalibrationResult(
             keys=tuple(target.key for target in comparer.targets),
@@ -290,21 +292,18 @@ def _alone(request: CalibrationRequest, comparer: Comparer, n: int) -> Rounds[li
     for chunk in chunks:
         answer = answers[chunk.name]
         if isinstance(answer, Failure):
+            nothing = ParameterSet(
+                how=FitKind.ALONE,
+                members=(),
+                point=comparer.space.nominal,
+                errors=np.array([math.inf]),
+                note=answer.reason,
+            )
             members = arrays_of(chunk.payload)["members"].tolist()
-            found += [_nothing(comparer, m, answer.reason) for m in members]
+            found += [dataclasses.replace(nothing, members=(m,)) for m in members]
         else:
             found += found_of(arrays_of(answer))
     return found
-
-
-def _nothing(comparer: Comparer, member: int, reason: str) -> ParameterSet:
-    return ParameterSet(
-        how=FitKind.ALONE,
-        members=(member,),
-        point=comparer.space.nominal,
-        errors=np.array([math.inf]),
-        note=reason,
-    )
 
 
 @_chunk
@@ -433,17 +432,8 @@ def _direct(
         objective,
         state,
     )
-    errors, reasons = yield from _evaluate_study(at_points(members, trace.point[None]), "best")
-    return ParameterSet(
-        how=FitKind.DIRECT,
-        members=tuple(members),
-        point=trace.point,
-        errors=errors[0],
-        trace=trace,
-        solutions=_distinct_solutions(comparer, trace),
-        seconds=time.perf_counter() - begun,
-        note=_failure(comparer, members, errors[0], reasons[0]),
-    )
+    solutions = _distinct_solutions(comparer, trace)
+    return (yield from _searched(comparer, members, trace, begun, solutions=solutions))
 
 
 def _by_squares(
@@ -486,15 +476,27 @@ def _by_squares(
         [""] * sum(map(len, errors)),
         search.reason or ended,
     )
-    found, reasons = yield from _evaluate_study(at_points(members, trace.point[None]), "best")
+    return (yield from _searched(comparer, members, trace, begun))
+
+
+def _searched(
+    comparer: Comparer, members: Sequence[int], trace: Trace, begun: float, **more: Any
+) -> Rounds[ParameterSet]:
+    """Return the best point of a search, with its error for each experiment."""
+    (errors,), (reason,) = yield from _evaluate_study(at_points(members, trace.point[None]), "best")
+    note = ""
+    if reason:
+        first = members[int(np.argmin(np.isfinite(errors)))]
+        note = f"{comparer.targets[first].key}: {explained(reason)}"
     return ParameterSet(
         how=FitKind.DIRECT,
         members=tuple(members),
         point=trace.point,
-        errors=found[0],
+        errors=errors,
         trace=trace,
         seconds=time.perf_counter() - begun,
-        note=_failure(comparer, members, found[0], reasons[0]),
+        note=note,
+        **more,
     )
 
 
@@ -557,17 +559,6 @@ def residuals(request: CalibrationRequest, comparer: Comparer, payload: bytes) -
 
 
 # --- what the data determine --------------------------------------------------------------------
-
-
-def _assess_all(
-    request: CalibrationRequest, comparer: Comparer, found: list[ParameterSet], state: SearchState
-) -> Rounds[list[ParameterSet]]:
-    """Verdicts on the sets that were found by searching for all experiments together."""
-    judged = []
-    for one in found:
-        wanted = one.how == FitKind.DIRECT
-        judged.append((yield from _with_verdicts(request, comparer, one, state)) if wanted else one)
-    return judged
 
 
 def _with_verdicts(
@@ -706,14 +697,6 @@ def explained(reason: str) -> str:
     if status not in codes.STATUS_NAMES:
         return reason
     return f"{reason}. {codes.STATUS_ADVICE[codes.STATUS_NAMES.index(status)]}"
-
-
-def _failure(comparer: Comparer, members: Sequence[int], errors: FloatArray, reason: str) -> str:
-    """Return which experiment has no error with the best parameters, and why."""
-    if not reason:
-        return ""
-    first = members[int(np.argmin(np.isfinite(errors)))]
-    return f"{comparer.targets[first].key}: {explained(reason)}"
 
 
 # --- shared -------------------------------------------------------------------------------------

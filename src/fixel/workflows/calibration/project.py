@@ -33,7 +33,7 @@ from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.commands import command_of, options_of
 from fixel.workflows.calibration.plan import collect, job_of, plan_in
-from fixel.workflows.calibration.request import TARGETS, CalibrationRequest, NamedOptions
+from fixel.workflows.calibration.request import TARGETS, NamedOptions
 from fixel.workflows.calibration.result import (
     RUN,
     CalibrationResult,
@@ -408,60 +408,46 @@ def _stored_once(
 
 def _records(run: Calibrations, experiments: Sequence[int]) -> Iterator[CalibrationRecord]:
     """Yield the record of each calibration of a run."""
-    request = run.request.model_dump_json()
-    content = request.encode() + outcome_bytes(run.outcome)
-    checksum = hashlib.sha256(content).hexdigest()[:16]
-    for place, one in enumerate(run.outcome.found):
-        own = replace(one, members=tuple(range(len(one.members))))
-        before = run.outcome.nominal[list(one.members)]
-        record = _record(run, one, experiments)
-        yield replace(
-            record,
-            method={**record.method, RUN: checksum},
-            request={"version": VERSION, **json.loads(request)},
+    request, outcome, unit = run.request, run.outcome, run.request.made_error.unit
+    plain = request.model_dump_json()
+    checksum = hashlib.sha256(plain.encode() + outcome_bytes(outcome)).hexdigest()[:16]
+    for place, one in enumerate(outcome.found):
+        keys = [outcome.keys[m] for m in one.members]
+        title = keys[0] if len(keys) == 1 else f"{len(keys)} experiments"
+        values = request.space.values(one.point)
+        # Values that all members share; the others are among the estimates.
+        shared = {u.name: values[u.label] for u in request.space.unknowns if not u.where}
+        before = outcome.nominal[list(one.members)].tolist()
+        trace = one.trace
+        yield CalibrationRecord(
+            name=f"{request.name}: {title}, {one.how}",
+            parameters=Parameters(shared),
+            members=tuple(
+                Member.of(experiments[m], 1.0, error, unit)
+                for m, error in zip(one.members, one.errors.tolist(), strict=True)
+            ),
+            provenance=Provenance(version=version("fixel"), command=run.command, seed=request.seed),
+            method={**_method(run, one), RUN: checksum},
+            evaluations=None
+            if trace is None
+            else Evaluations(
+                names=outcome.labels,
+                values=trace.points,
+                error=trace.errors,
+                reasons=tuple(trace.reasons),
+                unit=unit.replace("^", ""),
+            ),
+            estimates=one.estimates,
+            request={"version": VERSION, **json.loads(plain)},
             result={
                 "place": place,
-                "set": set_content(own),
-                "nominal": [error if math.isfinite(error) else None for error in before.tolist()],
+                "set": set_content(replace(one, members=tuple(range(len(one.members))))),
+                "nominal": [error if math.isfinite(error) else None for error in before],
                 "source": run.source,
                 "asked": dict(run.asked),
                 "left_out": dict(run.left_out),
             },
         )
-
-
-def _record(run: Calibrations, one: ParameterSet, experiments: Sequence[int]) -> CalibrationRecord:
-    request, outcome = run.request, run.outcome
-    keys = [outcome.keys[m] for m in one.members]
-    title = keys[0] if len(keys) == 1 else f"{len(keys)} experiments"
-    unit = request.made_error.unit.replace("^", "")
-    evaluations = None
-    if one.trace is not None:
-        evaluations = Evaluations(
-            names=outcome.labels,
-            values=one.trace.points,
-            error=one.trace.errors,
-            reasons=tuple(one.trace.reasons),
-            unit=unit,
-        )
-    return CalibrationRecord(
-        name=f"{request.name}: {title}, {one.how}",
-        parameters=_parameters(request, one),
-        members=tuple(
-            Member.of(experiments[m], 1.0, error, request.made_error.unit)
-            for m, error in zip(one.members, one.errors.tolist(), strict=True)
-        ),
-        provenance=Provenance(version=version("fixel"), command=run.command, seed=request.seed),
-        method=_method(run, one),
-        evaluations=evaluations,
-        estimates=one.estimates,
-    )
-
-
-def _parameters(request: CalibrationRequest, one: ParameterSet) -> Parameters:
-    """Return the parameters that all members share; the others are among the estimates."""
-    values = request.space.values(one.point)
-    return Parameters({u.name: values[u.label] for u in request.space.unknowns if not u.where})
 
 
 def _method(run: Calibrations, one: ParameterSet) -> dict[str, str | float]:

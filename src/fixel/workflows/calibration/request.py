@@ -275,22 +275,18 @@ def target_files(targets: Sequence[Target]) -> dict[str, bytes]:
 def read_targets(folder: Path) -> list[Target]:
     """Load the targets from a folder; bit-exact inverse of `target_files`."""
     with readable(folder):
-        return _read_targets(folder)
-
-
-def _read_targets(folder: Path) -> list[Target]:
-    content = json.loads((folder / TARGETS).read_text(encoding="utf-8"))
-    arrays = arrays_of((folder / POSES).read_bytes())
-    ends = np.cumsum([entry["samples"] for entry in content])[:-1]
-    return [
-        Target(
-            entry["key"],
-            entry["conditions"],
-            RolloutCase(scene_of(SceneRecord.model_validate(entry["scene"])), time),
-            pose,
-            bool(entry.get("starts_measured")),
-        )
-        for entry, time, pose in zip(
-            content, np.split(arrays["time"], ends), np.split(arrays["pose"], ends), strict=True
-        )
-    ]
+        content = json.loads((folder / TARGETS).read_text(encoding="utf-8"))
+        arrays = arrays_of((folder / POSES).read_bytes())
+        ends = np.cumsum([entry["samples"] for entry in content])[:-1]
+        return [
+            Target(
+                entry["key"],
+                entry["conditions"],
+                RolloutCase(scene_of(SceneRecord.model_validate(entry["scene"])), time),
+                pose,
+                bool(entry.get("starts_measured")),
+            )
+            for entry, time, pose in zip(
+                content, np.split(arrays["time"], ends), np.split(arrays["pose"], ends), strict=True
+            )
+        ]

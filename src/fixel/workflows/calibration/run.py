@@ -307,9 +307,13 @@ def calibrate_in_project(
 
 
 def _prepare(project: Project, **asked: Any) -> Path:
-    from fixel.workflows.calibration.execution import prepare_in_project
+    from fixel.workflows.calibration.execution import plan_in_project
+    from fixel.workflows.calibration.plan import job_folder, prepare_folder
 
-    return prepare_in_project(project, asked)
+    plan = plan_in_project(project, asked)
+    folder = job_folder(project.folder, plan)
+    prepare_folder(plan, folder)
+    return folder
 
 
 CALIBRATE: Final = Capability(
