@@ -1,7 +1,7 @@
 """Solved artefacts that tests share: made once for each state of the sources, and copied.
 
 They are in `build/artefacts`, or in the folder that `FIXEL_ARTEFACTS` names. Those of other sources
-are deleted.
+are deleted after a day.
 """
 
 import fcntl
@@ -9,8 +9,10 @@ import functools
 import hashlib
 import os
 import shutil
+import time
 from pathlib import Path
 
+DAY_S = 86400.0  # processes of a running test may use them
 REPOSITORY = Path(__file__).resolve().parents[1]
 # Artefacts depend on the package, on what it uses, and on the module that makes them.
 SOURCES = (
@@ -30,7 +32,7 @@ def store():
     folder = root / digest.hexdigest()[:16]
     folder.mkdir(parents=True, exist_ok=True)
     for other in root.iterdir():
-        if other != folder:
+        if other != folder and time.time() - other.stat().st_mtime > DAY_S:
             shutil.rmtree(other, ignore_errors=True)
     return folder
 
