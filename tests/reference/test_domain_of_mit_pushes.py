@@ -10,6 +10,7 @@ import numpy as np
 from tests.fixtures import project_of
 
 from fixel.datasets import plan_import
+from fixel.workflows.domain.report import report_of
 from fixel.workflows.domain.run import map_stored
 
 
@@ -30,10 +31,9 @@ def test_a_steel_plate_on_plastic_by_where_it_is_pushed(data_root: Path, tmp_pat
     assert 1.0 < np.median(rms) < 6.0
     counts = done.domain.counts
     assert counts.sum() == len(rms) >= 55
-    colours = {
-        verdict.colour for own in done.domain.verdicts(done.domain.claimed) for verdict in own
-    }
+    verdicts = done.domain.verdicts(done.domain.claimed)
+    colours = {verdict.colour for own in verdicts for verdict in own}
     assert colours <= {"trusted", "doubtful", "not trusted", "no data"}
-    grey = np.array([[v.colour == "no data" for v in own] for own in done.verdicts])
+    grey = np.array([[v.colour == "no data" for v in own] for own in verdicts])
     np.testing.assert_array_equal(grey, counts == 0)
-    assert any("measurement noise is unknown" in text for text in done.warnings)
+    assert any("measurement noise is unknown" in text for text in report_of(done).analysis.warnings)
