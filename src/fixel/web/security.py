@@ -161,8 +161,8 @@ class Guard:
         refused = self._refused(inner, path is not None)
         if refused is None and _is_form(inner):
             body = await _body(receive)
-            word = form_fields(body).get(WORD_FIELD, [""])
-            if word != [self.gate.word]:
+            words = form_fields(body).get(WORD_FIELD, [])
+            if len(words) != 1 or not self.gate.says(words[0]):
                 refused = _refusal(inner, 403, NOT_OURS)
             receive = _again(body)
         await (refused or self.app)(inner, receive, send)
