@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Concatenate, Final, NamedTuple, ParamSpec, TypeVar, final
@@ -55,27 +56,15 @@ def _damage_named(
     return of
 
 
-def _reads(
+def _method(
     work: Callable[Concatenate[sa.Connection, P], T],
+    transaction: Callable[[sa.Engine], AbstractContextManager[sa.Connection]] = reading,
 ) -> Callable[Concatenate[Store, P], T]:
-    """Return the method of a store that calls a function in a read transaction."""
+    """Return the method of a store that calls a function in a transaction."""
 
     @functools.wraps(work)
     def method(store: Store, /, *given: P.args, **options: P.kwargs) -> T:
-        with reading(store._engine) as connection:
-            return work(connection, *given, **options)
-
-    return method
-
-
-def _writes(
-    work: Callable[Concatenate[sa.Connection, P], T],
-) -> Callable[Concatenate[Store, P], T]:
-    """Return the method of a store that calls a function in a write transaction."""
-
-    @functools.wraps(work)
-    def method(store: Store, /, *given: P.args, **options: P.kwargs) -> T:
-        with writing(store._engine) as connection:
+        with transaction(store._engine) as connection:
             return work(connection, *given, **options)
 
     return method
@@ -274,20 +263,20 @@ class Store:
                 is not None
             )
 
-    experiments = _reads(browsing.browse)
-    experiment_ids = _reads(browsing.ids)
-    unsimulated_ids = _reads(browsing.unsimulated)
-    tally = _reads(browsing.tally)
-    conditions = _reads(browsing.conditions)
-    checksum = _reads(browsing.checksum)
-    datasets = _reads(browsing.datasets)
-    flags = _reads(browsing.flags)
-    notes = _reads(marks.notes_of)
-    flag = _writes(marks.flag)
-    unflag = _writes(marks.unflag)
-    delete = _writes(marks.delete)
-    annotate = _writes(marks.annotate)
-    delete_notes = _writes(marks.delete_notes)
+    experiments = _method(browsing.browse)
+    experiment_ids = _method(browsing.ids)
+    unsimulated_ids = _method(browsing.unsimulated)
+    tally = _method(browsing.tally)
+    conditions = _method(browsing.conditions)
+    checksum = _method(browsing.checksum)
+    datasets = _method(browsing.datasets)
+    flags = _method(browsing.flags)
+    notes = _method(marks.notes_of)
+    flag = _method(marks.flag, writing)
+    unflag = _method(marks.unflag, writing)
+    delete = _method(marks.delete, writing)
+    annotate = _method(marks.annotate, writing)
+    delete_notes = _method(marks.delete_notes, writing)
 
     def content(self, experiment_id: int) -> str:
         """Checksum of an experiment's content; equal only for equal experiments."""
