@@ -78,7 +78,7 @@ def specimen(
 
 
 # A capability without a project whose options have every form.
-SPECIMEN = Capability(group="try", name="specimen", function=specimen, presentation=lambda: None)
+SPECIMEN = Capability(group="try", name="specimen", function=specimen)
 REGISTERED = pytest.mark.parametrize("capability", CAPABILITIES.values(), ids=[*CAPABILITIES])
 EVERY = pytest.mark.parametrize(
     "capability", [SPECIMEN, *CAPABILITIES.values()], ids=["specimen", *CAPABILITIES]

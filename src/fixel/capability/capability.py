@@ -44,18 +44,16 @@ class Capability:
     function : callable
         `([project], *places, *, ..., progress=None) -> result`. Arguments that Python could pass
         by position are typed without a flag. It gets None in a folder that is no project, if it
-        annotates that. Its module imports nothing heavy.
+        annotates that. Its module imports nothing heavy. That module, or `report` in the same
+        folder, reports results: `report_of(result)`, an `AnalysisReport`; `content(done)`, the
+        content of `--json` of a `StoredAnswer`, if it is another than usual; `next_words(done)`,
+        words of the next command or none; `draw(result, path)` if `plot` is `"file"`; where a run
+        can stop early, `failed(result)`; `add_files(result, folder)` for files of the stored
+        analysis; and `about()`, tables below the form of the page.
     of : callable, optional
         Public function whose arguments are options too.
     leave_out : tuple of str
         Arguments of `of` that only Python has.
-    presentation : callable, optional
-        Returns the module that reports results, by default that of the function, or `report` in the
-        same folder: `report_of(result)`, an `AnalysisReport`; `content(done)`, the content of
-        `--json` of a `StoredAnswer`, if it is another than usual; `next_words(done)`, words of
-        the next command or none; `draw(result, path)` if `plot` is `"file"`; where a run can stop
-        early, `failed(result)`; `add_files(result, folder)` for files of the stored analysis; and
-        `about()`, tables below the form of the page.
     plot : str
         What `--plot` names: a `"folder"` to which the stored figures are copied, one `"file"`, or
         nothing (`""`) where there is no such option.
@@ -83,7 +81,6 @@ class Capability:
     function: Callable[..., Any]
     of: Callable[..., Any] | None = None
     leave_out: tuple[str, ...] = ()
-    presentation: Callable[[], ModuleType] | None = None
     plot: Literal["folder", "file", ""] = "folder"
     rounds: Callable[..., Any] | None = None
     settled: Callable[..., Any] | None = None
@@ -110,9 +107,7 @@ class Capability:
 
     @property
     def present(self) -> ModuleType:
-        """Module that reports results."""
-        if self.presentation is not None:
-            return self.presentation()
+        """Module that reports results: that of the function, or `report` in the same folder."""
         own = sys.modules[self.function.__module__]
         return own if hasattr(own, "report_of") else import_module(f"{own.__package__}.report")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
-from fixel.capability.usual import Dataset, EngineName, Flagged, Level, Names, Seed, Where
+from fixel.capability.usual import Dataset, EngineName, Flagged, Level, Names, Seed, Threads, Where
 
 if TYPE_CHECKING:
     from fixel.calibration.usual_parameters import Space
@@ -49,7 +49,7 @@ def map_domain(
     folds: Annotated[int | None, Door(least=2)] = None,
     motion: AbstractMotionModel | str | None = None,
     seed: Seed = 0,
-    threads: Annotated[int | None, Door(least=1, effort=True)] = None,
+    threads: Threads = None,
     store: str | Path | None = None,
     progress: ProgressOption = None,
 ) -> DomainMap:

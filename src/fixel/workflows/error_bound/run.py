@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
-from fixel.capability.usual import Dataset, EngineName, Flagged, Level, Names, Seed, Where
+from fixel.capability.usual import Dataset, EngineName, Flagged, Level, Names, Seed, Threads, Where
 
 if TYPE_CHECKING:
     from fixel.calibration.usual_parameters import Space
@@ -36,7 +35,7 @@ def error_bound(
     folds: Annotated[int | None, Door(least=2)] = None,
     motion: AbstractMotionModel | str | None = None,
     seed: Seed = 0,
-    threads: Annotated[int | None, Door(least=1, effort=True)] = None,
+    threads: Threads = None,
     store: str | Path | None = None,
     progress: ProgressOption = None,
 ) -> ErrorBound:
@@ -169,17 +168,10 @@ def bound_stored(
         return bound_experiments(project, asked, report)
 
 
-def _presentation() -> ModuleType:
-    from fixel.workflows.error_bound import report
-
-    return report
-
-
 ERROR_BOUND: Final = Capability(
     name="error-bound",
     title="Error bounds",
     function=bound_stored,
     of=error_bound,
     leave_out=("experiments", "motion", "store"),
-    presentation=_presentation,
 )
