@@ -115,8 +115,7 @@ def _request(capability: Capability, given: Mapping[str, Any]) -> "BaseModel":
     from fixel.simulation.trust import permit
 
     request = capability.from_texts(texts_of(capability, given))
-    for program in capability.programs(request):
-        permit(program)
+    permit(*capability.programs(request))
     return request
 
 

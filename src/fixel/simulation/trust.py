@@ -55,16 +55,17 @@ def command_of(name: EngineName) -> tuple[str, ...]:
     return command
 
 
-def permit(motion: object) -> None:
-    """Permit this process to run the program that a user names on a call, if it is one.
+def permit(*motions: object) -> None:
+    """Permit this process to run the programs among what a user names on a call.
 
     Only for arguments of public functions and options of commands, never for a name from a file.
     """
-    if isinstance(motion, str) and (name := EngineName.of(motion)).is_program:
-        # A missing program is refused where it would be started.
-        with contextlib.suppress(InvalidInput):
-            content = _content(command_of(name))
-            _permitted[_digest(content)] = content["command"]
+    for motion in motions:
+        if isinstance(motion, str) and (name := EngineName.of(motion)).is_program:
+            # A missing program is refused where it would be started.
+            with contextlib.suppress(InvalidInput):
+                content = _content(command_of(name))
+                _permitted[_digest(content)] = content["command"]
 
 
 def remember(motion: str) -> None:
@@ -102,10 +103,11 @@ def check_command(command: Sequence[str]) -> None:
     )
 
 
-def check_named(motion: str) -> None:
-    """Raise `InvalidInput` if a name is that of a program which this process may not run."""
-    if (name := EngineName.of(motion)).is_program:
-        check_command(command_of(name))
+def check_named(*motions: str) -> None:
+    """Raise `InvalidInput` if one of the names is that of a program that must not be run."""
+    for motion in motions:
+        if (name := EngineName.of(motion)).is_program:
+            check_command(command_of(name))
 
 
 def trust_program(text: str) -> TrustedEntry:

@@ -294,6 +294,16 @@ def load_with_errors(
     return sorted(found, key=lambda one: one.analysis.created, reverse=True), unreadable
 
 
+def find_analysis(project: Project, name: str, kind: str | None = None) -> StoredAnalysis | None:
+    """Load the analysis in a folder of this name; None if there is none that can be read.
+
+    The name is compared with existing ones and never used as a path.
+    """
+    paths = (project.folder / ANALYSES).glob(f"*/{CONTENT}")
+    found, _ = each_readable(_kept, (path for path in paths if path.parent.name == name))
+    return next((one for one in found if kind in (None, one.analysis.kind)), None)
+
+
 def _kept(path: Path) -> StoredAnalysis:
     with readable(path, f"delete the folder {path.parent} and run the analysis again"):
         return StoredAnalysis(path.parent, Analysis.model_validate_json(path.read_bytes()))

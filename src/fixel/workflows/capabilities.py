@@ -83,8 +83,7 @@ def run(
     from fixel.database.project import SETTINGS, Project
     from fixel.simulation.trust import check_named
 
-    for name in capability.programs(request):
-        check_named(name)
+    check_named(*capability.programs(request))
     begun = time.monotonic()
     needed = capability.needs_project or folder != Path() or (folder / SETTINGS).is_file()
     if capability.in_project is not None:
@@ -112,8 +111,7 @@ def call(project: Project, name: str, /, *, progress: ProgressOption = None, **o
 
     capability = CAPABILITIES[name]
     request = capability.request(options)
-    for program in capability.programs(request):
-        permit(program)
+    permit(*capability.programs(request))
     return run(capability, request, project.folder, progress=progress).result
 
 
@@ -190,7 +188,7 @@ def report_result(
 
 
 class JobRequest(NamedTuple):
-    """What a job is to compute, as read from its folder.
+    """Capability, request and project of a job, as read from its folder.
 
     Attributes
     ----------
@@ -206,7 +204,7 @@ class JobRequest(NamedTuple):
 
 
 def request_of(inputs: Path) -> JobRequest:
-    """Return what a job is to compute, for its chunks and for pages.
+    """Return the capability, request and project of a job, for its chunks and for pages.
 
     Parameters
     ----------
@@ -233,8 +231,7 @@ def run_request(inputs: Path, options: Mapping[str, Any]) -> Work:
     from fixel.simulation.trust import check_named
 
     capability, request, project = request_of(inputs)
-    for name in capability.programs(request):
-        check_named(name)
+    check_named(*capability.programs(request))
     begun, arguments = time.monotonic(), capability.arguments(request)
     if capability.rounds is None:
         yield from ()

@@ -15,6 +15,7 @@ from fixel.workflows.analysis import (
     Analysis,
     AnalysisFigure,
     StoredAnalysis,
+    find_analysis,
     load_with_errors,
 )
 
@@ -75,11 +76,10 @@ def analysis(context: Context, name: str) -> Analysis:
 
 
 def _named(context: Context, name: str) -> StoredAnalysis:
-    every, _ = load_with_errors(context.project)
-    for one in every:
-        if one.folder.name == name:
-            return one
-    raise NotStored(f"analysis {name}", hint="/analyses lists all")
+    one = find_analysis(context.project, name)
+    if one is None:
+        raise NotStored(f"analysis {name}", hint="/analyses lists all")
+    return one
 
 
 @router.get(

@@ -11,7 +11,7 @@ from fixel.errors import NotStored
 from fixel.web.context import Context
 from fixel.web.values import Answer, Text
 from fixel.web.views.plan_view import PlanScene, plan_scene, trials_of
-from fixel.workflows.analysis import load_with_errors
+from fixel.workflows.analysis import find_analysis
 from fixel.workflows.planning.execute import run_on_testbed
 from fixel.workflows.planning.report import FILE
 
@@ -33,9 +33,8 @@ def scene(context: Context, experiment: Key) -> PlanScene:
 
 @router.post("/{name}/trials", summary="Carry out a plan 20 times on the simulated testbed")
 def trials(context: Context, name: str) -> PlanTrialAnswer:
-    every, _ = load_with_errors(context.project, "plan")
-    own = next((one.folder for one in every if one.folder.name == name), None)
-    if own is None or not (own / FILE).is_file():
+    own = find_analysis(context.project, name, "plan")
+    if own is None or not (own.folder / FILE).is_file():
         raise NotStored(f"plan {name!r}", hint="/analyses lists all")
-    run_on_testbed(own / FILE, trials=20)
-    return PlanTrialAnswer(lines=trials_of(own))
+    run_on_testbed(own.folder / FILE, trials=20)
+    return PlanTrialAnswer(lines=trials_of(own.folder))

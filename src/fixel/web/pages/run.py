@@ -25,7 +25,7 @@ from fixel.web.problems import problem_of
 from fixel.web.views import job_list
 from fixel.web.views.plan_view import trials_of
 from fixel.workflows import capabilities, jobs
-from fixel.workflows.analysis import StoredAnalysis, load_with_errors
+from fixel.workflows.analysis import StoredAnalysis, find_analysis, load_with_errors
 from fixel.workflows.jobs import JobStatus
 
 OFFERED: Final = 300  # names in the list of experiments
@@ -118,8 +118,7 @@ def begin(context: ProjectContext, capability: Capability, asked: BaseModel) -> 
     JobRefused
         Too many jobs are running.
     """
-    for name in capability.programs(asked):
-        check_named(name)
+    check_named(*capability.programs(asked))
     for name, option in capability.options.items():
         value = getattr(asked, name)
         if not option.on_page and value != option.default:
@@ -231,11 +230,10 @@ def result_page(context: ProjectContext, request: Request) -> dict[str, Any]:
 
 
 def _result(context: ProjectContext, name: str) -> StoredAnalysis:
-    every, _ = load_with_errors(context.project)
-    for one in every:
-        if one.folder.name == name:
-            return one
-    raise NotStored(f"result {name!r}", hint="the page Results lists all")
+    one = find_analysis(context.project, name)
+    if one is None:
+        raise NotStored(f"result {name!r}", hint="the page Results lists all")
+    return one
 
 
 # --- jobs -----------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from fixel.domain.domain import DomainMap
 from fixel.domain.evidence import value_of
 from fixel.errors import InvalidInput, JobRefused, NotStored
 from fixel.web.values import Answer, Finite
-from fixel.workflows.analysis import StoredAnalysis, load_with_errors
+from fixel.workflows.analysis import StoredAnalysis, find_analysis
 from fixel.workflows.domain.evidence import DomainEvidence, load_evidence
 from fixel.workflows.domain.fits import ProjectRequest
 from fixel.workflows.domain.mapping import claimed, map_of
@@ -125,8 +125,7 @@ class MapView(NamedTuple):
 
 def find_map(project: Project, name: str) -> StoredAnalysis:
     """Return a stored map by the name of its folder."""
-    every, _ = load_with_errors(project, "domain")
-    one = next((one for one in every if one.folder.name == name), None)
+    one = find_analysis(project, name, "domain")
     if one is None:
         raise NotStored(f"map {name!r}", hint="make one with: fixel domain")
     return one
