@@ -61,7 +61,7 @@ class Progress:
 
     @property
     def words(self) -> list[str]:
-        """What is done, without share and time left."""
+        """Stage, smallest error and note, without share and time left."""
         best = "" if self.best is None else f"best {1e3 * self.best:.3g} mm"
         return [part for part in (self.stage, best, self.note) if part]
 

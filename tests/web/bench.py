@@ -46,7 +46,7 @@ class Bench:
         return self.client.post(path, headers={WORD_HEADER: self.gate.word}, json=json)
 
     def submit(self, path, **fields):
-        """As a form of ours does; the answer is not followed."""
+        """Post a form with the hidden word of our pages; the answer is not followed."""
         fields = {"fixel-word": self.gate.word} | fields
         return self.opened(follow_redirects=False).request("POST", path, data=fields)
 

@@ -261,7 +261,7 @@ def test_a_video_by_ranges(bench, tmp_path, ending, codec):
         assert times == pytest.approx([k / 30.0 for k in range(5)], abs=1e-4)
         assert open_video(played).codec == "h264"
         assert whole.headers["content-type"] == "video/mp4"
-        with videos._one_at_a_time:  # somebody's long one is being written
+        with videos._one_at_a_time:  # while another long one is written
             assert bench.client.get(f"{ADDRESS}/{number}/video").content == whole.content
         part = bench.client.get(f"{ADDRESS}/{number}/video", headers={"range": "bytes=4-7"})
         assert (part.status_code, part.content) == (206, b"ftyp")

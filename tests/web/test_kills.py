@@ -99,7 +99,7 @@ def keeping(k):
 
 
 def storm(folder, kills, seed, first=1):
-    """So many kills; after each, everything is looked through. The first server has a number."""
+    """Kill the server repeatedly, and check all records after each kill; `first` is its number."""
     chance = random.Random(seed)
     server, told = Mortal(folder), Counter()
     try:

@@ -88,7 +88,7 @@ def experiments_page(context: ProjectContext, request: Request) -> dict[str, Any
         "status": 422 if problem else 200,
         "problem": problem,
         "found": found,
-        "told": told,
+        "summary": conditions_text,
         "degrees": math.degrees(1.0),
         "columns": COLUMNS,
         "link": link,
@@ -121,7 +121,7 @@ def _sorted_link(name: str, given: Mapping[str, str], link: Callable[..., str]) 
     return link(sort="", descending="") if given["descending"] else link(descending="true")
 
 
-def told(row: TableRow) -> str:
+def conditions_text(row: TableRow) -> str:
     """Describe the conditions of an experiment in a few words."""
     shown = [
         words.condition(name, value)
