@@ -10,7 +10,7 @@ from fastapi import APIRouter, Path, Query
 
 from fixel.web.context import Context
 from fixel.web.pages.run import FORMS, begin, form_of
-from fixel.web.values import Answer
+from fixel.web.values import Answer, OpenBody
 from fixel.web.views import job_list
 from fixel.web.views.job_list import JobLog, Worker
 from fixel.workflows import jobs
@@ -75,6 +75,6 @@ def capabilities() -> dict[str, dict[str, Any]]:
 
 
 @runs.post("/{name}", summary="Run a capability as a job; its result is an analysis")
-def start(context: Context, name: str, request: dict[str, Any]) -> JobDetail:
+def start(context: Context, name: str, request: OpenBody) -> JobDetail:
     own = form_of(name)
     return one(context, begin(context, own, own.from_json(json.dumps(request))).name)
