@@ -45,24 +45,13 @@ T = TypeVar("T")
 
 
 class AssessmentRequest(NamedTuple):
-    """Simulations that an assessment needs next.
+    """Simulations that an assessment needs next."""
 
-    Attributes
-    ----------
-    kind : str
-        Name of a function in `ANSWERS`.
-    points : (k, n) float64
-        Rows are independent of each other: they may be answered in several parts.
-    note : str
-        What a progress bar shows.
-    left : int, optional
-        Estimated number of points of the questions after this one.
-    """
-
-    kind: str
+    kind: str  # name of a function in `ANSWERS`
+    # (k, n) Rows are independent of each other: they may be answered in several parts.
     points: FloatArray
-    note: str = ""
-    left: int | None = None
+    note: str = ""  # what a progress bar shows
+    left: int | None = None  # estimated number of points of the questions after this one
 
 
 AssessmentSteps = Generator[AssessmentRequest, FloatArray, T]
@@ -207,28 +196,15 @@ def assessment_steps(
 
 
 class BestFit(NamedTuple):
-    """The likeliest point, and how well the model fits there.
+    """The likeliest point, and how well the model fits there."""
 
-    Attributes
-    ----------
-    point : (n_free,) float64
-        Of least squares.
-    noise : Noise
-        That residuals are divided by.
-    dispersion : Dispersion
-    misfit : Misfit, optional
-        Misfit at the point; None if the point could not be simulated.
-    honest : Honest, optional
-        Estimate that allows for misfit; None where there is too little of it to matter.
-    fit : LeastSquaresFit, optional
-        Of least squares; None where its residuals were divided by another noise.
-    """
-
-    point: FloatArray
-    noise: Noise
+    point: FloatArray  # (n_free,) of least squares
+    noise: Noise  # that residuals are divided by
     dispersion: Dispersion
-    misfit: Misfit | None
+    misfit: Misfit | None  # misfit at the point; None if the point could not be simulated
+    # Estimate that allows for misfit; None where there is too little of it to matter.
     honest: Honest | None
+    # Of least squares; None where its residuals were divided by another noise.
     fit: LeastSquaresFit | None
 
 

@@ -41,22 +41,14 @@ class Configurations(NamedTuple):
 
 
 class TouchedPlaces(NamedTuple):
-    """Places and speeds at which pushers touch parts.
+    """Places and speeds at which pushers touch parts."""
 
-    Attributes
-    ----------
-    normal : (n,) float64
-        Direction of the outward normal at the contact, in the frame of the part [rad].
-    place : (n, 2) float64
-        Contact point from the centroid, in the frame of the part, in radii of a disk of the same
-        area [-].
-    speed : (n,) float64
-        Speed of the pusher [m/s].
-    """
-
+    # (n,) Direction of the outward normal at the contact, in the frame of the part [rad].
     normal: FloatArray
+    # (n, 2) Contact point from the centroid, in the frame of the part, in radii of a disk of the
+    # same area [-].
     place: FloatArray
-    speed: FloatArray
+    speed: FloatArray  # (n,) speed of the pusher [m/s]
 
     def rows(self, which: IntArray) -> TouchedPlaces:
         """Return some of them."""
@@ -86,18 +78,11 @@ def contacts_of(asked: Configurations, speed: FloatArray) -> TouchedPlaces:
 
 
 class Novelty(NamedTuple):
-    """Kind of novelty of each contact, with its reason.
+    """Kind of novelty of each contact, with its reason."""
 
-    Attributes
-    ----------
-    kind : (n,) tuple of str
-        `"side"`, `"speed"`, `"side and speed"` or `"part"`; empty for contacts like pushed ones.
-    reason : (n,) tuple of str
-        The same as a sentence.
-    """
-
+    # (n,) `"side"`, `"speed"`, `"side and speed"` or `"part"`; empty for contacts like pushed ones.
     kind: tuple[str, ...]
-    reason: tuple[str, ...]
+    reason: tuple[str, ...]  # (n,) the same as a sentence
 
 
 @final

@@ -59,47 +59,22 @@ MM: Final = np.array([1e3, 1e3, 1e3 * ANGLE_SCALE])
 
 
 class MixedStudyFit(NamedTuple):
-    """Result of a mixed fit.
+    """Result of a mixed fit."""
 
-    Attributes
-    ----------
-    value : (n_free,) float64
-    sd : (n_free,) float64
-        Standard error: model-based or over experiments, whichever is larger.
-    effective : (n_free,) float64
-        Effective number of conditions behind each parameter.
-    clusters : int
-        Conditions under which experiments were done.
-    evaluations : int
-        Rollouts.
-    """
-
-    value: FloatArray
-    sd: FloatArray
-    effective: FloatArray
-    clusters: int
-    evaluations: int
+    value: FloatArray  # (n_free,)
+    sd: FloatArray  # (n_free,) standard error: model-based or over experiments, whichever is larger
+    effective: FloatArray  # (n_free,) effective number of conditions behind each parameter
+    clusters: int  # conditions under which experiments were done
+    evaluations: int  # rollouts
 
 
 class Honest(NamedTuple):
-    """Estimate that allows for a model that is wrong.
+    """Estimate that allows for a model that is wrong."""
 
-    Attributes
-    ----------
-    value : (n_free,) float64
-        Of the mixed fit.
-    sd : (n_free,) float64
-        Standard error, disagreement of the fits included.
-    freedom : (n_free,) float64
-        Degrees of freedom behind it.
-    clusters : int
-        Conditions under which experiments were done.
-    """
-
-    value: FloatArray
-    sd: FloatArray
-    freedom: FloatArray
-    clusters: int
+    value: FloatArray  # (n_free,) of the mixed fit
+    sd: FloatArray  # (n_free,) standard error, disagreement of the fits included
+    freedom: FloatArray  # (n_free,) degrees of freedom behind it
+    clusters: int  # conditions under which experiments were done
 
     @classmethod
     def of(

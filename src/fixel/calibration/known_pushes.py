@@ -51,21 +51,12 @@ TOUCHING: Final = 2e-3  # [m] gap at the start below which the pusher already to
 
 
 class Trait(NamedTuple):
-    """Trait of a push that no experiment has: its part, side, speed or another condition.
+    """Trait of a push that no experiment has: its part, side, speed or another condition."""
 
-    Attributes
-    ----------
-    what : str
-        Name of a condition, or `"part"`, `"side"`, `"speed"`, `"side and speed"` or `"travel"`.
-    text : str
-        Sentence with the value of the push and those of the experiments.
-    is_given : bool
-        False for a condition that the experiments have and the push lacks.
-    """
-
+    # Name of a condition, or `"part"`, `"side"`, `"speed"`, `"side and speed"` or `"travel"`.
     what: str
-    text: str
-    is_given: bool = True
+    text: str  # sentence with the value of the push and those of the experiments
+    is_given: bool = True  # false for a condition that the experiments have and the push lacks
 
 
 @final

@@ -35,32 +35,20 @@ _HOW: Final = {
 
 
 class Misfit(NamedTuple):
-    """Residuals of a calibration and the noise of its measurements.
+    """Residuals of a calibration and the noise of its measurements."""
 
-    Attributes
-    ----------
-    position_m, angle_rad : float
-        Root mean square of the residuals.
-    noise : Noise
-        Noise that they are compared with; if its source is the residuals, the noise of the
-        measurements is unknown.
-    worst : tuple of str
-        Experiments with more than `OUTLYING` times the median squared residual, the worst first.
-    share : float
-        Their share of all squared residuals, in units of the noise.
-    experiments : int
-        Number of experiments.
-    position_ratio, angle_ratio : float
-        Root mean square of the residuals over their own noise, which includes that of the start
-        pose if it is known.
-    """
-
+    # Root mean square of the residuals.
     position_m: float
     angle_rad: float
+    # Noise that they are compared with; if its source is the residuals, the noise of the
+    # measurements is unknown.
     noise: Noise
+    # Experiments with more than `OUTLYING` times the median squared residual, the worst first.
     worst: tuple[str, ...] = ()
-    share: float = 0.0
-    experiments: int = 0
+    share: float = 0.0  # their share of all squared residuals, in units of the noise
+    experiments: int = 0  # number of experiments
+    # Root mean square of the residuals over their own noise, which includes that of the start pose
+    # if it is known.
     position_ratio: float = math.nan
     angle_ratio: float = math.nan
 

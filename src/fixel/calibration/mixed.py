@@ -25,36 +25,18 @@ ITERATIONS: Final = 60  # of the search for variances
 
 
 class Linear(NamedTuple):
-    """Linearised experiments; arrays are padded with zeros beyond an experiment's last residual.
+    """Linearised experiments; arrays are padded with zeros beyond an experiment's last residual."""
 
-    Attributes
-    ----------
-    y : (n, 3, m) float64
-        What simulations lack of the measurement, without own shifts [mm].
-    common : (n, 3, m, p) float64
-        Change a unit of each parameter.
-    own : (n, 3, m, q) float64
-        Change a unit of each own shift.
-    share : (n, m) float64
-        Of the way of the walk that lies behind each instant; 0 beyond the last.
-    white : (3,) float64
-        Standard deviations of the camera [mm].
-    weight : (n,) float64
-        How often an experiment counts: 1 over how many were done under its conditions.
-    precision : (p, p) float64
-        Of what is known of d before.
-    mean : (p,) float64
-        The same, of its mean.
-    """
-
-    y: FloatArray
-    common: FloatArray
-    own: FloatArray
+    y: FloatArray  # (n, 3, m) what simulations lack of the measurement, without own shifts [mm]
+    common: FloatArray  # (n, 3, m, p) change a unit of each parameter
+    own: FloatArray  # (n, 3, m, q) change a unit of each own shift
+    # (n, m) Of the way of the walk that lies behind each instant; 0 beyond the last.
     share: FloatArray
-    white: FloatArray
+    white: FloatArray  # (3,) standard deviations of the camera [mm]
+    # (n,) How often an experiment counts: 1 over how many were done under its conditions.
     weight: FloatArray
-    precision: FloatArray
-    mean: FloatArray
+    precision: FloatArray  # (p, p) of what is known of d before
+    mean: FloatArray  # (p,) the same, of its mean
 
 
 class NoiseBounds(NamedTuple):
@@ -65,30 +47,14 @@ class NoiseBounds(NamedTuple):
 
 
 class MixedFit(NamedTuple):
-    """Result of one fit.
+    """Result of one fit."""
 
-    Attributes
-    ----------
-    step : (p,) float64
-        d.
-    shifts : (n, q) float64
-        Conditional means of b_e.
-    log_sd : (q + 3,) float64
-        Estimated standard deviations, in the order of `NoiseBounds`.
-    information : (n, p, p) float64
-        J' V^-1 J of each experiment, times its weight.
-    gradient : (n, p) float64
-        J' V^-1 (y - J d) of each, times its weight.
-    covariance : (p, p) float64
-        Inverse of the summed information and the prior's precision.
-    """
-
-    step: FloatArray
-    shifts: FloatArray
-    log_sd: FloatArray
-    information: FloatArray
-    gradient: FloatArray
-    covariance: FloatArray
+    step: FloatArray  # (p,) d
+    shifts: FloatArray  # (n, q) conditional means of b_e
+    log_sd: FloatArray  # (q + 3,) estimated standard deviations, in the order of `NoiseBounds`
+    information: FloatArray  # (n, p, p) J' V^-1 J of each experiment, times its weight
+    gradient: FloatArray  # (n, p) J' V^-1 (y - J d) of each, times its weight
+    covariance: FloatArray  # (p, p) inverse of the summed information and the prior's precision
 
 
 def fit_mixed(data: Linear, start: FloatArray, bounds: NoiseBounds) -> MixedFit:
@@ -212,18 +178,11 @@ def _criterion(data: _RotatedData, log_sd: FloatArray) -> tuple[float, FloatArra
 
 
 class Jackknife(NamedTuple):
-    """Variation of an estimate over clusters.
+    """Variation of an estimate over clusters."""
 
-    Attributes
-    ----------
-    covariance : (p, p) float64
-        CR3 covariance; zero for one cluster, which has no variation between clusters.
-    effective : (p,) float64
-        Effective number of clusters for each parameter, at least 1.
-    """
-
+    # (p, p) CR3 covariance; zero for one cluster, which has no variation between clusters.
     covariance: FloatArray
-    effective: FloatArray
+    effective: FloatArray  # (p,) effective number of clusters for each parameter, at least 1
 
 
 def numbered(labels: Sequence[Hashable]) -> IntArray:

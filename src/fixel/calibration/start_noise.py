@@ -27,20 +27,12 @@ MIN_INFORMATION: Final = 1e-9
 
 
 class StartSensitivity(NamedTuple):
-    """Changes of one experiment's simulated poses.
+    """Changes of one experiment's simulated poses."""
 
-    Attributes
-    ----------
-    instants : (m,) int
-        Frames of the experiment at which the changes are known.
-    common : (m, 3, n_free) float64
-        Change of x, y, theta per scale of each parameter [m, m, rad].
-    start : (m, 3, 3) float64
-        Change that one standard deviation of x, y, theta of the start pose causes.
-    """
-
-    instants: IntArray
+    instants: IntArray  # (m,) frames of the experiment at which the changes are known
+    # (m, 3, n_free) Change of x, y, theta per scale of each parameter [m, m, rad].
     common: FloatArray
+    # (m, 3, 3) Change that one standard deviation of x, y, theta of the start pose causes.
     start: FloatArray
 
     @property

@@ -65,17 +65,11 @@ KINDS: Final = {
 @final
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class ExportSummary:
-    """Numbers of exported and of omitted records.
+    """Numbers of exported and of omitted records."""
 
-    Attributes
-    ----------
-    counts : dict of str to int
-        Records of each kind; ``flagged`` and ``replaced`` count experiments with these marks.
-    left_out : dict of str to int
-        ``deleted`` experiments, and ``calibrations`` that use an experiment outside the bundle.
-    """
-
+    # Records of each kind; ``flagged`` and ``replaced`` count experiments with these marks.
     counts: dict[str, int]
+    # ``deleted`` experiments, and ``calibrations`` that use an experiment outside the bundle.
     left_out: dict[str, int]
 
 

@@ -89,48 +89,28 @@ def has_pushes(folder: Path) -> bool:
 @final
 @dataclass(frozen=True, kw_only=True)
 class MitPushes:
-    """Pushes of the end-point set; every array has one row for each.
-
-    Attributes
-    ----------
-    folder : Path
-    source : str
-        Name of the table.
-    names, surface, shape : (n,) str
-    start, end : (n, 3) float64
-        Measured poses of the object [m, m, rad].
-    tip_start, tip_end : (n, 2) float64
-        Measured centres of the tip [m].
-    speed : (n,) float64
-        Speed of the tip [m/s].
-    gap_start, gap_end : (n,) float64
-        Gap from the surface of the tip to the outline, in the table [m].
-    gap : (n,) float64
-        Gap at the start, computed by fixel [m].
-    offset : (n, 2) float64
-        Shift of the start of the tip in the scene [m].
-    bodies : mapping from shape to Body
-        Plates, with their outlines in the frame of the dataset's poses.
-    problems : dict of str to FixelError
-        Pushes that are left out.
-    """
+    """Pushes of the end-point set; every array has one row for each."""
 
     folder: Path
-    source: str
+    source: str  # name of the table
+    # (n,)
     names: NDArray[np.str_]
     surface: NDArray[np.str_]
     shape: NDArray[np.str_]
+    # (n, 3) Measured poses of the object [m, m, rad].
     start: FloatArray
     end: FloatArray
+    # (n, 2) Measured centres of the tip [m].
     tip_start: FloatArray
     tip_end: FloatArray
-    speed: FloatArray
+    speed: FloatArray  # (n,) speed of the tip [m/s]
+    # (n,) Gap from the surface of the tip to the outline, in the table [m].
     gap_start: FloatArray
     gap_end: FloatArray
-    gap: FloatArray
-    offset: FloatArray
-    bodies: Mapping[str, Body]
-    problems: Problems
+    gap: FloatArray  # (n,) gap at the start, computed by fixel [m]
+    offset: FloatArray  # (n, 2) shift of the start of the tip in the scene [m]
+    bodies: Mapping[str, Body]  # plates, with their outlines in the frame of the dataset's poses
+    problems: Problems  # pushes that are left out
 
     def __len__(self) -> int:
         return len(self.names)

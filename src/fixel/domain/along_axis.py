@@ -78,35 +78,18 @@ def _walked(steps: IntArray, errors: FloatArray, threshold: float) -> tuple[floa
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisStudy:
-    """Errors of all layouts of one shape along an axis, each with the set of its interval.
-
-    Attributes
-    ----------
-    shape, axis : str
-    size : int
-        Number of samples in the interval.
-    interval : (int, int)
-        First and last step of the samples.
-    steps : (n_step,) int
-        Steps of the experiments on the axis, ascending.
-    layouts : tuple of str
-    sets : tuple of GroupParameters
-        Parameter sets, one per layout.
-    error : (n_layout, n_step) float64
-        Error E with the set; nan without an experiment or set, inf for a failure.
-    own : (n_layout, n_step) float64
-        Error E of each experiment with its own best set.
-    """
+    """Errors of all layouts of one shape along an axis, each with the set of its interval."""
 
     shape: str
     axis: str
-    size: int
-    interval: tuple[int, int]
-    steps: IntArray
+    size: int  # number of samples in the interval
+    interval: tuple[int, int]  # first and last step of the samples
+    steps: IntArray  # (n_step,) steps of the experiments on the axis, ascending
     layouts: tuple[str, ...]
-    sets: tuple[GroupParameters, ...]
+    sets: tuple[GroupParameters, ...]  # parameter sets, one per layout
+    # (n_layout, n_step) Error E with the set; nan without an experiment or set, inf for a failure.
     error: FloatArray
-    own: FloatArray
+    own: FloatArray  # (n_layout, n_step) error E of each experiment with its own best set
 
     @property
     def average(self) -> FloatArray:

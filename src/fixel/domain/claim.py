@@ -76,30 +76,18 @@ class CellVerdict(NamedTuple):
 
 
 class Applicability(NamedTuple):
-    """Answer of a map for one push.
+    """Answer of a map for one push."""
 
-    Attributes
-    ----------
-    verdict : str
-        `"trusted"`, `"doubtful"`, `"not trusted"`, `"no data"`, or `"predicted"`: no experiment in
-        the cell, but an error bound below the threshold.
-    probability : Probability or None
-        Share of the held-out errors nearby that stay within the threshold, with its interval; None
-        without experiments nearby.
-    nearby : int
-        Number of held-out experiments in the same cell.
-    reason : str
-    cell : str
-        Cell of the map, with its coordinates.
-    unseen : tuple of str
-        What is new about the push, or not given: part, surface, laboratory, side, speed, travel.
-    """
-
+    # `"trusted"`, `"doubtful"`, `"not trusted"`, `"no data"`, or `"predicted"`: no experiment in
+    # the cell, but an error bound below the threshold.
     verdict: str
+    # Share of the held-out errors nearby that stay within the threshold, with its interval; None
+    # without experiments nearby.
     probability: Probability | None
-    nearby: int
+    nearby: int  # number of held-out experiments in the same cell
     reason: str
-    cell: str
+    cell: str  # cell of the map, with its coordinates
+    # What is new about the push, or not given: part, surface, laboratory, side, speed, travel.
     unseen: tuple[str, ...] = ()
 
     def __repr__(self) -> str:

@@ -74,24 +74,12 @@ class Experience(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class ConformalBound:
-    """Bounds on errors that hold with a stated probability; made by `ConformalBound.fit`.
+    """Bounds on errors that hold with a stated probability; made by `ConformalBound.fit`."""
 
-    Attributes
-    ----------
-    level : float
-        Probability with which a bound holds.
-    model : str
-        `"forest"`, `"neighbours"` (without scikit-learn) or `"constant"` (few experiments).
-    n : int
-        Number of experiments that it is calibrated on.
-    rule : str
-        Rule for new units, if it was fitted with `units`: `"guaranteed"`, `"typical"` or
-        `"cautious"`.
-    """
-
-    level: float
+    level: float  # probability with which a bound holds
+    # `"forest"`, `"neighbours"` (without scikit-learn) or `"constant"` (few experiments).
     model: str
-    n: int
+    n: int  # number of experiments that it is calibrated on
     _models: tuple[ScaleModel, ...]
     _fold: IntArray  # (n,) number of the model that has not seen an experiment
     _score: FloatArray  # (n,) power of the error minus the prediction of that model; may be inf
@@ -103,6 +91,8 @@ class ConformalBound:
     _pushed: PushedContacts | None = None
     _beyond: ConformalBound | None = None
     _part: ConformalBound | None = None
+    # Rule for new units, if it was fitted with `units`: `"guaranteed"`, `"typical"` or
+    # `"cautious"`.
     rule: str = GUARANTEED
 
     @classmethod

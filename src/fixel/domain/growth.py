@@ -260,25 +260,14 @@ class RolloutQueue:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """Domain of one group after one step.
-
-    Attributes
-    ----------
-    group : ExperimentGroup
-    step : int
-    used : GroupParameters
-        Parameter set, with its members.
-    errors : (n_member,) float64
-        Error E of every member with it; inf for a failed simulation; empty without a set.
-    reason : str
-        Reason why there is no largest error, else empty.
-    """
+    """Domain of one group after one step."""
 
     group: ExperimentGroup
     step: int
-    used: GroupParameters
+    used: GroupParameters  # parameter set, with its members
+    # (n_member,) Error E of every member with it; inf for a failed simulation; empty without a set.
     errors: FloatArray
-    reason: str = ""
+    reason: str = ""  # reason why there is no largest error, else empty
 
     @property
     def largest(self) -> float | None:
@@ -289,19 +278,11 @@ class Step:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Growth:
-    """Growth of the domains of all groups.
-
-    Attributes
-    ----------
-    groups : tuple of ExperimentGroup
-    index : str
-    steps : tuple of tuple of Step
-        Steps of each group, from step 0.
-    """
+    """Growth of the domains of all groups."""
 
     groups: tuple[ExperimentGroup, ...]
     index: Index
-    steps: tuple[tuple[Step, ...], ...]
+    steps: tuple[tuple[Step, ...], ...]  # steps of each group, from step 0
 
     @property
     def matrix(self) -> list[list[float | None]]:

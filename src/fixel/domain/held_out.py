@@ -58,20 +58,11 @@ class Apart(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationModel:
-    """Parameters to calibrate, and the method of simulation.
+    """Parameters to calibrate, and the method of simulation."""
 
-    Attributes
-    ----------
-    space : ParameterSpace
-        Parameters to search; fits start at the nominal point.
-    motion : AbstractMotionModel
-    error : AbstractError
-        Mean square or end pose.
-    """
-
-    space: ParameterSpace
+    space: ParameterSpace  # parameters to search; fits start at the nominal point
     motion: AbstractMotionModel
-    error: AbstractError
+    error: AbstractError  # mean square or end pose
 
     def __post_init__(self) -> None:
         if not isinstance(self.error, MeanSquare | EndPose):
@@ -86,23 +77,13 @@ class CalibrationModel:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldOut:
-    """Held-out errors by cross-validation.
+    """Held-out errors by cross-validation."""
 
-    Attributes
-    ----------
-    error : (n,) float64
-        E of every experiment, held out [mm^2]; inf if its simulation failed, nan without a fit.
-    fold : (n,) int
-    points : dict of label to (n_free,) list
-        Parameters of every fit.
-    stepper : str
-        Name of the stepper and its step.
-    """
-
+    # (n,) E of every experiment, held out [mm^2]; inf if its simulation failed, nan without a fit.
     error: FloatArray
-    fold: IntArray
-    points: dict[str, list[float]]
-    stepper: str
+    fold: IntArray  # (n,)
+    points: dict[str, list[float]]  # parameters of every fit
+    stepper: str  # name of the stepper and its step
 
 
 def stepper_for(targets: Sequence[Target]) -> AbstractStepper:

@@ -24,24 +24,12 @@ NODES: Final = 9  # nodes of the quadrature over results of the experiment
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proposal:
-    """Proposed experiment.
+    """Proposed experiment."""
 
-    Attributes
-    ----------
-    group : str
-        Group of the map.
-    cell : int
-    where : str
-        Cell as text.
-    bits : float
-        Expected decrease of the entropy of the colours of all cells of the map [bit].
-    reason : str
-    """
-
-    group: str
+    group: str  # group of the map
     cell: int
-    where: str
-    bits: float
+    where: str  # cell as text
+    bits: float  # expected decrease of the entropy of the colours of all cells of the map [bit]
     reason: str
 
 

@@ -47,32 +47,21 @@ FOLDS: Final = 5  # parts of the experiments whose coverage is measured in turn
 
 
 class PushBound(NamedTuple):
-    """Error bound of one push.
+    """Error bound of one push."""
 
-    Attributes
-    ----------
-    position, angle : float or None
-        Bounds on the errors of the end position [m] and angle [rad]; None without data. For a push
-        that is unlike all experiments the typical bound.
-    verdict : str
-        `"bounded"`; `"unseen"`: bounded by experiments that were left out as a whole; `"no data"`.
-    reason : str
-        Reason of missing data, or what an unseen push is judged by; else empty.
-    unseen : tuple of str
-        What is new about the push, or not given: part, surface, laboratory, side, speed, travel.
-    cautious_position, cautious_angle : float or None
-        For an unseen push: bounds by the worst of the groups that were left out [m], [rad].
-    proved : float or None
-        For an unseen push: largest probability that n groups can prove, n / (n + 1).
-    """
-
+    # Bounds on the errors of the end position [m] and angle [rad]; None without data. For a push
+    # that is unlike all experiments the typical bound.
     position: float | None
     angle: float | None
+    # `"bounded"`; `"unseen"`: bounded by experiments that were left out as a whole; `"no data"`.
     verdict: str
-    reason: str
+    reason: str  # reason of missing data, or what an unseen push is judged by; else empty
+    # What is new about the push, or not given: part, surface, laboratory, side, speed, travel.
     unseen: tuple[str, ...] = ()
+    # For an unseen push: bounds by the worst of the groups that were left out [m], [rad].
     cautious_position: float | None = None
     cautious_angle: float | None = None
+    # For an unseen push: largest probability that n groups can prove, n / (n + 1).
     proved: float | None = None
 
     def __repr__(self) -> str:
@@ -90,20 +79,12 @@ class PushBound(NamedTuple):
 
 
 class LeftOutErrors(NamedTuple):
-    """Errors of experiments under calibrations without their whole group.
+    """Errors of experiments under calibrations without their whole group."""
 
-    Attributes
-    ----------
-    condition : str
-        Condition whose values were left out, such as `"shape"`; also `"side"` and `"speed"`.
-    unit : tuple of str
-        Value of each experiment.
-    position, angle : (n,) float64
-        Errors of the end [m], [rad]; inf for a failed simulation.
-    """
-
+    # Condition whose values were left out, such as `"shape"`; also `"side"` and `"speed"`.
     condition: str
-    unit: tuple[str, ...]
+    unit: tuple[str, ...]  # value of each experiment
+    # (n,) Errors of the end [m], [rad]; inf for a failed simulation.
     position: FloatArray
     angle: FloatArray
 

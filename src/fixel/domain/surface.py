@@ -44,31 +44,20 @@ class CellObservations(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """Posterior of the scores of every cell of every map, in several versions.
+    """Posterior of the scores of every cell of every map, in several versions."""
 
-    Attributes
-    ----------
-    mean, variance : (n_draw, n_group, n_cell) float64
-        Mean and variance of the typical score of a cell.
-    covariance : (n_group, n_cell, n_cell) float64
-        Covariance between cells of a map, in the likeliest version.
-    scatter : (n_draw,) float64
-        Usual standard deviation of a new member about the score of its cell.
-    factors : (n_node,) float64
-        Factors of the scatter in a cell.
-    weights : (n_draw, n_node, n_group, n_cell) float64
-        Probabilities of the factors, given the repetitions in the cell.
-    values : (6,) float64
-        Likeliest values of `NAMES`.
-    """
-
+    # (n_draw, n_group, n_cell) Mean and variance of the typical score of a cell.
     mean: FloatArray
     variance: FloatArray
+    # (n_group, n_cell, n_cell) Covariance between cells of a map, in the likeliest version.
     covariance: FloatArray
+    # (n_draw,) Usual standard deviation of a new member about the score of its cell.
     scatter: FloatArray
-    factors: FloatArray
+    factors: FloatArray  # (n_node,) factors of the scatter in a cell
+    # (n_draw, n_node, n_group, n_cell) Probabilities of the factors, given the repetitions in the
+    # cell.
     weights: FloatArray
-    values: FloatArray
+    values: FloatArray  # (6,) likeliest values of `NAMES`
 
     def below(self, score: float, level: float) -> FloatArray:
         """Return the probability (n_group, n_cell) that a share `level` of new members is below."""

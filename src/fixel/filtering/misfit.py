@@ -25,18 +25,12 @@ KNOWN: Final = 1e-9  # [m], [rad]: deviations below it say that the noise is not
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterMisfit:
-    """Residuals of a simulation without correction by the camera, and the noise of the camera.
+    """Residuals of a simulation without correction by the camera, and the noise of the camera."""
 
-    Attributes
-    ----------
-    residual_m, residual_rad : float
-        Root mean square in either coordinate and in angle, of the best of 64 simulations.
-    noise_m, noise_rad : float
-        Standard deviations of the measured poses, from second differences; zero where unknown.
-    """
-
+    # Root mean square in either coordinate and in angle, of the best of 64 simulations.
     residual_m: float
     residual_rad: float
+    # Standard deviations of the measured poses, from second differences; zero where unknown.
     noise_m: float
     noise_rad: float
 

@@ -66,39 +66,21 @@ def gathered(sights: Sequence[FrameMeasurement]) -> FrameMeasurement:
 @final
 @dataclass(slots=True)
 class Particles:
-    """Particles at one instant. Arrays have one row for each particle.
+    """Particles at one instant. Arrays have one row for each particle."""
 
-    Attributes
-    ----------
-    free : (n, size) float64
-        Unknowns, see `Unknowns`.
-    pose : (n, 3) float64
-        As simulated [m, m, rad].
-    shift : (n, 3) float64
-        What the camera has added to it since it last went into it.
-    variance : (n, 2) float64
-        Of the pose, coordinates and angle, for the model's own error [m^2, rad^2].
-    score : (n,) float64
-        Logarithm of the likelihood of all that was measured.
-    touch : (n, n_fixel) float64
-        Probability that the object touches each fixel [-].
-    expected, doubt : (n, 3), (n, 2) float64
-        Pose before the last sight corrected it, and its variance.
-    failed : (n,) bool
-        Which could not be simulated last.
-    pushed, stalled, touched : (n,) bool
-        Whether the pusher has moved the object, the drive has given way, and a fixel was touched.
-    """
-
-    free: FloatArray
-    pose: FloatArray
-    shift: FloatArray
+    free: FloatArray  # (n, size) unknowns, see `Unknowns`
+    pose: FloatArray  # (n, 3) as simulated [m, m, rad]
+    shift: FloatArray  # (n, 3) what the camera has added to it since it last went into it
+    # (n, 2) Of the pose, coordinates and angle, for the model's own error [m^2, rad^2].
     variance: FloatArray
-    score: FloatArray
-    touch: FloatArray
+    score: FloatArray  # (n,) logarithm of the likelihood of all that was measured
+    touch: FloatArray  # (n, n_fixel) probability that the object touches each fixel [-]
+    # (n, 3), (n, 2) Pose before the last sight corrected it, and its variance.
     expected: FloatArray
     doubt: FloatArray
-    failed: BoolArray
+    failed: BoolArray  # (n,) which could not be simulated last
+    # (n,) Whether the pusher has moved the object, the drive has given way, and a fixel was
+    # touched.
     pushed: BoolArray
     stalled: BoolArray
     touched: BoolArray

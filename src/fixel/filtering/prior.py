@@ -49,15 +49,10 @@ class UniformPrior:
 
     Bounded values are moved on a *free* scale, the logarithm of the distances to the two bounds,
     so that no jitter leaves the bounds. All arrays of values are (n, n_name).
-
-    Attributes
-    ----------
-    names : tuple of str
-    low, high : (n_name,) float64
-        Bounds, in the parameters' own units.
     """
 
     names: tuple[str, ...]
+    # (n_name,) Bounds, in the parameters' own units.
     low: FloatArray
     high: FloatArray
 
@@ -177,19 +172,11 @@ class Unknowns:
     One row of numbers on the *free* scale for each particle: the parameters
     (`UniformPrior.free`), the start pose in standard deviations from its centre, and the
     logarithm of the model error, stretched like a parameter.
-
-    Attributes
-    ----------
-    prior : UniformPrior
-    centre : (3,) float64
-        Of the start pose [m, m, rad].
-    deviation : (3,) float64
-        Of the start pose [m, m, rad].
     """
 
     prior: UniformPrior
-    centre: FloatArray
-    deviation: FloatArray
+    centre: FloatArray  # (3,) of the start pose [m, m, rad]
+    deviation: FloatArray  # (3,) of the start pose [m, m, rad]
 
     @property
     def size(self) -> int:

@@ -66,45 +66,22 @@ class FilterFrame(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilterEstimate:
-    """Estimate of the particles at one instant.
+    """Estimate of the particles at one instant."""
 
-    Attributes
-    ----------
-    time : float
-        [s]
-    pose : (3,) float64
-        Mean, the angle on the circle and continuous from frame to frame [m, m, rad].
-    covariance : (3, 3) float64
-        Of the pose.
-    names : tuple of str
-        Of the parameters.
-    mean : (n_name,) float64
-    quantiles : (n_name, 3) float64
-        At 5, 50 and 95 %.
-    touch : (n_fixel,) float64
-        Probability that the object touches each fixel [-].
-    ess : float
-        Effective sample size, before it was resampled [-].
-    failed : int
-        Particles that could not be simulated over this frame.
-    surprise : float
-        Squared distance of what the camera saw from what was expected, in standard deviations of
-        both together; 3 on average where all beliefs are right, 0 while hidden [-].
-    recovered : bool
-        Whether the object had been lost, see `RunningFilter`.
-    """
-
-    time: float
+    time: float  # [s]
+    # (3,) Mean, the angle on the circle and continuous from frame to frame [m, m, rad].
     pose: FloatArray
-    covariance: FloatArray
-    names: tuple[str, ...]
-    mean: FloatArray
-    quantiles: FloatArray
-    touch: FloatArray
-    ess: float
-    failed: int
+    covariance: FloatArray  # (3, 3) of the pose
+    names: tuple[str, ...]  # of the parameters
+    mean: FloatArray  # (n_name,)
+    quantiles: FloatArray  # (n_name, 3) at 5, 50 and 95 %
+    touch: FloatArray  # (n_fixel,) probability that the object touches each fixel [-]
+    ess: float  # effective sample size, before it was resampled [-]
+    failed: int  # particles that could not be simulated over this frame
+    # Squared distance of what the camera saw from what was expected, in standard deviations of both
+    # together; 3 on average where all beliefs are right, 0 while hidden [-].
     surprise: float
-    recovered: bool
+    recovered: bool  # whether the object had been lost, see `RunningFilter`
 
 
 class Move(NamedTuple):

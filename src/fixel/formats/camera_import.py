@@ -36,20 +36,11 @@ Variables = dict[str, FloatArray]
 @final
 @dataclass(frozen=True, slots=True)
 class ImportedCamera:
-    """Camera that another program calibrated.
-
-    Attributes
-    ----------
-    camera : MeasuredCamera
-    format : str
-        One of `FORMATS`.
-    remarks : tuple of str
-        Caveats, one sentence each.
-    """
+    """Camera that another program calibrated."""
 
     camera: MeasuredCamera
-    format: str
-    remarks: tuple[str, ...] = ()
+    format: str  # one of `FORMATS`
+    remarks: tuple[str, ...] = ()  # caveats, one sentence each
 
 
 def import_camera(

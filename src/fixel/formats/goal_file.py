@@ -144,34 +144,19 @@ class GoalFileRecord(FileRecord):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GoalFile:
-    """Content of a goal file.
-
-    Attributes
-    ----------
-    goal : Goal
-    choose : FreePushes or RigPushes or None
-    belief : Belief
-        Without the parameters of `calibration`.
-    calibration : int or None
-        Id of the stored calibration whose parameters the belief takes.
-    run_to_run : bool
-        Whether the scatter between runs is learned from the experiments of the calibration.
-    scene : Path or None
-        Scene file.
-    success, confidence : float
-        Wanted success probability, and confidence level of its bound.
-    raw : mapping
-        Content of the file.
-    """
+    """Content of a goal file."""
 
     goal: Goal
     choose: FreePushes | RigPushes | None = None
-    belief: Belief = field(default_factory=Belief)
-    calibration: int | None = None
+    belief: Belief = field(default_factory=Belief)  # without the parameters of `calibration`
+    calibration: int | None = None  # id of the stored calibration whose parameters the belief takes
+    # Whether the scatter between runs is learned from the experiments of the calibration.
     run_to_run: bool = True
-    scene: Path | None = None
+    scene: Path | None = None  # scene file
+    # Wanted success probability, and confidence level of its bound.
     success: float = 0.95
     confidence: float = 0.95
+    # Content of the file.
     raw: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
 

@@ -61,33 +61,16 @@ NO_READING: Final = -1
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
-    """Recording that has been loaded and checked.
-
-    Attributes
-    ----------
-    folder : Path
-    header : RecordingHeader
-    end : RecordingEnd or None
-        End mark; None if the recording was interrupted.
-    time : (n,) float64
-        Arrival time of each frame, since the recording began [s].
-    readings : (n,) int64
-        Tactile byte of each frame, -1 for none.
-    reading_time : (n,) float64
-        Time at which the tactile byte was read [s], NaN for none.
-    video : Path
-    problems : tuple of str
-        Defects, such as missing frames, one sentence each.
-    """
+    """Recording that has been loaded and checked."""
 
     folder: Path
     header: RecordingHeader
-    end: RecordingEnd | None
-    time: FloatArray
-    readings: NDArray[np.int64]
-    reading_time: FloatArray
+    end: RecordingEnd | None  # end mark; None if the recording was interrupted
+    time: FloatArray  # (n,) arrival time of each frame, since the recording began [s]
+    readings: NDArray[np.int64]  # (n,) tactile byte of each frame, -1 for none
+    reading_time: FloatArray  # (n,) time at which the tactile byte was read [s], NaN for none
     video: Path
-    problems: tuple[str, ...]
+    problems: tuple[str, ...]  # defects, such as missing frames, one sentence each
 
     @property
     def complete(self) -> bool:

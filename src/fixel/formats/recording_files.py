@@ -182,51 +182,23 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 
 class RecordingRow(NamedTuple):
-    """Row of one frame.
+    """Row of one frame."""
 
-    Attributes
-    ----------
-    frame : int
-        Number of the frame, from 0.
-    time_us : int
-        Time of its arrival [µs].
-    reading : int
-        Tactile byte, -1 for none.
-    reading_time_us : int
-        Time at which the tactile byte was read [µs], -1 for none.
-    size : int
-        Size of its picture in the video [bytes].
-    video_end : int
-        Offset of the end of its picture in the video file [bytes].
-    crc : int
-        CRC-32 of its picture in the video.
-    """
-
-    frame: int
-    time_us: int
-    reading: int
-    reading_time_us: int
-    size: int
-    video_end: int
-    crc: int
+    frame: int  # number of the frame, from 0
+    time_us: int  # time of its arrival [µs]
+    reading: int  # tactile byte, -1 for none
+    reading_time_us: int  # time at which the tactile byte was read [µs], -1 for none
+    size: int  # size of its picture in the video [bytes]
+    video_end: int  # offset of the end of its picture in the video file [bytes]
+    crc: int  # CRC-32 of its picture in the video
 
 
 class RecordingRows(NamedTuple):
-    """Intact rows of a file.
+    """Intact rows of a file."""
 
-    Attributes
-    ----------
-    rows : list of RecordingRow
-        All intact rows.
-    ends : list of int
-        Offset of the end of each row in the file [bytes].
-    torn : bool
-        Whether the file ends with incomplete or damaged rows.
-    """
-
-    rows: list[RecordingRow]
-    ends: list[int]
-    torn: bool
+    rows: list[RecordingRow]  # all intact rows
+    ends: list[int]  # offset of the end of each row in the file [bytes]
+    torn: bool  # whether the file ends with incomplete or damaged rows
 
 
 def row_text(row: RecordingRow) -> bytes:

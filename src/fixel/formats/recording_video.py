@@ -25,21 +25,11 @@ LOSSLESS: Final = "magicyuv"
 
 
 class StoredPacket(NamedTuple):
-    """Packet of a picture in the video: size, checksum and place.
+    """Packet of a picture in the video: size, checksum and place."""
 
-    Attributes
-    ----------
-    size : int
-        Size of its packet [bytes].
-    crc : int
-        CRC-32 of its packet.
-    end : int
-        Size of the video file after it was appended [bytes].
-    """
-
-    size: int
-    crc: int
-    end: int
+    size: int  # size of its packet [bytes]
+    crc: int  # CRC-32 of its packet
+    end: int  # size of the video file after it was appended [bytes]
 
 
 @final

@@ -45,29 +45,17 @@ BRIGHT_FIRST: Final = frozenset(
 @final
 @dataclass(slots=True, kw_only=True)
 class VideoFile:
-    """Video file that can be read frame by frame.
-
-    Attributes
-    ----------
-    path : Path
-    size : (int, int)
-        Width and height [px].
-    n_frames : int or None
-        Number of frames according to the container, if known; a damaged file may have fewer.
-    codec : str
-    note : str
-        Comment in the metadata of the file.
-    remarks : list of str
-        Defects found on reading; complete once all frames were read.
-    """
+    """Video file that can be read frame by frame."""
 
     path: Path
-    size: tuple[int, int]
+    size: tuple[int, int]  # width and height [px]
+    # Number of frames according to the container, if known; a damaged file may have fewer.
     n_frames: int | None
     duration: float | None
     codec: str
-    note: str = ""
+    note: str = ""  # comment in the metadata of the file
     threads: int = 0
+    # Defects found on reading; complete once all frames were read.
     remarks: list[str] = field(default_factory=list)
 
     def frames(self) -> Iterator[Frame]:

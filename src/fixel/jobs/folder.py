@@ -58,53 +58,29 @@ class _JobRecord(BaseModel):
 
 
 class Job(_JobRecord):
-    """Content of `job.json`.
-
-    Attributes
-    ----------
-    name : str
-    label : str
-        Unique name of its SLURM jobs.
-    maker : str
-        `"KIND:FUNCTION"`, called as `maker(inputs: Path, options) -> Work`.
-    options : dict
-    inputs_sha256 : str
-    stamp : str
-        Stamp of the fixel that began it.
-    made_utc : str
-    """
+    """Content of `job.json`."""
 
     fixel_job: Literal[1] = 1
     name: str
-    label: str = Field(pattern=r"^fixel-[0-9a-f]{12}$")
-    maker: str
+    label: str = Field(pattern=r"^fixel-[0-9a-f]{12}$")  # unique name of its SLURM jobs
+    maker: str  # `"KIND:FUNCTION"`, called as `maker(inputs: Path, options) -> Work`
     options: dict[str, Any] = {}
     inputs_sha256: str
-    stamp: str
+    stamp: str  # stamp of the fixel that began it
     made_utc: str
 
 
 class RunSettings(_JobRecord):
-    """Content of `run.json`: settings with which the job is run.
+    """Content of `run.json`: settings with which the job is run."""
 
-    Attributes
-    ----------
-    workers : int
-        Number of worker processes; 0 to compute in the coordinator.
-    site : Site, optional
-        Cluster that they run on; None for this machine.
-    lease_s : float
-        Time after which a silent worker counts as dead [s].
-    max_deaths : int
-        Number of workers that a chunk may kill before it is given up.
-    stamp : str, optional
-        Stamp of the fixel that may continue the job, if not that of the one that began it.
-    """
-
+    # Number of worker processes; 0 to compute in the coordinator.
     workers: int = Field(default=0, ge=0)
-    site: Site | None = None
+    site: Site | None = None  # cluster that they run on; None for this machine
+    # Time after which a silent worker counts as dead [s].
     lease_s: float = Field(default=300.0, gt=0.0)
+    # Number of workers that a chunk may kill before it is given up.
     max_deaths: int = Field(default=5, ge=1)
+    # Stamp of the fixel that may continue the job, if not that of the one that began it.
     stamp: str | None = None
 
 

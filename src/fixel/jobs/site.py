@@ -43,43 +43,25 @@ submit_interval_s: 1.0   # shortest time between two submissions
 
 
 class Site(BaseModel):
-    """Settings for the jobs of a cluster.
-
-    Attributes
-    ----------
-    queue, account : str, optional
-    walltime : str
-        Time limit of one worker: `HH:MM:SS` or `D-HH:MM:SS`.
-    cores : int
-    memory : str
-        Memory of one worker: `4 GB`.
-    interface : str
-        Only network interface that the processes listen on.
-    max_jobs : int
-        Maximum number of workers in the queue.
-    submit_interval_s : float
-        Shortest time between two submissions [s].
-    directives, skip_directives, prologue : list of str
-        Lines for the scheduler; directives to leave out; shell lines before the worker.
-    python : str, optional
-        Interpreter on the nodes, if it is not the same as here.
-    """
+    """Settings for the jobs of a cluster."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     scheduler: Literal["slurm"] = "slurm"
     queue: Word | None = None
     account: Word | None = None
-    walltime: Line = "01:00:00"
+    walltime: Line = "01:00:00"  # time limit of one worker: `HH:MM:SS` or `D-HH:MM:SS`
     cores: int = Field(default=1, ge=1, le=1024)
-    memory: str = Field(default="2 GB", pattern=f"^{_MEMORY}$")
-    interface: Word = "lo"
-    max_jobs: int = Field(default=16, ge=1, le=10_000)
+    memory: str = Field(default="2 GB", pattern=f"^{_MEMORY}$")  # memory of one worker: `4 GB`
+    interface: Word = "lo"  # only network interface that the processes listen on
+    max_jobs: int = Field(default=16, ge=1, le=10_000)  # maximum number of workers in the queue
+    # Shortest time between two submissions [s].
     submit_interval_s: float = Field(default=1.0, ge=0.0, le=3600.0)
+    # Lines for the scheduler; directives to leave out; shell lines before the worker.
     directives: list[Line] = []
     skip_directives: list[Line] = []
     prologue: list[Line] = []
-    python: Line | None = None
+    python: Line | None = None  # interpreter on the nodes, if it is not the same as here
 
     @property
     def shell_lines(self) -> list[str]:

@@ -32,18 +32,10 @@ ALMOST: Final = 0.99
 
 
 class Chunk(NamedTuple):
-    """Piece of a job that one worker computes within seconds.
+    """Piece of a job that one worker computes within seconds."""
 
-    Attributes
-    ----------
-    name : str
-        Unique within the work: `"round-3/chunk-17"`.
-    payload : bytes
-        Argument of the chunk function.
-    """
-
-    name: str
-    payload: bytes
+    name: str  # unique within the work: `"round-3/chunk-17"`
+    payload: bytes  # argument of the chunk function
 
 
 class Failure(NamedTuple):
@@ -56,28 +48,17 @@ Answer = bytes | Failure
 
 
 class Round(NamedTuple):
-    """Chunks that do not depend on each other.
+    """Chunks that do not depend on each other."""
 
-    Attributes
-    ----------
-    function : str
-        `"KIND:FUNCTION"`, called as `function(inputs: Path, payload: bytes) -> bytes`.
-        It may be called again for the same payload, and must then return the same.
-    chunks : sequence of Chunk
-    note : str
-        Text of a progress bar: `"least squares"`.
-    best : float, optional
-        Smallest error so far [m].
-    left : int, optional
-        Chunks of the rounds after this one, known or estimated; None where the work may grow by
-        any number. Without it a progress bar shows no share and no time left.
-    """
-
+    # `"KIND:FUNCTION"`, called as `function(inputs: Path, payload: bytes) -> bytes`. It may be
+    # called again for the same payload, and must then return the same.
     function: str
     chunks: Sequence[Chunk]
-    note: str = ""
+    note: str = ""  # text of a progress bar: `"least squares"`
+    # Chunks of the rounds after this one, known or estimated; None where the work may grow by any
+    # number. Without it a progress bar shows no share and no time left.
     left: int | None = None
-    best: float | None = None
+    best: float | None = None  # smallest error so far [m]
 
 
 Answers = dict[str, Answer]
@@ -85,31 +66,7 @@ Work = Generator[Round, Answers, bytes]
 
 
 class JobProgress(BaseModel):
-    """Progress of a job.
-
-    Attributes
-    ----------
-    reason : str
-        Reason of a failure, or what the job is waiting for.
-    done, total, failed : int
-        Number of chunks, in this and in earlier sessions; `total` counts those known so far.
-    rate, left_s : float
-        Chunks per second in the last minute; time left at that rate [s], None if unknown.
-    share : float, optional
-        Part of the whole work that is done, 1 only at its end; None while the amount of work is
-        unknown.
-    note : str
-        Note of the current round.
-    best : float, optional
-        Smallest error so far [m].
-    workers : int
-        Number of processes that compute now.
-    deaths, again : int
-        Workers that died while they computed; chunks that were submitted again.
-    host, pid : str, int
-        Host name and process id of the coordinator.
-    started_utc, updated_utc : str
-    """
+    """Progress of a job."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, json_schema_serialization_defaults_required=True
@@ -119,6 +76,7 @@ class JobProgress(BaseModel):
     done: int = Field(default=0, description="number of chunks with an answer")
     total: int = Field(default=0, description="number of chunks known so far")
     failed: int = Field(default=0, description="number of chunks whose answer is a failure")
+    # Chunks per second in the last minute; time left at that rate [s], None if unknown.
     rate: float = Field(default=0.0, serialization_alias="rate_per_s")
     left_s: float | None = None
     share: float | None = Field(

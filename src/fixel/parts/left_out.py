@@ -32,24 +32,14 @@ Groups = Mapping[tuple[str, str], PartPushes]  # by surface and part
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LeftOutEnds:
-    """Predictions of parts that were left out as a whole.
+    """Predictions of parts that were left out as a whole."""
 
-    Attributes
-    ----------
-    pushes : int
-        Number of pushes of each part that its prediction has used.
-    part, group : tuple of str
-        Part of each push (n,), and surface and part.
-    features : (n, f) float64
-        What is known of each push before it is made.
-    errors : (n, 2) float64
-        Errors of position [m] and angle [rad]; inf where the simulation failed.
-    """
-
-    pushes: int
+    pushes: int  # number of pushes of each part that its prediction has used
+    # Part of each push (n,), and surface and part.
     part: tuple[str, ...]
     group: tuple[str, ...]
-    features: FloatArray
+    features: FloatArray  # (n, f) what is known of each push before it is made
+    # (n, 2) Errors of position [m] and angle [rad]; inf where the simulation failed.
     errors: FloatArray
 
 

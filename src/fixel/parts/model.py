@@ -45,18 +45,10 @@ MAX_RATIO: Final = 1.5
 
 
 class EndPrediction(NamedTuple):
-    """Predicted end of a push, and bounds on its error.
+    """Predicted end of a push, and bounds on its error."""
 
-    Attributes
-    ----------
-    pose : Pose
-        End of the part with the most probable parameters [m, m, rad].
-    bound : PushBound
-        What is unseen about the push, and the typical and the cautious bound.
-    """
-
-    pose: Pose
-    bound: PushBound
+    pose: Pose  # end of the part with the most probable parameters [m, m, rad]
+    bound: PushBound  # what is unseen about the push, and the typical and the cautious bound
 
     def __repr__(self) -> str:
         x, y, theta = self.pose

@@ -35,57 +35,35 @@ TOLERANCES: Final = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)
 @final
 @dataclass(frozen=True, slots=True)
 class FailureRegion:
-    """Values of an unknown where a plan fails most.
+    """Values of an unknown where a plan fails most."""
 
-    Attributes
-    ----------
-    below, above : float or None
-        The plan fails below and above these values; None for no limit on that side.
-    failures : float
-        Share of all failures that lie there, in scenarios that did not choose the limits.
-    scenarios : float
-        Share of these scenarios that lie there.
-    """
-
+    # The plan fails below and above these values; None for no limit on that side.
     below: float | None
     above: float | None
+    # Share of all failures that lie there, in scenarios that did not choose the limits.
     failures: float
-    scenarios: float
+    scenarios: float  # share of these scenarios that lie there
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnknownEffect:
-    """Effect of one unknown on the success of a plan.
+    """Effect of one unknown on the success of a plan."""
 
-    Attributes
-    ----------
-    name, unit : str
-        Its name and SI unit.
-    share : float
-        Share of the variance of success that the unknown alone predicts in other scenarios, from 0
-        to 1; 0 unless it exceeds its standard error three times.
-    region : FailureRegion or None
-        Where the plan fails most; None for an unknown without an effect.
-    worth : float
-        Success probability gained by measuring the unknown exactly and then choosing among the
-        plans; 0 unless it exceeds its standard error three times.
-    worth_error : float
-        Standard error of `worth`.
-    value : (k,) float64
-        Middle of each of k intervals with about equally many scenarios.
-    success : tuple of k Probability
-        Success of the plan there, with 95 % confidence intervals that regard the number of
-        parameter draws.
-    """
-
+    # Its name and SI unit.
     name: str
     unit: str
+    # Share of the variance of success that the unknown alone predicts in other scenarios, from 0 to
+    # 1; 0 unless it exceeds its standard error three times.
     share: float
-    region: FailureRegion | None
+    region: FailureRegion | None  # where the plan fails most; None for an unknown without an effect
+    # Success probability gained by measuring the unknown exactly and then choosing among the plans;
+    # 0 unless it exceeds its standard error three times.
     worth: float
-    worth_error: float
-    value: FloatArray
+    worth_error: float  # standard error of `worth`
+    value: FloatArray  # (k,) middle of each of k intervals with about equally many scenarios
+    # Success of the plan there, with 95 % confidence intervals that regard the number of parameter
+    # draws.
     success: tuple[Probability, ...]
 
 
@@ -93,24 +71,6 @@ class UnknownEffect:
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
 class Explanation(Result):
     """Reasons why a plan fails, from its margins in scenarios with known unknowns.
-
-    Attributes
-    ----------
-    success : float
-        Share of scenarios in which the plan succeeds.
-    n : int
-        Number of scenarios.
-    n_plans : int
-        Number of plans among which a measurement could choose.
-    effects : tuple of UnknownEffect
-        Effects of the unknowns, the largest share first.
-    regret : float
-        Success probability gained if everything were known before choosing among the plans, also
-        the chance of each run: no measurement is worth more.
-    tolerance : mapping of float to float
-        Success if the tolerance were this many times as wide.
-    kinds : mapping of str to int
-        Number of failures of each kind, the most frequent first; empty if not given.
 
     Examples
     --------
@@ -128,12 +88,15 @@ class Explanation(Result):
     A tolerance 1.25 times as wide would raise success to 0.88.
     """
 
-    success: float
-    n: int
-    n_plans: int
-    effects: tuple[UnknownEffect, ...]
+    success: float  # share of scenarios in which the plan succeeds
+    n: int  # number of scenarios
+    n_plans: int  # number of plans among which a measurement could choose
+    effects: tuple[UnknownEffect, ...]  # effects of the unknowns, the largest share first
+    # Success probability gained if everything were known before choosing among the plans, also the
+    # chance of each run: no measurement is worth more.
     regret: float
-    tolerance: Mapping[float, float]
+    tolerance: Mapping[float, float]  # success if the tolerance were this many times as wide
+    # Number of failures of each kind, the most frequent first; empty if not given.
     kinds: Mapping[str, int]
 
     def __post_init__(self) -> None:

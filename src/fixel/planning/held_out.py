@@ -43,23 +43,12 @@ Fit = Callable[[Sequence[Experiment], int], CalibratedModel]
 @final
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class HeldSuccess(Result):
-    """Stated success of chosen pushes, and whether their recorded ends met the goals.
+    """Stated success of chosen pushes, and whether their recorded ends met the goals."""
 
-    Attributes
-    ----------
-    stated : (n,) float64
-        Stated success probability of the push that was chosen for each goal.
-    held : (n,) bool
-        Whether its recorded end meets the goal.
-    push : (n,) int64
-        Number of the chosen experiment.
-    position, angle : float
-        Tolerances of the goals [m], [rad].
-    """
-
-    stated: FloatArray
-    held: BoolArray
-    push: np.ndarray
+    stated: FloatArray  # (n,) stated success probability of the push that was chosen for each goal
+    held: BoolArray  # (n,) whether its recorded end meets the goal
+    push: np.ndarray  # (n,) number of the chosen experiment
+    # Tolerances of the goals [m], [rad].
     position: float
     angle: float
 

@@ -39,45 +39,23 @@ class RaceRequest(NamedTuple):
 
 
 class RaceRound(NamedTuple):
-    """State of a race after one round.
+    """State of a race after one round."""
 
-    Attributes
-    ----------
-    n_scenarios : int
-        Number of scenarios that each remaining plan has met.
-    rollouts : int
-        Number of rollouts so far.
-    success : float
-        Share of scenarios in which the best plan so far succeeded.
-    """
-
-    n_scenarios: int
-    rollouts: int
-    success: float
+    n_scenarios: int  # number of scenarios that each remaining plan has met
+    rollouts: int  # number of rollouts so far
+    success: float  # share of scenarios in which the best plan so far succeeded
 
 
 class RaceResult(NamedTuple):
-    """Result of a race between plans.
+    """Result of a race between plans."""
 
-    Attributes
-    ----------
-    plans : (m,) int64
-        Indices of the plans of the last round, the best first.
-    score : (m,) float64
-        Success rates by which they are ordered: of all scenarios, or of the worst tenth of the
-        parameter draws. They chose the plan, so they must not state its success probability: use
-        fresh scenarios.
-    success : (n_plans,) float64
-        Success rate of every plan in the scenarios it met.
-    met : (n_plans,) int64
-        Number of scenarios that every plan met.
-    rounds : tuple of RaceRound
-    """
-
-    plans: IntArray
+    plans: IntArray  # (m,) indices of the plans of the last round, the best first
+    # (m,) Success rates by which they are ordered: of all scenarios, or of the worst tenth of the
+    # parameter draws. They chose the plan, so they must not state its success probability: use
+    # fresh scenarios.
     score: FloatArray
-    success: FloatArray
-    met: IntArray
+    success: FloatArray  # (n_plans,) success rate of every plan in the scenarios it met
+    met: IntArray  # (n_plans,) number of scenarios that every plan met
     rounds: tuple[RaceRound, ...]
 
     @property

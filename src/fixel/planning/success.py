@@ -130,28 +130,6 @@ def rate_quantile(successes: ArrayLike, n_runs: int, share: float = WORST) -> Fl
 class SuccessProbability(Result):
     """Success probability of one plan, from scenarios that were not used to find it.
 
-    Attributes
-    ----------
-    mean : float
-        Share of successful scenarios: the probability that the next trial succeeds.
-    low, high : float
-        Two-sided confidence interval of `mean`.
-    bound : float
-        One-sided lower confidence bound of `mean`.
-    rates : (n_worlds,) float64
-        Success rate of each parameter draw, as observed.
-    n_runs : int
-        Number of scenarios of each parameter draw.
-    quantile : float or None
-        Success rate that 95 % of the parameter draws exceed, without the chance of few runs. None
-        for one run of each draw, which separates nothing, and for one draw.
-    margin : float
-        Margin that 95 % of the scenarios exceed, in units of the goal's tolerance.
-    n : int
-        Number of scenarios from which `mean` and its bounds are computed.
-    confidence : float
-        Confidence level of `low`, `high` and `bound`.
-
     Examples
     --------
     >>> import numpy as np
@@ -164,16 +142,19 @@ class SuccessProbability(Result):
     0.5
     """
 
-    mean: float
+    mean: float  # share of successful scenarios: the probability that the next trial succeeds
+    # Two-sided confidence interval of `mean`.
     low: float
     high: float
-    bound: float
-    rates: FloatArray
-    n_runs: int
+    bound: float  # one-sided lower confidence bound of `mean`
+    rates: FloatArray  # (n_worlds,) success rate of each parameter draw, as observed
+    n_runs: int  # number of scenarios of each parameter draw
+    # Success rate that 95 % of the parameter draws exceed, without the chance of few runs. None for
+    # one run of each draw, which separates nothing, and for one draw.
     quantile: float | None
-    margin: float
-    n: int
-    confidence: float = 0.95
+    margin: float  # margin that 95 % of the scenarios exceed, in units of the goal's tolerance
+    n: int  # number of scenarios from which `mean` and its bounds are computed
+    confidence: float = 0.95  # confidence level of `low`, `high` and `bound`
 
     def __post_init__(self) -> None:
         settle(self, rates=np.asarray(self.rates, dtype=np.float64))

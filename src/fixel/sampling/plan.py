@@ -229,17 +229,11 @@ def _refuse_repeats(names: Sequence[str], where: str) -> None:
 
 
 class Rehearsal(NamedTuple):
-    """Results of a simulated plan.
+    """Results of a simulated plan."""
 
-    Attributes
-    ----------
-    touched : dict from name to (n_fixel,) bool
-        Fixels to which the object came closer than 0.95 mm, by experiment.
-    problems : tuple of PlanProblem
-        Experiments that touch no fixel, or whose simulation did not finish.
-    """
-
+    # Fixels to which the object came closer than 0.95 mm, by experiment.
     touched: dict[str, list[bool]]
+    # Experiments that touch no fixel, or whose simulation did not finish.
     problems: tuple[PlanProblem, ...]
 
 

@@ -68,24 +68,12 @@ class CameraPicture:
 
 
 class FrameSource(abc.ABC):
-    """Abstract camera, or a substitute for one.
+    """Abstract camera, or a substitute for one."""
 
-    Attributes
-    ----------
-    name : str
-        Name for messages and records, without passwords.
-    ended : str
-        Reason why the pictures ended; empty before.
-    complete : bool
-        Whether a file was read to its end, without damage.
-    torn : int
-        Number of incomplete pictures, which are skipped.
-    """
-
-    name: str
-    ended: str = ""
-    complete: bool = False
-    torn: int = 0
+    name: str  # name for messages and records, without passwords
+    ended: str = ""  # reason why the pictures ended; empty before
+    complete: bool = False  # whether a file was read to its end, without damage
+    torn: int = 0  # number of incomplete pictures, which are skipped
 
     @abc.abstractmethod
     def open(self) -> Stream:

@@ -18,16 +18,10 @@ class AbstractActuator(abc.ABC):
 
     Positions are distances along its stroke [m]: 0 where it is fully withdrawn, growing as it
     extends. Use it as a context manager; leaving the block stops a drive that still moves.
-
-    Attributes
-    ----------
-    name : str
-        Name on the command line.
-    reach : (float, float)
-        Smallest and largest position that it may be sent to [m].
     """
 
-    name: ClassVar[str]
+    name: ClassVar[str]  # name on the command line
+    # Smallest and largest position that it may be sent to [m].
     reach: tuple[float, float]
 
     @abc.abstractmethod

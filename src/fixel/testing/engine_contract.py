@@ -216,26 +216,17 @@ def _stop(body: Body, friction: float) -> FloatArray:
 
 
 class EngineContract:
-    """Tests of an engine: known answers, refusals, and the same answer again.
+    """Tests of an engine: known answers, refusals, and the same answer again."""
 
-    Attributes
-    ----------
-    position, angle : float
-        Stated accuracy of the end of a push [m], [rad].
-    stop : float
-        Stated accuracy of the time at which a sliding body stops [s], half a step for engines whose
-        steps are of first order.
-    bounds : mapping of name to (float, float)
-        Bounds of the engine's own parameters, for those without usual ones.
-    misses : mapping of name to str
-        Tests that the engine fails, each with its error.
-    """
-
+    # Stated accuracy of the end of a push [m], [rad].
     position: ClassVar[float] = 1e-4
     angle: ClassVar[float] = math.radians(0.1)
+    # Stated accuracy of the time at which a sliding body stops [s], half a step for engines whose
+    # steps are of first order.
     stop: ClassVar[float] = 0.0
+    # Bounds of the engine's own parameters, for those without usual ones.
     bounds: ClassVar[Mapping[str, tuple[float, float]]] = {}
-    misses: ClassVar[Mapping[str, str]] = {}
+    misses: ClassVar[Mapping[str, str]] = {}  # tests that the engine fails, each with its error
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

@@ -55,34 +55,22 @@ class Factor(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Indices:
-    """Sobol indices of the outcomes of a model.
-
-    Attributes
-    ----------
-    factors : tuple of Factor
-    outcomes, units : tuple of str
-    first, total : (n_outcome, n_factor) float64
-        First order: mean share of the variance that disappears if the factor is known. Total:
-        share that remains if all other factors are known. Zero if an outcome does not vary.
-    first_error, total_error : (n_outcome, n_factor) float64
-        Half-widths of 95 % intervals, by bootstrap.
-    deviation : (n_outcome,) float64
-        Standard deviation of each outcome [its unit].
-    evaluations : int
-    failed : int
-        Number of rollouts without an outcome, replaced by the mean.
-    """
+    """Sobol indices of the outcomes of a model."""
 
     factors: tuple[Factor, ...]
     outcomes: tuple[str, ...]
     units: tuple[str, ...]
+    # (n_outcome, n_factor) First order: mean share of the variance that disappears if the factor is
+    # known. Total: share that remains if all other factors are known. Zero if an outcome does not
+    # vary.
     first: FloatArray
     total: FloatArray
+    # (n_outcome, n_factor) Half-widths of 95 % intervals, by bootstrap.
     first_error: FloatArray
     total_error: FloatArray
-    deviation: FloatArray
+    deviation: FloatArray  # (n_outcome,) standard deviation of each outcome [its unit]
     evaluations: int
-    failed: int
+    failed: int  # number of rollouts without an outcome, replaced by the mean
 
     def table(self, title: str = "Sobol indices") -> Table:
         """Return first-order and total indices of every input, with 95 % intervals, as text."""

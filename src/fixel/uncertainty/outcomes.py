@@ -47,18 +47,12 @@ MEANING: Final[Mapping[str, str]] = {
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseSpread:
-    """Size of a cloud of poses.
+    """Size of a cloud of poses."""
 
-    Attributes
-    ----------
-    position, angle : float
-        Root mean square distance from the mean [m], [rad].
-    low, high : (3,) float64
-        Ends of the middle 95 % of x, y [m] and angle [rad].
-    """
-
+    # Root mean square distance from the mean [m], [rad].
     position: float
     angle: float
+    # (3,) Ends of the middle 95 % of x, y [m] and angle [rad].
     low: FloatArray
     high: FloatArray
 

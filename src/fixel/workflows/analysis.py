@@ -67,61 +67,34 @@ class AnalysisFigure(_StoredFigure):
 
 
 class Analysis(_StoredFigure):
-    """Result of one analysis of a project.
-
-    Attributes
-    ----------
-    kind : str
-    title : str
-    question : dict
-        The request as plain content, but for options of the effort; the same question has the same
-        folder.
-    request : dict
-        The whole request of a capability, which makes its form and repeats it.
-    headline : tuple of str
-        Main results in sentences with units, the most important first.
-    warnings : tuple of str
-        Warnings that a reader must know before relying on the results, in plain words.
-    tables : tuple of Table
-    pictures : tuple of AnalysisFigure
-    notes : tuple of str
-        Further sentences, such as the effort.
-    methods : tuple of str
-        Sentences for the methods section of a paper.
-    references : tuple of str
-        Keys of the bibliography (`workflows/report`).
-    numbers : dict
-        Results as plain values in SI units, for `--json`; None for missing ones.
-    calibrations, experiments : tuple of int
-        Ids of the calibrations and experiments used.
-    command : str
-        Command that repeats the analysis.
-    version, created : str
-        Version of fixel; time of creation, as ISO 8601 in UTC.
-    seed : int, optional
-    seconds : float
-        Duration of the computation [s].
-    """
+    """Result of one analysis of a project."""
 
     kind: str
     title: str
+    # The request as plain content, but for options of the effort; the same question has the same
+    # folder.
     question: dict[str, Any]
+    # The whole request of a capability, which makes its form and repeats it.
     request: dict[str, Any] = {}
-    headline: tuple[str, ...]
+    headline: tuple[str, ...]  # main results in sentences with units, the most important first
+    # Warnings that a reader must know before relying on the results, in plain words.
     warnings: tuple[str, ...] = ()
     tables: tuple[StoredTable, ...] = ()
     pictures: tuple[AnalysisFigure, ...] = ()
-    notes: tuple[str, ...] = ()
-    methods: tuple[str, ...] = ()
-    references: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # further sentences, such as the effort
+    methods: tuple[str, ...] = ()  # sentences for the methods section of a paper
+    references: tuple[str, ...] = ()  # keys of the bibliography (`workflows/report`)
+    # Results as plain values in SI units, for `--json`; None for missing ones.
     numbers: dict[str, Any] = {}
+    # Ids of the calibrations and experiments used.
     calibrations: tuple[int, ...] = ()
     experiments: tuple[int, ...] = ()
-    command: str = ""
+    command: str = ""  # command that repeats the analysis
+    # Version of fixel; time of creation, as ISO 8601 in UTC.
     version: str = ""
     created: str = ""
     seed: int | None = None
-    seconds: float = 0.0
+    seconds: float = 0.0  # duration of the computation [s]
 
     def lines(self) -> list[str]:
         """Return the text for people: warnings, since they limit the rest, results, tables."""
@@ -193,33 +166,17 @@ class StoredAnalysis(NamedTuple):
 
 
 class StoredAnswer(NamedTuple):
-    """Result of a capability with its report.
-
-    Attributes
-    ----------
-    capability : Capability
-    request : BaseModel
-    result : object
-        What the function returned; None if a job has computed it.
-    analysis : Analysis
-    folder : Path or None
-        Folder of the stored analysis; None if it was not stored.
-    files : dict of str to Path
-        Files that were written, by their option; those of a folder by their name.
-    drawn : bool
-        Whether figures were requested.
-    failed : bool
-        Whether the run stopped early.
-    """
+    """Result of a capability with its report."""
 
     capability: Capability
     request: Any
-    result: Any
+    result: Any  # what the function returned; None if a job has computed it
     analysis: Analysis
-    folder: Path | None
+    folder: Path | None  # folder of the stored analysis; None if it was not stored
+    # Files that were written, by their option; those of a folder by their name.
     files: dict[str, Path]
-    drawn: bool = False
-    failed: bool = False
+    drawn: bool = False  # whether figures were requested
+    failed: bool = False  # whether the run stopped early
 
     @property
     def again(self) -> list[str]:

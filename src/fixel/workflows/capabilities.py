@@ -188,19 +188,11 @@ def report_result(
 
 
 class JobRequest(NamedTuple):
-    """Capability, request and project of a job, as read from its folder.
-
-    Attributes
-    ----------
-    capability : Capability
-    request : BaseModel
-    project : Project
-        Project in whose folder `jobs` the job is.
-    """
+    """Capability, request and project of a job, as read from its folder."""
 
     capability: Capability
     request: BaseModel
-    project: Project
+    project: Project  # project in whose folder `jobs` the job is
 
 
 def request_of(inputs: Path) -> JobRequest:

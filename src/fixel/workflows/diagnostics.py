@@ -45,25 +45,14 @@ Found = tuple[bool, str, float | None]
 @final
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """Result of checking the installation.
-
-    Attributes
-    ----------
-    versions : dict from name to str
-    machine : dict
-        Platform, cores that this process may use, threads of a batch.
-    cache : dict
-        Folder of compiled kernels, its size [bytes], and whether they were compiled before.
-    checks : list of SelfCheck
-    seconds : float
-        Duration of all checks [s].
-    """
+    """Result of checking the installation."""
 
     versions: dict[str, str]
-    machine: dict[str, Any]
+    machine: dict[str, Any]  # platform, cores that this process may use, threads of a batch
+    # Folder of compiled kernels, its size [bytes], and whether they were compiled before.
     cache: dict[str, Any]
     checks: list[SelfCheck]
-    seconds: float
+    seconds: float  # duration of all checks [s]
 
     @property
     def passed(self) -> bool:
@@ -161,23 +150,12 @@ def _serial_ports() -> list[str]:
 @final
 @dataclass(frozen=True, slots=True)
 class SelfCheck:
-    """Result of one check of the self-test.
+    """Result of one check of the self-test."""
 
-    Attributes
-    ----------
-    name : str
-        Property that was checked.
-    passed : bool
-    detail : str
-        Result in words.
-    residual : float or None
-        Largest residual of any step, if steps were solved.
-    """
-
-    name: str
+    name: str  # property that was checked
     passed: bool
-    detail: str
-    residual: float | None = None
+    detail: str  # result in words
+    residual: float | None = None  # largest residual of any step, if steps were solved
 
 
 def self_test() -> list[SelfCheck]:

@@ -48,30 +48,20 @@ _MAX_BYTES: Final = 50_000_000_000
 
 @final
 class JobStatus(JobProgress):
-    """State and progress of a job, as found in its folder.
-
-    Attributes
-    ----------
-    folder : str
-    name : str
-        Name of the folder as text; characters that no text can contain are replaced.
-    state : str
-        One of `fixel.jobs.folder.STATES`, or `lost`: its coordinator died, or its result is gone;
-        or `unreadable`: another program wrote into the folder.
-    maker, made_utc : str
-        Function that made the work, and when.
-    kept : int
-        Number of answers in the journal, from this session and earlier ones.
-    """
+    """State and progress of a job, as found in its folder."""
 
     folder: str = Field(exclude=True)
-    name: str
+    name: str  # name of the folder as text; characters that no text can contain are replaced
+    # One of `fixel.jobs.folder.STATES`, or `lost`: its coordinator died, or its result is gone; or
+    # `unreadable`: another program wrote into the folder.
     state: str = Field(
         description="status: queued, preparing, running, collecting, done, failed, stopped, "
         "cancelled; lost if its process has died; unreadable"
     )
+    # Function that made the work, and when.
     maker: str = Field(default="", description="function that created the work")
     made_utc: str = ""
+    # Number of answers in the journal, from this session and earlier ones.
     kept: int = Field(
         default=0, description="number of answers in the journal, which survive a crash"
     )

@@ -19,20 +19,11 @@ MAX_PROBLEMS: Final = 20
 
 
 class SampleAnswer(NamedTuple):
-    """Sampling plan with its problems.
-
-    Attributes
-    ----------
-    plan : Plan
-    problems : tuple of PlanProblem
-        In order of the plan.
-    rehearsed : bool
-        Whether problems were also searched for by simulation.
-    """
+    """Sampling plan with its problems."""
 
     plan: Plan
-    problems: tuple[PlanProblem, ...]
-    rehearsed: bool
+    problems: tuple[PlanProblem, ...]  # in order of the plan
+    rehearsed: bool  # whether problems were also searched for by simulation
 
 
 def sample(

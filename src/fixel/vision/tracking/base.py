@@ -62,16 +62,10 @@ class AbstractTracking(ABC):
 
     Subclasses use the rig and the outlines of the scene, and return poses in the plane, with a
     reason where there is none.
-
-    Attributes
-    ----------
-    name : str
-    needs : str
-        Requirement on a part, for messages.
     """
 
     name: ClassVar[str]
-    needs: ClassVar[str]
+    needs: ClassVar[str]  # requirement on a part, for messages
 
     @abstractmethod
     def parts(self, rig: Rig, things: Mapping[str, Thing]) -> tuple[str, ...]:

@@ -57,37 +57,19 @@ ABOUT: Final = "truth.json"
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilmSettings:
-    """Settings of a film.
+    """Settings of a film."""
 
-    Attributes
-    ----------
-    rig : str
-        File of the rig, or name of an example.
-    looks : str
-        Appearance preset; empty for the one that suits the rig: `thesis` or `microscope`.
-    changes : tuple of str
-        Values of the looks to change, each as `NAME=VALUE`.
-    seed : int
-        Seed of all random numbers.
-    codec : str
-        `near` or `exact`, as for recordings.
-    rate : float
-        Frame rate [Hz].
-    lead, rest : float
-        Rest before and after the motion [s].
-    frames : int, optional
-        Maximum number of frames.
-    """
-
-    rig: str = "thesis-tags"
+    rig: str = "thesis-tags"  # file of the rig, or name of an example
+    # Appearance preset; empty for the one that suits the rig: `thesis` or `microscope`.
     looks: str = ""
-    changes: tuple[str, ...] = ()
-    seed: int = 1
-    codec: str = "near"
-    rate: float = RATE
+    changes: tuple[str, ...] = ()  # values of the looks to change, each as `NAME=VALUE`
+    seed: int = 1  # seed of all random numbers
+    codec: str = "near"  # `near` or `exact`, as for recordings
+    rate: float = RATE  # frame rate [Hz]
+    # Rest before and after the motion [s].
     lead: float = LEAD
     rest: float = REST
-    frames: int | None = None
+    frames: int | None = None  # maximum number of frames
 
 
 class FilmResult(NamedTuple):

@@ -18,31 +18,16 @@ if TYPE_CHECKING:
 
 
 class StoredComparison(NamedTuple):
-    """Experiment of a project, compared with simulations.
-
-    Attributes
-    ----------
-    experiment_id : int
-    experiment : Experiment
-    run : RunComparison or None
-        Simulation by fixel; None for an experiment without a scene.
-    published : PathComparison or None
-        Simulation by the publisher of the experiment, if one is stored.
-    unseen : tuple of str
-        What no experiment of the calibration has.
-    calibration : int or None
-        Id of the calibration whose parameters were used.
-    simulation_id : int or None
-        Id of the stored simulation.
-    """
+    """Experiment of a project, compared with simulations."""
 
     experiment_id: int
     experiment: Experiment
-    run: RunComparison | None
+    run: RunComparison | None  # simulation by fixel; None for an experiment without a scene
+    # Simulation by the publisher of the experiment, if one is stored.
     published: PathComparison | None
-    unseen: tuple[str, ...] = ()
-    calibration: int | None = None
-    simulation_id: int | None = None
+    unseen: tuple[str, ...] = ()  # what no experiment of the calibration has
+    calibration: int | None = None  # id of the calibration whose parameters were used
+    simulation_id: int | None = None  # id of the stored simulation
 
 
 def compare_stored(

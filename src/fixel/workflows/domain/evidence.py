@@ -42,22 +42,13 @@ VERSION: Final = 2  # increase it when the same request no longer means the same
 
 
 class DomainEvidence(NamedTuple):
-    """Held-out errors, with the settings that produced them.
-
-    Attributes
-    ----------
-    errors : HeldOutErrors
-    found : dict
-        Plain values as they are stored: points of the fits, `floor_mm`, `motion` and so on.
-    is_real : bool
-    mark : str
-        Name of the folder in which they are stored.
-    """
+    """Held-out errors, with the settings that produced them."""
 
     errors: HeldOutErrors
+    # Plain values as they are stored: points of the fits, `floor_mm`, `motion` and so on.
     found: Mapping[str, Any]
     is_real: bool = True
-    mark: str = ""
+    mark: str = ""  # name of the folder in which they are stored
 
 
 def gather(project: Project, asked: Any, report: ProgressCallback | None = None) -> DomainEvidence:

@@ -65,18 +65,11 @@ def calibration_model(
 
 
 class ProjectRequest(NamedTuple):
-    """Request on a project whose store is open.
-
-    Attributes
-    ----------
-    project : Project
-    store : Store
-    asked : BaseModel
-        Request of a capability that fits: with `calibration`, `fit`, `engine`, `where` and so on.
-    """
+    """Request on a project whose store is open."""
 
     project: Project
     store: Store
+    # Request of a capability that fits: with `calibration`, `fit`, `engine`, `where` and so on.
     asked: Any
 
     @property

@@ -34,22 +34,12 @@ OFFSETS: Final = ("offset_x_m", "offset_y_m", "offset_theta_rad")
 
 
 class DomainAnswer(NamedTuple):
-    """Domain map of experiments of a project.
+    """Domain map of experiments of a project."""
 
-    Attributes
-    ----------
-    asked : BaseModel
-        Request.
-    gathered : DomainEvidence
-    domain : DomainMap
-    n_aside : int
-        Number of experiments left out, which are offset along something that is no axis.
-    """
-
-    asked: Any
+    asked: Any  # request
     gathered: DomainEvidence
     domain: DomainMap
-    n_aside: int
+    n_aside: int  # number of experiments left out, which are offset along something that is no axis
 
 
 def map_targets(

@@ -37,24 +37,12 @@ MAX_FOLDS: Final = 24
 
 
 class BoundAnswer(NamedTuple):
-    """Error bounds of experiments of a project.
-
-    Attributes
-    ----------
-    bound : ErrorBound
-    experiments : list of int
-        Ids.
-    calibration : int or None
-        Calibration at which the fits started.
-    left_out : dict of str to str
-        Reason why an experiment cannot be compared, by its name.
-    is_real : bool
-    """
+    """Error bounds of experiments of a project."""
 
     bound: ErrorBound
-    experiments: list[int]
-    calibration: int | None
-    left_out: dict[str, str]
+    experiments: list[int]  # ids
+    calibration: int | None  # calibration at which the fits started
+    left_out: dict[str, str]  # reason why an experiment cannot be compared, by its name
     is_real: bool
 
 

@@ -20,21 +20,12 @@ ENDINGS: Final = ("", "_q05", "_q50", "_q95")
 
 
 class FilterAnswer(NamedTuple):
-    """Run of the filter on an experiment of a project.
-
-    Attributes
-    ----------
-    experiment_id : int
-    estimates : FilterRun
-    run_id : int or None
-        Id of the run in the project; None if it was not stored.
-    calibrations : dict from int to CalibrationRecord
-        Calibrations of the project with the experiment as a member, by id.
-    """
+    """Run of the filter on an experiment of a project."""
 
     experiment_id: int
     estimates: FilterRun
-    run_id: int | None
+    run_id: int | None  # id of the run in the project; None if it was not stored
+    # Calibrations of the project with the experiment as a member, by id.
     calibrations: Mapping[int, CalibrationRecord]
 
 

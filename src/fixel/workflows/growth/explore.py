@@ -49,29 +49,15 @@ STUCK: Final = 0.5
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exploration:
-    """Result of an exploration.
-
-    Attributes
-    ----------
-    samples : GrowthSamples
-    stored : StoredSets
-    growth : Growth
-    studies : list of AxisStudy
-    threshold : float
-        Threshold in the unit of the error.
-    rollouts : int
-    added : list of int
-        Ids of the calibrations that were stored.
-    warnings : list of str
-    """
+    """Result of an exploration."""
 
     samples: GrowthSamples
     stored: StoredSets
     growth: Growth
     studies: list[AxisStudy]
-    threshold: float
+    threshold: float  # threshold in the unit of the error
     rollouts: int
-    added: list[int]
+    added: list[int]  # ids of the calibrations that were stored
     warnings: list[str]
 
     @property

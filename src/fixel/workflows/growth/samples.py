@@ -32,25 +32,14 @@ class _Seat(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrowthSamples:
-    """Experiments of an exploration.
-
-    Attributes
-    ----------
-    ids : list of int
-    targets : list of Target
-    groups : list of ExperimentGroup
-        Their numbers count within `ids`.
-    lengths : dict from axis to float
-        Length of a step [m or rad], for axes on which all groups agree.
-    makers : list of str
-        Program that simulated each experiment; empty for real ones.
-    warnings : list of str
-    """
+    """Experiments of an exploration."""
 
     ids: list[int]
     targets: list[Target]
-    groups: list[ExperimentGroup]
+    groups: list[ExperimentGroup]  # their numbers count within `ids`
+    # Length of a step [m or rad], for axes on which all groups agree.
     lengths: dict[str, float] = field(default_factory=dict)
+    # Program that simulated each experiment; empty for real ones.
     makers: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 

@@ -52,24 +52,13 @@ class One(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredSets:
-    """Sets of parameters of one method.
-
-    Attributes
-    ----------
-    method : SingleMethod
-    best : list of One
-        Best set of each experiment.
-    singles : SingleCalibrations
-        The same sets for the growth; parameters in the order of `method.names`.
-    calibrated : CalibratedValues
-        One of the sets, for motion model and error.
-    warnings : list of str
-    """
+    """Sets of parameters of one method."""
 
     method: SingleMethod
-    best: list[One]
+    best: list[One]  # best set of each experiment
+    # The same sets for the growth; parameters in the order of `method.names`.
     singles: SingleCalibrations
-    calibrated: CalibratedValues
+    calibrated: CalibratedValues  # one of the sets, for motion model and error
     warnings: list[str] = field(default_factory=list)
 
 

@@ -34,28 +34,16 @@ class Condition(NamedTuple):
 
 
 class NextSelection(NamedTuple):
-    """Experiments and pushes among which the next ones of a part are chosen.
-
-    Attributes
-    ----------
-    part, surface : Condition
-    known, mine : list of Experiment
-        Usable pushes of other parts, and of the part itself.
-    scene : Scene or None
-        Scene of the part.
-    offered : list of Scene
-        Pushes that can be made; none if they are to be generated.
-    skipped : dict of str to int
-        Reasons why experiments were not used, with their numbers.
-    """
+    """Experiments and pushes among which the next ones of a part are chosen."""
 
     part: Condition
     surface: Condition
+    # Usable pushes of other parts, and of the part itself.
     known: list[Experiment]
     mine: list[Experiment]
-    scene: Scene | None
-    offered: list[Scene]
-    skipped: dict[str, int]
+    scene: Scene | None  # scene of the part
+    offered: list[Scene]  # pushes that can be made; none if they are to be generated
+    skipped: dict[str, int]  # reasons why experiments were not used, with their numbers
 
     @property
     def labels(self) -> dict[str, Any]:
@@ -89,22 +77,12 @@ class NextSelection(NamedTuple):
 
 
 class PushProposal(NamedTuple):
-    """Proposed pushes of a part.
-
-    Attributes
-    ----------
-    selection : NextSelection
-    model : PartModel
-        Model after the part's own pushes.
-    pushes : NextPushes
-    scenes : tuple of Scene
-        Proposed pushes, the best first.
-    """
+    """Proposed pushes of a part."""
 
     selection: NextSelection
-    model: PartModel
+    model: PartModel  # model after the part's own pushes
     pushes: NextPushes
-    scenes: tuple[Scene, ...]
+    scenes: tuple[Scene, ...]  # proposed pushes, the best first
 
 
 def select(

@@ -30,25 +30,13 @@ from fixel.workflows.planning.stored import load_plan, load_trials
 @final
 @dataclass(frozen=True, kw_only=True)
 class CheckedPlan:
-    """Plan with its success probability under the present calibration, and its trials.
-
-    Attributes
-    ----------
-    found : FoundPlan
-    id : str
-    now : SuccessProbability
-    calibration : int or None
-        Id of the present calibration.
-    changed : bool
-        Whether the plan was made with another calibration.
-    trials : Trials
-    """
+    """Plan with its success probability under the present calibration, and its trials."""
 
     found: FoundPlan
     id: str
     now: SuccessProbability
-    calibration: int | None
-    changed: bool
+    calibration: int | None  # id of the present calibration
+    changed: bool  # whether the plan was made with another calibration
     trials: Trials
 
     @property

@@ -31,24 +31,13 @@ class PlanRequest(dict[str, Any]):
 
 
 class PlanInputs(NamedTuple):
-    """Goal, scene and belief of a plan, loaded and checked.
-
-    Attributes
-    ----------
-    file : GoalFile
-    request : PlanRequest
-    scene : Scene
-    belief : Belief
-    calibration : int or None
-        Id of the calibration whose parameters the belief has.
-    warnings : tuple of str
-    """
+    """Goal, scene and belief of a plan, loaded and checked."""
 
     file: GoalFile
     request: PlanRequest
     scene: Scene
     belief: Belief
-    calibration: int | None
+    calibration: int | None  # id of the calibration whose parameters the belief has
     warnings: tuple[str, ...]
 
     @property
@@ -60,23 +49,12 @@ class PlanInputs(NamedTuple):
 @final
 @dataclass(frozen=True, kw_only=True)
 class FoundPlan:
-    """Plan with the request that it answers.
-
-    Attributes
-    ----------
-    plan : PushPlan
-    request : PlanRequest
-    calibration : int or None
-        Id of the calibration whose parameters it uses.
-    wanted : float
-        Wanted success probability.
-    warnings : tuple of str
-    """
+    """Plan with the request that it answers."""
 
     plan: PushPlan
     request: PlanRequest
-    calibration: int | None = None
-    wanted: float = 0.95
+    calibration: int | None = None  # id of the calibration whose parameters it uses
+    wanted: float = 0.95  # wanted success probability
     warnings: tuple[str, ...] = field(default=())
 
 

@@ -31,20 +31,11 @@ JOURNAL: Final = "answers.journal"
 @final
 @dataclass(frozen=True, kw_only=True)
 class PlanFile:
-    """Content of a plan file.
-
-    Attributes
-    ----------
-    found : FoundPlan
-    version : str
-        Version of fixel.
-    created : str
-        Time of creation, as ISO 8601 in UTC.
-    """
+    """Content of a plan file."""
 
     found: FoundPlan
-    version: str
-    created: str
+    version: str  # version of fixel
+    created: str  # time of creation, as ISO 8601 in UTC
 
     @property
     def id(self) -> str:

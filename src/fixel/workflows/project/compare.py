@@ -35,39 +35,21 @@ NOISE: Final = 1e-3  # [m], shortest stride that counts in the length of a path
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathComparison:
-    """Simulated path of an experiment, compared with the measurement.
-
-    Attributes
-    ----------
-    experiment : Experiment
-    status : str
-        Status of the simulation, as in `Simulation.status`.
-    simulated : Trajectory
-        Poses of the object, on the experiment's clock.
-    pusher : Trajectory, optional
-        Simulated poses of the pusher, on the same clock.
-    contacts : Channel, optional
-        Simulated contacts with each fixel, on the same clock; None if they are not known.
-    contact_mode : str
-        Simulated contact mode at the end, one digit per fixel.
-    time : (n,) float64
-        Measured instants within `effective` [s], without the first measured pose: there the
-        simulation starts, so its error is zero by construction.
-    position : (n,) float64
-        Distance from the measured to the simulated pose at these instants [m].
-    angle : (n,) float64
-        Angle from the measured to the simulated pose, wrapped [rad].
-    """
+    """Simulated path of an experiment, compared with the measurement."""
 
     experiment: Experiment
-    status: str
-    simulated: Trajectory
-    pusher: Trajectory | None
+    status: str  # status of the simulation, as in `Simulation.status`
+    simulated: Trajectory  # poses of the object, on the experiment's clock
+    pusher: Trajectory | None  # simulated poses of the pusher, on the same clock
+    # Simulated contacts with each fixel, on the same clock; None if they are not known.
     contacts: Channel | None
-    contact_mode: str
+    contact_mode: str  # simulated contact mode at the end, one digit per fixel
+    # (n,) Measured instants within `effective` [s], without the first measured pose: there the
+    # simulation starts, so its error is zero by construction.
     time: FloatArray
+    # (n,) Distance from the measured to the simulated pose at these instants [m].
     position: FloatArray
-    angle: FloatArray
+    angle: FloatArray  # (n,) angle from the measured to the simulated pose, wrapped [rad]
 
     @property
     def complete(self) -> bool:
@@ -125,13 +107,7 @@ class PathComparison:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunComparison(PathComparison):
-    """Simulation of an experiment by fixel, compared with the measurement.
-
-    Attributes
-    ----------
-    parameters : Parameters
-    simulation : Simulation
-    """
+    """Simulation of an experiment by fixel, compared with the measurement."""
 
     parameters: Parameters
     simulation: Simulation

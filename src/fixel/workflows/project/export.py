@@ -34,24 +34,13 @@ RATES: Final = (1, 1000)  # [Hz]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportAnswer:
-    """Result of an export.
-
-    Attributes
-    ----------
-    target : Path
-    format : str
-        ``bundle``, ``parquet`` or ``lerobot``.
-    counts : dict of str to int
-        Number of ``experiments``, of them ``flagged`` and ``simulated``, and of other records.
-    left_out : dict of str to int
-        Number of records that were not exported, by reason.
-    bytes : int
-    seconds : float
-    """
+    """Result of an export."""
 
     target: Path
-    format: str
+    format: str  # ``bundle``, ``parquet`` or ``lerobot``
+    # Number of ``experiments``, of them ``flagged`` and ``simulated``, and of other records.
     counts: dict[str, int]
+    # Number of records that were not exported, by reason.
     left_out: dict[str, int] = field(default_factory=dict)
     bytes: int
     seconds: float

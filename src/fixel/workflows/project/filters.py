@@ -75,31 +75,17 @@ class CoverageAxis:
 @final
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Number of experiments at each place of a plane of configurations.
-
-    Attributes
-    ----------
-    x, y : CoverageAxis
-    number : list of list of int
-        One row per place along x.
-    shapes, layouts : list of str
-        Shapes and layouts; empty if not stored.
-    table : list of list of int
-        One row per shape, one column per layout.
-    axes : list of str
-        Names that an axis may have.
-    without : int
-        Number of experiments without these values.
-    """
+    """Number of experiments at each place of a plane of configurations."""
 
     x: CoverageAxis
     y: CoverageAxis
-    number: list[list[int]]
+    number: list[list[int]]  # one row per place along x
+    # Shapes and layouts; empty if not stored.
     shapes: list[str]
     layouts: list[str]
-    table: list[list[int]]
-    axes: list[str]
-    without: int
+    table: list[list[int]]  # one row per shape, one column per layout
+    axes: list[str]  # names that an axis may have
+    without: int  # number of experiments without these values
 
 
 def coverage(

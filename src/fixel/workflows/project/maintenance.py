@@ -59,24 +59,12 @@ class Backup(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """Result of checking a database.
+    """Result of checking a database."""
 
-    Attributes
-    ----------
-    engine : str
-        `sqlite` or `postgresql`.
-    version : str, optional
-        Version of the schema; None if it could not be read.
-    counts : dict from table to number of rows
-        Deleted rows are counted, too.
-    media_files, unused_files : int
-        Files in the media folder, and those of them that no row refers to; another project may.
-    troubles : tuple of Trouble
-    """
-
-    engine: str
-    version: str | None
-    counts: dict[str, int]
+    engine: str  # `sqlite` or `postgresql`
+    version: str | None  # version of the schema; None if it could not be read
+    counts: dict[str, int]  # deleted rows are counted, too
+    # Files in the media folder, and those of them that no row refers to; another project may.
     media_files: int
     unused_files: int
     troubles: tuple[Trouble, ...]

@@ -70,23 +70,13 @@ WANTED: Final[dict[str, str]] = {
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
-    """Report that was written.
-
-    Attributes
-    ----------
-    page, bibliography : Path
-    figures : list of Path
-        PDF files.
-    content : Content
-    size : int
-        Size of the page [byte].
-    """
+    """Report that was written."""
 
     page: Path
     bibliography: Path
-    figures: list[Path]
+    figures: list[Path]  # PDF files
     content: Content
-    size: int
+    size: int  # size of the page [byte]
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, for `--json`."""

@@ -61,22 +61,12 @@ class Finding(NamedTuple):
 
 
 class RankedPushes(NamedTuple):
-    """Sensitivity of pushes, with the push to avoid first in front.
-
-    Attributes
-    ----------
-    findings : sequence of Finding
-    skipped : mapping of str to str
-        Pushes that could not be analysed, and why.
-    error : StartError
-    calibration : int or None
-        Id of the calibration whose parameters were used.
-    """
+    """Sensitivity of pushes, with the push to avoid first in front."""
 
     findings: Sequence[Finding]
-    skipped: Mapping[str, str]
+    skipped: Mapping[str, str]  # pushes that could not be analysed, and why
     error: StartError
-    calibration: int | None = None
+    calibration: int | None = None  # id of the calibration whose parameters were used
 
 
 def selected(own: PushSelection) -> tuple[PushSelection, list[Subject], dict[str, str]]:

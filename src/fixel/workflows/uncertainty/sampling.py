@@ -67,28 +67,16 @@ class ExperimentPrediction(NamedTuple):
 
 
 class Uncertainty(NamedTuple):
-    """Result of an uncertainty analysis.
-
-    Attributes
-    ----------
-    posterior : Posterior
-    predicted : tuple of ExperimentPrediction
-        Predictions of the experiments used, then of those held out.
-    requested : int
-        Number of effective samples that was requested.
-    near : NearOptimal, optional
-        Near-optimal sets among the calibration's evaluations.
-    calibration : CalibratedValues, optional
-    compared : CalibratedValues, optional
-        The same, or else the newest one with the first experiment as a member; differences to the
-        posterior are reported as warnings.
-    """
+    """Result of an uncertainty analysis."""
 
     posterior: Posterior
+    # Predictions of the experiments used, then of those held out.
     predicted: tuple[ExperimentPrediction, ...]
-    requested: int
-    near: NearOptimal | None = None
+    requested: int  # number of effective samples that was requested
+    near: NearOptimal | None = None  # near-optimal sets among the calibration's evaluations
     calibration: CalibratedValues | None = None
+    # The same, or else the newest one with the first experiment as a member; differences to the
+    # posterior are reported as warnings.
     compared: CalibratedValues | None = None
 
     @property
