@@ -30,18 +30,10 @@ MIN_CURVATURE: Final = 0.5
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NormalPrior:
-    """Prior of the parameters: independent normal distributions.
+    """Prior of the parameters: independent normal distributions."""
 
-    Parameters
-    ----------
-    mean : (n,) array
-        Means, in the units of the parameters.
-    sd : (n,) array
-        Standard deviations, in the same units; inf without prior knowledge.
-    """
-
-    mean: FloatArray
-    sd: FloatArray
+    mean: FloatArray  # (n,) means, in the units of the parameters
+    sd: FloatArray  # (n,) standard deviations, in the same units; inf without prior knowledge
 
     def __post_init__(self) -> None:
         settle(self, mean=frozen(self.mean), sd=frozen(self.sd))
@@ -90,23 +82,16 @@ class Quadratic(NamedTuple):
 class Cost:
     """Deviance: sum of the losses of residuals, and of the squares of the prior.
 
-    Parameters
-    ----------
-    loss : str
-        `squares`; `soft_l1` and `huber` grow linearly for residuals much larger than the width, so
-        that a few wrong measurements have little influence.
-    width : float
-        Size of residuals above which the loss is reduced [standard deviations].
-    prior : NormalPrior, optional
-
     Source
     ------
     Triggs, McLauchlan, Hartley & Fitzgibbon (2000), section 4.3, for the second-order weight of a
     residual; as in `scipy.optimize.least_squares`, whose cost is half of this deviance.
     """
 
+    # `squares`; `soft_l1` and `huber` grow linearly for residuals much larger than the width, so
+    # that a few wrong measurements have little influence.
     loss: Loss = "squares"
-    width: float = 1.0
+    width: float = 1.0  # size of residuals above which the loss is reduced [standard deviations]
     prior: NormalPrior | None = None
 
     def __post_init__(self) -> None:

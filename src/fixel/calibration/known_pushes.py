@@ -62,28 +62,16 @@ class Trait(NamedTuple):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KnownPushes(Comparable):
-    """Parts, surfaces, laboratories, contacts, speeds and travels of experiments.
+    """Parts, surfaces, laboratories, contacts, speeds and travels of experiments."""
 
-    Parameters
-    ----------
-    keys : tuple of str
-        Names of the experiments.
-    labels : mapping of str to tuple of str
-        Values of the conditions that are labels, one per experiment; empty if it has none.
-    size : (n, 2) array_like
-        Root of the area and radius of gyration of the part's outline [m].
-    contact : (n, 4) array_like
-        Direction of the normal [rad], place x, y [-] and speed [m/s] of the first contact, as in
-        `TouchedPlaces`; nan without a moving pusher.
-    travel : (n,) array_like
-        Travel of the pusher [m]; nan without a moving pusher.
-    """
-
-    keys: tuple[str, ...]
+    keys: tuple[str, ...]  # names of the experiments
+    # Values of the conditions that are labels, one per experiment; empty if it has none.
     labels: Mapping[str, tuple[str, ...]]
-    size: FloatArray
+    size: FloatArray  # (n, 2) root of the area and radius of gyration of the part's outline [m]
+    # (n, 4) Direction of the normal [rad], place x, y [-] and speed [m/s] of the first contact, as
+    # in `TouchedPlaces`; nan without a moving pusher.
     contact: FloatArray
-    travel: FloatArray
+    travel: FloatArray  # (n,) travel of the pusher [m]; nan without a moving pusher
 
     def __post_init__(self) -> None:
         settle(

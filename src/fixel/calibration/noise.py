@@ -81,21 +81,12 @@ class Noise:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dispersion:
-    """Mean deviance of one independent measurement, with its degrees of freedom.
+    """Mean deviance of one independent measurement, with its degrees of freedom."""
 
-    Parameters
-    ----------
-    value : float
-        Dispersion: 1 for independent measurements of known noise, else their correlation time.
-    freedom : float
-        Degrees of freedom of the dispersion; inf if it is known.
-    source : str
-        Origin, as in `Noise`.
-    """
-
+    # Dispersion: 1 for independent measurements of known noise, else their correlation time.
     value: float
-    freedom: float = math.inf
-    source: NoiseSource = "stated"
+    freedom: float = math.inf  # degrees of freedom of the dispersion; inf if it is known
+    source: NoiseSource = "stated"  # origin, as in `Noise`
 
     def threshold(self, level: float = 0.95) -> float:
         """Return the rise of the deviance at the ends of an interval for one parameter.

@@ -26,16 +26,11 @@ ANGLE_SCALE: Final = 35e-3  # [m/rad] length by which the thesis weights angles
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AbstractError(abc.ABC):
-    """Error of one simulation against one experiment.
-
-    Parameters
-    ----------
-    angle_scale : float
-        Length by which angles are multiplied, the characteristic length of the part [m/rad].
-    """
+    """Error of one simulation against one experiment."""
 
     name: ClassVar[str]
     unit: ClassVar[str]
+    # Length by which angles are multiplied, the characteristic length of the part [m/rad].
     angle_scale: float = ANGLE_SCALE
 
     def __post_init__(self) -> None:

@@ -108,28 +108,19 @@ class ProfileLikelihood:
     or bent surfaces several times as much. A better optimum than the one given becomes the new
     base: the values known already stay.
 
-    Parameters
-    ----------
-    descent : LeastSquares
-        Fits the others. Its loss and roughness count; when it ends is set here.
-    most_iterations : int
-        Steps of one fit.
-    scan : int
-        Values between the crossing and the bound that are fitted too, on each side: they show on a
-        plot, and may find a second minimum.
-    batch : int
-        Points of one ask, about.
-
     Source
     ------
     Venzon & Moolgavkar (1988) for intervals from the profile; Raue et al. (2009) for open ones as
     the sign of what cannot be identified.
     """
 
+    # Fits the others. Its loss and roughness count; when it ends is set here.
     descent: LeastSquares = field(default_factory=LeastSquares)
-    most_iterations: int = 20
+    most_iterations: int = 20  # steps of one fit
+    # Values between the crossing and the bound that are fitted too, on each side: they show on a
+    # plot, and may find a second minimum.
     scan: int = 1
-    batch: int = 512
+    batch: int = 512  # points of one ask, about
 
     def __post_init__(self) -> None:
         for name, least in (("most_iterations", 1), ("scan", 0), ("batch", 1)):

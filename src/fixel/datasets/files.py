@@ -39,23 +39,13 @@ MAX_CELLS = 20_000_000  # a gigabyte or two as text; the force log of 245 pushes
 @final
 @dataclass(frozen=True, slots=True)
 class CsvRows:
-    """Rows of a CSV file, stored as text and converted to numbers on request.
+    """Rows of a CSV file, stored as text and converted to numbers on request."""
 
-    Parameters
-    ----------
-    source : str
-        Name of the file, for messages.
-    columns : mapping from name to list of str
-        Columns of equal length.
-    lines : sequence of int, optional
-        Number of each row in the file, from 0; by default they are in order.
-    torn : mapping of int to InvalidInput
-        Rows with a wrong number of cells.
-    """
-
-    source: str
-    columns: Mapping[str, Sequence[str]]
+    source: str  # name of the file, for messages
+    columns: Mapping[str, Sequence[str]]  # columns of equal length
+    # Number of each row in the file, from 0; by default they are in order.
     lines: Sequence[int] = ()
+    # Rows with a wrong number of cells.
     torn: Mapping[int, InvalidInput] = field(default_factory=dict)
 
     def __len__(self) -> int:

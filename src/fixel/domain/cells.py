@@ -25,23 +25,12 @@ SAME_VALUE: Final = 1e-9  # difference of values that count as equal, over the e
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellAxis:
-    """Coordinate divided into cells.
+    """Coordinate divided into cells."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the condition.
-    labels : tuple of str
-        Values of a text coordinate; empty for numbers.
-    centres : tuple of float
-        Centres of cells of numbers, ascending [SI].
-    edges : tuple of float
-        Ends of ranges, one more than centres; empty if cells are values.
-    """
-
-    name: str
-    labels: tuple[str, ...] = ()
-    centres: tuple[float, ...] = ()
+    name: str  # name of the condition
+    labels: tuple[str, ...] = ()  # values of a text coordinate; empty for numbers
+    centres: tuple[float, ...] = ()  # centres of cells of numbers, ascending [SI]
+    # Ends of ranges, one more than centres; empty if cells are values.
     edges: tuple[float, ...] = ()
 
     def __len__(self) -> int:
@@ -188,23 +177,12 @@ def _ranges(name: str, edges: FloatArray) -> CellAxis:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cells:
-    """Cells of a map.
-
-    Parameters
-    ----------
-    axes : tuple of CellAxis
-    index : tuple of tuple of int
-        Position of each cell along every axis.
-    nominal : int
-        Index of the nominal cell.
-    arms : bool
-        Whether all cells differ from the nominal one along at most one axis.
-    """
+    """Cells of a map."""
 
     axes: tuple[CellAxis, ...]
-    index: tuple[tuple[int, ...], ...]
-    nominal: int
-    arms: bool
+    index: tuple[tuple[int, ...], ...]  # position of each cell along every axis
+    nominal: int  # index of the nominal cell
+    arms: bool  # whether all cells differ from the nominal one along at most one axis
 
     def __len__(self) -> int:
         return len(self.index)

@@ -22,24 +22,12 @@ COLOURS: Final = (TRUSTED, DOUBTFUL, NOT_TRUSTED, NO_DATA, PREDICTED)
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Claim:
-    """Claim that is true for trusted (blue) cells.
+    """Claim that is true for trusted (blue) cells."""
 
-    Parameters
-    ----------
-    threshold : float
-        Threshold tau: root mean square error [mm], or share above the own best E.
-    measure : str
-        `"absolute"` or `"relative"`.
-    level : float
-        Share of new members whose error must be below the threshold.
-    confidence : float
-        Probability from which a cell counts as trusted, or as not trusted.
-    """
-
-    threshold: float
-    measure: Measure = "absolute"
-    level: float = 0.9
-    confidence: float = 0.95
+    threshold: float  # threshold tau: root mean square error [mm], or share above the own best E
+    measure: Measure = "absolute"  # `"absolute"` or `"relative"`
+    level: float = 0.9  # share of new members whose error must be below the threshold
+    confidence: float = 0.95  # probability from which a cell counts as trusted, or as not trusted
 
     def __post_init__(self) -> None:
         threshold_score(self.threshold, self.measure)

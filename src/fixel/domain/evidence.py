@@ -27,40 +27,22 @@ MANY: Final = 2000  # experiments above which two folds are sufficient
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeldOutErrors(Comparable):
-    """Held-out errors, one row per experiment.
+    """Held-out errors, one row per experiment."""
 
-    Parameters
-    ----------
-    keys : tuple of str
-        Names of the experiments.
-    ids : tuple of int
-        Ids of the experiments in the project.
-    coordinates : mapping of name to tuple of (str, float or None)
-        Conditions [SI]; None if an experiment lacks one.
-    error_mm2 : (n,) array_like
-        Error E of each with a parameter set that was calibrated without it [mm^2]; inf if the
-        simulation failed, nan if there is no held-out error.
-    own_mm2 : (n,) array_like, optional
-        Smallest E of each with parameters of its own [mm^2]; nan if it was not calibrated.
-    fold : (n,) array_like of int, optional
-        Fold in which it was held out.
-    group : tuple of str, optional
-        Map to which it belongs; by default one map for all.
-    configuration : tuple of str, optional
-        Label that repetitions of one experiment share; by default the key.
-    notes : tuple of str, optional
-        Reason why there is no held-out error, else empty.
-    """
-
-    keys: tuple[str, ...]
-    ids: tuple[int, ...]
-    coordinates: Mapping[str, tuple[Value, ...]]
+    keys: tuple[str, ...]  # names of the experiments
+    ids: tuple[int, ...]  # ids of the experiments in the project
+    coordinates: Mapping[str, tuple[Value, ...]]  # conditions [SI]; None if an experiment lacks one
+    # (n,) Error E of each with a parameter set that was calibrated without it [mm^2]; inf if the
+    # simulation failed, nan if there is no held-out error.
     error_mm2: FloatArray
+    # (n,) Smallest E of each with parameters of its own [mm^2]; nan if it was not calibrated.
     own_mm2: FloatArray = field(default_factory=lambda: np.zeros(0))
+    # (n,) Fold in which it was held out.
     fold: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
-    group: tuple[str, ...] = ()
+    group: tuple[str, ...] = ()  # map to which it belongs; by default one map for all
+    # Label that repetitions of one experiment share; by default the key.
     configuration: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # reason why there is no held-out error, else empty
 
     def __post_init__(self) -> None:
         n = len(self.keys)

@@ -108,17 +108,11 @@ def along(axis: str, step: int) -> AxisPlace:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentGroup:
-    """Experiments of one shape and layout.
-
-    Parameters
-    ----------
-    shape, layout : str
-    at : mapping from AxisPlace to int
-        Index of the experiment at each place that has one.
-    """
+    """Experiments of one shape and layout."""
 
     shape: str
     layout: str
+    # Index of the experiment at each place that has one.
     at: Mapping[AxisPlace, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -160,19 +154,11 @@ class Joint(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SingleCalibrations:
-    """Results of the calibrations of single experiments.
+    """Results of the calibrations of single experiments."""
 
-    Parameters
-    ----------
-    points : (n, n_parameter) float64
-    errors : (n,) float64
-        Error E of each with its own set; inf if it could not be simulated.
-    joint : mapping from sorted tuple of int to Joint
-        Stored sets by their experiments.
-    """
-
-    points: FloatArray
-    errors: FloatArray
+    points: FloatArray  # (n, n_parameter)
+    errors: FloatArray  # (n,) error E of each with its own set; inf if it could not be simulated
+    # Stored sets by their experiments.
     joint: Mapping[tuple[int, ...], Joint] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

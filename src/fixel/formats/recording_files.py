@@ -37,37 +37,19 @@ MICRO: Final = 1_000_000
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingHeader:
-    """Header of a recording, written before the first frame.
+    """Header of a recording, written before the first frame."""
 
-    Parameters
-    ----------
-    size : (int, int)
-        Width and height of the pictures [px].
-    codec : str
-        `as-it-comes` stores the JPEG pictures of a camera bit for bit, `near` writes JPEG of high
-        quality, `exact` is lossless.
-    rig : str
-        Name of the rig; empty for none.
-    source : str
-        Source of the pictures.
-    simulated_by : str
-        Program that generated the pictures, if no camera did.
-    started : str
-        Time at which the clock was zero, ISO 8601 in UTC; empty for now.
-    rate : float
-        Nominal frames per second of the source, 0 for unknown; exact times are in the rows.
-    about : mapping of str to anything JSON can hold
-        Further metadata.
-    """
-
-    size: tuple[int, int]
+    size: tuple[int, int]  # width and height of the pictures [px]
+    # `as-it-comes` stores the JPEG pictures of a camera bit for bit, `near` writes JPEG of high
+    # quality, `exact` is lossless.
     codec: str = "near"
-    rig: str = ""
-    source: str = ""
-    simulated_by: str = ""
-    started: str = ""
+    rig: str = ""  # name of the rig; empty for none
+    source: str = ""  # source of the pictures
+    simulated_by: str = ""  # program that generated the pictures, if no camera did
+    started: str = ""  # time at which the clock was zero, ISO 8601 in UTC; empty for now
+    # Nominal frames per second of the source, 0 for unknown; exact times are in the rows.
     rate: float = 0.0
-    about: Mapping[str, Any] = field(default_factory=dict)
+    about: Mapping[str, Any] = field(default_factory=dict)  # further metadata
 
     def __post_init__(self) -> None:
         width, height = (int(side) for side in self.size)
@@ -92,27 +74,13 @@ class RecordingHeader:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingEnd:
-    """End mark of a recording, written after a regular end.
+    """End mark of a recording, written after a regular end."""
 
-    Parameters
-    ----------
-    frames : int
-        Number of frames.
-    seconds : float
-        Time of the last frame [s].
-    reason : str
-        Reason why the recording ended.
-    lost : int
-        Number of frames lost because the recorder was too slow.
-    problems : tuple of str
-        Other problems, one sentence each.
-    """
-
-    frames: int
-    seconds: float
-    reason: str
-    lost: int = 0
-    problems: tuple[str, ...] = ()
+    frames: int  # number of frames
+    seconds: float  # time of the last frame [s]
+    reason: str  # reason why the recording ended
+    lost: int = 0  # number of frames lost because the recorder was too slow
+    problems: tuple[str, ...] = ()  # other problems, one sentence each
 
 
 def write_header(folder: Path, header: RecordingHeader) -> None:

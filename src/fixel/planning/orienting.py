@@ -33,16 +33,6 @@ class PushFunction(Comparable):
     for any pressure on the plate with its centre at the centre of mass, and for any friction at the
     fence, as long as the fence moves along its normal.
 
-    Parameters
-    ----------
-    stable : (n,) float64
-        Directions in which the part rests, increasing from 0 to 2 pi [rad].
-    borders : (n,) float64
-        Directions between them, from which it may turn either way [rad]; the part comes to rest at
-        `stable[k]` from directions between `borders[k]` and `borders[k + 1]`.
-    symmetry : int
-        Number of equal turns by which directions and borders repeat.
-
     References
     ----------
     :cite:t:`goldberg1993`; :cite:t:`peshkin1988`.
@@ -56,9 +46,11 @@ class PushFunction(Comparable):
     (array([  0.,  90., 180., 270.]), 2)
     """
 
-    stable: FloatArray
+    stable: FloatArray  # (n,) directions in which the part rests, increasing from 0 to 2 pi [rad]
+    # (n,) Directions between them, from which it may turn either way [rad]; the part comes to rest
+    # at `stable[k]` from directions between `borders[k]` and `borders[k + 1]`.
     borders: FloatArray
-    symmetry: int
+    symmetry: int  # number of equal turns by which directions and borders repeat
 
     @classmethod
     def of(cls, part: Body | Shape) -> PushFunction:

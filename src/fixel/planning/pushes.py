@@ -30,22 +30,13 @@ CLEARANCE: Final = 0.25  # from the part where the tool is put down, relative to
 @final
 @dataclass(frozen=True, slots=True)
 class PlanPush:
-    """Push of a part by a free tool, relative to the part.
+    """Push of a part by a free tool, relative to the part."""
 
-    Parameters
-    ----------
-    contact : float
-        Point of the outline, as a share of the way round it, counter-clockwise from its first
-        corner, 0 to 1 [-].
-    angle : float
-        Direction of the push, from the inward normal at that point [rad].
-    length : float
-        Way of the tool after it has reached that point [m].
-    """
-
+    # Point of the outline, as a share of the way round it, counter-clockwise from its first corner,
+    # 0 to 1 [-].
     contact: float
-    angle: float
-    length: float
+    angle: float  # direction of the push, from the inward normal at that point [rad]
+    length: float  # way of the tool after it has reached that point [m]
 
     def __post_init__(self) -> None:
         non_negative(self.length, "push.length", "m")
@@ -61,22 +52,14 @@ class PlanPush:
 @final
 @dataclass(frozen=True, slots=True)
 class RigPush:
-    """Push on a rig with one straight axis: where the part is placed, and the stroke.
+    """Push on a rig with one straight axis: where the part is placed, and the stroke."""
 
-    Parameters
-    ----------
-    x, y, theta : float
-        Placement of the part, relative to its pose in the scene [m, m, rad].
-    stroke : float
-        Travel of the pusher [m].
-    fixels : mapping of str to (float, float)
-        Displacements of fixels from their places in the scene [m].
-    """
-
+    # Placement of the part, relative to its pose in the scene [m, m, rad].
     x: float
     y: float
     theta: float
-    stroke: float
+    stroke: float  # travel of the pusher [m]
+    # Displacements of fixels from their places in the scene [m].
     fixels: Mapping[str, tuple[float, float]]
 
     def __str__(self) -> str:

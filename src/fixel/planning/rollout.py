@@ -75,33 +75,19 @@ class PlannedMotions(NamedTuple):
 @final
 @dataclass(kw_only=True, eq=False)
 class PlanSimulator:
-    """Simulates plans of one scene.
+    """Simulates plans of one scene."""
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the part at its start; its pusher is the tool, as `PushChoice.prepared` makes it.
-    goal : Goal
-    choice : PushChoice
-    nominal : mapping of str to float
-        Parameters of the nominal simulation, whose poses the pushes are planned from.
-    motion, stepper : optional
-    samples : int
-        Number of poses that are kept of each push.
-    threads : int, optional
-    rollouts : int
-        Number of pushes simulated so far.
-    """
-
+    # Scene with the part at its start; its pusher is the tool, as `PushChoice.prepared` makes it.
     scene: Scene
     goal: Goal
     choice: PushChoice
+    # Parameters of the nominal simulation, whose poses the pushes are planned from.
     nominal: Mapping[str, float]
     motion: AbstractMotionModel
     stepper: AbstractStepper | None = None
-    samples: int = 1
+    samples: int = 1  # number of poses that are kept of each push
     threads: int | None = None
-    rollouts: int = 0
+    rollouts: int = 0  # number of pushes simulated so far
 
     def margins(self, runs: Runs) -> FloatArray:
         """Return the margins (n,) of the goal; far below zero where a run failed."""

@@ -96,25 +96,13 @@ class FoundNumbers(NamedTuple):
 @final
 @dataclass(kw_only=True, eq=False)
 class PlanSearch:
-    """Search for the plan that most often reaches a goal.
-
-    Parameters
-    ----------
-    simulator : PlanSimulator
-    belief : Belief
-    rollouts : int
-        Number of simulated pushes that the search should not exceed by much.
-    seed : int
-    first : sequence of (k, d) float64
-        Plans that are candidates in any case.
-    report : callable, optional
-    """
+    """Search for the plan that most often reaches a goal."""
 
     simulator: PlanSimulator
     belief: Belief
-    rollouts: int = 160_000
+    rollouts: int = 160_000  # number of simulated pushes that the search should not exceed by much
     seed: int = 0
-    first: Sequence[FloatArray] = ()
+    first: Sequence[FloatArray] = ()  # plans that are candidates in any case
     report: Callable[[Progress], None] | None = None
     best: float = 0.0
     done: int = 0

@@ -39,17 +39,12 @@ class ModelError:
     """Prior of the standard deviation tau of model error.
 
     Its logarithm is uniform between two ends: as likely 0.1 to 0.2 mm as 1 to 2 mm.
-
-    Parameters
-    ----------
-    low, high : float
-        Bounds of tau, the standard deviation at the end of the way [m].
-    angle_scale : float
-        Length that a radian counts as; the angle's standard deviation is tau over it [m/rad].
     """
 
+    # Bounds of tau, the standard deviation at the end of the way [m].
     low: float = MIN_DISCREPANCY
     high: float = MAX_DISCREPANCY
+    # Length that a radian counts as; the angle's standard deviation is tau over it [m/rad].
     angle_scale: float = ANGLE_SCALE
 
     def __post_init__(self) -> None:

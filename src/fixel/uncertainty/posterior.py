@@ -266,20 +266,13 @@ class Posterior(Result):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NestedSampling:
-    """Settings of nested sampling.
+    """Settings of nested sampling."""
 
-    Parameters
-    ----------
-    samples : int
-        Required number of effective samples; at least as many of equal weight are returned.
-    live : int, optional
-        Number of live points; by default chosen from `samples`, at least `MIN_LIVE`.
-    walks : bool, optional
-        Random walks instead of uniform draws; by default with more than six unknowns.
-    """
-
+    # Required number of effective samples; at least as many of equal weight are returned.
     samples: int = 1000
+    # Number of live points; by default chosen from `samples`, at least `MIN_LIVE`.
     live: int | None = None
+    # Random walks instead of uniform draws; by default with more than six unknowns.
     walks: bool | None = None
 
     def __post_init__(self) -> None:

@@ -25,20 +25,11 @@ FEW_EXPERIMENTS: Final = 10  # number of experiments below which little can be c
 @final
 @dataclass(frozen=True)
 class ReportData:
-    """Experiments of a report.
+    """Experiments of a report."""
 
-    Parameters
-    ----------
-    summaries : list of ExperimentRow
-        Experiments that are used.
-    flags : mapping from name of a flag to how many experiments of the project carry it
-    left_out : int
-        Number of experiments of the project that are left out for their flags.
-    """
-
-    summaries: list[ExperimentRow]
-    flags: Mapping[str, int]
-    left_out: int
+    summaries: list[ExperimentRow]  # experiments that are used
+    flags: Mapping[str, int]  # how many experiments of the project carry each flag
+    left_out: int  # number of experiments of the project that are left out for their flags
 
     @property
     def simulated(self) -> int:
