@@ -352,46 +352,48 @@ def test_a_map_for_every_threshold(bench, name):
     assert (panel["across"]["name"], panel["up"]["name"]) == ("offset_y_m", "shape")
     assert len(panel["rows"]) == len(panel["up"]["ticks"]) == 2
     assert len(panel["rows"][0]) == len(panel["across"]["ticks"])
-    assert {point["group"] for point in view["points"]} == {0}
+    (cells,) = view["cells"]
+    assert all(
+        one["within"] == (one["error"] <= view["threshold"])
+        for cell in cells
+        for one in cell["experiments"]
+    )
     assert any("Measurement noise" in remark for remark in view["remarks"])
     for below in ("threshold=0", "threshold=nan", "level=1"):
-        assert bench.get(f"/domain/{name}/map?{below}", 422)
+        assert bench.get(f"/domain/{name}?{below}", 422)
+        assert 'role="alert"' in bench.client.get(f"/domain?{below}").text
 
 
 def test_more_is_within_a_larger_threshold(bench, name):
     chances = []
     for threshold in (1.0, 3.0, 10.0, 30.0):
-        shown = bench.get(f"/domain/{name}/map?threshold={threshold}")
-        values = [p for row in shown["chance"] for p in row if p is not None]
+        shown = bench.get(f"/domain/{name}?threshold={threshold}")
+        values = [cell["chance"] for cell in chain(*shown["cells"]) if cell["chance"] is not None]
         assert all(0.0 <= p <= 1.0 for p in values)
         chances.append(np.array(values))
-        assert sum(int(n) for _, n in shown["figures"][:-1]) == sum(map(len, shown["colour"]))
+        assert sum(int(n) for _, n in shown["figures"][:-1]) == sum(map(len, shown["cells"]))
         assert f"--threshold-mm {threshold}" in shown["command"]
     assert all((b >= a - 1e-3).all() for a, b in pairwise(chances))
 
 
 def test_it_is_the_map_that_was_kept(bench, name, project):
-    kept = json.loads((project / "analyses" / name / "analysis.json").read_text())
-    shown = bench.get(f"/domain/{name}/map")
-    colours = [shown["colours"][k] for row in shown["colour"] for k in row]
-    assert colours == [cell["colour"] for cell in kept["numbers"]["cells"]]
-    for p, cell in zip(chain(*shown["chance"]), kept["numbers"]["cells"], strict=True):
-        assert p == (
+    kept = json.loads((project / "analyses" / name / "analysis.json").read_text())["numbers"]
+    cells = list(chain(*bench.get(f"/domain/{name}")["cells"]))
+    assert [cell["colour"] for cell in cells] == [cell["colour"] for cell in kept["cells"]]
+    for shown, cell in zip(cells, kept["cells"], strict=True):
+        assert shown["chance"] == (
             None if cell["confidence"] is None else pytest.approx(cell["confidence"], abs=1e-4)
         )
-    inside = [bool(k) for row in shown["inside"] for k in row]
-    assert inside == [cell["in_domain"] for cell in kept["numbers"]["cells"]]
+    assert [cell["inside"] for cell in cells] == [cell["in_domain"] for cell in kept["cells"]]
     suggested = bench.get(f"/domain/{name}/next")["proposals"]
-    assert [one["where"] for one in suggested] == [
-        one["cell"] for one in kept["numbers"]["next"][:3]
-    ]
+    assert [one["where"] for one in suggested] == [one["cell"] for one in kept["next"][:3]]
 
 
 def test_another_threshold_answers_at_once(bench, name):
-    bench.get(f"/domain/{name}/map")
+    bench.get(f"/domain/{name}")
     begun = time.process_time()
     for k in range(5):
-        bench.get(f"/domain/{name}/map?threshold={3 + k}")
+        bench.get(f"/domain/{name}?threshold={3 + k}")
     each = (time.process_time() - begun) / 5
     print(f"{1e3 * each:.0f} ms")
     assert each < ANSWERS_WITHIN

@@ -18,6 +18,10 @@ ROLES: Final = {
 # Backgrounds of text; the same as --card in style.css.
 LIGHT: Final = "#ffffff"
 DARK: Final = "#1b2127"
+# Colours of the probabilities 0, 1/2 and 1.
+NO: Final = "#8c2d04"
+UNDECIDED: Final = "#f5f0e6"
+YES: Final = "#005fa0"
 READABLE: Final = 4.6  # contrast of text; WCAG AA asks for 4.5
 VISIBLE: Final = 3.1  # contrast of lines; WCAG AA asks for 3.0
 
@@ -31,7 +35,20 @@ def palette_css() -> str:
     return (
         "/* Made from fixel.drawing.palette. */\n"
         f":root {{\n{light}\n}}\n@media (prefers-color-scheme: dark) {{\n:root {{\n{dark}\n}}\n}}\n"
+        + "\n".join(map(_of_probability, range(101)))
     )
+
+
+def _of_probability(percent: int) -> str:
+    """Return the rule of a class for a probability: brown over pale to blue.
+
+    It is pale where little is known, so that what is decided stands out.
+    """
+    to, share = NO if percent < 50 else YES, abs(2 * percent / 100 - 1) ** 2.5
+    mixed = (c + (t - c) * share for c, t in zip(_rgb(UNDECIDED), _rgb(to), strict=True))
+    colour = "#" + "".join(f"{round(255 * c):02x}" for c in mixed)
+    ink = "#101418" if _lightness(colour) > 0.18 else "#ffffff"
+    return f".p{percent} {{ background: {colour}; color: {ink}; }}"
 
 
 def _lines(ground: str) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -41,6 +42,11 @@ def short(value: float | None) -> str:
     if value is None or not math.isfinite(value):
         return NONE
     return f"{value:.4g}".replace("-", "\u2212", 1)
+
+
+def minus(text: str) -> str:
+    """Return a text with true minus signs before its numbers."""
+    return re.sub(r"(^|\s)-(?=[\d.])", "\\1\u2212", text)
 
 
 def count(number: int) -> str:
@@ -114,6 +120,7 @@ FILTERS: Final[Mapping[str, Callable[..., Any]]] = {
     for filter in (
         fixed,
         short,
+        minus,
         count,
         several,
         lasting,

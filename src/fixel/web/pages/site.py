@@ -13,7 +13,8 @@ from typing import Any, Final
 
 from fastapi import Request
 
-from fixel.errors import NotStored
+from fixel.domain.claim import COLOURS
+from fixel.errors import FixelError, NotStored
 from fixel.model.selection import ExperimentQuery
 from fixel.simulation.engine_names import installed_engines
 from fixel.web.api.system import system_status
@@ -22,7 +23,7 @@ from fixel.web.context import ProjectContext
 from fixel.web.pages import calibration, experiment, run
 from fixel.web.pages.listing import experiments_page
 from fixel.web.views import scene_editor
-from fixel.web.views.domain_views import MAP_KEY
+from fixel.web.views.domain_views import MAP_KEY, shown_map
 from fixel.workflows.analysis import load_with_errors
 
 OFFERED: Final = 300  # names in the list of experiments
@@ -97,19 +98,26 @@ def compare_page(context: ProjectContext, request: Request) -> dict[str, Any]:
 
 
 def domain_page(context: ProjectContext, request: Request) -> dict[str, Any]:
-    """Fill `/domain?map=NAME`; by default with the newest map."""
+    """Fill `/domain?map=NAME&threshold=&level=&confidence=&cell=`; by default the newest map."""
     maps, unreadable = load_with_errors(context.project, "domain")
     wanted = request.query_params.get("map", "")
-    chosen = next((one for one in maps if one.folder.name == wanted), None)
-    chosen = chosen or (maps[0] if maps else None)
-    return {
-        "name": "" if chosen is None else chosen.folder.name,
-        "chosen": None if chosen is None else chosen.analysis,
-        "numbers": {} if chosen is None else chosen.analysis.numbers,
+    chosen = next((one for one in maps if one.folder.name == wanted), maps[0] if maps else None)
+    found: dict[str, Any] = {
+        "maps": maps,
+        "chosen": chosen,
+        "drawn": None,
         "key": MAP_KEY,
-        "maps": [(one.folder.name, one.analysis) for one in maps],
+        "signs": dict(zip(COLOURS, (sign for _, sign, _ in MAP_KEY), strict=True)),
         "unreadable": [str(problem) for problem in unreadable],
+        "trouble": "",
     }
+    if chosen is not None:
+        try:
+            view = context.domain(chosen.folder.name, chosen.analysis.created)
+            found |= shown_map(view, request.query_params, context.folder)
+        except FixelError as problem:
+            found["trouble"] = str(problem)
+    return found
 
 
 def simulate_page(context: ProjectContext, request: Request) -> dict[str, Any]:

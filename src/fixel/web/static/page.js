@@ -100,11 +100,26 @@ async function sent(form) {
   if (button && document.activeElement === document.body) document.getElementById(button.id)?.focus();
 }
 
-/** Show what a filter selects. @param {HTMLFormElement} form */
-function searched(form) {
-  const fields = [...new FormData(form)].filter(([, value]) => value !== "");
-  const query = new URLSearchParams(/** @type {[string, string][]} */ (fields));
-  renew(`${location.pathname}${query.size ? `?${query}` : ""}`).catch(complain);
+let busy = false;
+/** @type {FormData | null} */
+let waiting = null;
+
+/**
+ * Show what a filter selects: one request at a time, the newest one next.
+ * @param {HTMLFormElement} form
+ * @param {HTMLElement | null} [button] that was pressed
+ */
+async function searched(form, button) {
+  waiting = new FormData(form, button);
+  if (busy) return;
+  busy = true;
+  while (waiting) {
+    const fields = [...waiting].filter(([, value]) => value !== "");
+    const query = new URLSearchParams(/** @type {[string, string][]} */ (fields));
+    waiting = null;
+    await renew(`${location.pathname}${query.size ? `?${query}` : ""}`).catch(complain);
+  }
+  busy = false;
 }
 
 const typed = settled(searched, 150);
@@ -114,10 +129,12 @@ document.addEventListener("submit", (event) => {
   if (!form.matches("[data-send], [data-live]")) return;
   event.preventDefault();
   if (form.dataset.send) sent(form);
-  else searched(form);
+  else searched(form, event.submitter);
 });
 document.addEventListener("input", ({ target }) => {
-  if (target instanceof HTMLInputElement && target.form?.matches("[data-live]")) typed(target.form);
+  if (!(target instanceof HTMLInputElement) || !target.form?.matches("[data-live]")) return;
+  if (target.type === "range") searched(target.form);
+  else typed(target.form);
 });
 document.addEventListener("change", ({ target }) => {
   if (target instanceof HTMLSelectElement && target.matches("[data-goes]")) location.assign(target.value);

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import BaseModel, Field, ValidationError
 
 from fixel.database.project import Project
 from fixel.database.store import Store
@@ -15,6 +18,7 @@ from fixel.domain.claim import COLOURS, TRUSTED, CellVerdict, Claim
 from fixel.domain.domain import DomainMap
 from fixel.domain.evidence import value_of
 from fixel.errors import InvalidInput, JobRefused, NotStored
+from fixel.units import split_unit
 from fixel.web.values import Answer, Finite
 from fixel.workflows.analysis import StoredAnalysis, find_analysis
 from fixel.workflows.domain.evidence import DomainEvidence, load_evidence
@@ -24,11 +28,13 @@ from fixel.workflows.domain.run import DOMAIN
 
 MAX_GROUPS: Final = 40
 MAX_CELLS: Final = 40_000  # of all groups
+AT_ONCE: Final = 500  # cells of all groups for which suggestions come with the page
+STEPS: Final = 1000  # of the slider of thresholds
 # Class, sign and meaning of each colour, in the order of `COLOURS`; signs tell what colours tell.
 MAP_KEY: Final = (
-    ("trusted", "✓", "trusted: errors stay within the threshold"),
-    ("doubtful", "?", "doubtful: too few experiments"),
-    ("not-trusted", "✕", "not trusted: errors exceed the threshold"),
+    ("trusted p100", "✓", "trusted: errors stay within the threshold"),
+    ("doubtful p50", "?", "doubtful: too few experiments"),
+    ("not-trusted p0", "✕", "not trusted: errors exceed the threshold"),
     ("no-data", "", "no experiment"),
     ("predicted", "◌", "no experiment; predicted from other cells"),
 )
@@ -40,6 +46,12 @@ class AxisTicks(Answer):
     name: str
     unit: str = Field(description="unit of the tick labels")
     ticks: list[str]
+
+    @property
+    def label(self) -> str:
+        """Name and unit for people."""
+        name = split_unit(self.name)[0] if self.unit else self.name
+        return name.replace("_", " ") + (f" [{self.unit}]" if self.unit else "")
 
 
 class DomainPanel(Answer):
@@ -55,43 +67,68 @@ class MapPoint(Answer):
 
     id: int
     key: str
-    group: int
-    cell: int
     error: Finite = Field(
         description="error in the unit of the threshold; null if the simulation failed"
     )
+    within: bool = Field(description="whether the error is at most the threshold")
+
+
+class MapCell(Answer):
+    """A cell of the map of one group, at the threshold of a claim."""
+
+    where: str
+    colour: str
+    chance: Finite = Field(
+        description="probability that at least the share of the claim of new experiments stays "
+        "within the threshold"
+    )
+    percent: int | None = Field(description="the same as text for people")
+    inside: bool = Field(description="whether the cell is in the domain D(tau)")
+    experiments: list[MapPoint] = Field(description="held-out experiments, largest error first")
 
 
 class MapDocument(Answer):
-    """A map for every threshold: its cells and what lies in them."""
+    """A map at the threshold of a claim."""
 
     name: str
     title: str
+    threshold: float
+    level: float
+    confidence: float
     unit: str = Field(description="unit of thresholds and errors: mm, or empty for relative errors")
     low: float = Field(description="smallest useful threshold; errors below it are noise")
     high: float
     groups: list[str] = Field(description="names of the groups, one map for each")
     panels: list[DomainPanel]
-    texts: list[str] = Field(description="description of each cell")
     centre: int = Field(description="index of the nominal cell")
-    points: list[MapPoint]
+    cells: list[list[MapCell]] = Field(description="by group and index")
+    figures: list[tuple[str, str]] = Field(description="counts of cells, with their titles")
     remarks: list[str] = Field(description="sentences about experiments and maps left out")
     simulated: bool
-
-
-class ThresholdMap(Answer):
-    """A map at one threshold."""
-
-    colours: list[str]
-    colour: list[list[int]] = Field(description="index into `colours` by group and cell")
-    chance: list[list[Finite]] = Field(
-        description="probability that at least the share of the claim of new experiments stays "
-        "within the threshold"
-    )
-    percent: list[list[int | None]] = Field(description="the same as text for people")
-    inside: list[list[int]] = Field(description="1 for cells in the domain D(tau), else 0")
-    figures: list[tuple[str, str]] = Field(description="counts of cells, with their titles")
     command: str
+
+    @property
+    def slider(self) -> int:
+        """Place of the threshold between the lowest and the highest one, on a logarithmic scale."""
+        share = np.log(self.threshold / self.low) / np.log(self.high / self.low)
+        return round(STEPS * float(share))
+
+
+class ClaimQuery(BaseModel):
+    """Claim that a map is checked for; by default the one that it was made for."""
+
+    threshold: float | None = Field(
+        None,
+        gt=0.0,
+        le=1e6,
+        description="threshold [mm], or as a share above the smallest error of the experiment",
+    )
+    level: float | None = Field(None, gt=0.0, lt=1.0)
+    confidence: float | None = Field(None, gt=0.5, lt=1.0)
+
+    def claim(self, view: MapView) -> Claim:
+        """Return the claim for a map."""
+        return replace(view.domain.claimed, **self.model_dump(exclude_none=True))
 
 
 class SuggestedExperiment(Answer):
@@ -165,8 +202,8 @@ def load_view(project: Project, records: Store, name: str, created: str) -> MapV
     return MapView(one, gathered, *map_of(gathered, asked, one.arrays))
 
 
-def document(view: MapView) -> MapDocument:
-    """Return what a page needs to draw a map at any threshold.
+def document(view: MapView, claim: Claim, folder: Path) -> MapDocument:
+    """Return a map of the project in a folder at the threshold of a claim.
 
     Raises
     ------
@@ -182,55 +219,60 @@ def document(view: MapView) -> MapDocument:
     if floor is not None:
         remarks.append(f"Measurement noise: {floor:.2g} mm ({found['floor_from']}).")
         low = max(low, floor) if domain.measure == "absolute" else low
-    high = max(high, 1.1 * low)
     if n := view.n_aside:
         remarks.append(
             f"{n} experiments are skipped: their offset is along a coordinate without an axis."
         )
     if n := len(domain.groups) - len(groups):
         remarks.append(f"{n} more maps cannot be shown here.")
+    verdicts = domain.verdicts(claim)
+    inside = [cells.component([v.colour == TRUSTED for v in own]) for own in verdicts]
+    lying = _points(domain, claim)
     return MapDocument(
         name=view.kept.folder.name,
         title=view.kept.analysis.title,
+        threshold=claim.threshold,
+        level=claim.level,
+        confidence=claim.confidence,
         unit="mm" if domain.measure == "absolute" else "",
         low=low,
-        high=high,
+        high=max(high, 1.1 * low),
         groups=list(groups),
         panels=_panels(cells),
-        texts=[cells.text(c) for c in range(len(cells))],
         centre=cells.nominal,
-        points=_points(domain),
+        cells=[
+            [
+                MapCell(
+                    where=cells.text(c),
+                    colour=verdict.colour,
+                    chance=round(verdict.confidence, 4),
+                    percent=_percent(verdict, claim),
+                    inside=c in set_inside,
+                    experiments=lying[group, c],
+                )
+                for c, verdict in enumerate(own)
+            ]
+            for group, own, set_inside in zip(groups, verdicts, map(set, inside), strict=False)
+        ],
+        figures=_figures([v.colour for own in verdicts for v in own], inside, len(cells)),
         remarks=remarks,
         simulated=not view.gathered.is_real,
-    )
-
-
-def at_threshold(view: MapView, claim: Claim, folder: Path) -> ThresholdMap:
-    """Evaluate a map of the project in a folder at the threshold of a claim."""
-    domain = view.domain
-    verdicts = domain.verdicts(claim)
-    colour = [[COLOURS.index(verdict.colour) for verdict in own] for own in verdicts]
-    inside = []
-    for own in verdicts[:MAX_GROUPS]:
-        connected = set(domain.cells.component([v.colour == TRUSTED for v in own]))
-        inside.append([int(c in connected) for c in range(len(domain.cells))])
-    count = [sum(own.count(k) for own in colour) for k in range(len(COLOURS))]
-    figures = [(f"{MAP_KEY[k][1]} {COLOURS[k]}", str(count[k])) for k in range(3)]
-    low, high = (end(sum(own) for own in inside) for end in (min, max))
-    size = f"{low}" if low == high else f"{low} to {high}"
-    return ThresholdMap(
-        colours=list(COLOURS),
-        colour=colour[:MAX_GROUPS],
-        chance=[[round(v.confidence, 4) for v in own] for own in verdicts[:MAX_GROUPS]],
-        percent=[[_percent(v, claim) for v in own] for own in verdicts[:MAX_GROUPS]],
-        inside=inside,
-        figures=[
-            *figures,
-            ("no experiment", str(sum(count[3:]))),
-            ("cells in D(τ)", f"{size} of {len(domain.cells)}"),
-        ],
         command=DOMAIN.command(claimed(DOMAIN.request(view.kept.analysis.request), claim), folder),
     )
+
+
+def _figures(
+    colours: Sequence[str], inside: Sequence[Sequence[int]], n: int
+) -> list[tuple[str, str]]:
+    """Return counts of cells with their titles."""
+    count = [colours.count(colour) for colour in COLOURS]
+    low, high = min(map(len, inside)), max(map(len, inside))
+    size = f"{low}" if low == high else f"{low} to {high}"
+    return [
+        *((f"{MAP_KEY[k][1]} {COLOURS[k]}", str(count[k])) for k in range(3)),
+        ("no experiment", str(sum(count[3:]))),
+        ("cells in D(τ)", f"{size} of {n}"),
+    ]
 
 
 def _percent(verdict: CellVerdict, claim: Claim) -> int | None:
@@ -258,22 +300,22 @@ def suggested(view: MapView, claim: Claim, most: int = 3) -> list[SuggestedExper
     ]
 
 
-def _points(domain: DomainMap) -> list[MapPoint]:
-    """Held-out errors in the unit of the threshold: mm, or a share above the own best."""
-    evidence, number = domain.evidence, {group: g for g, group in enumerate(domain.groups)}
-    return [
-        MapPoint(
+def _points(domain: DomainMap, claim: Claim) -> dict[tuple[str, int], list[MapPoint]]:
+    """Held-out errors by group and cell in the unit of the threshold: mm, or a share above the own
+    best."""
+    evidence, found = domain.evidence, defaultdict(list)
+    scores = zip(domain.place.tolist(), domain.scores.tolist(), strict=True)
+    known = [(k, cell, s) for k, (cell, s) in enumerate(scores) if cell >= 0 and not np.isnan(s)]
+    for k, cell, score in sorted(known, key=lambda one: -one[2]):
+        error = value_of(score, domain.measure) if np.isfinite(score) else score
+        point = MapPoint(
             id=evidence.ids[k],
             key=evidence.keys[k],
-            group=number[evidence.group[k]],
-            cell=cell,
-            error=value_of(score, domain.measure) if np.isfinite(score) else score,
+            error=error,
+            within=bool(error <= claim.threshold),
         )
-        for k, (cell, score) in enumerate(
-            zip(domain.place.tolist(), domain.scores.tolist(), strict=True)
-        )
-        if cell >= 0 and not np.isnan(score)
-    ]
+        found[evidence.group[k], cell].append(point)
+    return found
 
 
 def _panels(cells: Cells) -> list[DomainPanel]:
@@ -297,3 +339,30 @@ def _panels(cells: Cells) -> list[DomainPanel]:
 
 def _ticks(axis: CellAxis) -> AxisTicks:
     return AxisTicks(name=axis.name, unit=axis.unit, ticks=[axis.text(k) for k in range(len(axis))])
+
+
+def shown_map(view: MapView, query: Mapping[str, str], folder: Path) -> dict[str, Any]:
+    """Return what the page shows of a map: at the threshold and for the cell of a query.
+
+    Raises
+    ------
+    InvalidInput
+        No claim has such a threshold, or the map has too many cells for a page.
+    """
+    given = {name: query[name] for name in ClaimQuery.model_fields if query.get(name)}
+    try:
+        claim = ClaimQuery.model_validate(given).claim(view)
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        where = str(first["loc"][0])
+        raise InvalidInput(where, found=first["input"], expected=first["msg"]) from None
+    drawn = document(view, claim, folder)
+    # The cell that was clicked now, or else before.
+    group, _, cell = (query.get("cell") or query.get("picked") or "").partition(" ")
+    known = group.isdecimal() and cell.isdecimal() and int(group) < len(drawn.groups)
+    at_once = len(drawn.cells) * len(drawn.cells[0]) <= AT_ONCE or bool(query.get("suggest"))
+    return {
+        "drawn": drawn,
+        "picked": (int(group), int(cell)) if known and int(cell) < len(drawn.cells[0]) else None,
+        "suggested": suggested(view, claim) if at_once else None,
+    }
