@@ -17,12 +17,13 @@ import math
 
 import numpy as np
 
+from fixel.kernels import entries
 from fixel.kernels.allocate import empty_problem, empty_workspace
 from fixel.kernels.arrays import N_CONTACT, N_DOF, N_ELEMENT, N_FREE_DOF, Problem, Workspace
 from fixel.kernels.assembly import set_stiffness
 from fixel.kernels.codes import DYNAMIC, FIRST_ORDER, QUASI_STATIC
 from fixel.kernels.jit import allocating_kernel, entry, kernel
-from fixel.kernels.solve import MAX_ATTEMPTS, TOLERANCE, solve
+from fixel.kernels.solve import MAX_ATTEMPTS, TOLERANCE
 from fixel.typing import FloatArray, IntArray
 
 MAX_BODIES = 6
@@ -360,6 +361,34 @@ def draw(seed: int) -> tuple[Problem, Workspace, FloatArray, int]:
 
 
 @entry
+def _begin(
+    problem: Problem,
+    aim: FloatArray,
+    guess: FloatArray,
+    place: FloatArray,
+    random: IntArray,
+    seed: int,
+) -> int:
+    """Draw the problem of a seed and a cold start; return its motion."""
+    motion, _ = fill(problem, aim, place, random, seed)
+    share = _uniform(random)
+    for i in range(problem.size[N_DOF]):
+        # Cold start: from rest, from v*, or from a share of v*.
+        guess[i] = aim[i] * (0.0 if share < 0.3 else (1.0 if share < 0.6 else share))
+        problem.velocity[i] = guess[i]
+    return motion
+
+
+@entry
+def _go_on(
+    problem: Problem, aim: FloatArray, guess: FloatArray, random: IntArray, motion: int
+) -> None:
+    """Change a solved problem to one that could be its next step, which starts warm."""
+    shift(problem, aim, random, motion)
+    for i in range(problem.size[N_DOF]):
+        guess[i] = problem.velocity[i]
+
+
 def solve_many(
     first: int, count: int, solver: int, effort: int, failed: IntArray, tally: FloatArray
 ) -> int:
@@ -369,27 +398,21 @@ def solve_many(
     numbers of solver calls and of fallbacks are added to [0] and [1], and [2] becomes the largest
     residual of a success. Returns the number of failures.
     """
-    problem, work = _room()
+    problem, work = entries.empty(MAX_DOF, MAX_CONTACTS, MAX_ELEMENTS, 0, 0, 0, 0)
     aim = np.zeros(MAX_DOF + 2)
     guess = np.zeros(MAX_DOF + 2)
     place = np.zeros((MAX_BODIES, 2))
     random = np.zeros(1, np.int64)
     n_failed = 0
     for seed in range(first, first + count):
-        motion, _ = fill(problem, aim, place, random, seed)
-        share = _uniform(random)
-        for i in range(problem.size[N_DOF]):
-            # Cold start: from rest, from v*, or from a share of v*.
-            guess[i] = aim[i] * (0.0 if share < 0.3 else (1.0 if share < 0.6 else share))
-            problem.velocity[i] = guess[i]
+        motion = _begin(problem, aim, guess, place, random, seed)
         for warm in range(2):
             if warm == 1:
-                shift(problem, aim, random, motion)
-                for i in range(problem.size[N_DOF]):
-                    guess[i] = problem.velocity[i]
-            off, fell_back = solve(problem, work, guess, solver, effort, MAX_ATTEMPTS)
-            tally[0] += 1.0
-            tally[1] += fell_back
+                _go_on(problem, aim, guess, random, motion)
+            off, fell_back = entries.solve_problem(
+                problem, work, guess, solver, effort, MAX_ATTEMPTS
+            )
+            tally[:2] += 1.0, fell_back
             if off <= TOLERANCE:
                 tally[2] = max(tally[2], off)
             else:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Literal, get_args, get_origin
@@ -164,14 +165,20 @@ def requests_of(capability):
     return st.fixed_dictionaries(shown).map(grouped)
 
 
+@cache
+def parser_of(specimen):
+    """Parser of the program, or of the specimen alone."""
+    if not specimen:
+        return typer.main.get_command(app)
+    program = typer.Typer()
+    program.command()(typer_command(SPECIMEN))
+    return typer.main.get_command(program)
+
+
 def parsed(capability, command):
     """Return the request of a shell command, as the program parses it."""
     words = shlex.split(command)[1:]
-    parser = typer.main.get_command(app)
-    if capability is SPECIMEN:
-        program = typer.Typer()
-        program.command()(typer_command(capability))
-        parser = typer.main.get_command(program)
+    parser = parser_of(capability is SPECIMEN)
     for word in capability.path:
         assert words.pop(0) == word
         parser = parser if capability is SPECIMEN else parser.commands[word]
@@ -186,7 +193,7 @@ def required(capability):
 
 @EVERY
 @given(data=st.data())
-@settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
 def test_every_door_makes_the_same_request(capability, data):
     request = data.draw(requests_of(capability))
 
@@ -314,11 +321,25 @@ def project_of_all(folder):
     return project_of(folder, [*pushes, *parts])
 
 
+@pytest.fixture(scope="module")
+def runs():
+    """Runs of capabilities here, by their names."""
+    return {}
+
+
+@pytest.fixture
+def here(name, lab, runs):
+    if name not in runs:
+        capability = CAPABILITIES[name]
+        request = capability.request(SHORT[name])
+        runs[name] = run(capability, request, lab.folder, progress=False).analysis
+    return runs[name]
+
+
 @STORING
-def test_a_stored_result_prints_the_same_text_in_a_new_process(name, lab):
+def test_a_stored_result_prints_the_same_text_in_a_new_process(name, lab, here):
     project, capability = lab, CAPABILITIES[name]
     request = capability.request(SHORT[capability.name])
-    done = run(capability, request, project.folder, progress=False)
     (kept,) = load_analyses(project, capability.name)
 
     assert capability.request(kept.analysis.request) == request
@@ -331,14 +352,13 @@ def test_a_stored_result_prints_the_same_text_in_a_new_process(name, lab):
     )
     words = [sys.executable, "-c", code, str(project.folder), capability.name]
     printed = subprocess.run(words, capture_output=True, text=True, check=True).stdout
-    assert printed.splitlines() == done.analysis.lines()
+    assert printed.splitlines() == here.lines()
 
 
 @STORING
-def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, lab):
+def test_a_job_stores_the_same_analysis_and_shows_its_progress(name, lab, here):
     project, capability = lab, CAPABILITIES[name]
     request = capability.request(SHORT[capability.name])
-    here = run(capability, request, project.folder, progress=False).analysis
     shown = []
     folder = prepare(capability, request, Project(project.folder))
     status = jobs.run_here(folder, shown.append)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from PIL import Image
 from tests.drawing.collisions import axes_of, check_page
 
+from fixel.drawing import palette
 from fixel.drawing.experiment import (
     comparison_figure,
     draw_comparison,
@@ -55,6 +57,17 @@ def test_experiments_and_comparisons_can_be_drawn(tmp_path):
     draw_experiment(REAL, tmp_path / "one.png")
     draw_comparison(REAL, AWAY, tmp_path / "both.png", TACTILE)
     assert all(path.stat().st_size > 5000 for path in tmp_path.iterdir())
+
+
+def test_users_get_embedded_fonts_and_300_pixels_an_inch(tmp_path, full_style, monkeypatch):
+    monkeypatch.setattr(palette, "STYLE", full_style)
+    draw_comparison(REAL, AWAY, tmp_path / "both.png", TACTILE)
+    draw_comparison(REAL, AWAY, tmp_path / "both.pdf", TACTILE)
+    with Image.open(tmp_path / "both.png") as image:
+        assert image.info["dpi"] == pytest.approx((300.0, 300.0), abs=0.1)
+    written = (tmp_path / "both.pdf").read_bytes()
+    assert b"/FontFile2" in written  # TrueType
+    assert b"/Type3" not in written
 
 
 @pytest.mark.parametrize("experiment", EVERY.values(), ids=EVERY)

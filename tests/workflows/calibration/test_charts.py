@@ -32,7 +32,18 @@ def lab(tmp_path_factory):
         return project, run.select_experiments(store, (), ExperimentQuery())
 
 
+_DONE = {}
+
+
 def _done(lab, n=4, **changes):
+    """Calibrate some of the experiments, once for each question."""
+    question = (str(lab[0].folder), n, *changes.items())
+    if question not in _DONE:
+        _DONE[question] = _calibrated(lab, n, changes)
+    return _DONE[question]
+
+
+def _calibrated(lab, n, changes):
     project, chosen = lab
     few = replace(chosen, ids=chosen.ids[:n], targets=chosen.targets[:n])
     scenes = [target.case.scene for target in few.targets]
