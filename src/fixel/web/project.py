@@ -20,7 +20,6 @@ from fixel.web.api import (
     domain,
     experiments,
     jobs,
-    planning,
     scenes,
     system,
 )
@@ -32,11 +31,11 @@ from fixel.web.views.live_comparison import warm_up
 
 ROUTERS: Final = (
     jobs.runs,
+    analyses.plans,
     *(
         resource.router
         for resource in (
-            analyses, calibration, changes, compare, domain, experiments, jobs, planning, scenes,
-            system,
+            analyses, calibration, changes, compare, domain, experiments, jobs, scenes, system,
         )
     ),
 )  # fmt: skip

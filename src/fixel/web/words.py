@@ -10,6 +10,7 @@ from typing import Any, Final
 from markupsafe import Markup
 
 from fixel.table import Table
+from fixel.typing import FloatArray
 from fixel.units import displayed, split_unit
 
 NONE: Final = "\u2013"  # for what is not known
@@ -110,6 +111,11 @@ def verdict(name: str) -> tuple[str, str]:
     return _VERDICTS.get("trades off" if name.startswith("trades") else name, ("", ""))
 
 
+def corners(outline: FloatArray) -> str:
+    """Return the corners of an outline for an SVG [mm]; its y points down."""
+    return " ".join(f"{1e3 * x:.3f},{-1e3 * y:.3f}" for x, y in outline)
+
+
 def html(table: Table) -> Markup:
     """Return a table as markup; it escapes its texts itself."""
     return Markup(table.html())
@@ -129,6 +135,7 @@ FILTERS: Final[Mapping[str, Callable[..., Any]]] = {
         touched,
         rms,
         verdict,
+        corners,
         html,
     )
 }

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final
 
 from fastapi import APIRouter
 from fastapi.responses import FileResponse
 from pydantic import Field
 
-from fixel.errors import NotStored
+from fixel.errors import FixelError, NotStored
 from fixel.web.context import Context
 from fixel.web.values import Answer
 from fixel.workflows.analysis import (
@@ -18,10 +19,14 @@ from fixel.workflows.analysis import (
     find_analysis,
     load_with_errors,
 )
+from fixel.workflows.planning.execute import run_on_testbed
+from fixel.workflows.planning.report import FILE
+from fixel.workflows.planning.stored import load_plan, load_trials
 
 TYPES: Final = {"png": "image/png", "pdf": "application/pdf", "csv": "text/csv"}
 
 router = APIRouter(prefix="/analyses", tags=["analyses"])
+plans = APIRouter(prefix="/plan", tags=["planning"])
 
 
 class TableText(Answer):
@@ -97,3 +102,30 @@ def picture(context: Context, name: str, picture: str, ending: str) -> FileRespo
     if not path.is_file():
         raise NotStored(f"chart {picture}.{ending} of {name}", hint="run the analysis again")
     return FileResponse(path, media_type=TYPES[ending])
+
+
+class PlanTrialAnswer(Answer):
+    """Trials of a stored plan, as lines of text."""
+
+    lines: list[str]
+
+
+@plans.post("/{name}/trials", summary="Carry out a plan 20 times on the simulated testbed")
+def trials(context: Context, name: str) -> PlanTrialAnswer:
+    own = find_analysis(context.project, name, "plan")
+    if own is None or not (own.folder / FILE).is_file():
+        raise NotStored(f"plan {name!r}", hint="/analyses lists all")
+    run_on_testbed(own.folder / FILE, trials=20)
+    return PlanTrialAnswer(lines=trials_of(own.folder))
+
+
+def trials_of(folder: Path) -> list[str]:
+    """Return the trials of a stored plan as lines of text; none without a plan file."""
+    path = folder / FILE
+    if not path.is_file():
+        return []
+    try:
+        found = load_trials(path, load_plan(path))
+    except FixelError as problem:
+        return [str(problem)]
+    return str(found).splitlines() if found.n else []

@@ -6,10 +6,12 @@ import json
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import degrees
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
+import numpy as np
 from fastapi import Request
 from pydantic import BaseModel
 
@@ -20,10 +22,10 @@ from fixel.errors import FixelError, InvalidInput, NotStored
 from fixel.jobs import folder as files
 from fixel.model.selection import ExperimentQuery
 from fixel.simulation.trust import check_named
+from fixel.web.api.analyses import trials_of
 from fixel.web.context import ProjectContext
 from fixel.web.problems import problem_of
 from fixel.web.views import job_list
-from fixel.web.views.plan_view import trials_of
 from fixel.workflows import capabilities, jobs
 from fixel.workflows.analysis import StoredAnalysis, find_analysis, load_with_errors
 from fixel.workflows.jobs import JobStatus
@@ -76,7 +78,18 @@ def plan_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     texts = {name: o.texts(o.default) for name, o in capability.shown.items()}
     if key := request.query_params.get("experiment", ""):
         texts["experiment"] = [key]
-    return _form(context, capability, texts)
+    found = _form(context, capability, texts) | {"scene": None, "size": 0.0, "degrees": degrees(1)}
+    offered = _offered(context)["experiment"]
+    if not offered:
+        return found
+    try:
+        scene = context.store.experiment(context.store.find(key or offered[0])).scene
+        if scene is None or len(scene.bodies) != 1:
+            raise InvalidInput("experiment", found="no scene with one part", expected="one part")
+    except FixelError as problem:
+        return found | {"trouble": str(problem)}
+    size = 1e3 * float(np.hypot(*scene.bodies[0].shape.outline.T).max())
+    return found | {"scene": scene, "size": size}
 
 
 def form_page(context: ProjectContext, request: Request) -> dict[str, Any]:
