@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, final
@@ -144,6 +145,8 @@ def create_app(
             app.add_api_route(page.path, route, methods=["POST"], response_class=HTMLResponse)
         if page.router is not None:
             app.include_router(page.router, prefix=page.path)
+        for view in page.views:
+            view.markup = partial(_markup, page, render)
     if api is not None:
         app.mount(API, api)
     _answer_errors(app, render)
@@ -227,6 +230,12 @@ def _shown(page: Page, render: Any) -> Any:
         return HTMLResponse(render(page, more, request.url.path), more.get("status", 200))
 
     return show
+
+
+def _markup(page: Page, render: Any) -> str:
+    """Return a page that depends on no request."""
+    more = {} if page.fill is None else page.fill(Request({"type": "http"}))
+    return str(render(page, more, page.path))
 
 
 def _posted(page: Page, render: Any, root: str) -> Any:

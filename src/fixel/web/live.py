@@ -68,6 +68,11 @@ class LiveView:
     quality : int
         Quality of the JPEG pictures, from 1 to 100.
 
+    Attributes
+    ----------
+    markup : callable, optional
+        Returns the page that shows the status, which browsers get with every status.
+
     Examples
     --------
     >>> view = LiveView()
@@ -77,6 +82,7 @@ class LiveView:
     """
 
     def __init__(self, quality: int = 80) -> None:
+        self.markup: Callable[[], str] | None = None
         self._quality = quality
         self._lock = threading.Lock()
         self._shot = LiveFrame(0, None, "{}")
@@ -175,12 +181,16 @@ class LiveView:
         seen = 0
         yield "retry: 1000\n\n"
         while (shot := await self.after(seen, HEARTBEAT)) is not None:
-            yield f"data: {shot.report}\n\n" if shot.number > seen else ": still here\n\n"
+            yield self._told() if shot.number > seen else ": still here\n\n"
             seen = shot.number
             await asyncio.sleep(STATUS_PAUSE)
         if self.newest.number > seen:  # the last status
-            yield f"data: {self.report}\n\n"
+            yield self._told()
         yield "event: end\ndata: {}\n\n"
+
+    def _told(self) -> str:
+        page = f"event: page\ndata: {json.dumps(self.markup())}\n\n" if self.markup else ""
+        return f"data: {self.report}\n\n{page}"
 
     def router(self) -> APIRouter:
         """Routes `stream` (MJPEG), `picture.jpg`, `events` (server-sent) and `status` (JSON)."""

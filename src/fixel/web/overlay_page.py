@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import json
+from typing import Final
+
 from fixel.web.app import Page
 from fixel.web.live import LiveView
+
+NOTHING: Final = {"parts": [], "problems": [], "remarks": []}  # before the first picture
 
 
 def overlay_page(view: LiveView, heading: str, path: str = "/overlay") -> Page:
@@ -22,6 +27,7 @@ def overlay_page(view: LiveView, heading: str, path: str = "/overlay") -> Page:
         title="Placing",
         template="overlay.html",
         context={"heading": heading},
+        fill=lambda _: {"told": NOTHING | json.loads(view.report)},
         router=view.router(),
         views=(view,),
     )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, final
+from typing import Any, Final, final
 
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse
@@ -15,6 +16,7 @@ from fixel.web.live import LiveView
 
 # Names of the fixels that are bits of the tactile byte: blue, red, green.
 FIXELS = ("blue", "red", "green")
+NOTHING: Final = {"problems": [], "tactile": []}  # before the first frame
 
 
 @final
@@ -104,7 +106,14 @@ class RecordPreview:
             path=path,
             title="Recording",
             template="record.html",
-            context={"heading": self.heading, "fixels": self.fixels},
+            context={
+                "heading": self.heading,
+                "fixels": [{"name": name, "on": None} for name in self.fixels],
+            },
+            fill=lambda _: {
+                "told": NOTHING | json.loads(self.view.report),
+                "stopping": self.stop_wanted,
+            },
             router=self._router(),
             views=(self.view,),
         )

@@ -18,7 +18,7 @@ export class Refusal extends Error {
 }
 
 /** @returns {string} */
-function word() {
+export function word() {
   const meta = document.querySelector('meta[name="fixel-word"]');
   return meta instanceof HTMLMetaElement ? meta.content : "";
 }

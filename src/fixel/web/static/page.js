@@ -29,9 +29,14 @@ export async function renew(address = location.href) {
   const answer = await fetch(address, { redirect: "error" });
   const text = await answer.text();
   if (mine !== newest) return; // something else is wanted meanwhile
-  const fresh = new DOMParser().parseFromString(text, "text/html");
-  if (!fresh.querySelector("[data-part]")) throw new Error(`The server answered with status ${answer.status}.`);
+  if (!text.includes(" data-part")) throw new Error(`The server answered with status ${answer.status}.`);
   if (address !== location.href) history.replaceState(null, "", address);
+  exchange(text);
+}
+
+/** Show the parts of a page. @param {string} text of all of it */
+export function exchange(text) {
+  const fresh = new DOMParser().parseFromString(text, "text/html");
   const focused = document.activeElement?.id;
   for (const part of document.querySelectorAll("[data-part]")) {
     const other = fresh.getElementById(part.id);
