@@ -85,7 +85,6 @@ def test_failure_becomes_a_sentence_and_an_exit_code(
     error: BaseException,
     code: int,
     sentence: str,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -94,10 +93,8 @@ def test_failure_becomes_a_sentence_and_an_exit_code(
     def fail() -> None:
         raise error
 
-    monkeypatch.setattr(main, "app", app)
-
     with pytest.raises(SystemExit) as end:
-        main.run([])
+        main.run([], program=app)
 
     printed = capsys.readouterr()
     assert end.value.code == code

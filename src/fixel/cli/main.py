@@ -14,13 +14,15 @@ Nothing heavy is imported here: each command imports its workflow when it runs.
 
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from math import isfinite
 from typing import Annotated, Any, Final, cast
 
 import typer
 from typer.core import TyperGroup
 
+from fixel.capability.capability import Capability
 from fixel.cli import (
     calibration,
     camera,
@@ -60,7 +62,7 @@ NOT_SOLVED = 3
 INTERRUPTED = 130
 
 # Commands in the order of a typical workflow, as `fixel --help` lists them.
-SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] = {
+SECTIONS: Final[Mapping[str, Mapping[str, Capability | Callable[..., None] | typer.Typer]]] = {
     "Get started": {
         "demo": demo.demo,
         "doctor": doctor.doctor,
@@ -68,26 +70,26 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
         "serve": serve.serve,
     },
     "Simulate": {
-        "simulate": typer_command(CAPABILITIES["simulate"]),
-        "sample": typer_command(CAPABILITIES["sample"]),
+        "simulate": CAPABILITIES["simulate"],
+        "sample": CAPABILITIES["sample"],
     },
     "Experiments": {
         "import": project.import_,
         "testbed": testbed.app,
         "list": project.list_,
         "show": show.show,
-        "compare": typer_command(CAPABILITIES["compare"]),
-        "filter": typer_command(CAPABILITIES["filter"]),
+        "compare": CAPABILITIES["compare"],
+        "filter": CAPABILITIES["filter"],
         "export": project.export,
     },
     "Calibrate and assess": {
-        "calibrate": typer_command(CAPABILITIES["calibrate"]),
+        "calibrate": CAPABILITIES["calibrate"],
         "calibrations": calibration.calibrations,
-        "domain": typer_commands("domain", CAPABILITIES),
-        "error-bound": typer_command(CAPABILITIES["error-bound"]),
-        "sensitivity": typer_command(CAPABILITIES["sensitivity"]),
-        "uncertainty": typer_command(CAPABILITIES["uncertainty"]),
-        "next": typer_command(CAPABILITIES["next"]),
+        "domain": CAPABILITIES["domain"],
+        "error-bound": CAPABILITIES["error-bound"],
+        "sensitivity": CAPABILITIES["sensitivity"],
+        "uncertainty": CAPABILITIES["uncertainty"],
+        "next": CAPABILITIES["next"],
         "plan": plan.app,
         "report": report.report,
     },
@@ -107,11 +109,15 @@ SECTIONS: Final[Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]]] =
 }
 
 
+COMMANDS: Final = {name: one for commands in SECTIONS.values() for name, one in commands.items()}
+HELP: Final = ["-h", "--help"]
+
+
 class InSections(TyperGroup):
     """Command group that lists commands under the headings of `SECTIONS`, in their order."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        return [name for commands in SECTIONS.values() for name in commands]
+        return list(self.commands)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         width = formatter.width - 6 - max(map(len, self.commands))
@@ -119,22 +125,6 @@ class InSections(TyperGroup):
             with formatter.section(title):
                 rows = [(name, self.commands[name].get_short_help_str(width)) for name in names]
                 formatter.write_dl(rows)
-
-
-app = typer.Typer(
-    cls=InSections,
-    help="Planar rigid bodies in frictional contact, solved as complementarity problems.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-for _commands in SECTIONS.values():
-    for _name, _command in _commands.items():
-        if isinstance(_command, typer.Typer):
-            app.add_typer(_command, name=_name)
-        else:
-            app.command(_name)(_command)
 
 
 def _print_version(wanted: bool) -> None:
@@ -145,7 +135,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def main(
     version: Annotated[
         bool,
@@ -155,6 +144,52 @@ def main(
     ] = False,
 ) -> None:
     """Planar rigid bodies in frictional contact, solved as complementarity problems."""
+
+
+def program_of(names: Iterable[str]) -> typer.Typer:
+    """Return the `fixel` command with some of its sub-commands: one asked for is ready sooner."""
+    program = typer.Typer(
+        cls=InSections,
+        help=main.__doc__,
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": HELP},
+    )
+    program.callback()(main)
+    for name in names:
+        command = COMMANDS[name]
+        if isinstance(command, Capability):
+            group = any(one.group == name for one in CAPABILITIES.values())
+            made = typer_commands(name, CAPABILITIES) if group else typer_command(command)
+        else:
+            made = command
+        if isinstance(made, typer.Typer):
+            program.add_typer(made, name=name)
+        else:
+            program.command(name)(made)
+    return program
+
+
+@cache
+def __getattr__(name: str) -> Any:
+    if name == "app":  # the whole command, for documentation and completion
+        return program_of(COMMANDS)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def _show_help(program: typer.Typer, path: Sequence[str], name: str) -> bool:
+    """Print the help of a command of these names, if there is one."""
+    command: Any = typer.main.get_command(program)
+    context = command.context_class(command, info_name=name, **command.context_settings)
+    for word in path:
+        command = getattr(command, "commands", {}).get(word)
+        if command is None:
+            return False
+        settings = command.context_settings
+        context = command.context_class(command, info_name=word, parent=context, **settings)
+    typer.echo(command.get_help(context))
+    return True
 
 
 def run(
@@ -169,10 +204,16 @@ def run(
     """
     if arguments is not None:  # commands repeat these, in provenance and in proposed commands
         sys.argv = [name, *arguments]
-    as_json = "--json" in sys.argv[1:]
+    given = sys.argv[1:]
+    as_json = "--json" in given
+    asked = given[:1] if given[:1] and given[0] in COMMANDS else COMMANDS
     try:
+        program = program or program_of(asked)
+        # The parser of options takes its time, and help needs none.
+        if given and given[-1] in HELP and _show_help(program, given[:-1], name):
+            sys.exit()
         # With --json, errors in options come here too.
-        code = (program or app)(arguments, prog_name=name, standalone_mode=not as_json)
+        code = program(arguments, prog_name=name, standalone_mode=not as_json)
     except (InvalidInput, DatasetMissing, NotStored) as error:
         _exit(BAD_INPUT, error, as_json)
     except SolveFailed as error:
