@@ -16,7 +16,7 @@ from fixel.web.live import LiveView
 
 # Names of the fixels that are bits of the tactile byte: blue, red, green.
 FIXELS = ("blue", "red", "green")
-NOTHING: Final = {"problems": [], "tactile": []}  # before the first frame
+NOTHING: Final[dict[str, list[str]]] = {"problems": [], "tactile": []}  # before the first frame
 
 
 @final
