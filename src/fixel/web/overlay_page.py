@@ -8,7 +8,8 @@ from typing import Final
 from fixel.web.app import Page
 from fixel.web.live import LiveView
 
-NOTHING: Final[dict[str, list[str]]] = {"parts": [], "problems": [], "remarks": []}  # before the first picture
+# Before the first picture.
+NOTHING: Final[dict[str, list[str]]] = {"parts": [], "problems": [], "remarks": []}
 
 
 def overlay_page(view: LiveView, heading: str, path: str = "/overlay") -> Page:
