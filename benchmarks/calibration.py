@@ -17,7 +17,7 @@ from fixel.calibration.objective import Comparer
 from fixel.calibration.study import Trace, box_of, calibrate_each, run_study
 from fixel.calibration.target import Target, targets_of
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 

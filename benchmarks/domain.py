@@ -23,7 +23,7 @@ from fixel.domain.held_out import Apart, CalibrationModel, calibrated_on, held_o
 from fixel.io.result_cache import ResultCache
 from fixel.model import PlannedExperiment
 from fixel.model.space import ParameterSpace
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import FloatArray

@@ -28,7 +28,7 @@ from fixel.calibration.target import targets_of
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.model import Experiment, PlannedExperiment
 from fixel.model.space import ParameterSpace
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.typing import FloatArray

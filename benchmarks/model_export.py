@@ -31,7 +31,7 @@ from fixel.simulation.engine_names import installed_engines
 from fixel.testing.scenes import grasp, pushed_square
 from fixel.typing import FloatArray
 from fixel.uncertainty.start_ensemble import simulate_starts
-from fixel.workflows.model_export.card import start_error_of
+from fixel.workflows.model_export.run import start_error_of
 
 RESULTS = Path(__file__).parent / "results" / "model_export.csv"
 ENGINES = ("pymunk", "box2d", "mujoco", "drake")

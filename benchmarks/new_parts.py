@@ -32,8 +32,7 @@ from fixel.model import (
     UniformPressure,
 )
 from fixel.parts.candidates import push_candidates
-from fixel.parts.choice import choose_pushes
-from fixel.parts.fit import slopes
+from fixel.parts.fit import choose_pushes, slopes
 from fixel.parts.left_out import halves, leave_parts_out
 from fixel.parts.model import PartModel
 from fixel.parts.next_pushes import NextPushes

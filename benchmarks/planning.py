@@ -36,7 +36,7 @@ from fixel.planning.plan import PushPlan, simulator_of
 from fixel.planning.pushes import FreePushes, scene_of_push
 from fixel.planning.search import FRESH, WORLDS, PlanSearch
 from fixel.planning.success import SuccessProbability, rates_without_noise
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testbed.repeated_pushes import repeat_pushes

@@ -37,7 +37,7 @@ from fixel.calibration.target import Target
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares
 from fixel.replay.base import Row
-from fixel.sampling.eight_push import PART_LENGTH, PART_WIDTH
+from fixel.sampling.published import PART_LENGTH, PART_WIDTH
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.scenes import box, micro_push

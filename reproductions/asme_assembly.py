@@ -39,7 +39,7 @@ from fixel.planning.plan import simulator_of
 from fixel.planning.pushes import FreePushes
 from fixel.planning.search import MarginRequest, PlanSearch
 from fixel.replay.base import Row
-from fixel.sampling.eight_push import PART_LENGTH, PART_MASS, PART_WIDTH, PROBE_SIDE
+from fixel.sampling.published import PART_LENGTH, PART_MASS, PART_WIDTH, PROBE_SIDE
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.scenes import box, row

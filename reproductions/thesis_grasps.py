@@ -24,7 +24,7 @@ from fixel.model.goals import BodyTrack, Seated, touching
 from fixel.planning.belief import Belief
 from fixel.planning.pushes import RigPushes
 from fixel.replay.base import Row
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.simulation.ensemble import Ensemble
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testbed.repeated_pushes import repeat_pushes

@@ -12,7 +12,7 @@ import numpy as np
 import fixel
 from fixel.drawing.palette import INK
 from fixel.model import placed
-from fixel.planning.alignment import flush_distance
+from fixel.planning.geometric import flush_distance
 from fixel.units import deg, mm
 
 triangle = fixel.Polygon([(45 * mm, 45 * mm), (-80.9 * mm, 45 * mm), (45 * mm, -80.87 * mm)])

@@ -66,7 +66,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "Calibration": "fixel.workflows.calibration.project:add_to_project",
         "Calibrations": "fixel.workflows.calibration.project:add_to_project",
         "DomainMap": "fixel.workflows.lab:store_map",
-        "FilterRun": "fixel.workflows.filtering.record:store_run",
+        "FilterRun": "fixel.workflows.filtering.report:store_run",
         "Posterior": "fixel.workflows.uncertainty.report:store_posterior",
         "Sensitivity": "fixel.workflows.sensitivity.report:store_sensitivity",
     },

@@ -18,7 +18,7 @@ from fixel.calibration.objective import Comparer, EndPose
 from fixel.calibration.target import target_of
 from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic, QuasiStatic
 from fixel.testbed.simulated import SimulatedTestbed
 

@@ -20,7 +20,7 @@ from fixel.calibration.objective import Comparer
 from fixel.calibration.target import targets_of
 from fixel.calibration.usual_parameters import default_unknowns
 from fixel.model.space import ParameterSpace
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 

@@ -18,7 +18,7 @@ from fixel.calibration.target import target_of, targets_of
 from fixel.errors import InvalidInput
 from fixel.model import Parameters, SupportPoints, Trajectory
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic, simulate
 from fixel.testbed.simulated import SimulatedTestbed
 

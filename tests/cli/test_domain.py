@@ -8,7 +8,7 @@ from tests.fixtures import project_of
 
 from fixel.database.project import Project
 from fixel.domain import held_out
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.analysis import load_analyses
 

@@ -8,7 +8,7 @@ from tests.workflows.acquisition.test_track import scene
 from fixel.formats.rig_file import save_rig
 from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.formats.video_file import VideoWriter
-from fixel.testing.painted import painted, tag_rig
+from fixel.testing.tracking_contract import painted, tag_rig
 
 
 def test_a_film_is_tracked_and_the_next_command_named(tmp_path, capsys):

@@ -5,10 +5,8 @@ import time
 import pytest
 
 from fixel.testbed.emulators.grbl import EmulatedGrbl
-from fixel.testbed.motion import AbstractActuator
+from fixel.testbed.motion import AbstractActuator, ManualActuator, SimulatedActuator
 from fixel.testbed.motion_grbl import GrblActuator
-from fixel.testbed.motion_manual import ManualActuator
-from fixel.testbed.motion_simulated import SimulatedActuator
 from fixel.testing.actuator_contract import ActuatorContract
 
 

@@ -14,7 +14,7 @@ from fixel.drawing.chart import draw_chart
 from fixel.drawing.uncertainty import bands_chart, corner_chart, coverage_chart, final_pose_chart
 from fixel.uncertainty.bands import Band, CoverageCurve, Ellipse, EndBounds
 from fixel.uncertainty.discrepancy import LABEL
-from fixel.workflows.uncertainty import charts
+from fixel.workflows.uncertainty import report
 
 DICE = np.random.default_rng(0)
 POSES = DICE.standard_normal((80, 3)) * np.array([1e-3, 2e-3, 0.02]) + np.array([0.1, 0.0, 0.5])
@@ -131,7 +131,7 @@ def test_numbers_and_names_of_a_corner_do_not_collide(scale):
 
 
 def test_the_caption_of_a_corner_names_the_prior():
-    said = charts._priors(_corner_of(NARROW))
+    said = report._priors(_corner_of(NARROW))
     assert said.startswith("mu_pusher 0 to 1, tripod_radius 10 to 60 mm, model error 0.05 to 20 mm")
 
 

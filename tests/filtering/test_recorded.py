@@ -15,7 +15,7 @@ from fixel.errors import InvalidInput
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.recorded import run_filter
 from fixel.model import Channel, Trajectory
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 
 SOME = ParticleFilter(n_particles=200)

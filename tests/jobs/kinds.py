@@ -14,7 +14,7 @@ from fixel.jobs.coordinator import coordinate
 from fixel.jobs.engine import LocalEngine
 from fixel.jobs.work import block_name
 from fixel.model.selection import ExperimentQuery
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.toy_work import MAKER, make_toy_work
 from fixel.workflows.calibration.parameter_options import searched_unknowns

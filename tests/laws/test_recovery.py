@@ -11,7 +11,7 @@ from fixel.calibration.objective import Comparer, Objective
 from fixel.calibration.study import box_of, calibrate_joint, run_study
 from fixel.calibration.target import targets_of
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.testbed.simulated import SimulatedTestbed
 

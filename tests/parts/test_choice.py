@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from fixel.parts.choice import MISFIT_SHARE, NOISE, choose_pushes
+from fixel.parts.fit import MISFIT_SHARE, NOISE, choose_pushes
 
 MM = 1e-3
 

@@ -8,7 +8,7 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, NoSupport, Polygon, UniformPressure
-from fixel.planning.alignment import flush_distance, friction_arm, stable_push_angle
+from fixel.planning.geometric import flush_distance, friction_arm, stable_push_angle
 from fixel.planning.orienting import PushFunction, orienting_plan
 
 L_SHAPE = Polygon([(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)])

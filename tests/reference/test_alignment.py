@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fixel.model import Body, Disk, Ellipsoid, LineDrive, Polygon, Pusher, Scene, SupportPoints
-from fixel.planning.alignment import alignment_distance, flush_distance, friction_arm
+from fixel.planning.geometric import alignment_distance, flush_distance, friction_arm
 from fixel.simulation import Adaptive, simulate_batch
 
 SIDE = 0.1075  # [m], square of the thesis

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import linprog
 
 from fixel.model import Body, LineDrive, PathDrive, Polygon, Pusher, Scene, SupportPoints
-from fixel.planning.alignment import stable_push_angle
+from fixel.planning.geometric import stable_push_angle
 from fixel.simulation import StewartTrinkle, simulate_batch
 
 

@@ -13,9 +13,8 @@ from tests.testbed.films import film
 from tests.testbed.test_frame_source import Webcam
 
 from fixel.testbed.clocks import CaptureClock, DeviceClock
-from fixel.testbed.device_source import DeviceSource
 from fixel.testbed.loopback import LoopbackCamera
-from fixel.testbed.url_source import UrlSource
+from fixel.testbed.open_source import DeviceSource, UrlSource
 
 
 def exchanges(duration: float, drift: float, seed: int = 1):

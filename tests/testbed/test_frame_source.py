@@ -19,14 +19,12 @@ from fixel.errors import InvalidInput
 from fixel.formats.jpeg import brightness, jpeg_of, jpeg_size, shrunk
 from fixel.formats.recording import open_recording
 from fixel.formats.video_file import VideoWriter
-from fixel.testbed.device_source import DeviceSource
 from fixel.testbed.file_source import FileSource, PlayedTactile
 from fixel.testbed.frame_queue import FrameQueue
 from fixel.testbed.frame_source import Stream
 from fixel.testbed.loopback import LoopbackCamera
-from fixel.testbed.open_source import check_size, source_of
+from fixel.testbed.open_source import DeviceSource, UrlSource, check_size, source_of
 from fixel.testbed.recorder import Recorder
-from fixel.testbed.url_source import UrlSource
 from fixel.vision.frame import Frame
 
 JPEG = jpeg_of(picture(0))
@@ -258,7 +256,7 @@ def test_a_camera_that_falls_silent_says_so() -> None:
 
 
 def test_a_camera_that_drips_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fixel.testbed.url_source.OPENS_WITHIN", 1.2)
+    monkeypatch.setattr("fixel.testbed.open_source.OPENS_WITHIN", 1.2)
     part = b"--x\r\nContent-Length: 100000\r\n\r\n"
     with (
         answering(HEAD % b"x", part, drip=True) as url,

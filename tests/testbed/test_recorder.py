@@ -21,8 +21,7 @@ from fixel.formats.recording import open_recording
 from fixel.testbed import recorder as recorder_module
 from fixel.testbed.frame_queue import CATCHING_UP, FrameQueue
 from fixel.testbed.frame_source import CameraPicture, FrameSource
-from fixel.testbed.recorder import Recorder, RecordingStatus, RecordingSummary
-from fixel.testbed.seating import Seating
+from fixel.testbed.recorder import Recorder, RecordingStatus, RecordingSummary, Seating
 
 
 def record(

@@ -10,7 +10,7 @@ from fixel.database.project import Project
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace, Unknown
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.simulation import QuasiStatic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.growth.explore import explore

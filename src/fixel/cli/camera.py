@@ -225,7 +225,7 @@ def board_(
     as_json: AsJson = False,
 ) -> None:
     """Write a calibration board to print, true to scale."""
-    from fixel.workflows.acquisition.camera.prints import print_board
+    from fixel.workflows.acquisition.camera.calibrate import print_board
 
     answer = print_board(board, out, paper)
     _show(as_json, answer, [out], f"fixel camera calibrate PICTURES... --board {answer.what}")
@@ -253,7 +253,7 @@ def tags(
 
     Write all tags of a rig, or a range of numbers.
     """
-    from fixel.workflows.acquisition.camera.prints import print_rig_tags, print_tags
+    from fixel.workflows.acquisition.camera.calibrate import print_rig_tags, print_tags
 
     if (rig is None) == (ids is None):
         raise InvalidInput(

@@ -1,4 +1,4 @@
-"""`fixel demo`: a tour that ends in a report."""
+"""`fixel demo` and `fixel doctor`: a tour that ends in a report, and checks of the installation."""
 
 import shlex
 import time
@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from fixel.cli.options import option, with_options
-from fixel.cli.screen import notify, progress_bar, seconds
+from fixel.cli.options import AsJson, option, with_options
+from fixel.cli.screen import notify, print_answer, progress_bar, seconds
 
 if TYPE_CHECKING:
     from fixel.workflows.demo.camera_demo import CameraTour
     from fixel.workflows.demo.laboratory_demo import Tour
     from fixel.workflows.demo.scene_demo import Demo
+    from fixel.workflows.diagnostics import Diagnosis
 
 _WHAT = {
     "scene": "the scene",
@@ -135,3 +136,42 @@ def _scene_lines(result: "Demo") -> list[str]:
         f"  fixel simulate {scene} --set fixels.0.friction=0.02 --plot slippery.png",
         "or change the scene file and simulate it again. fixel simulate --help lists the options.",
     ]
+
+
+def doctor(as_json: AsJson = False) -> None:
+    """Check this installation and report how to repair it."""
+    from fixel.workflows.diagnostics import examine
+
+    found = examine()
+    print_answer(as_json, found.summary, lambda: _lines(found))
+    if not found.passed:
+        raise typer.Exit(1)
+
+
+def _lines(found: "Diagnosis") -> list[str]:
+    from fixel.workflows.diagnostics import worst_residual
+
+    versions = [f"{name} {number}" for name, number in found.versions.items()]
+    state = "warm" if found.cache["warm"] else "compiled just now"
+    failed = sum(not check.passed for check in found.checks)
+    verdict = f"{failed} of {len(found.checks)} checks failed" if failed else "All checks passed"
+    return [
+        ", ".join(versions[:4]),
+        ", ".join(versions[4:]),
+        f"{found.machine['platform']}, {found.machine['cores']} cores,"
+        f" batches on {found.machine['threads']} threads",
+        f"kernels  {found.cache['folder']}",
+        f"         {found.cache['bytes'] / 1e6:.1f} MB, {state}",
+        "",
+        *(_line(c.name, c.passed, c.detail, c.residual) for c in found.checks),
+        "",
+        f"{verdict}. Worst residual {worst_residual(found.checks):.1e}; took"
+        f" {seconds(found.seconds)}.",
+        "Next: fixel demo" if not failed else "Please report the lines marked FAIL.",
+    ]
+
+
+def _line(name: str, passed: bool, detail: str, residual: float | None) -> str:
+    mark = "PASS" if passed else "FAIL"
+    end = "" if residual is None else f"  (residual {residual:.0e})"
+    return f"{mark}  {name:42}  {detail}{end}"

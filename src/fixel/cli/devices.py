@@ -12,8 +12,7 @@ from fixel.cli.screen import notify, print_answer, progress_bar, seconds, table
 if TYPE_CHECKING:
     from fixel.testbed.serial_port import PortSeen
     from fixel.testbed.tactile import TactileReader, TactileReading
-    from fixel.workflows.acquisition.actuator import ActuatorAnswer
-    from fixel.workflows.acquisition.tactile import TactileCheck
+    from fixel.workflows.acquisition.devices import ActuatorAnswer, TactileCheck
 
 tactile = typer.Typer(
     help="Check and watch the board of the fixels' contact sensors.",
@@ -62,7 +61,7 @@ def check(
 
     The exit code is 1 if one is missing, late or damaged.
     """
-    from fixel.workflows.acquisition.tactile import check_tactile
+    from fixel.workflows.acquisition.devices import check_tactile
 
     found = check_tactile(
         port,
@@ -116,7 +115,7 @@ def watch(
 
     With --json, it prints one line per reading.
     """
-    from fixel.workflows.acquisition.tactile import watch_tactile
+    from fixel.workflows.acquisition.devices import watch_tactile
 
     thresholds = None if threshold is None else (threshold,) * 3
     live = sys.stdout.isatty() and not as_json
@@ -199,7 +198,7 @@ def actuator_ports(as_json: AsJson = False) -> None:
 @actuator.command("home")
 def home(port: DrivePort = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
     """Home the drive: move it to its end switch and set its position."""
-    from fixel.workflows.acquisition.actuator import chosen_actuator, home_actuator
+    from fixel.workflows.acquisition.devices import chosen_actuator, home_actuator
 
     _print_position(home_actuator(chosen_actuator(driver, port, notify=notify)), as_json, port)
 
@@ -225,7 +224,7 @@ def move(
     as_json: AsJson = False,
 ) -> None:
     """Move the drive. Any key, Ctrl-C, or `fixel actuator stop` elsewhere stops it at once."""
-    from fixel.workflows.acquisition.actuator import chosen_actuator, move_actuator
+    from fixel.workflows.acquisition.devices import chosen_actuator, move_actuator
 
     if sys.stdin.isatty() and driver == "grbl":
         notify("Any key stops the drive.")
@@ -261,7 +260,7 @@ def stop(port: DrivePort = None, as_json: AsJson = False) -> None:
 @actuator.command("where")
 def where(port: DrivePort = None, driver: Driver = "grbl", as_json: AsJson = False) -> None:
     """Show the position of the drive without moving it."""
-    from fixel.workflows.acquisition.actuator import chosen_actuator, where_is_actuator
+    from fixel.workflows.acquisition.devices import chosen_actuator, where_is_actuator
 
     _print_position(where_is_actuator(chosen_actuator(driver, port, notify=notify)), as_json, port)
 

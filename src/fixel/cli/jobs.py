@@ -1,4 +1,4 @@
-"""`fixel jobs submit|status|resume|cancel|logs|site|pack|unpack`: work that takes long."""
+"""`fixel jobs` and `fixel trust`: work that takes long, and programs that files may name."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -246,4 +246,48 @@ def _print_status(job: "JobStatus", as_json: bool) -> None:
             f"{job.folder} is {job.state}{reason}" + (f"; {done}" if done else ""),
             *(where if job.state == "done" else _advice(job)),
         ],
+    )
+
+
+def trust(
+    program: Annotated[
+        str | None,
+        typer.Argument(
+            help="Path of a program, with its arguments as after --engine; the list is printed "
+            "without it.",
+            show_default=False,
+        ),
+    ] = None,
+    remove: Annotated[
+        bool, typer.Option("--remove", help="Remove the program from the list.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Allow files to run a program until it changes.
+
+    A calibration by a program of your own then works in later commands. Trust only what you have
+    read or made: the program can do everything that you can.
+    """
+    from fixel.errors import InvalidInput
+    from fixel.simulation.trust import distrust, trust_program, trusted_entries
+
+    if remove:
+        removed = [] if program is None else distrust(program)
+        if not removed:
+            raise InvalidInput(
+                "program",
+                found=program,
+                expected="an entry of the list",
+                hint="print the list: fixel trust",
+            )
+        title, entries = "Removed:", removed
+    elif program is None:
+        entries = trusted_entries()
+        title = "Trusted:" if entries else "No program is trusted. Add one: fixel trust PROGRAM"
+    else:
+        title, entries = "Added:", [trust_program(program)]
+    print_answer(
+        as_json,
+        lambda: {"entries": [entry.content for entry in entries]},
+        lambda: [title, *(f"  {line}" for entry in entries for line in entry.lines)],
     )

@@ -29,19 +29,15 @@ from fixel.cli import (
     db,
     demo,
     devices,
-    doctor,
     jobs,
     overlay,
     plan,
     project,
     record,
     replay,
-    report,
     serve,
     show,
     testbed,
-    track,
-    trust,
 )
 from fixel.cli.capability import typer_command, typer_commands
 from fixel.errors import (
@@ -65,7 +61,7 @@ INTERRUPTED = 130
 SECTIONS: Final[Mapping[str, Mapping[str, Capability | Callable[..., None] | typer.Typer]]] = {
     "Get started": {
         "demo": demo.demo,
-        "doctor": doctor.doctor,
+        "doctor": demo.doctor,
         "new": project.new,
         "serve": serve.serve,
     },
@@ -91,13 +87,13 @@ SECTIONS: Final[Mapping[str, Mapping[str, Capability | Callable[..., None] | typ
         "uncertainty": CAPABILITIES["uncertainty"],
         "next": CAPABILITIES["next"],
         "plan": plan.app,
-        "report": report.report,
+        "report": show.report,
     },
     "Bench": {
         "camera": camera.app,
         "overlay": overlay.overlay,
         "record": record.app,
-        "track": track.track,
+        "track": record.track,
         "tactile": devices.tactile,
         "actuator": devices.actuator,
     },
@@ -105,7 +101,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Capability | Callable[..., None] | typ
         "data": project.data,
         "replay": replay.replay,
     },
-    "Jobs and database": {"jobs": jobs.app, "db": db.app, "trust": trust.trust},
+    "Jobs and database": {"jobs": jobs.app, "db": db.app, "trust": jobs.trust},
 }
 
 

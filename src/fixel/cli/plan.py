@@ -196,7 +196,7 @@ class DriveOptions:
 
     def run(self, plan: Path, project: Path | None) -> "Trials":
         """Carry out a plan once with the drive."""
-        from fixel.workflows.acquisition.actuator import chosen_actuator
+        from fixel.workflows.acquisition.devices import chosen_actuator
         from fixel.workflows.planning.check import seen_pose
         from fixel.workflows.planning.execute import run_on_drive
 

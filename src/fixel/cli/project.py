@@ -416,7 +416,7 @@ def data(
     as_json: AsJson = False,
 ) -> None:
     """List public datasets; with a URL, download a file."""
-    from fixel.workflows.project.download import datasets, fetch
+    from fixel.workflows.project.importing import datasets, fetch
 
     if url is None:
         known = datasets()

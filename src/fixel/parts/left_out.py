@@ -8,9 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.parts.choice import choose_pushes, errors_of
-from fixel.parts.features import bound_features
-from fixel.parts.fit import fit_part, simulated, slopes
+from fixel.parts.fit import bound_features, choose_pushes, errors_of, fit_part, simulated, slopes
 from fixel.parts.prior import PartValues, SupportPrior, learned_prior
 from fixel.parts.pushes import PartPushes
 from fixel.typing import FloatArray, IntArray, ProgressCallback

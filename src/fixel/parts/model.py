@@ -17,8 +17,7 @@ from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound,
 from fixel.domain.push_bound import UNSEEN, PushBound
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Pose, Scene
-from fixel.parts.features import bound_features
-from fixel.parts.fit import simulated
+from fixel.parts.fit import bound_features, simulated
 from fixel.parts.left_out import (
     MAX_TEST,
     LeftOutEnds,

@@ -12,9 +12,7 @@ import numpy as np
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.domain.push_bound import PushBound
 from fixel.errors import InvalidInput
-from fixel.parts.choice import choose_pushes
-from fixel.parts.features import bound_features
-from fixel.parts.fit import simulated, slopes
+from fixel.parts.fit import bound_features, choose_pushes, simulated, slopes
 from fixel.parts.prior import SupportPrior
 from fixel.parts.pushes import PartPushes
 from fixel.results import Result, Summary

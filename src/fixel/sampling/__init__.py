@@ -1,7 +1,6 @@
 """Plans of experiments: configurations to measure."""
 
 from fixel.sampling.checks import PlanProblem
-from fixel.sampling.eight_push import eight_push_plan
 from fixel.sampling.offsets import (
     Grid,
     Nominal,
@@ -12,8 +11,8 @@ from fixel.sampling.offsets import (
     OffsetScheme,
 )
 from fixel.sampling.plan import Plan, rehearse
+from fixel.sampling.published import eight_push_plan, thesis_plan
 from fixel.sampling.rig import FixelLayout, PlannedShape, RegularPolygon, SamplingRig
-from fixel.sampling.thesis import thesis_plan
 
 __all__ = [
     "FixelLayout",

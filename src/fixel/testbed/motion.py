@@ -1,12 +1,20 @@
-"""Abstract actuator: the common interface of all drives of the pusher."""
+"""Common interface of all drives of the pusher, and drives that a person operates or a
+program simulates."""
 
 from __future__ import annotations
 
 import abc
-from typing import ClassVar, Final, Self
+import math
+import threading
+import time
+from collections.abc import Callable
+from typing import ClassVar, Final, Self, final
+
+import numpy as np
 
 from fixel.errors import DeviceFailed, InvalidInput
-from fixel.model.fields import finite, positive
+from fixel.model.fields import finite, fraction, non_negative, positive
+from fixel.testbed.imperfections import uneven_time
 
 DRIVE_REACH: Final = (0.0, 0.150)  # [m] of the thesis's actuator
 SPEED: Final = 0.0135  # [m/s] in all its experiments
@@ -141,3 +149,213 @@ def checked_reach(reach: tuple[float, float]) -> tuple[float, float]:
     if low >= high:
         raise InvalidInput("reach", found=reach, expected="two positions in ascending order [m]")
     return low, high
+
+
+@final
+class ManualActuator(AbstractActuator):
+    """Actuator that prompts a person to set and start the drive, and relies on the answers.
+
+    It cannot stop the drive itself, only request it from the person.
+
+    Parameters
+    ----------
+    reach : (float, float)
+        Smallest and largest position [m].
+    ask : callable
+        Function that prints a sentence and returns the line typed; `input` by default.
+    notify : callable
+        Function that prints a sentence.
+    """
+
+    name: ClassVar[str] = "manual"
+
+    def __init__(
+        self,
+        *,
+        reach: tuple[float, float] = DRIVE_REACH,
+        ask: Callable[[str], str] = input,
+        notify: Callable[[str], None] = print,
+    ) -> None:
+        self.reach = checked_reach(reach)
+        self._ask, self._say = ask, notify
+        self._connected = False
+        self._at: float | None = None
+        self._heading: float | None = None  # [m] target of the move under way
+        self._stopped = ""
+
+    def connect(self) -> Self:
+        self._answered(
+            "Switch on the drive and wait until it is ready (Servo ON). Then press Enter: "
+        )
+        self._connected = True
+        return self
+
+    def disconnect(self) -> None:
+        self.stop()
+        self._connected = False
+
+    @property
+    def connected(self) -> bool:
+        return self._connected
+
+    def home(self) -> None:
+        self._answered("Move the drive to its origin. When it stands there, press Enter: ")
+        self._at = self.reach[0]
+
+    def position(self) -> float:
+        if self._at is None:
+            self._at = self._asked_for_position()
+        return self._at
+
+    @property
+    def moving(self) -> bool:
+        return self._heading is not None
+
+    def wait(self) -> None:
+        if self._heading is not None:
+            self._answered("When the drive stands still, press Enter: ")
+            self._at, self._heading = self._heading, None
+        why, self._stopped = self._stopped, ""
+        if why:
+            raise DeviceFailed(why)
+
+    def stop(self) -> None:
+        if self._heading is None:
+            return
+        self._say("STOP THE DRIVE NOW, with the stop button of its program or its power switch.")
+        self._at, self._heading = None, None
+        self._stopped = "the operator was instructed to stop the drive"
+
+    def _begin(self, target: float, speed: float) -> None:
+        here = self.position()
+        self._stopped = ""
+        self._say(
+            f"Set in the drive's program: from {1e3 * here:.2f} mm to {1e3 * target:.2f} mm"
+            f" (by {1e3 * (target - here):+.2f} mm), speed {1e3 * speed:.2f} mm/s."
+        )
+        self._heading = target  # an interrupted person may have clicked already
+        self._answered("Click its start button and press Enter at the same moment: ")
+
+    def _asked_for_position(self) -> float:
+        for _ in range(3):
+            typed = self._answered("Position of the drive in mm: ")
+            try:
+                return finite(float(typed.replace(",", ".")) * 1e-3, "position", "m")
+            except (ValueError, InvalidInput):
+                self._say(f"{typed!r} is not a number.")
+        raise DeviceFailed("the position of the drive is unknown; home it first")
+
+    def _answered(self, sentence: str) -> str:
+        try:
+            return self._ask(sentence)
+        except EOFError:
+            raise DeviceFailed(
+                "there is no operator: this is not a terminal", hint="run it in a terminal"
+            ) from None
+
+
+@final
+class SimulatedActuator(AbstractActuator):
+    """Actuator that moves as in the simulated testbed: at its own speed, with a ripple.
+
+    Parameters
+    ----------
+    reach : (float, float)
+        Smallest and largest position [m].
+    start : float
+        Initial position [m].
+    speed_ratio : float
+        True speed over the requested speed [-].
+    ripple : float
+        Amplitude of the speed about its mean, as a share of it, less than 1 [-].
+    frequency : float
+        Frequency of the ripple [Hz].
+    phase : float
+        Phase of the ripple when a move begins [rad].
+    clock : callable
+        Function that returns seconds; replace it to run faster than real time.
+    """
+
+    name: ClassVar[str] = "simulated"
+
+    def __init__(
+        self,
+        *,
+        reach: tuple[float, float] = DRIVE_REACH,
+        start: float = 0.0,
+        speed_ratio: float = 1.0,
+        ripple: float = 0.0,
+        frequency: float = 2.7,
+        phase: float = 0.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.reach = checked_reach(reach)
+        self._speed_ratio = positive(speed_ratio, "speed_ratio")
+        # Above 1 it would move backwards at times; no stepper motor does.
+        self._ripple = min(fraction(ripple, "ripple"), 1.0 - 1e-9)
+        self._frequency = positive(frequency, "frequency", "Hz")
+        self._phase = phase
+        self._clock = clock
+        self._connected = False
+        self._lock = threading.RLock()
+        self._from = self._to = non_negative(start, "start", "m")
+        self._speed, self._began = 0.0, 0.0
+        self._stopped = ""
+
+    def connect(self) -> Self:
+        self._connected = True
+        return self
+
+    def disconnect(self) -> None:
+        self.stop()
+        self._connected = False
+
+    @property
+    def connected(self) -> bool:
+        return self._connected
+
+    def home(self) -> None:
+        with self._lock:
+            self._from = self._to = self.reach[0]
+            self._speed = 0.0
+
+    def position(self) -> float:
+        with self._lock:
+            return self._place(self._clock())
+
+    @property
+    def moving(self) -> bool:
+        with self._lock:
+            return self._speed > 0.0 and self._place(self._clock()) != self._to
+
+    def wait(self) -> None:
+        while self.moving:
+            time.sleep(0.002)
+        with self._lock:
+            why, self._stopped = self._stopped, ""
+            self._speed = 0.0
+        if why:
+            raise DeviceFailed(why)
+
+    def stop(self) -> None:
+        with self._lock:
+            if self.moving:
+                self._stopped = "the drive was stopped"
+            self._from = self._to = self._place(self._clock())
+            self._speed = 0.0
+
+    def _begin(self, target: float, speed: float) -> None:
+        with self._lock:
+            now = self._clock()
+            self._from, self._to = self._place(now), target
+            self._speed, self._began = speed * self._speed_ratio, now
+            self._stopped = ""
+
+    def _place(self, now: float) -> float:
+        if self._speed == 0.0:
+            return self._to
+        elapsed = np.array(now - self._began)
+        even = float(uneven_time(elapsed, self._ripple, self._frequency, self._phase))
+        covered = max(0.0, self._speed * even)
+        whole = self._to - self._from
+        return self._to if covered >= abs(whole) else self._from + math.copysign(covered, whole)

@@ -25,7 +25,7 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
-from fixel.sampling.eight_push import (
+from fixel.sampling.published import (
     PART_LENGTH,
     PART_MASS,
     PART_WIDTH,

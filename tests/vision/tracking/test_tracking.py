@@ -12,9 +12,16 @@ from fixel.errors import InvalidInput
 from fixel.formats.rig_file import rig_of
 from fixel.model import Trajectory, pose_error
 from fixel.model.shape import placed
-from fixel.testing.painted import PAINT, as_seen, moving, painted, sticker_rig, tag_rig
 from fixel.testing.scenes import micro_push
-from fixel.testing.tracking_contract import TrackingContract
+from fixel.testing.tracking_contract import (
+    PAINT,
+    TrackingContract,
+    as_seen,
+    moving,
+    painted,
+    sticker_rig,
+    tag_rig,
+)
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
 from fixel.vision.marks import MarkedPart, Tag

@@ -18,8 +18,7 @@ from fixel.sampling import thesis_plan
 from fixel.simulation import simulate
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.testing.scenes import grasp, micro_push
-from fixel.workflows.acquisition.film import ABOUT, ARRAYS, FilmSettings, film
-from fixel.workflows.acquisition.film_scenes import SAMPLE
+from fixel.workflows.acquisition.film import ABOUT, ARRAYS, SAMPLE, FilmSettings, film
 from fixel.workflows.project.importing import run_testbed
 
 

@@ -26,7 +26,7 @@ from fixel.model import (
     Tripod,
 )
 from fixel.model.shape import placed
-from fixel.testing.painted import moving, painted, tag_rig
+from fixel.testing.tracking_contract import moving, painted, tag_rig
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Tag
 from fixel.vision.tracking import FilmTracks, FoundFixel, PartObservation

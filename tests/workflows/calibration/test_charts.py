@@ -11,7 +11,7 @@ from tests.fixtures import project_of
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate, ProfileRecord
 from fixel.model.selection import ExperimentQuery
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views import calibration_detail
 from fixel.workflows.calibration.charts import _ChartData, draw_all, pictures_of

@@ -10,7 +10,7 @@ import pytest
 
 import fixel
 from fixel.cli.main import run as run_command
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.units import deg, mm
 from fixel.workflows.calibration.project import collected, stored_calibration
 

@@ -13,7 +13,7 @@ from fixel.calibration.target import scene_of
 from fixel.database.project import Project
 from fixel.model import Parameters
 from fixel.model.selection import ExperimentQuery
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import load_detail
 from fixel.web.views.live_comparison import LiveComparison

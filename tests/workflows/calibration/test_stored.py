@@ -8,7 +8,7 @@ from fixel.errors import InvalidInput
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
 from fixel.model.space import split_label
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.simulation import QuasiStatic
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.calibration.stored import load_values, parameters_of

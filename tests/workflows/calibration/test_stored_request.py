@@ -19,7 +19,7 @@ from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
 from fixel.model.records import CalibrationRecord
 from fixel.model.space import Unknown
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import load_detail
 from fixel.workflows.calibration.project import add_to_project, stored_calibration

@@ -16,7 +16,7 @@ from fixel.io.result_cache import ResultCache
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.simulation import Dynamic
 from fixel.simulation.stepper import Adaptive
 from fixel.testbed.simulated import SimulatedTestbed

@@ -13,8 +13,8 @@ import fixel
 from fixel.errors import DeviceFailed, InvalidInput
 from fixel.formats.recording import open_recording
 from fixel.testbed.emulators.grbl import EmulatedGrbl
+from fixel.testbed.motion import SimulatedActuator
 from fixel.testbed.motion_grbl import GrblActuator
-from fixel.testbed.motion_simulated import SimulatedActuator
 from fixel.testbed.repeated_pushes import repeat_pushes
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.acquisition.film import FilmSettings, film

@@ -20,7 +20,7 @@ from fixel.drawing.calibration import seconds_chart
 from fixel.errors import InvalidInput
 from fixel.model.records import Estimate
 from fixel.model.selection import ExperimentQuery
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.table import Table
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.analysis import Analysis, store_analysis

@@ -23,8 +23,7 @@ from fixel.formats.scene_file import load_scene
 from fixel.testbed.file_source import FILM, PlayedTactile
 from fixel.testbed.frame_source import Stream
 from fixel.testbed.open_source import check_size, source_of
-from fixel.testbed.recorder import Recorder, RecordingSummary, Stop, TouchReader, Watch
-from fixel.testbed.seating import Seating
+from fixel.testbed.recorder import Recorder, RecordingSummary, Seating, Stop, TouchReader, Watch
 from fixel.vision.marks import Rig
 
 ENDS: Final = ("key", "limit", "seated")

@@ -21,7 +21,7 @@ from fixel.formats.scene_file import load_scene
 from fixel.model import Experiment, PathDrive, Scene, Trajectory, placed
 from fixel.model.records import Estimate
 from fixel.model.selection import ExperimentQuery
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.table import Table
 from fixel.testbed.emulators import mega
 from fixel.testbed.emulators.bench import emulated_bench

@@ -15,7 +15,7 @@ from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.model import Experiment
 from fixel.model.selection import ExperimentQuery
-from fixel.sampling.thesis import thesis_plan
+from fixel.sampling.published import thesis_plan
 from fixel.table import Table
 from fixel.testbed.simulated import TRUTH, SimulatedTestbed
 from fixel.typing import Notify

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fixel.filtering.recorded import FilterRun
     from fixel.model import Experiment
     from fixel.progress import ProgressOption
-    from fixel.workflows.filtering.record import FilterAnswer
+    from fixel.workflows.filtering.report import FilterAnswer
 
 
 def filter(
@@ -137,7 +137,7 @@ def filter_stored(
     InvalidInput
         The experiment cannot be filtered, or the occlusion is outside of it.
     """
-    from fixel.workflows.filtering.record import FilterAnswer, store_run
+    from fixel.workflows.filtering.report import FilterAnswer, store_run
 
     with project.store() as store:
         number = store.find(experiment)

@@ -76,11 +76,11 @@ def propose_pushes(
         There are no usable experiments of other parts, the part is unknown and has no scene, or
         no candidate moves it.
     """
-    from fixel.workflows.next_pushes import plan, selection
+    from fixel.workflows.next_pushes import selection
     from fixel.workflows.parts import part_model
 
     if out is not None:
-        plan.refuse_plan(out)
+        selection.refuse_plan(out)
     own = selection.select(project, part, surface, where, scene, candidates)
     fits = project.folder / STORE
     fits.mkdir(parents=True, exist_ok=True)
@@ -95,7 +95,7 @@ def propose_pushes(
     scenes = tuple(offered[k] for k in pushes.order)
     found = selection.PushProposal(own, model, pushes, scenes)
     if out is not None:
-        plan.write_plan(found, out)
+        selection.write_plan(found, out)
     return found
 
 

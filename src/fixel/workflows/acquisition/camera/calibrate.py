@@ -1,19 +1,28 @@
-"""Calibrate, import, export, place and check cameras."""
+"""Calibrate, import, export, place and check cameras; print boards and tags."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from fixel.drawing.chart import PICTURE_ENDINGS, draw_chart, refuse_ending
-from fixel.errors import InvalidInput
+from fixel.drawing.prints import (
+    PRINT_ENDINGS,
+    PrintSheet,
+    board_sheet,
+    save_sheets,
+    tag_sheets,
+)
+from fixel.errors import InvalidInput, os_reason
 from fixel.formats.camera_file import load_camera, save_camera
 from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_opencv import save_opencv, save_ros
 from fixel.formats.rig_file import EXAMPLES, plate_of, rig_of
+from fixel.formats.video_file import ENDINGS as VIDEO_ENDINGS
+from fixel.formats.video_file import open_video
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.io.document import read_document
 from fixel.typing import ProgressCallback
@@ -22,7 +31,8 @@ from fixel.vision.calibrate_lens import calibrate_lens, find_boards
 from fixel.vision.camera import MeasuredCamera
 from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
-from fixel.vision.marks import Rig
+from fixel.vision.marks import Rig, Tag
+from fixel.vision.opencv import opencv
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
 from fixel.vision.tracking.checks import moved_limit
 from fixel.vision.tracking.tag_reader import find_tags, tag_corners
@@ -33,7 +43,6 @@ from fixel.workflows.acquisition.camera.answer import (
     mm,
     verdict,
 )
-from fixel.workflows.acquisition.camera.pictures import files_of, first_picture, pictures_of
 
 RIG_FILE = "rig.yaml"
 CAMERA_ENDINGS = (".yaml", ".yml")
@@ -328,3 +337,162 @@ def _moved(rig: Rig, tags: dict[int, float]) -> list[str]:
         f"{len(tags)} tags are off by more than the uncertainty of the calibration "
         f"({mm(limits[worst])}): the camera or the plate was moved"
     ]
+
+
+PHOTO_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+FROM_VIDEO: Final = 40  # frames used of a video
+MAX_BYTES: Final = 200_000_000
+
+
+def files_of(paths: Sequence[Path]) -> list[Path]:
+    """Return files, and those of folders sorted by name.
+
+    Raises
+    ------
+    InvalidInput
+        A folder without pictures, or a file that is neither picture nor video.
+    """
+    known = (*PHOTO_ENDINGS, *VIDEO_ENDINGS)
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(file for file in path.iterdir() if file.suffix.lower() in known)
+            if not inside:
+                raise InvalidInput(
+                    str(path), found="a folder without pictures", expected="files such as .png"
+                )
+            files += inside
+        elif path.suffix.lower() not in known:
+            raise InvalidInput(
+                str(path), found=f"the ending {path.suffix!r}", expected=", ".join(known)
+            )
+        else:
+            files.append(path)
+    return files
+
+
+def pictures_of(files: Sequence[Path]) -> Iterator[tuple[str, Picture]]:
+    """Yield every picture with its name; of a video, frames spread over its length."""
+    for file in files:
+        if file.suffix.lower() in VIDEO_ENDINGS:
+            yield from _frames_of(file)
+        else:
+            yield file.name, read_picture(file)
+
+
+def first_picture(path: Path) -> Picture:
+    """Load a picture, or the first frame of a video."""
+    (file,) = files_of([path])[:1]
+    if file.suffix.lower() in VIDEO_ENDINGS:
+        for frame in open_video(file).frames():
+            return frame.picture
+        raise InvalidInput(str(path), found="no frames", expected="a video with pictures")
+    return read_picture(file)
+
+
+def read_picture(path: Path) -> Picture:
+    """Load a picture as the sensor recorded it, without the rotation noted in its file."""
+    cv2 = opencv()
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InvalidInput(str(path), found="more than 200 MB", expected="a picture")
+        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    except OSError as problem:
+        reason = os_reason(problem)
+        raise InvalidInput(str(path), found=reason, expected="a picture") from None
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        picture: Picture | None = cv2.imdecode(data, flags) if len(data) else None
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise InvalidInput(
+            str(path), found="a file that is not a picture", expected="a file such as .png or .jpg"
+        )
+    return picture
+
+
+def _frames_of(file: Path) -> Iterator[tuple[str, Picture]]:
+    video = open_video(file)
+    every = max(1, (video.n_frames or FROM_VIDEO) // FROM_VIDEO)
+    for number, frame in enumerate(video.frames()):
+        if number % every == 0:
+            yield f"{file.name} at {frame.time:.2f} s", frame.picture
+
+
+MAX_TAGS = 500
+
+
+class PrintAnswer(NamedTuple):
+    """Result of printing boards or tags into a file."""
+
+    file: Path
+    sheets: int
+    what: str
+    tags: int = 0  # number of tags, 0 for a board
+
+    def summary(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        return {**self._asdict(), "file": str(self.file)}
+
+    def blocks(self) -> list[list[str]]:
+        """Return paragraphs of text for people."""
+        if not self.tags:
+            return [
+                ["Print at 100 %, check the length of the ruler, glue the sheet to a flat plate."]
+            ]
+        sheets = f"{self.sheets} sheet{'s' if self.sheets > 1 else ''}"
+        return [
+            [
+                f"{self.tags} tags on {sheets}. "
+                "Print at 100 %, check the ruler, leave the white border around each tag."
+            ]
+        ]
+
+
+def print_board(text: str, output: Path, paper: str) -> PrintAnswer:
+    """Save a board as a PDF or PNG."""
+    board = board_of(text)
+    name = board_text(board)
+    _save((board_sheet(board, name, paper),), output)
+    return PrintAnswer(output, 1, name)
+
+
+def print_rig_tags(rig: str, output: Path, paper: str) -> PrintAnswer:
+    """Print all tags of a rig, each with the part it belongs to."""
+    found = rig_of(rig)
+    tags = [
+        (mark, name)
+        for name, part in found.parts.items()
+        for mark in part.marks
+        if isinstance(mark, Tag)
+    ]
+    tags += [(tag, "plate") for tag in found.plate]
+    if not tags:
+        raise InvalidInput(rig, found="no tags", expected="a rig with tags", hint="thesis-tags")
+    return _print_tags(tags, output, paper, found.name)
+
+
+def print_tags(
+    first: int, last: int, size: float, family: str, output: Path, paper: str
+) -> PrintAnswer:
+    """Print tags with numbers from `first` to `last`, all of one size [m]."""
+    if not 0 <= first <= last or last - first >= MAX_TAGS:
+        raise InvalidInput(
+            "ids", found=f"{first}-{last}", expected=f"a range of at most {MAX_TAGS}: 0-9"
+        )
+    tags = [(Tag(id=k, size=size, height=0.0, family=family), "") for k in range(first, last + 1)]
+    return _print_tags(tags, output, paper, f"{family}, {1e3 * size:g} mm")
+
+
+def _print_tags(tags: list[tuple[Tag, str]], output: Path, paper: str, title: str) -> PrintAnswer:
+    sheets = tag_sheets(tags, paper, title)
+    _save(sheets, output)
+    return PrintAnswer(output, len(sheets), title, len(tags))
+
+
+def _save(sheets: tuple[PrintSheet, ...], output: Path) -> None:
+    refuse_ending(output, PRINT_ENDINGS, "print")
+    refuse_unwritable(output)
+    with written_whole(output) as unfinished:
+        save_sheets(sheets, unfinished)
