@@ -17,7 +17,7 @@ from fixel.drawing.uncertainty import coverage_chart
 from fixel.model import wrapped
 from fixel.replay.base import Row
 from fixel.typing import FloatArray, IntArray
-from fixel.uncertainty.bands import CURVE_LEVELS, CoverageCurve, coverage_curve
+from fixel.uncertainty.prediction import CURVE_LEVELS, CoverageCurve, coverage_curve
 from reproductions.fitting import ARM, Belief, FittedPushes
 from reproductions.linear import LinearPredictive, Outcomes, Spreads, fit_predictive
 from reproductions.protocols import calibrated_bench, full_beliefs, full_fit

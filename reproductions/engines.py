@@ -27,8 +27,8 @@ from fixel.calibration.optimiser import SearchBox
 from fixel.calibration.registration import registration_from_gaps
 from fixel.datasets.cmu_tripod import MU_FINGER
 from fixel.datasets.contact import pushed_scene
-from fixel.datasets.mit_plates import TIP
 from fixel.datasets.mit_push import NOMINAL, STROKE, read_mit_pushes
+from fixel.datasets.mit_push_records import TIP
 from fixel.errors import DatasetMissing
 from fixel.io.result_cache import ResultCache, listed
 from fixel.model import Body, Disk, SupportPoints, UniformPressure, wrapped

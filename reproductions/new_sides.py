@@ -16,7 +16,7 @@ import numpy as np
 
 from fixel.calibration.contacts import Configurations, PushedContacts, TouchedPlaces, contacts_of
 from fixel.calibration.registration import gaps_and_normals
-from fixel.datasets.mit_plates import TIP
+from fixel.datasets.mit_push_records import TIP
 from fixel.domain.error_bound import (
     CAUTIOUS,
     LEVEL,

@@ -9,8 +9,8 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.datasets.contact import moved_to_contact
-from fixel.datasets.mit_plates import TIP
 from fixel.datasets.mit_push import NOMINAL, MitPushes
+from fixel.datasets.mit_push_records import TIP
 from fixel.model import (
     PathDrive,
     Pusher,

@@ -24,8 +24,7 @@ from fixel.model import (
 )
 from fixel.model.trajectory import wrapped
 from fixel.typing import BoolArray, FloatArray
-from fixel.uncertainty.overlap import Neighbour, remove_overlap
-from fixel.uncertainty.start_ensemble import simulate_starts
+from fixel.uncertainty.start_ensemble import Neighbour, remove_overlap, simulate_starts
 from fixel.uncertainty.starts import StartError, even_points
 
 MIN_ROWS: Final = 30  # minimum number of rows of a push

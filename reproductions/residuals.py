@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fixel.calibration.contacts import Configurations, contacts_of
-from fixel.datasets.mit_plates import TIP
+from fixel.datasets.mit_push_records import TIP
 from fixel.domain.features import (
     PLACE,
     Features,

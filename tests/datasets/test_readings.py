@@ -11,8 +11,8 @@ import pytest
 from tests.datasets import push_files, recordings
 
 from fixel.datasets import IMPORTERS, importer_for
-from fixel.datasets.mit_plates import plate
 from fixel.datasets.mit_push import read_mit_pushes
+from fixel.datasets.mit_push_records import plate
 from fixel.datasets.rpi_2dgad import lab_simulation
 from fixel.errors import InvalidInput
 from fixel.model import Disk, Experiment, Polygon

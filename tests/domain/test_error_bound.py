@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fixel.domain import scale_model
+from fixel.domain import features as scales
 from fixel.domain.error_bound import (
     ConformalBound,
     Experience,
@@ -189,10 +189,10 @@ def test_what_shapes_the_model_judges_nothing() -> None:
 
 
 def test_without_scikit_learn_neighbours_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert scale_model.default_model(29) == "constant"
-    assert scale_model.default_model(30) in ("forest", "neighbours")
+    assert scales.default_model(29) == "constant"
+    assert scales.default_model(30) in ("forest", "neighbours")
     monkeypatch.setitem(__import__("sys").modules, "sklearn", None)
-    assert scale_model.default_model(30) == "neighbours"
+    assert scales.default_model(30) == "neighbours"
     features, errors, groups = made_up(60, 0)
     assert ConformalBound.fit(features, errors, groups).model == "neighbours"
 

@@ -12,8 +12,8 @@ from tests.drawing.collisions import collisions
 from fixel.drawing import palette
 from fixel.drawing.chart import draw_chart
 from fixel.drawing.uncertainty import bands_chart, corner_chart, coverage_chart, final_pose_chart
-from fixel.uncertainty.bands import Band, CoverageCurve, Ellipse, EndBounds
 from fixel.uncertainty.discrepancy import LABEL
+from fixel.uncertainty.prediction import Band, CoverageCurve, Ellipse, EndBounds
 from fixel.workflows.uncertainty import report
 
 DICE = np.random.default_rng(0)

@@ -14,8 +14,8 @@ from tests.jobs.helpers import await_true, kill, processes
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import cluster, link
 from fixel.jobs.engine import OTHER_VERSION, LocalEngine, run_chunk
+from fixel.jobs.functions import stamp
 from fixel.jobs.pool import LocalPool, worker_command
-from fixel.jobs.stamp import stamp
 from fixel.jobs.work import Chunk, Failure, unframed
 from fixel.testing import toy_work
 

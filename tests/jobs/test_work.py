@@ -8,8 +8,7 @@ from tests.jobs.kinds import toy_undisturbed
 from fixel.errors import InvalidInput
 from fixel.io.journal import Journal
 from fixel.jobs.engine import LocalEngine, answer_of
-from fixel.jobs.functions import THREADS, chunk_function, named_function, threads
-from fixel.jobs.stamp import stamp
+from fixel.jobs.functions import THREADS, chunk_function, named_function, stamp, threads
 from fixel.jobs.work import (
     Chunk,
     Failure,

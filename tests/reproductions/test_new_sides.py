@@ -14,7 +14,7 @@ from reproductions.run import reproduce
 from tests.reproductions.test_mit_push import made_up
 
 from fixel.datasets.mit_push import read_mit_pushes
-from fixel.domain import scale_model
+from fixel.domain import features
 from fixel.io.result_cache import ResultCache
 
 
@@ -40,7 +40,7 @@ def test_without_other_plates_a_new_side_has_no_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two plates of four sides: too few left-out sides of the other plate to bound a new one."""
-    monkeypatch.setattr(scale_model, "TREES", 4)
+    monkeypatch.setattr(features, "TREES", 4)
     made_up(tmp_path / "mit_push_endpoints", 64)
 
     answer = reproduce("new-sides", tmp_path, out=tmp_path / "out", quick=True)

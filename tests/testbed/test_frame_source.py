@@ -20,8 +20,7 @@ from fixel.formats.jpeg import brightness, jpeg_of, jpeg_size, shrunk
 from fixel.formats.recording import open_recording
 from fixel.formats.video_file import VideoWriter
 from fixel.testbed.file_source import FileSource, PlayedTactile
-from fixel.testbed.frame_queue import FrameQueue
-from fixel.testbed.frame_source import Stream
+from fixel.testbed.frame_source import FrameQueue, Stream
 from fixel.testbed.loopback import LoopbackCamera
 from fixel.testbed.open_source import DeviceSource, UrlSource, check_size, source_of
 from fixel.testbed.recorder import Recorder

@@ -19,8 +19,7 @@ from fixel.errors import InvalidInput
 from fixel.formats.jpeg import jpeg_of
 from fixel.formats.recording import open_recording
 from fixel.testbed import recorder as recorder_module
-from fixel.testbed.frame_queue import CATCHING_UP, FrameQueue
-from fixel.testbed.frame_source import CameraPicture, FrameSource
+from fixel.testbed.frame_source import CATCHING_UP, CameraPicture, FrameQueue, FrameSource
 from fixel.testbed.recorder import Recorder, RecordingStatus, RecordingSummary, Seating
 
 

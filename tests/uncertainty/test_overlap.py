@@ -7,7 +7,7 @@ import shapely
 from fixel.model import Disk, Polygon, placed
 from fixel.model.overlap import overlap_depth, overlaps
 from fixel.testing.scenes import box
-from fixel.uncertainty.overlap import Neighbour, remove_overlap
+from fixel.uncertainty.start_ensemble import Neighbour, remove_overlap
 
 NOTCHED = Polygon(np.array([[0, 0], [4, 0], [4, 1], [1, 1], [1, 3], [0, 3]]) * 0.01)
 SHAPES = {"disk": Disk(0.015), "box": box(0.05, 0.03), "notched": NOTCHED}

@@ -9,8 +9,8 @@ from reproductions.linear import Outcomes, fit_predictive
 from tests.uncertainty.test_likelihood import TRUTH, sampled
 
 from fixel.errors import InvalidInput
-from fixel.uncertainty.bands import LEVELS, bounds_of, coverage_curve, levels_of, shortest
 from fixel.uncertainty.near_optimal import near_optimal, rise_of
+from fixel.uncertainty.prediction import LEVELS, bounds_of, coverage_curve, levels_of, shortest
 from fixel.uncertainty.repetition import PARTS, predict_repetition
 
 

@@ -6,7 +6,7 @@ from tests.vision.plate import plate_picture, small_rig
 from tests.workflows.acquisition.test_overlay import AT_HOME, SCENE
 
 from fixel.vision.frame import Frame
-from fixel.vision.locate import NOW_AND_THEN, Locator
+from fixel.vision.tracking.follow import NOW_AND_THEN, Locator
 
 RIG = small_rig()
 

@@ -24,8 +24,7 @@ from fixel.errors import InvalidInput
 if TYPE_CHECKING:
     from fixel.testbed.frame_source import FrameSource
     from fixel.vision.marks import Rig
-    from fixel.workflows.acquisition.overlay import Overlay
-    from fixel.workflows.acquisition.overlay_check import Look, Tolerance
+    from fixel.workflows.acquisition.overlay import Look, Overlay, Tolerance
 
 NOT_IN_PLACE = 4
 WAKING = 5  # pictures that are skipped: a camera that was just switched on sends dark ones
@@ -115,7 +114,7 @@ def _bench(rig: str, picture: Path | None) -> "Rig":
 
 def _tolerance(bench: "Rig", mm: float | None, deg: float | None) -> "Tolerance":
     """Return the tolerance; where none is given, that of the rig."""
-    from fixel.workflows.acquisition.overlay_check import Tolerance
+    from fixel.workflows.acquisition.overlay import Tolerance
 
     return Tolerance(
         distance=bench.position_tolerance if mm is None else 1e-3 * mm,

@@ -18,18 +18,20 @@ from numpy.typing import NDArray
 from fixel.datasets.base import Importer, ImportPlan, Origin, guarded, named
 from fixel.datasets.contact import MAX_CORRECTION, moved_to_contact, pushed_scene
 from fixel.datasets.files import MM, Problems, only_file, read_json, read_table
-from fixel.datasets.mit_plates import (
+from fixel.datasets.mit_push_records import (
     DATASET,
     MU_PUSHER,
     MU_SUPPORT,
     OBJECT,
+    PUBLISHED,
+    RECORDS,
     SHAPES,
     TIP,
     known_doubts,
+    plan_of_records,
     plate,
     shapes_of,
 )
-from fixel.datasets.mit_push_records import PUBLISHED, RECORDS, plan_of_records
 from fixel.errors import FixelError, InvalidInput
 from fixel.model import Body, Experiment, Flag, Provenance, Trajectory
 from fixel.typing import BoolArray, FloatArray, IntArray

@@ -14,8 +14,7 @@ import numpy as np
 
 from fixel.datasets.base import Importer, ImportPlan, Origin, remark
 from fixel.datasets.files import CsvRows, Problems, increasing, rate_of, read_table
-from fixel.datasets.own_scene import with_scene
-from fixel.datasets.plausible import refuse_implausible
+from fixel.datasets.own_scene import refuse_implausible, with_scene
 from fixel.errors import InvalidInput, unknown_name
 from fixel.model import Channel, Experiment, Flag, Provenance, Trajectory
 from fixel.model.scene import SceneChoice

@@ -23,7 +23,7 @@ from fixel.calibration.contacts import (
     TouchedPlaces,
 )
 from fixel.calibration.known_pushes import MIN_EXPERIMENTS
-from fixel.domain.scale_model import (
+from fixel.domain.features import (
     Scale,
     ScaleModel,
     default_model,

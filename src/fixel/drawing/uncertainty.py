@@ -13,10 +13,9 @@ from fixel.drawing.top_view import closed_line
 from fixel.model import placed
 from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.uncertainty.bands import LEVELS, Band, CoverageCurve, EndBounds
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.uncertainty.posterior import Posterior
-from fixel.uncertainty.prediction import Prediction
+from fixel.uncertainty.prediction import LEVELS, Band, CoverageCurve, EndBounds, Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

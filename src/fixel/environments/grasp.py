@@ -10,6 +10,7 @@ from gymnasium import spaces
 
 from fixel.environments.scene_picture import scene_picture
 from fixel.environments.vector import (
+    MAX_REDRAWS,
     BatchEnv,
     BatchOptions,
     Info,
@@ -18,7 +19,6 @@ from fixel.environments.vector import (
     symmetric_box,
     with_cosine,
 )
-from fixel.environments.worlds import MAX_REDRAWS
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Fixel, Goal, LineDrive, Polygon, Pusher, Scene, Seated, Tripod
 from fixel.model.fields import instance, non_negative, vector

@@ -12,15 +12,18 @@ from numpy.typing import ArrayLike
 from fixel.environments.motion import STIFFNESS, PushMotion
 from fixel.environments.scene_picture import scene_picture
 from fixel.environments.vector import (
+    FORCE,
+    MAX_REDRAWS,
     BatchEnv,
     BatchOptions,
     Info,
     SingleEnv,
     check_name,
+    pressure_arm,
     symmetric_box,
+    usual_parameters,
     with_cosine,
 )
-from fixel.environments.worlds import FORCE, MAX_REDRAWS, pressure_arm, usual_parameters
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Ellipsoid, PathDrive, Polygon, Pusher, Scene
 from fixel.model.fields import positive, vector

@@ -17,8 +17,16 @@ from gymnasium import spaces
 from fixel.environments.loops import STILL, coverage
 from fixel.environments.motion import PushMotion
 from fixel.environments.push_t_picture import picture
-from fixel.environments.vector import BatchEnv, BatchOptions, Info, SingleEnv, check_name
-from fixel.environments.worlds import FORCE, MAX_REDRAWS, usual_parameters
+from fixel.environments.vector import (
+    FORCE,
+    MAX_REDRAWS,
+    BatchEnv,
+    BatchOptions,
+    Info,
+    SingleEnv,
+    check_name,
+    usual_parameters,
+)
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, Ellipsoid, Fixel, PathDrive, Polygon, Pusher, Scene
 from fixel.model.fields import vector

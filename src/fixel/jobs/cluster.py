@@ -14,8 +14,8 @@ from typing import Any, Final, NamedTuple, final
 
 from fixel.jobs import link
 from fixel.jobs.engine import OTHER_VERSION, run_chunk
+from fixel.jobs.functions import stamp
 from fixel.jobs.scheduler import CONFIG
-from fixel.jobs.stamp import stamp
 from fixel.jobs.work import Answer, unframed
 
 MAX_STRANGE: Final = 20  # lost answers in a row, although no worker died

@@ -22,8 +22,7 @@ from fixel.io.journal import Journal
 from fixel.jobs import folder as files
 from fixel.jobs.engine import LocalEngine
 from fixel.jobs.folder import Job, JobState, RunSettings
-from fixel.jobs.functions import named_function
-from fixel.jobs.stamp import stamp
+from fixel.jobs.functions import named_function, stamp
 from fixel.jobs.work import AbstractEngine, JobProgress, Show, StopRequest, run_work
 from fixel.typing import Notify
 

@@ -26,8 +26,8 @@ from fixel.jobs.cluster import (
     Task,
     WorkerKilled,
 )
+from fixel.jobs.functions import stamp
 from fixel.jobs.pool import AbstractPool
-from fixel.jobs.stamp import stamp
 from fixel.jobs.work import AbstractEngine, Answer, Batch, Chunk, Failure, block_name, unframed
 
 TICK_S: Final = 0.5  # [s] between two checks of workers and files

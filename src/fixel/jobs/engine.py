@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Final, Self, final
 
 from fixel.jobs import link
-from fixel.jobs.functions import chunk_function
-from fixel.jobs.stamp import stamp
+from fixel.jobs.functions import chunk_function, stamp
 from fixel.jobs.work import AbstractEngine, Batch, Chunk, Failure, answer_of, framed
 
 OTHER_VERSION: Final = b"V"  # first byte of an answer; not used by `fixel.jobs.work.framed`

@@ -33,9 +33,8 @@ from fixel.io.atomic import written_whole
 from fixel.io.document import read_document
 from fixel.io.journal import writer_of
 from fixel.io.lock import Owner
-from fixel.jobs.functions import named_function
+from fixel.jobs.functions import named_function, stamp
 from fixel.jobs.site import Site
-from fixel.jobs.stamp import stamp
 from fixel.jobs.work import JobProgress
 
 State = Literal[

@@ -7,8 +7,11 @@ paths, so modules can be moved.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -65,3 +68,19 @@ def threads() -> int | None:
     """Return the number of threads that a chunk function should use; None for all cores."""
     said = os.environ.get(THREADS, "")
     return int(said) if said.isdecimal() and int(said) > 0 else None
+
+
+# All processes of a job must have exactly the same sources; otherwise their answers may differ in
+# the last bits.
+
+
+@cache
+def stamp() -> str:
+    """Return version and digest of the sources: `"0.1.0+3f8a0c2b91d4e670"`."""
+    digest = hashlib.sha256()
+    root = Path(__file__).parents[1]
+    for path in sorted(root.rglob("*.py")):
+        content = path.read_bytes()
+        digest.update(f"{path.relative_to(root).as_posix()}\0{len(content)}\0".encode())
+        digest.update(content)
+    return f"{version('fixel')}+{digest.hexdigest()[:16]}"

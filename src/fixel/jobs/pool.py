@@ -12,7 +12,7 @@ from typing import Final, final
 
 from fixel.errors import InvalidInput, JobRefused
 from fixel.jobs import link
-from fixel.jobs.stamp import stamp
+from fixel.jobs.functions import stamp
 from fixel.jobs.worker import REFUSED
 
 MAX_STILLBORN: Final = 3  # workers in a row that end before they have joined

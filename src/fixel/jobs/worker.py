@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from fixel.jobs import engine, link
-from fixel.jobs.functions import THREADS
+from fixel.jobs.functions import THREADS, stamp
 from fixel.jobs.scheduler import CONFIG, end_with_parent
-from fixel.jobs.stamp import stamp
 
 REFUSED: Final = 3  # exit code
 GRACE_S: Final = 20.0  # [s] for a running chunk when the worker has to end; SLURM gives 30

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fixel.datasets.mit_plates import TIP
 from fixel.datasets.mit_push import MitPushes
+from fixel.datasets.mit_push_records import TIP
 from fixel.drawing import palette
 from fixel.drawing.chart import sheet
 from fixel.model import Experiment, Fixel, Trajectory, placed

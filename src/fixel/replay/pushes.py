@@ -10,8 +10,8 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from fixel.datasets.mit_plates import TIP
 from fixel.datasets.mit_push import NOMINAL, STROKE, read_mit_pushes
+from fixel.datasets.mit_push_records import TIP
 from fixel.errors import InvalidInput
 from fixel.model import Scene
 from fixel.replay.base import (

@@ -1,6 +1,5 @@
 """Plans of experiments: configurations to measure."""
 
-from fixel.sampling.checks import PlanProblem
 from fixel.sampling.offsets import (
     Grid,
     Nominal,
@@ -10,7 +9,7 @@ from fixel.sampling.offsets import (
     OffsetSample,
     OffsetScheme,
 )
-from fixel.sampling.plan import Plan, rehearse
+from fixel.sampling.plan import Plan, PlanProblem, rehearse
 from fixel.sampling.published import eight_push_plan, thesis_plan
 from fixel.sampling.rig import FixelLayout, PlannedShape, RegularPolygon, SamplingRig
 

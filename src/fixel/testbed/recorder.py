@@ -16,8 +16,7 @@ import numpy as np
 
 from fixel.errors import FixelError, InvalidInput, os_reason
 from fixel.formats.recording import RecordingHeader, RecordingWriter
-from fixel.testbed.frame_queue import FrameQueue
-from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stream
+from fixel.testbed.frame_source import STALLED, CameraPicture, FrameQueue, FrameSource, Stream
 from fixel.testbed.tactile import TactileReading
 from fixel.vision.frame import Frame, Gray
 

@@ -18,7 +18,7 @@ def overlay_page(view: LiveView, heading: str, path: str = "/overlay") -> Page:
     Parameters
     ----------
     view : LiveView
-        View whose status is a `fixel.workflows.acquisition.overlay_check.Look.summary()`.
+        View whose status is a `fixel.workflows.acquisition.overlay.Look.summary()`.
     heading : str
         Part to be placed, and its scene.
     path : str

@@ -31,8 +31,8 @@ from fixel.io.journal import read_journal
 from fixel.jobs import folder as files
 from fixel.jobs.coordinator import coordinate
 from fixel.jobs.folder import Job, JobState, RunSettings
+from fixel.jobs.functions import stamp
 from fixel.jobs.site import Site, trust_site
-from fixel.jobs.stamp import stamp
 from fixel.jobs.work import AbstractEngine, JobProgress, Show
 from fixel.typing import Notify
 

@@ -12,7 +12,7 @@ from fixel.testing.scenes import FIXEL_RADIUS
 from fixel.vision.frame import Frame
 from fixel.vision.render.looks import looks_named
 from fixel.vision.render.virtual_camera import Sensor
-from fixel.vision.tracking.fixels import FixelFinder
+from fixel.vision.tracking.follow import FixelFinder
 
 PLACES = ((0.08, 0.055), (0.085, -0.03), (0.215, 0.05), (0.15, 0.06))
 AWAY = np.array([0.9, 0.9, 0.0])

@@ -9,8 +9,7 @@ from fixel.errors import InvalidInput
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
 from fixel.vision.tracking.loops import edges_expected, optics_of, seen_at
-from fixel.vision.tracking.outline import OutlineEdges
-from fixel.vision.tracking.solver import plausible
+from fixel.vision.tracking.outline import OutlineEdges, plausible
 
 LENSES = {
     "thesis": {"distortion": [0.0, -0.0536], "skew": 0.002},

@@ -18,8 +18,7 @@ from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Pusher, Scene, Tr
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
 from fixel.vision.camera import Camera
 from fixel.vision.frame import Frame
-from fixel.workflows.acquisition.overlay import Overlay, frames_of, watch, write_picture
-from fixel.workflows.acquisition.overlay_check import Tolerance
+from fixel.workflows.acquisition.overlay import Overlay, Tolerance, frames_of, watch, write_picture
 
 RIG = small_rig()
 WANTED = (0.11, -0.01, 0.35)

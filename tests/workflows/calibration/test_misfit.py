@@ -27,7 +27,7 @@ from fixel.workflows.calibration.request import (
 )
 from fixel.workflows.calibration.stored import load_values, parameters_of, searched_space
 from fixel.workflows.demo.laboratory_demo import _beside_truth
-from fixel.workflows.report.calibration import calibration_warnings, parameters_section
+from fixel.workflows.report.sections import calibration_warnings, parameters_section
 
 LARGER = ("pressure_spread", "friction_centre_x", "friction_centre_y")
 

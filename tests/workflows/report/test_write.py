@@ -29,7 +29,7 @@ from fixel.workflows.calibration.project import stored_calibration
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.stored import load_values
 from fixel.workflows.figures import Picture
-from fixel.workflows.report.calibration import calibration_warnings
+from fixel.workflows.report.sections import calibration_warnings
 from fixel.workflows.report.write import bibtex, known_works, line, works
 
 PLANNED = thesis_plan().experiments
@@ -65,7 +65,7 @@ def report(project, tmp_path_factory):
 @pytest.fixture
 def without_charts(monkeypatch):
     """Reports of this test have no charts of the calibration, which take seconds each time."""
-    monkeypatch.setattr("fixel.workflows.report.calibration.pictures_of", lambda *_: [])
+    monkeypatch.setattr("fixel.workflows.report.sections.pictures_of", lambda *_: [])
 
 
 def _kept(project, **changes):

@@ -1,15 +1,15 @@
-"""Tracking of all parts in a film."""
+"""Tracking of all parts in a film: parts and fixels frame by frame."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
-from typing import Final
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, final
 
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.model import Scene
+from fixel.model import Disk, Fixel, Scene
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig, Tag
@@ -24,13 +24,13 @@ from fixel.vision.tracking.checks import (
     check_size,
     registered,
 )
-from fixel.vision.tracking.fixels import FixelFinder
 from fixel.vision.tracking.judge import judged, stamp_scatter
+from fixel.vision.tracking.outline import OutlineEdges, PoseFit, circle_edges, fit_pose, window_of
 from fixel.vision.tracking.silhouette import Silhouette
 from fixel.vision.tracking.stickers import Stickers
 from fixel.vision.tracking.tag_reader import other_families, tag_corners
 from fixel.vision.tracking.tags import Tags
-from fixel.vision.tracking.tracked import FilmTracks, PartTrack
+from fixel.vision.tracking.tracked import FilmTracks, FoundFixel, PartTrack
 
 METHODS: Final[Mapping[str, AbstractTracking]] = {
     method.name: method for method in (Tags(), Stickers(), Silhouette())
@@ -226,3 +226,200 @@ def _refuse_unseen(rig: Rig, sightings: Mapping[str, list[PartObservation]], fir
             expected="a visible part",
             hint=bad_light(first) or "check that the film was recorded with this rig",
         )
+
+
+REACH_FIRST: Final = 10.0  # [px] from its place in the scene
+FIXEL_REACH: Final = 4.0
+# Radii of visible rings as shares of the fixel's radius: a turned end has concentric rings. The
+# radius of the clearest one is fitted with its place, since a wrong radius would bias the place
+# where the side of the cylinder hides part of the ring.
+RINGS: Final = (1.0, 0.92, 0.85, 0.78, 0.7, 0.62)
+WIDEST, NARROWEST = 1.1, 0.5
+LOOKS: Final = 4  # fits of a ring, each with the radius of the one before
+SAME_RADIUS: Final = 0.02  # [px] change of radius at which the fits have converged
+MIN_SHARE: Final = 0.45  # of a ring
+MAX_RESIDUAL: Final = 0.5  # [px]
+MIN_FRAMES: Final = 3  # least number of frames for a place
+
+Ring = tuple[float, bool]  # share of the radius, and whether it is dark inside
+
+
+@final
+class FixelFinder:
+    """Measurement of fixels in some frames of a film.
+
+    The clearest ring of the top, dark or bright inside, is chosen where a fixel is first seen. The
+    edge of the cylinder's side differs from it, and is left out.
+    """
+
+    def __init__(self, rig: Rig, fixels: Sequence[Fixel]) -> None:
+        self._camera = rig.camera
+        self._height = rig.fixel_height
+        self._scale = rig.camera.metres_per_pixel(rig.fixel_height)
+        self._fixels = [fixel for fixel in fixels if isinstance(fixel.shape, Disk)]
+        self._found: dict[str, list[FloatArray]] = {f.name: [] for f in self._fixels}
+        self._rings: dict[str, Ring] = {}
+
+    def see(self, frame: Frame) -> None:
+        """Measure the visible fixels in a frame."""
+        for fixel in self._fixels:
+            places = self._found[fixel.name]
+            if places:
+                rings, start, reach = [self._rings[fixel.name]], places[-1], FIXEL_REACH
+            else:
+                rings = [(share, dark) for share in RINGS for dark in (True, False)]
+                start, reach = fixel.pose[:2], REACH_FIRST
+            fits = [self._fit(frame, fixel, ring, start, reach) for ring in rings]
+            good = [fit for fit in fits if fit is not None]
+            if good:
+                fit, ring = max(good, key=lambda each: each[0].share - each[0].residual)
+                self._rings[fixel.name] = ring
+                places.append(fit.pose[:2])
+
+    def _fit(
+        self, frame: Frame, fixel: Fixel, ring: Ring, start: FloatArray, reach: float
+    ) -> tuple[PoseFit, Ring] | None:
+        """Fit place and radius of a ring; None where it is not clear."""
+        assert isinstance(fixel.shape, Disk)
+        share, dark = ring
+        pose, fit = np.append(start, 0.0), None
+        for _ in range(LOOKS):
+            edges = circle_edges(share * fixel.shape.radius, self._height, dark_inside=dark)
+            window = window_of(frame, self._camera, edges, pose, reach)
+            if window is None:
+                return None
+            fit = fit_pose(
+                window[0], self._camera, edges, pose, reach=reach, turns=False, corner=window[1]
+            )
+            if fit is None:
+                return None
+            wider = _wider(edges, fit) if dark else -_wider(edges, fit)
+            share += wider * self._scale / fixel.shape.radius
+            if not NARROWEST < share < WIDEST:
+                return None
+            pose, reach = fit.pose, FIXEL_REACH
+            if abs(wider) < SAME_RADIUS:
+                break
+        if fit is None or fit.share < MIN_SHARE or fit.residual > MAX_RESIDUAL:
+            return None
+        return fit, (share, dark)
+
+    def found(self) -> tuple[FoundFixel, ...]:
+        """Return the fixels that were measured often enough."""
+        result = []
+        for name, places in self._found.items():
+            if len(places) < MIN_FRAMES:
+                continue
+            place = np.median(places, axis=0)
+            scatter = float(np.sqrt(np.mean(np.sum((np.array(places) - place) ** 2, axis=1))))
+            result.append(FoundFixel(name=name, place=place, scatter=scatter, n=len(places)))
+        return tuple(result)
+
+
+def _wider(edges: OutlineEdges, fit: PoseFit) -> float:
+    """Excess of the radius found over that of `edges`, for any middle [px]."""
+    slope = np.column_stack((np.ones(len(edges.outward)), edges.outward))[fit.used]
+    return float(np.linalg.lstsq(slope, fit.found[fit.used, 0], rcond=None)[0][0])
+
+
+# Camera, plate and fixels rarely move and are checked once in this many frames.
+NOW_AND_THEN: Final = 15
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FramePoses:
+    """Poses and places in one frame."""
+
+    parts: dict[str, PartObservation] = field(default_factory=dict)
+    # Places of the fixels whose tops were found [m].
+    fixels: dict[str, FloatArray] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()  # why the poses cannot be trusted
+    remarks: tuple[str, ...] = ()  # further remarks
+
+
+@final
+class Locator:
+    """Locator of parts and fixels in live pictures; frames without any raise nothing.
+
+    Parameters
+    ----------
+    rig : Rig
+    scene : Scene
+        Scene with the outlines of parts and the approximate places of fixels.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parts of the scene to find.
+
+    Raises
+    ------
+    InvalidInput
+        The rig has markers for no part of the scene.
+    """
+
+    def __init__(self, rig: Rig, scene: Scene) -> None:
+        things = things_of(scene)
+        own = {name: part for name, part in rig.parts.items() if name in things}
+        if not own:
+            raise InvalidInput(
+                f"rig {rig.name!r}",
+                found="it has " + (", ".join(rig.parts) or "no part"),
+                expected="a part of the scene: " + ", ".join(things),
+                hint="use the names of the scene for the parts of the rig",
+            )
+        self.rig = rig
+        self._scene = scene
+        self.names, self._followers = followers_of(replace(rig, parts=own), things, AUTO)
+        self._looks = 0
+        self._standing = FramePoses()
+        self._finder = FixelFinder(rig, scene.fixels)
+        self._finds = 0
+
+    def see(self, frame: Frame) -> FramePoses:
+        """Locate parts and fixels in a frame."""
+        try:
+            check_size(self.rig, frame)
+            parts = {
+                name: sight
+                for follower in self._followers
+                for name, sight in follower.see(frame).items()
+            }
+        except InvalidInput as problem:
+            return FramePoses(
+                parts={name: PartObservation(reason="not searched for") for name in self.names},
+                problems=(_told(problem),),
+            )
+        seen = any(sight.pose is not None for sight in parts.values())
+        if self._looks % NOW_AND_THEN == 0 or self._finds < MIN_FRAMES:
+            self._standing = self._what_stands(frame, seen)
+        self._looks += 1
+        return replace(self._standing, parts=parts)
+
+    def _what_stands(self, frame: Frame, seen: bool) -> FramePoses:
+        """Check camera and plate, and locate the fixels."""
+        try:
+            watched = check_camera_place(self.rig, frame)
+            if not seen:
+                check_orientation(self.rig, frame.luma)
+        except InvalidInput as problem:
+            return FramePoses(problems=(_told(problem),))
+        remarks = (UNWATCHED,) if self.rig.plate and not watched else ()
+        return FramePoses(fixels=self._fixels(frame), remarks=remarks)
+
+    def _fixels(self, frame: Frame) -> dict[str, FloatArray]:
+        """Places of fixels from the last few frames, as a fixel may be moved to another hole."""
+        self._finder.see(frame)
+        self._finds += 1
+        if self._finds % MIN_FRAMES:
+            return self._standing.fixels
+        found = {fixel.name: fixel.place for fixel in self._finder.found()}
+        self._finder = FixelFinder(self.rig, self._scene.fixels)
+        return found
+
+
+def _told(problem: InvalidInput) -> str:
+    """Format an error and its hint as a sentence."""
+    sentence = f"Found {problem.found}, expected {problem.expected}"
+    return f"{sentence}; {problem.hint}" if problem.hint else sentence

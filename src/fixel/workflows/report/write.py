@@ -29,16 +29,21 @@ from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.project import stored_calibration, stored_run
 from fixel.workflows.calibration.stored import CalibratedValues, load_values
 from fixel.workflows.figures import ENDINGS, make_folder
-from fixel.workflows.report.calibration import (
+from fixel.workflows.report.sections import (
+    Content,
+    Figure,
+    ReportData,
+    Section,
     calibration_warnings,
+    data_of,
+    data_section,
+    data_warnings,
     errors_section,
     figures_of,
     headline,
     methods,
     parameters_section,
 )
-from fixel.workflows.report.content import Content, Figure, Section
-from fixel.workflows.report.data import ReportData, data_of, data_section, data_warnings
 from fixel.workflows.sentences import environment, sentences
 
 PAGE: Final = "report.html"

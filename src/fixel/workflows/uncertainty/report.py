@@ -22,10 +22,10 @@ from fixel.drawing.uncertainty import (
 from fixel.simulation.engine_names import compare_words
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
-from fixel.uncertainty.bands import LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.discrepancy import LABEL
 from fixel.uncertainty.near_optimal import NearOptimal
 from fixel.uncertainty.posterior import Posterior
+from fixel.uncertainty.prediction import LEVELS, CoverageCurve, coverage_curve
 from fixel.uncertainty.repetition import PARTS
 from fixel.workflows.analysis import (
     Analysis,
