@@ -21,9 +21,8 @@ from typing import Any
 from fixel.io.journal import Journal
 from fixel.jobs.dask_engine import DaskEngine
 from fixel.jobs.engine import LocalEngine
-from fixel.jobs.pool import LocalPool
+from fixel.jobs.pool import LocalPool, SlurmPool
 from fixel.jobs.site import Site
-from fixel.jobs.slurm import SlurmPool
 from fixel.jobs.work import Chunk, Round, run_work
 from fixel.testing.toy_work import FUNCTION, make_toy_work
 

@@ -25,7 +25,7 @@ from fixel.calibration.cost import NormalPrior
 from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.optimiser import SearchBox
 from fixel.calibration.registration import registration_from_gaps
-from fixel.datasets.cmu_tripod import MU_FINGER
+from fixel.datasets.cmu import MU_FINGER
 from fixel.datasets.contact import pushed_scene
 from fixel.datasets.mit_push import NOMINAL, STROKE, read_mit_pushes
 from fixel.datasets.mit_push_records import TIP

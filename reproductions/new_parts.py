@@ -21,10 +21,9 @@ from fixel.calibration.target import target_of
 from fixel.datasets.mit_push import NOMINAL, read_mit_pushes
 from fixel.domain.error_bound import TYPICAL, ConformalBound
 from fixel.model import Experiment, wrapped
-from fixel.parts.fit import simulated
+from fixel.parts.fit import PartPushes, simulated
 from fixel.parts.left_out import after, chosen_order, halves, leave_parts_out
 from fixel.parts.model import EndPrediction, PartModel
-from fixel.parts.pushes import PartPushes
 from fixel.replay.base import Row
 from fixel.typing import BoolArray, FloatArray, IntArray
 from fixel.workflows.parts import part_model

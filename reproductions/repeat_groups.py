@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import shapely
 
-from fixel.datasets.cmu_two_point import FINGER_RADIUS, FINGER_SPACING, CmuTwoPoint
+from fixel.datasets.cmu import FINGER_RADIUS, FINGER_SPACING, CmuTwoPoint
 from fixel.datasets.rpi_2dgad import Rpi2dgad
 from fixel.model import (
     Body,

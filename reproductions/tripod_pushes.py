@@ -14,7 +14,7 @@ from fixel.calibration.least_squares import LeastSquares, fit
 from fixel.calibration.objective import Comparer
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target
-from fixel.datasets.cmu_tripod import CmuTripod
+from fixel.datasets.cmu import CmuTripod
 from fixel.model import Experiment, SupportPoints
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.model.support import triangle_shares

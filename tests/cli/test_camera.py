@@ -10,7 +10,7 @@ from benchmarks.board_pictures import Studio, seen_corners, spread
 from tests.cli.shell import fixel
 from tests.formats.test_camera_import import CALIB_RESULTS, ROS
 
-from fixel.formats.camera_file import load_camera
+from fixel.formats.rig_file import load_camera
 from fixel.vision.boards import Corners, board_of
 from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import Camera

@@ -45,8 +45,8 @@ from fixel.workflows import jobs
 from fixel.workflows.calibration.plan import collect, plan_in
 from fixel.workflows.calibration.project import list_calibrations, stored_calibration
 from fixel.workflows.calibration.stored import load_values
-from fixel.workflows.planning.stored import load_plan as load_saved_plan
-from fixel.workflows.planning.stored import load_trials
+from fixel.workflows.planning.request import load_plan as load_saved_plan
+from fixel.workflows.planning.request import load_trials
 
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
 ENGINE = """

@@ -9,9 +9,11 @@ from fixel.filtering.particles import (
     FixelGaps,
     contact_probability,
     lasting,
+    mean_pose,
+    pose_covariance,
+    quantiles,
     told,
 )
-from fixel.filtering.weights import mean_pose, pose_covariance, quantiles
 from fixel.simulation.geometry import gap
 from fixel.testing.scenes import grasp
 

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fixel.errors import InvalidInput
-from fixel.formats.camera_file import load_camera, save_camera
 from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_opencv import matrix_of, save_opencv, save_ros
+from fixel.formats.rig_file import load_camera, save_camera
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.lens import Lens

@@ -12,8 +12,16 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.formats import rig_file
-from fixel.formats.camera_file import camera_dict, save_camera
-from fixel.formats.rig_file import EXAMPLES, load_rig, rig_dict, rig_from_dict, rig_of, save_rig
+from fixel.formats.rig_file import (
+    EXAMPLES,
+    camera_dict,
+    load_rig,
+    rig_dict,
+    rig_from_dict,
+    rig_of,
+    save_camera,
+    save_rig,
+)
 from fixel.io.document import yaml_text
 from fixel.sampling import thesis_plan
 from fixel.testing.scenes import grasp, micro_push

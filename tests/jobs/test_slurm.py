@@ -12,8 +12,8 @@ from tests.jobs.kinds import QUICK, THESIS, Toy, assert_as_undisturbed
 
 from fixel.jobs import folder as files
 from fixel.jobs.folder import RunSettings
+from fixel.jobs.pool import cancel, listed_jobs
 from fixel.jobs.site import Site
-from fixel.jobs.slurm import cancel, listed_jobs
 from fixel.workflows import jobs
 
 pytestmark = pytest.mark.cluster

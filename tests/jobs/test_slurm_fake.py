@@ -8,9 +8,10 @@ import pytest
 from tests.jobs.fake_slurm import VARIABLE, FakeSlurm
 
 from fixel.errors import InvalidInput, JobRefused
-from fixel.jobs import link, slurm
+from fixel.jobs import link
+from fixel.jobs import pool as slurm
+from fixel.jobs.pool import SlurmPool, require_slurm
 from fixel.jobs.site import Site, trust_site
-from fixel.jobs.slurm import SlurmPool, require_slurm
 
 pytestmark = pytest.mark.system
 

@@ -12,9 +12,9 @@ import pytest
 
 import fixel
 from fixel.domain.error_bound import min_experiments
+from fixel.parts.fit import PartPushes
 from fixel.parts.left_out import leave_parts_out
 from fixel.parts.model import PartModel
-from fixel.parts.pushes import PartPushes
 from fixel.testing.pushes import example_parts
 
 DATA = Path(os.environ.get("FIXEL_DATA", "no data")) / "mit_push_endpoints"

@@ -8,7 +8,7 @@ from fixel import InvalidInput
 from fixel.planning.held_out import HeldSuccess
 from fixel.testing.pushes import example_pushes
 from fixel.units import deg, mm
-from fixel.workflows.planning.check import held_out_success
+from fixel.workflows.planning.execute import held_out_success
 
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
 

@@ -16,8 +16,8 @@ from tests.fixtures import project_of
 import fixel
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
+from fixel.jobs.pool import job_script
 from fixel.jobs.site import Site, trust_site
-from fixel.jobs.slurm import job_script
 from fixel.simulation import trust
 from fixel.simulation.engines import program_of
 from fixel.simulation.engines.program import Program

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from fixel.planning.trials import Trials
     from fixel.typing import FloatArray
     from fixel.workflows.acquisition.record import RecordPlan
-    from fixel.workflows.planning.check import CheckedPlan
+    from fixel.workflows.planning.execute import CheckedPlan
 
 FIND: Final = "find"
 
@@ -75,7 +75,7 @@ def check(
     """
     from fixel.io.atomic import written_whole
     from fixel.workflows.figures import write_picture
-    from fixel.workflows.planning.check import check_plan
+    from fixel.workflows.planning.execute import check_plan
     from fixel.workflows.planning.report import pictures_of, waypoints_text
 
     require_folder(plot)
@@ -104,7 +104,7 @@ def held(
 ) -> None:
     """Compare stated with held success on left-out experiments."""
     from fixel.units import deg, mm
-    from fixel.workflows.planning.check import stored_held_success
+    from fixel.workflows.planning.execute import stored_held_success
 
     project = _project(folder)
     if project is None:
@@ -133,9 +133,9 @@ def next_(
     as_json: AsJson = False,
 ) -> None:
     """Plan again from a seen pose, with the pushes that are left."""
-    from fixel.workflows.planning.check import next_plan, seen_pose
+    from fixel.workflows.planning.execute import next_plan, seen_pose
     from fixel.workflows.planning.report import analysis_of
-    from fixel.workflows.planning.stored import save_plan
+    from fixel.workflows.planning.request import save_plan
 
     pose = seen_pose(seen)
     try:
@@ -197,8 +197,7 @@ class DriveOptions:
     def run(self, plan: Path, project: Path | None) -> "Trials":
         """Carry out a plan once with the drive."""
         from fixel.workflows.acquisition.devices import chosen_actuator
-        from fixel.workflows.planning.check import seen_pose
-        from fixel.workflows.planning.execute import run_on_drive
+        from fixel.workflows.planning.execute import run_on_drive, seen_pose
 
         given = iter([self.start, self.end])
 
@@ -233,9 +232,8 @@ def run(
 
     Ctrl-C, an alarm or another start stops the drive.
     """
-    from fixel.workflows.planning.check import present_belief
-    from fixel.workflows.planning.execute import run_on_testbed
-    from fixel.workflows.planning.stored import load_plan
+    from fixel.workflows.planning.execute import present_belief, run_on_testbed
+    from fixel.workflows.planning.request import load_plan
 
     found, project = load_plan(plan).found, _project(folder)
     again = command_of("plan", "check", plan, project=folder)

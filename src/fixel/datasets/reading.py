@@ -11,8 +11,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from fixel.datasets.base import Importer, ImportPlan, Origin, fixel_version, guarded
-from fixel.datasets.cmu_tripod import CmuTripod
-from fixel.datasets.cmu_two_point import CmuTwoPoint
+from fixel.datasets.cmu import CmuTripod, CmuTwoPoint
 from fixel.datasets.experiments import Experiments
 from fixel.datasets.files import read_table, table_rows
 from fixel.datasets.mit_push import MitPush

@@ -16,19 +16,16 @@ from fixel.errors import InvalidInput
 from fixel.filtering.head_path import smoothed
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.particles import (
+    COARSE,
     FOLD,
     FRAME,
     GROUP,
     FrameMeasurement,
+    Indices,
     Mechanics,
     Particles,
-    gathered,
-)
-from fixel.filtering.prior import UniformPrior, Unknowns, prior_for
-from fixel.filtering.weights import (
-    COARSE,
-    Indices,
     effective_sample_size,
+    gathered,
     mean_pose,
     normalised,
     pose_covariance,
@@ -36,6 +33,7 @@ from fixel.filtering.weights import (
     quantiles,
     systematic,
 )
+from fixel.filtering.prior import UniformPrior, Unknowns, prior_for
 from fixel.model import Experiment, Scene, wrapped
 from fixel.model.fields import instance, vector
 from fixel.typing import BoolArray, FloatArray

@@ -1,32 +1,170 @@
-"""Rig files, YAML: a camera above a plate, and the markers by which it identifies the parts.
+"""Camera and rig files, YAML: a camera above a plate, and the markers by which it identifies parts.
 
-Parts are named like the body and pusher of the scene: `object` and `actuator` in all scenes of the
-thesis, whatever the shape; `part` and `probe` under the microscope.
+Of a camera: a lens, its pose above the plate, and the uncertainty of both. Pixels count from the
+centre of the upper left one; coefficients are in OpenCV's order. Parts are named like the body and
+pusher of the scene: `object` and `actuator` in all scenes of the thesis, whatever the shape; `part`
+and `probe` under the microscope.
 """
 
 from __future__ import annotations
 
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
 from fixel.errors import InvalidInput
-from fixel.formats.camera_file import camera_dict, camera_from_dict, load_camera
 from fixel.formats.records import (
+    FileRecord,
+    NonNegative,
+    Number,
+    Point,
+    Positive,
+    Triple,
     arguments,
     content,
     keys_of,
     made,
+    only_form,
     record_of,
     validated,
     within,
 )
 from fixel.io.atomic import written_whole
 from fixel.io.document import read_document, yaml_text
-from fixel.vision.camera import MeasuredCamera
+from fixel.vision.camera import Camera, MeasuredCamera
+from fixel.vision.lens import Lens
 from fixel.vision.marks import MarkedPart, Rig, Sticker, Tag
+
+Size = Annotated[list[Annotated[int, Field(gt=0)]], Field(min_length=2, max_length=2)]
+Matrix = Annotated[list[Triple], Field(min_length=3, max_length=3)]
+
+
+LensRecord: Any = record_of(
+    Lens,
+    "lens",
+    units=True,
+    names={"image_size": "image_size_px"},
+    image_size=Size,
+    focal=Annotated[list[Positive], Field(min_length=2, max_length=2)],
+    distortion=Annotated[list[Number], Field(max_length=8)],
+)
+
+
+class LookingRecord(FileRecord):
+    height_mm: Positive = Field(description="height of the camera above the plate [mm]")
+    above_mm: Point = Field([0.0, 0.0], description="world position below the camera [mm]")
+    turned_deg: Number = Field(0.0, description="angle from world x to the picture's right [deg]")
+    tilted_deg: Point = Field(
+        [0.0, 0.0], description="tilt of the optical axis, down and right in the picture [deg]"
+    )
+
+
+MatrixRecord: Any = record_of(
+    Camera, "camera", title="MatrixRecord", units=True, leave_out=["lens"], rotation=Matrix
+)
+
+
+class PlaceRecord(FileRecord):
+    """Pose of a camera, in exactly one form."""
+
+    looking: LookingRecord | None = Field(None, description="pose of a camera that looks down")
+    matrix: MatrixRecord | None = Field(None, description="pose as rotation and translation")
+
+
+MeasuredRecord: Any = record_of(
+    MeasuredCamera,
+    "measured",
+    title="MeasuredRecord",
+    units=True,
+    leave_out=["lens", "camera", "source"],
+    covariance=list[list[Number]],
+    seen=list[list[NonNegative]],
+)
+
+
+class CameraRecord(FileRecord):
+    """Content of a camera file."""
+
+    fixel_camera: Literal[1] = Field(1, description="version of the format")
+    source: str = Field("", description="origin of the calibration, as text")
+    lens: LensRecord
+    place: PlaceRecord | None = Field(
+        None, description="pose above the plate; missing until the camera is placed"
+    )
+    measured: MeasuredRecord | None = Field(None, description="uncertainty of the calibration")
+
+
+def load_camera(path: str | Path) -> MeasuredCamera:
+    """Load a camera file: YAML, or JSON if the name ends in `.json`.
+
+    Raises
+    ------
+    InvalidInput
+        The first error, with the path of its key.
+    """
+    raw = read_document(Path(path))
+    if not isinstance(raw, dict) or "lens" not in raw:
+        raise InvalidInput(
+            str(path),
+            found="no lens in it",
+            expected="a camera file of fixel",
+            hint="to import a file of MATLAB, OpenCV, Kalibr or ROS: fixel camera import FILE",
+        )
+    with within(str(path)):
+        return camera_from_dict(raw)
+
+
+def camera_from_dict(raw: Any) -> MeasuredCamera:
+    """Build a camera from the content of a camera file, as dicts and lists."""
+    record = validated(CameraRecord, raw, "camera")
+    # The default has eight coefficients, of which a fisheye has four.
+    usual = {} if "distortion" in record.lens.model_fields_set else {"distortion": [0.0]}
+    size = tuple(record.lens.image_size_px)
+    lens = made(record.lens, "lens", image_size=size, **usual)
+    measured = {} if record.measured is None else arguments(record.measured)
+    with within("measured", "measured"):
+        for name in ("covariance", "seen"):
+            if len({len(row) for row in measured.get(name, ())}) > 1:
+                raise InvalidInput(name, found="rows of several lengths", expected="equal rows")
+        camera = _camera(lens, record.place)
+        return MeasuredCamera(lens=lens, camera=camera, source=record.source, **measured)
+
+
+def camera_dict(camera: MeasuredCamera) -> dict[str, Any]:
+    """Content of a camera file, as dicts and lists."""
+    content: dict[str, Any] = {"fixel_camera": 1}
+    if camera.source:
+        content["source"] = camera.source
+    content["lens"] = keys_of(camera.lens, LensRecord)
+    if camera.camera is not None:
+        content["place"] = {"matrix": keys_of(camera.camera, MatrixRecord)}
+    measured: dict[str, Any] = {}
+    if camera.names:
+        measured |= {"names": list(camera.names), "covariance": camera.covariance.tolist()}
+    if camera.noise is not None:
+        measured["noise_px"] = camera.noise
+    if camera.seen.size:
+        measured["seen"] = [[int(n) for n in row] for row in camera.seen]
+    return content | ({"measured": measured} if measured else {})
+
+
+def save_camera(camera: MeasuredCamera, path: str | Path) -> None:
+    """Write a camera file."""
+    with written_whole(path) as unfinished:
+        unfinished.write_text(yaml_text(camera_dict(camera)), encoding="utf-8")
+
+
+def _camera(lens: Lens, record: PlaceRecord | None) -> Camera | None:
+    if record is None:
+        return None
+    only_form(record, "place")
+    with within("place", "camera"):
+        if record.matrix:
+            return Camera(lens=lens, **arguments(record.matrix))
+        return Camera.looking_down(lens, **arguments(record.looking))
+
 
 EXAMPLES = ("thesis-tags", "thesis-stickers", "microscope")
 
@@ -125,7 +263,7 @@ def load_rig(path: str | Path) -> Rig:
 def rig_from_dict(raw: Any, folder: Path | None = None) -> Rig:
     """Build a rig from the content of a rig file; camera files are searched in `folder`."""
     record = validated(RigRecord, raw, "rig")
-    measured = _camera(record.camera, folder)
+    measured = _camera_of(record.camera, folder)
     rig: Rig = made(
         record,
         camera=measured.placed(),
@@ -154,7 +292,7 @@ def save_rig(rig: Rig, path: str | Path) -> None:
         unfinished.write_text(yaml_text(rig_dict(rig)), encoding="utf-8")
 
 
-def _camera(raw: Any, folder: Path | None) -> MeasuredCamera:
+def _camera_of(raw: Any, folder: Path | None) -> MeasuredCamera:
     if not isinstance(raw, str | dict):
         raise InvalidInput(
             "camera", found=raw, expected="a lens and a pose, or the name of a camera file"

@@ -146,8 +146,7 @@ def _engine(
         return local or LocalEngine()
     from fixel.jobs.dask_engine import DaskEngine
     from fixel.jobs.link import require_dask
-    from fixel.jobs.pool import AbstractPool, LocalPool
-    from fixel.jobs.slurm import SlurmPool
+    from fixel.jobs.pool import AbstractPool, LocalPool, SlurmPool
 
     require_dask()
     pool: AbstractPool

@@ -8,9 +8,16 @@ from typing import Final, final
 
 import numpy as np
 
-from fixel.parts.fit import bound_features, choose_pushes, errors_of, fit_part, simulated, slopes
+from fixel.parts.fit import (
+    PartPushes,
+    bound_features,
+    choose_pushes,
+    errors_of,
+    fit_part,
+    simulated,
+    slopes,
+)
 from fixel.parts.prior import PartValues, SupportPrior, learned_prior
-from fixel.parts.pushes import PartPushes
 from fixel.typing import FloatArray, IntArray, ProgressCallback
 
 # Weights of the others' mean load among which leaving parts out chooses.

@@ -17,7 +17,7 @@ from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound,
 from fixel.domain.push_bound import UNSEEN, PushBound
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Pose, Scene
-from fixel.parts.fit import bound_features, simulated
+from fixel.parts.fit import PartPushes, bound_features, simulated
 from fixel.parts.left_out import (
     MAX_TEST,
     LeftOutEnds,
@@ -29,7 +29,6 @@ from fixel.parts.left_out import (
 )
 from fixel.parts.next_pushes import NextPushes, propose
 from fixel.parts.prior import NAMES, PartValues, SupportPrior, learned_prior
-from fixel.parts.pushes import PartPushes
 from fixel.progress import ProgressOption, show_progress
 from fixel.results import Result, Summary
 from fixel.table import Column, Table

@@ -196,7 +196,7 @@ def _wait_for(pid: int) -> None:
 def run_on_slurm(folder: Path) -> str:
     """Run or continue a job with a coordinator that is a SLURM job itself; return its number."""
     from fixel.jobs.link import require_dask
-    from fixel.jobs.slurm import SlurmError, job_script, submit
+    from fixel.jobs.pool import SlurmError, job_script, submit
 
     require_dask()
     run, job = files.read_run(folder), files.read_job(folder)
@@ -378,7 +378,7 @@ def _check_settings(run: RunSettings) -> None:
         if run.site is not None:
             listening(run.site.interface)
     if run.site is not None:
-        from fixel.jobs.slurm import require_slurm
+        from fixel.jobs.pool import require_slurm
 
         require_slurm()
 
@@ -392,7 +392,7 @@ def _wait_for_end(folder: Path) -> None:
 
 
 def _cancel_on_slurm(label: str) -> None:
-    from fixel.jobs.slurm import SlurmError, cancel
+    from fixel.jobs.pool import SlurmError, cancel
 
     try:
         cancel(label)

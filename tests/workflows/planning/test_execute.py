@@ -19,10 +19,14 @@ from fixel.testbed.repeated_pushes import repeat_pushes
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.acquisition.film import FilmSettings, film
 from fixel.workflows.acquisition.record import RecordPlan
-from fixel.workflows.planning.check import check_plan, seen_pose
-from fixel.workflows.planning.execute import run_on_drive, run_on_testbed
-from fixel.workflows.planning.request import FoundPlan, PlanRequest
-from fixel.workflows.planning.stored import load_plan, load_trials, save_plan
+from fixel.workflows.planning.execute import check_plan, run_on_drive, run_on_testbed, seen_pose
+from fixel.workflows.planning.request import (
+    FoundPlan,
+    PlanRequest,
+    load_plan,
+    load_trials,
+    save_plan,
+)
 
 from .plans import rig_plan, square_plan
 

@@ -11,8 +11,8 @@ from fixel.workflows import jobs
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.capabilities import prepare
 from fixel.workflows.planning.report import FILE
+from fixel.workflows.planning.request import load_plan
 from fixel.workflows.planning.run import PLAN, plan_goal
-from fixel.workflows.planning.stored import load_plan
 
 GOAL = {
     "fixel": 1,

@@ -12,8 +12,9 @@ import fixel
 from fixel.errors import InvalidInput
 from fixel.io import save
 from fixel.planning.trials import PlanTrial
-from fixel.workflows.planning.request import FoundPlan, PlanRequest
-from fixel.workflows.planning.stored import (
+from fixel.workflows.planning.request import (
+    FoundPlan,
+    PlanRequest,
     add_trials,
     load_plan,
     load_trials,

@@ -12,7 +12,9 @@ from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
 from fixel.vision.render.bodies import (
+    backdrop,
     body_solid,
+    falloff,
     fixel_solid,
     grain,
     hand_solid,
@@ -22,7 +24,6 @@ from fixel.vision.render.bodies import (
 )
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow, cover, window_of
 from fixel.vision.render.looks import CameraEffects
-from fixel.vision.render.plate import backdrop, falloff
 from fixel.vision.render.solids import PlacedSolid, Solid, painting_order, place
 from fixel.vision.render.virtual_camera import Projection
 

@@ -13,10 +13,9 @@ from fixel.model.shape import placed
 from fixel.typing import FloatArray
 from fixel.vision.marks import Rig
 from fixel.vision.opencv import opencv
-from fixel.vision.render.bodies import direction_of
+from fixel.vision.render.bodies import direction_of, falloff
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow
 from fixel.vision.render.looks import CameraEffects
-from fixel.vision.render.plate import falloff
 from fixel.vision.render.solids import outline_of, polygon
 from fixel.vision.render.virtual_camera import Projection
 

@@ -31,8 +31,7 @@ from fixel.simulation.rollouts import RolloutCase, ensemble_of
 from fixel.typing import FloatArray, ProgressCallback
 from fixel.uncertainty.start_ensemble import simulate_starts
 from fixel.uncertainty.starts import StartError
-from fixel.workflows.model_export.source import Exportable, ModelSource, SourceCase, source_of
-from fixel.workflows.model_export.urdf import urdf
+from fixel.workflows.model_export.source import Exportable, ModelSource, SourceCase, source_of, urdf
 
 TARGETS: Final = ("mujoco", "drake", "pymunk", "box2d", "urdf")
 FORMAT: Final = "fixel-model-1"

@@ -12,7 +12,7 @@ from fixel.capability.usual import Seed, Where
 if TYPE_CHECKING:
     from fixel.database.project import Project
     from fixel.progress import ProgressOption
-    from fixel.workflows.next_pushes.selection import PushProposal
+    from fixel.workflows.next_pushes.report import PushProposal
 
 STORE: Final = Path("cache") / "parts"  # finished fits, in the project
 THEIRS: Final = "median of the experiments"
@@ -76,12 +76,12 @@ def propose_pushes(
         There are no usable experiments of other parts, the part is unknown and has no scene, or
         no candidate moves it.
     """
-    from fixel.workflows.next_pushes import selection
+    from fixel.workflows.next_pushes import report
     from fixel.workflows.parts import part_model
 
     if out is not None:
-        selection.refuse_plan(out)
-    own = selection.select(project, part, surface, where, scene, candidates)
+        report.refuse_plan(out)
+    own = report.select(project, part, surface, where, scene, candidates)
     fits = project.folder / STORE
     fits.mkdir(parents=True, exist_ok=True)
     model = part_model(
@@ -93,9 +93,9 @@ def propose_pushes(
     offered = own.offered or own.around(contacts, travel=travel, speed=speed, radius=radius)
     pushes = model.next_pushes(offered, n=number, **own.labels)
     scenes = tuple(offered[k] for k in pushes.order)
-    found = selection.PushProposal(own, model, pushes, scenes)
+    found = report.PushProposal(own, model, pushes, scenes)
     if out is not None:
-        selection.write_plan(found, out)
+        report.write_plan(found, out)
     return found
 
 

@@ -15,8 +15,7 @@ from fixel.planning.success import probability_text
 from fixel.table import Column, Table
 from fixel.workflows.analysis import Analysis, AnalysisReport
 from fixel.workflows.figures import Picture
-from fixel.workflows.planning.request import FoundPlan, PlanAnswer
-from fixel.workflows.planning.stored import save_plan
+from fixel.workflows.planning.request import FoundPlan, PlanAnswer, save_plan
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer

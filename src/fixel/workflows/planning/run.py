@@ -112,7 +112,7 @@ def plan(
     from fixel.simulation.motion import motion_model
     from fixel.simulation.simulate import scene_file
     from fixel.simulation.trust import permit
-    from fixel.workflows.planning.stored import answers_in
+    from fixel.workflows.planning.request import answers_in
 
     permit(motion)
     if isinstance(scene, Scene):
@@ -180,7 +180,7 @@ def plan_goal(
         no scene.
     """
     from fixel.io.atomic import refuse_unwritable
-    from fixel.workflows.planning import request, stored
+    from fixel.workflows.planning import request
 
     content, folder = request.goal_content(goal)
     if out is None and not request.is_content(goal):
@@ -191,7 +191,7 @@ def plan_goal(
     made = plan(*own.parts, **options, progress=progress)
     found = request.found_plan(own, made, options)
     if out is not None:
-        stored.save_plan(found, out)
+        request.save_plan(found, out)
     return request.PlanAnswer(found, out)
 
 

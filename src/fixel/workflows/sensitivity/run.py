@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fixel.simulation.stepper import AbstractStepper
     from fixel.uncertainty.outcomes import Sensitivity
     from fixel.uncertainty.starts import StartError
-    from fixel.workflows.sensitivity.pushes import Finding, RankedPushes, Subject
+    from fixel.workflows.sensitivity.report import Finding, RankedPushes, Subject
 
 
 def sensitivity(
@@ -207,7 +207,7 @@ def sensitivity_of_pushes(
     """
     from fixel.uncertainty.starts import preset as named
     from fixel.workflows.compilation import get_ready
-    from fixel.workflows.sensitivity.pushes import PushSelection, RankedPushes, by_flag, selected
+    from fixel.workflows.sensitivity.report import PushSelection, RankedPushes, by_flag, selected
 
     if preset is not None and start_error is not None:
         raise InvalidInput("preset", found="a preset and a start error", expected="one of them")
@@ -226,7 +226,7 @@ def _analysed(
     subjects: list[Subject], skipped: dict[str, str], error: StartError, options: dict[str, Any]
 ) -> list[Finding]:
     """Analyse pushes; those without an outcome are skipped, unless there is only one push."""
-    from fixel.workflows.sensitivity.pushes import Finding
+    from fixel.workflows.sensitivity.report import Finding
 
     found = []
     for one in subjects:
@@ -246,7 +246,7 @@ def _analysed(
 
 def in_project(request: Any) -> bool:
     """Return whether a request needs a project: for stored experiments or a calibration."""
-    from fixel.workflows.sensitivity.pushes import is_scene_file
+    from fixel.workflows.sensitivity.report import is_scene_file
 
     things = request.experiments
     return request.calibration is not None or not things or not all(map(is_scene_file, things))
@@ -254,7 +254,7 @@ def in_project(request: Any) -> bool:
 
 def _settled(project: Project, request: Any) -> Any:
     """Return the request; raise for files, which the browser that starts a job must not name."""
-    from fixel.workflows.sensitivity.pushes import is_scene_file
+    from fixel.workflows.sensitivity.report import is_scene_file
 
     if files := list(filter(is_scene_file, request.experiments)):
         expected = "experiments of the project, where a job computes"

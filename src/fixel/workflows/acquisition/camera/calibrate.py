@@ -17,10 +17,9 @@ from fixel.drawing.prints import (
     tag_sheets,
 )
 from fixel.errors import InvalidInput, os_reason
-from fixel.formats.camera_file import load_camera, save_camera
 from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_opencv import save_opencv, save_ros
-from fixel.formats.rig_file import EXAMPLES, plate_of, rig_of
+from fixel.formats.rig_file import EXAMPLES, load_camera, plate_of, rig_of, save_camera
 from fixel.formats.video_file import ENDINGS as VIDEO_ENDINGS
 from fixel.formats.video_file import open_video
 from fixel.io.atomic import refuse_unwritable, written_whole
