@@ -10,8 +10,9 @@ import typer
 from fixel.cli.main import run
 from fixel.cli.options import AsJson, option, with_options
 from fixel.cli.replay import cell
-from fixel.cli.screen import counting_bar, print_answer, seconds, table
+from fixel.cli.screen import counting_bar, print_answer, table
 from fixel.errors import InvalidInput
+from fixel.progress import time_text
 from fixel.replay.base import Row
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def _benchmark_lines(answer: "Benchmark", data: Path, out: Path | None) -> list[
             for row in rows
             if row["surface"] == "all" and row.get("inside_90") is not None
         ),
-        f"Took {seconds(float(answer.timing['seconds']))}.",
+        f"Took {time_text(float(answer.timing['seconds']))}.",
         *written,
         f"Next: python -m reproductions {shlex.join(map(str, (*again, *after)))}",
     ]

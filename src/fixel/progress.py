@@ -227,5 +227,7 @@ def _notebook_bar() -> _Bar | None:
 
 
 def time_text(seconds: float) -> str:
-    """Return a duration for display."""
-    return f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.0f} min"
+    """Format a duration: `412 ms`, `3.21 s`, `4 min`, `2.5 h`."""
+    if seconds < 120.0:
+        return f"{1e3 * seconds:.3g} ms" if seconds < 1.0 else f"{seconds:.3g} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.2g} h"

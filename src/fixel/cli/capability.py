@@ -10,8 +10,9 @@ import typer
 from fixel.capability.capability import Capability, named
 from fixel.capability.options import Option
 from fixel.cli.options import AsJson, ProjectFolder, require_folder, require_picture
-from fixel.cli.screen import command_of, paragraphs, print_answer, seconds, wrote
+from fixel.cli.screen import command_of, paragraphs, print_answer, wrote
 from fixel.errors import InvalidInput
+from fixel.progress import time_text
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -144,7 +145,7 @@ def _run(
         lambda: getattr(present, "content", usual_content)(done),
         lambda: paragraphs(
             analysis.lines(),
-            [f"Took {seconds(analysis.seconds)}.", *wrote(done.files.values()), *kept],
+            [f"Took {time_text(analysis.seconds)}.", *wrote(done.files.values()), *kept],
             [f"Next: {command_of(*words, project=folder)}"] if words else [],
         ),
     )

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from fixel.cli.options import AsJson, option, with_options
-from fixel.cli.screen import notify, print_answer, progress_bar, seconds
+from fixel.cli.screen import notify, print_answer, progress_bar
+from fixel.progress import time_text
 
 if TYPE_CHECKING:
     from fixel.workflows.demo.camera_demo import CameraTour
@@ -125,7 +126,7 @@ def _scene_lines(result: "Demo") -> list[str]:
         "",
         *(f"  t = {event.time:6.3f} s  {event.text}" for event in result.events),
         "",
-        f"{run.duration:g} s of motion took {seconds(run.wall_time_s)}: {run.steps} steps,"
+        f"{run.duration:g} s of motion took {time_text(run.wall_time_s)}: {run.steps} steps,"
         f" worst residual {run.max_residual:.0e}.",
         "",
         *(f"  {_WHAT[kind]:10} {path}" for kind, path in files.items()),
@@ -166,7 +167,7 @@ def _lines(found: "Diagnosis") -> list[str]:
         *(_line(c.name, c.passed, c.detail, c.residual) for c in found.checks),
         "",
         f"{verdict}. Worst residual {worst_residual(found.checks):.1e}; took"
-        f" {seconds(found.seconds)}.",
+        f" {time_text(found.seconds)}.",
         "Next: fixel demo" if not failed else "Please report the lines marked FAIL.",
     ]
 

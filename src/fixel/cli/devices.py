@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fixel.cli.options import AsJson, option, with_options
-from fixel.cli.screen import notify, print_answer, progress_bar, seconds, table
+from fixel.cli.screen import notify, print_answer, progress_bar, table
+from fixel.progress import time_text
 
 if TYPE_CHECKING:
     from fixel.testbed.serial_port import PortSeen
@@ -82,9 +83,9 @@ def _check_lines(found: "TactileCheck") -> list[str]:
         blue, red, green = found.thresholds
         lines += [f"thresholds   blue {blue}, red {red}, green {green} of 1023"]
     lines += [
-        f"requested    {counts['asked']} in {seconds(found.seconds)}",
+        f"requested    {counts['asked']} in {time_text(found.seconds)}",
         f"answered     {counts['answered']}",
-        f"missing      {counts['missing']} within {1e3 * found.deadline:.3g} ms",
+        f"missing      {counts['missing']} within {1e3 * found.deadline_s:.3g} ms",
         f"late         {counts['late']}",
         f"damaged      {counts['garbled']}",
         f"stray bytes  {counts['stray_bytes']}",
@@ -266,14 +267,14 @@ def where(port: DrivePort = None, driver: Driver = "grbl", as_json: AsJson = Fal
 
 
 def _print_position(answer: "ActuatorAnswer", as_json: bool, port: str | None) -> None:
-    low, high = answer.reach
+    low, high = answer.reach_m
     state = f", {answer.state}" if answer.state else ""
     at = f"--port {port}" if port else f"--driver {answer.driver}"
     print_answer(
         as_json,
-        answer.summary,
+        answer._asdict,
         lambda: [
-            f"{answer.driver}: at {1e3 * answer.position:.3f} mm of {1e3 * low:.4g} to"
+            f"{answer.driver}: at {1e3 * answer.position_m:.3f} mm of {1e3 * low:.4g} to"
             f" {1e3 * high:.4g} mm{state}",
             f"Next: fixel actuator {'home' if answer.state == 'Alarm' else 'move --by 10'} {at}",
         ],

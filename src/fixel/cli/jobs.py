@@ -14,8 +14,9 @@ from fixel.cli.options import (
     project_at,
     with_options,
 )
-from fixel.cli.screen import command_of, job_bar, notify, print_answer, seconds, table
+from fixel.cli.screen import command_of, job_bar, notify, print_answer, table
 from fixel.errors import InvalidInput
+from fixel.progress import time_text
 
 if TYPE_CHECKING:
     from fixel.workflows.jobs import JobStatus
@@ -205,7 +206,7 @@ def _listed(found: "list[JobStatus]") -> list[str]:
 def _row(job: "JobStatus") -> tuple[str, ...]:
     running = ("", "", "")
     if not job.ended:
-        left = "" if job.left_s is None else seconds(job.left_s)
+        left = "" if job.left_s is None else time_text(job.left_s)
         running = (str(job.workers), f"{job.rate:.3g}", left)
     counts = (str(job.done), _total(job), str(job.failed))
     return (job.folder, job.state, *counts, *running, job.reason or job.words)

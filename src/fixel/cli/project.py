@@ -27,10 +27,10 @@ from fixel.cli.screen import (
     print_answer,
     progress_bar,
     project_words,
-    seconds,
     wrote,
 )
 from fixel.errors import InvalidInput
+from fixel.progress import time_text
 from fixel.table import Column, Table
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ def print_imported(
     """Print how many experiments were stored; `content` is more for the JSON answer."""
     known = f", {done.known} were already stored" if done.known else ""
     lines = [
-        f"stored {done.new} experiments in {seconds(done.wall_time_s)}{known}",
+        f"stored {done.new} experiments in {time_text(done.wall_time_s)}{known}",
         *_skipped(content.get("skipped", ())),
     ]
     if "template" in content:
@@ -401,7 +401,7 @@ def _exported(answer: "ExportAnswer") -> list[str]:
         f"{total} experiments" + (f", of them {', '.join(about)}" if about else ""),
         *([f"with {', '.join(more)}"] if more else []),
         *(f"skipped: {n} {reasons[what]}" for what, n in answer.left_out.items()),
-        f"wrote {answer.target}, {answer.bytes / 1e6:.3g} MB in {seconds(answer.seconds)}",
+        f"wrote {answer.target}, {answer.bytes / 1e6:.3g} MB in {time_text(answer.seconds)}",
     ]
 
 

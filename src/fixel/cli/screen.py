@@ -80,11 +80,6 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> 
     return Table(head, rows, left=left).lines()
 
 
-def seconds(duration: float) -> str:
-    """Format a wall time for display."""
-    return f"{1e3 * duration:.3g} ms" if duration < 1.0 else f"{duration:.3g} s"
-
-
 def progress_bar(what: str) -> "ProgressCallback | None":
     """Create a bar on standard error; None if that is no terminal."""
     if not sys.stderr.isatty():

@@ -152,15 +152,8 @@ def _lines(films: "list[FilmResult]") -> list[str]:
 
 
 def _content(one: "FilmResult") -> dict[str, object]:
-    return {
-        "name": one.name,
-        "folder": str(one.folder),
-        "frames": one.frames,
-        "seconds": one.seconds,
-        "status": one.status,
-        "unmarked": list(one.unmarked),
-        "video": None if one.video is None else str(one.video),
-    }
+    video = None if one.video is None else str(one.video)
+    return one._asdict() | {"folder": str(one.folder), "video": video}
 
 
 @app.command("serve")

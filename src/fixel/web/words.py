@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from markupsafe import Markup
 
+from fixel.progress import time_text
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.units import displayed, split_unit
@@ -70,12 +71,8 @@ def condition(name: str, value: str | float) -> tuple[str, str, str]:
 
 
 def lasting(seconds: float | None) -> str:
-    """Format a duration: `3 s`, `4 min`, `2.5 h`."""
-    if seconds is None or not math.isfinite(seconds):
-        return NONE
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.2g} h"
+    """Format a duration, if it is known."""
+    return NONE if seconds is None or not math.isfinite(seconds) else time_text(seconds)
 
 
 def size(number: int | None) -> str:

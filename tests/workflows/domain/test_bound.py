@@ -9,6 +9,7 @@ import fixel
 from fixel.errors import InvalidInput
 from fixel.testing.pushes import TRUTH, example_pushes
 from fixel.testing.scenes import grasp
+from fixel.workflows.domain import fits
 from fixel.workflows.error_bound.run import error_bound
 
 # Friction alone cannot repair the radius: errors are those of a wrong model.
@@ -104,3 +105,12 @@ def test_a_push_without_its_group_is_refused_with_the_call_that_works(pushes, tm
         one.at(pushes[0].scene)
     with pytest.raises(InvalidInput, match="another seed: 0"):
         error_bound(pushes, SPACE, seed=2, **call)
+
+
+@pytest.mark.parametrize("function", [fixel.error_bound, fixel.map_domain])
+def test_a_program_that_a_call_names_is_permitted(function, pushes, monkeypatch):
+    named = []
+    monkeypatch.setattr(fits, "permit", named.append)
+    with pytest.raises(InvalidInput):
+        function(pushes, SPACE, motion="./no-engine", **QUIET)
+    assert named == ["./no-engine"]

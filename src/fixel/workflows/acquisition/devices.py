@@ -17,20 +17,10 @@ class ActuatorAnswer(NamedTuple):
     """Position and state of the drive after a command."""
 
     driver: str
-    position: float  # position of the drive [m]
-    reach: tuple[float, float]  # range of positions [m]
+    position_m: float  # position of the drive
+    reach_m: tuple[float, float]  # range of positions
     state: str  # state as the controller names it; empty if it names none
     seconds: float  # duration of the command [s]
-
-    def summary(self) -> dict[str, Any]:
-        """Return plain values, ready for JSON."""
-        return {
-            "driver": self.driver,
-            "position_m": self.position,
-            "reach_m": list(self.reach),
-            "state": self.state,
-            "seconds": self.seconds,
-        }
 
 
 def chosen_actuator(
@@ -92,8 +82,8 @@ def where_is_actuator(actuator: AbstractActuator) -> ActuatorAnswer:
 def _answer(actuator: AbstractActuator, start: float) -> ActuatorAnswer:
     return ActuatorAnswer(
         driver=actuator.name,
-        position=actuator.position(),
-        reach=actuator.reach,
+        position_m=actuator.position(),
+        reach_m=actuator.reach,
         state=actuator.state if isinstance(actuator, GrblActuator) else "",
         seconds=time.perf_counter() - start,
     )
@@ -113,7 +103,7 @@ class TactileCheck(NamedTuple):
     # Rate of the host's clock over the board's, minus 1 [-]; 0 if the board reports no time.
     drift: float
     seconds: float  # duration of the check [s]
-    deadline: float  # longest time allowed for an answer [s]
+    deadline_s: float  # longest time allowed for an answer
     trouble: str  # why the board stopped answering; empty if it did not
 
     @property
@@ -123,17 +113,9 @@ class TactileCheck(NamedTuple):
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
-        return {
-            "port": self.port,
-            "passed": self.passed,
-            "protocol": self.protocol,
-            "thresholds": self.thresholds,
-            "drift": self.drift,
-            "seconds": self.seconds,
-            "deadline_s": self.deadline,
-            "trouble": self.trouble,
-            **self.statistics,
-        }
+        own = self._asdict() | self.statistics | {"passed": self.passed}
+        del own["statistics"]
+        return own
 
 
 def check_tactile(
@@ -159,7 +141,7 @@ def check_tactile(
             statistics=reader.statistics.summary(),
             drift=reader.clock.drift,
             seconds=time.perf_counter() - start,
-            deadline=deadline,
+            deadline_s=deadline,
             trouble=reader.trouble,
         )
 

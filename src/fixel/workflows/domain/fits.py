@@ -24,6 +24,7 @@ from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model, stated_name
+from fixel.simulation.trust import permit
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration
 from fixel.workflows.calibration.parameter_options import searched_unknowns
@@ -51,8 +52,10 @@ def calibration_model(
         Calibration at which fits start, or parameters as for `fixel.calibrate`.
     targets : sequence of Target
     motion : AbstractMotionModel or str, optional
-        Motion model; by default that of the calibration, else dynamic.
+        Motion model; by default that of the calibration, else dynamic. A program that is named is
+        permitted.
     """
+    permit(motion)
     error: AbstractError = MeanSquare()
     if isinstance(fit, Calibration):
         # Maps count mean squares [mm^2]; other errors minimised before do not matter here.

@@ -133,12 +133,10 @@ def map_domain(
     """
     asked = DOMAIN.asked({**locals(), "fit": ()})
     from fixel.calibration.target import targets_of
-    from fixel.simulation.trust import permit
     from fixel.workflows.domain.evidence import apart_of
     from fixel.workflows.domain.fits import calibration_model, fit_store
     from fixel.workflows.domain.mapping import check, claim_of, map_targets
 
-    permit(motion)
     targets = targets_of(experiments)
     model = calibration_model(fit, targets, motion)
     claim_of(asked, 1.0)  # refused before any fit

@@ -53,12 +53,7 @@ class ModelExport(NamedTuple):
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
-        return {
-            "folder": str(self.folder),
-            "to": self.to,
-            "files": list(self.files),
-            "card": dict(self.card),
-        }
+        return self._asdict() | {"folder": str(self.folder), "card": dict(self.card)}
 
 
 def export_model(

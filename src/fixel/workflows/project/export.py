@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -31,9 +31,7 @@ FORMATS: Final = ("bundle", "parquet", "lerobot")
 RATES: Final = (1, 1000)  # [Hz]
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExportAnswer:
+class ExportAnswer(NamedTuple):
     """Result of an export."""
 
     target: Path
@@ -41,20 +39,13 @@ class ExportAnswer:
     # Number of ``experiments``, of them ``flagged`` and ``simulated``, and of other records.
     counts: dict[str, int]
     # Number of records that were not exported, by reason.
-    left_out: dict[str, int] = field(default_factory=dict)
+    left_out: dict[str, int]
     bytes: int
     seconds: float
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
-        return {
-            "target": str(self.target),
-            "format": self.format,
-            "counts": self.counts,
-            "left_out": self.left_out,
-            "bytes": self.bytes,
-            "seconds": round(self.seconds, 3),
-        }
+        return self._asdict() | {"target": str(self.target), "seconds": round(self.seconds, 3)}
 
 
 def import_zip(

@@ -9,9 +9,8 @@ import re
 import shlex
 import sqlite3
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import sqlalchemy as sa
 
@@ -56,9 +55,7 @@ class Backup(NamedTuple):
     media: Path  # must be copied too
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CheckResult:
+class CheckResult(NamedTuple):
     """Result of checking a database."""
 
     engine: str  # `sqlite` or `postgresql`
@@ -71,15 +68,8 @@ class CheckResult:
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
-        return {
-            "ok": not self.troubles,
-            "engine": self.engine,
-            "version": self.version,
-            "counts": self.counts,
-            "media_files": self.media_files,
-            "unused_files": self.unused_files,
-            "troubles": [trouble._asdict() for trouble in self.troubles],
-        }
+        troubles = [trouble._asdict() for trouble in self.troubles]
+        return {"ok": not troubles, **self._asdict(), "troubles": troubles}
 
 
 # --- upgrade ------------------------------------------------------------------------------------
