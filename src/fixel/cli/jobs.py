@@ -6,14 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fixel.cli.options import (
-    AsJson,
-    ProjectFolder,
-    SiteFile,
-    option,
-    project_at,
-    with_options,
-)
+from fixel.cli.options import AsJson, ProjectFolder, SiteFile, option, project_at, with_options
 from fixel.cli.screen import command_of, job_bar, notify, print_answer, table
 from fixel.errors import InvalidInput
 from fixel.progress import time_text

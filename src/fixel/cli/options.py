@@ -5,14 +5,11 @@ from dataclasses import MISSING, Field, field, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_type_hints
+from typing import Annotated, Any, Final, TypeVar, get_type_hints
 
 import typer
 
 from fixel.errors import InvalidInput
-
-if TYPE_CHECKING:
-    pass
 
 T = TypeVar("T")
 _INFO: Final = "typer"  # key in the metadata of a dataclass field

@@ -21,14 +21,7 @@ from fixel.cli.options import (
     required,
     with_options,
 )
-from fixel.cli.screen import (
-    command_of,
-    notify,
-    print_answer,
-    progress_bar,
-    project_words,
-    wrote,
-)
+from fixel.cli.screen import command_of, notify, print_answer, progress_bar, project_words, wrote
 from fixel.errors import InvalidInput
 from fixel.progress import time_text
 from fixel.table import Column, Table

@@ -14,15 +14,7 @@ import sqlalchemy as sa
 
 from fixel.database import arrays
 from fixel.formats.scene_schema import SceneRecord, scene_content, scene_of
-from fixel.model import (
-    Channel,
-    Experiment,
-    Flag,
-    Parameters,
-    Provenance,
-    Scene,
-    Trajectory,
-)
+from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Scene, Trajectory
 from fixel.model.records import Estimate, Evaluations, FilterRecord
 from fixel.typing import FloatArray
 

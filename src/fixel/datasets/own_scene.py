@@ -10,12 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from fixel.calibration.registration import gaps_and_normals
-from fixel.datasets.contact import (
-    MAX_CORRECTION,
-    corrected_path,
-    correction_flag,
-    moved_to_contact,
-)
+from fixel.datasets.contact import MAX_CORRECTION, corrected_path, correction_flag, moved_to_contact
 from fixel.errors import InvalidInput
 from fixel.formats.scene_schema import FILL_IN, scene_of, scene_record
 from fixel.io.document import read_document, yaml_text

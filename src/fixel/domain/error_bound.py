@@ -14,23 +14,9 @@ from typing import Final, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fixel.calibration.contacts import (
-    PART,
-    SIDE,
-    SPEED,
-    Novelty,
-    PushedContacts,
-    TouchedPlaces,
-)
+from fixel.calibration.contacts import PART, SIDE, SPEED, Novelty, PushedContacts, TouchedPlaces
 from fixel.calibration.known_pushes import MIN_EXPERIMENTS
-from fixel.domain.features import (
-    Scale,
-    ScaleModel,
-    default_model,
-    fitted_model,
-    powered,
-    unpowered,
-)
+from fixel.domain.features import Scale, ScaleModel, default_model, fitted_model, powered, unpowered
 from fixel.errors import InvalidInput
 from fixel.typing import BoolArray, FloatArray, IntArray
 

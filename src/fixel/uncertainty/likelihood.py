@@ -24,13 +24,7 @@ from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace
 from fixel.model.trajectory import wrapped
 from fixel.typing import FloatArray
-from fixel.uncertainty.discrepancy import (
-    LABEL,
-    ModelError,
-    log_density,
-    shares_of_way,
-    walk_over,
-)
+from fixel.uncertainty.discrepancy import LABEL, ModelError, log_density, shares_of_way, walk_over
 
 # Log likelihood of a failed simulation: finite, but practically impossible for dynesty.
 FLOOR: Final = -1e300

@@ -13,13 +13,7 @@ from fixel.database.project import ANALYSES, Project
 from fixel.domain.coordinates import label_of
 from fixel.domain.error_bound import min_experiments
 from fixel.domain.evidence import default_folds
-from fixel.domain.held_out import (
-    Apart,
-    CalibrationModel,
-    end_errors,
-    held_out,
-    stepper_for,
-)
+from fixel.domain.held_out import Apart, CalibrationModel, end_errors, held_out, stepper_for
 from fixel.domain.push_bound import ErrorBound, LeftOutErrors, features_of
 from fixel.drawing.domain import bound_chart
 from fixel.errors import InvalidInput

@@ -17,13 +17,7 @@ from fixel.model import Experiment, Scene
 from fixel.model.records import Estimate
 from fixel.simulation import AbstractMotionModel, AbstractStepper, Dynamic
 from fixel.simulation.engines.plane import harmonic_partner
-from fixel.simulation.engines.solids import (
-    FOOT,
-    PieceSolid,
-    footed,
-    prism_obj,
-    solids,
-)
+from fixel.simulation.engines.solids import FOOT, PieceSolid, footed, prism_obj, solids
 from fixel.simulation.engines.task import PlainTask, bench_units
 from fixel.simulation.motion import OtherEngine, motion_model
 from fixel.typing import FloatArray

@@ -8,21 +8,9 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from fixel.calibration.target import (
-    clock_start,
-    errors_of,
-    scene_of,
-    squared_error,
-    useful_poses,
-)
+from fixel.calibration.target import clock_start, errors_of, scene_of, squared_error, useful_poses
 from fixel.errors import InvalidInput
-from fixel.model import (
-    Channel,
-    Experiment,
-    Parameters,
-    Provenance,
-    Trajectory,
-)
+from fixel.model import Channel, Experiment, Parameters, Provenance, Trajectory
 from fixel.model.experiment import unit_of
 from fixel.model.records import SimulationRecord
 from fixel.simulation import AbstractMotionModel, AbstractStepper, Simulation, simulate

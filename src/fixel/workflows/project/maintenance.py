@@ -18,12 +18,7 @@ from fixel.database import arrays, schema, tables
 from fixel.database.engine import open_engine, reading
 from fixel.database.project import Project
 from fixel.database.store import Store
-from fixel.database.stored_content import (
-    RESTORE,
-    Trouble,
-    content_troubles,
-    schema_troubles,
-)
+from fixel.database.stored_content import RESTORE, Trouble, content_troubles, schema_troubles
 from fixel.errors import InvalidInput, StoreRefused, os_reason
 from fixel.io.atomic import written_whole
 

@@ -9,13 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from fixel.drawing.chart import PICTURE_ENDINGS, draw_chart, refuse_ending
-from fixel.drawing.prints import (
-    PRINT_ENDINGS,
-    PrintSheet,
-    board_sheet,
-    save_sheets,
-    tag_sheets,
-)
+from fixel.drawing.prints import PRINT_ENDINGS, PrintSheet, board_sheet, save_sheets, tag_sheets
 from fixel.errors import InvalidInput, os_reason
 from fixel.formats.camera_import import import_camera
 from fixel.formats.camera_opencv import save_opencv, save_ros
