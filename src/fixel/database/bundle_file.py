@@ -14,10 +14,9 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple
 
 import sqlalchemy as sa
 from pydantic import TypeAdapter, ValidationError
@@ -43,9 +42,7 @@ _MEMBER = re.compile(
 _OLD_MANIFEST = "manifest.json"  # of bundles that fixel wrote before the first release
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BundleLimits:
+class BundleLimits(NamedTuple):
     """Maximum sizes of a bundle, so that a small file cannot fill a disk or the memory."""
 
     members: int = 1_000_000

@@ -4,9 +4,9 @@ pushed again and again by two fingers."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,9 +108,7 @@ class CmuTripod(Importer):
         )
 
 
-@final
-@dataclass(frozen=True)
-class _TripodData:
+class _TripodData(NamedTuple):
     """Content of all files of the folder, as numbers."""
 
     table: CsvRows

@@ -6,8 +6,7 @@ Source: RPI thesis, chapter 6, figures 6.1 to 6.13.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -75,9 +74,7 @@ def _walked(steps: IntArray, errors: FloatArray, threshold: float) -> tuple[floa
     return float(steps[-1]), True
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AxisStudy:
+class AxisStudy(NamedTuple):
     """Errors of all layouts of one shape along an axis, each with the set of its interval."""
 
     shape: str

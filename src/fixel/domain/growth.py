@@ -243,9 +243,7 @@ class RolloutQueue:
 # --- growth -------------------------------------------------------------------------------------
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class Step(NamedTuple):
     """Domain of one group after one step."""
 
     group: ExperimentGroup

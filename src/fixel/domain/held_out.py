@@ -74,9 +74,7 @@ class CalibrationModel:
             )
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HeldOut:
+class HeldOut(NamedTuple):
     """Held-out errors by cross-validation."""
 
     # (n,) E of every experiment, held out [mm^2]; inf if its simulation failed, nan without a fit.

@@ -8,8 +8,7 @@ Source: Lindley (1956), on the information an experiment provides.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Final, final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -21,9 +20,7 @@ from fixel.typing import FloatArray
 NODES: Final = 9  # nodes of the quadrature over results of the experiment
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Proposal:
+class Proposal(NamedTuple):
     """Proposed experiment."""
 
     group: str  # group of the map

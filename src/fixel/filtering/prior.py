@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -164,9 +164,7 @@ def _idle(scene: Scene) -> dict[str, str]:
     return idle
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class Unknowns:
+class Unknowns(NamedTuple):
     """Parameters, start pose and model error of a particle, and the belief about them.
 
     One row of numbers on the *free* scale for each particle: the parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Final, NamedTuple, final
 
@@ -61,9 +61,7 @@ class FilterFrame(NamedTuple):
     touches: ArrayLike | None = None  # (n_fixel,) readings 0 or 1; NaN or None for none
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FilterEstimate:
+class FilterEstimate(NamedTuple):
     """Estimate of the particles at one instant."""
 
     time: float  # [s]

@@ -9,9 +9,9 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -33,9 +33,7 @@ PINHOLE: Final = {"plumb_bob": 5, "rational_polynomial": 8}
 Variables = dict[str, FloatArray]
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class ImportedCamera:
+class ImportedCamera(NamedTuple):
     """Camera that another program calibrated."""
 
     camera: MeasuredCamera

@@ -71,9 +71,7 @@ class RecordingHeader:
         )
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordingEnd:
+class RecordingEnd(NamedTuple):
     """End mark of a recording, written after a regular end."""
 
     frames: int  # number of frames
@@ -93,7 +91,7 @@ def write_header(folder: Path, header: RecordingHeader) -> None:
 
 def write_end(folder: Path, end: RecordingEnd) -> None:
     """Write `end.json`, the mark of a regular end."""
-    _write(folder / END, asdict(end))
+    _write(folder / END, end._asdict())
 
 
 def read_header(folder: Path) -> RecordingHeader:
@@ -124,7 +122,7 @@ def read_end(folder: Path) -> RecordingEnd | None:
         return None
     try:
         end = RecordingEnd(**content)
-        return RecordingEnd(**(asdict(end) | {"problems": tuple(end.problems)}))
+        return RecordingEnd(**(end._asdict() | {"problems": tuple(end.problems)}))
     except TypeError as problem:
         raise InvalidInput(str(folder / END), found=str(problem), expected="an end mark") from None
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 from scipy.special import betainc, betaincinv, betaln
@@ -273,9 +273,7 @@ def evidence_against(stated: float, met: Sequence[bool] | Iterable[bool]) -> Flo
     return fixed.weight / fixed.size * chance + (1.0 - fixed.weight) * _mixture(stated, n, failures)
 
 
-@final
-@dataclass(frozen=True, slots=True)
-class _FixedTest:
+class _FixedTest(NamedTuple):
     horizon: int
     critical: int  # number of failures in these first trials that refutes
     size: float  # probability of that many, at the stated rate

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal, final
+from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
@@ -20,9 +19,7 @@ if TYPE_CHECKING:
 Written = Annotated[Path | None, Door(writes=True, effort=True)]
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Outputs:
+class Outputs(NamedTuple):
     """Files to write; None for files that are not requested."""
 
     trajectory: Path | None = None

@@ -48,9 +48,7 @@ SAME_ERROR: Final = 0.01
 STUCK: Final = 0.5
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Exploration:
+class Exploration(NamedTuple):
     """Result of an exploration."""
 
     samples: GrowthSamples

@@ -6,10 +6,10 @@ import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -283,9 +283,7 @@ def _add(
     return add_trials(path, file, trial)
 
 
-@final
-@dataclass(frozen=True, kw_only=True)
-class CheckedPlan:
+class CheckedPlan(NamedTuple):
     """Plan with its success probability under the present calibration, and its trials."""
 
     found: FoundPlan

@@ -10,12 +10,11 @@ import re
 import shlex
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple
 
 from fixel.database.project import Project
 from fixel.errors import InvalidInput
@@ -72,9 +71,7 @@ WANTED: Final[dict[str, str]] = {
 }
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
+class Report(NamedTuple):
     """Report that was written."""
 
     page: Path
