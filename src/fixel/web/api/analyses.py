@@ -21,7 +21,7 @@ from fixel.workflows.analysis import (
 )
 from fixel.workflows.planning.execute import run_on_testbed
 from fixel.workflows.planning.report import FILE
-from fixel.workflows.planning.stored import load_plan, load_trials
+from fixel.workflows.planning.request import load_plan, load_trials
 
 TYPES: Final = {"png": "image/png", "pdf": "application/pdf", "csv": "text/csv"}
 
