@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from fixel.workflows import jobs
+from fixel.workflows.calibration import calibration
 from fixel.workflows.calibration import plan as plans
 from fixel.workflows.calibration.plan import CalibrationPlan
 from fixel.workflows.calibration.project import (
@@ -35,5 +36,5 @@ def run(folder, progress=None):
 def collect(project, folder, command, left_out):
     """Store what a job has found, once."""
     plan = replace(plans.plan_in(folder), left_out=left_out)
-    found = plans.collect(plan, folder)
+    found = calibration.collect(plan, folder)
     return add_to_project(project, replace(found, command=command))

@@ -17,7 +17,7 @@ from tools.source import Module
 ROOMS: Final = ("workflows", "cli", "web", "drawing", "database", "formats")
 SCRIPTS: Final = (".js", ".html")
 # Options whose names have other meanings in these files, so that a count says nothing.
-AMBIGUOUS: Final = frozenset({"error", "first", "name", "start"})
+AMBIGUOUS: Final = frozenset({"error", "first", "name", "start", "store"})
 # An option bears its unit at a border: `threshold` is `threshold_mm` in a file.
 UNITS: Final = ("", "_m", "_mm", "_um", "_rad", "_deg", "_s", "_kg", "_n")
 

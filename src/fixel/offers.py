@@ -99,9 +99,12 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
     "jobs": {
         "calibration": "fixel.workflows.calibration.job",
         "capability": "fixel.workflows.capabilities",
-        "calibration-result": "fixel.workflows.calibration.project",
         "plan": "fixel.workflows.planning.rounds",
         "toy": "fixel.testing.toy_work",
+    },
+    # What a process of a job calls with its folder once it is done, by the maker of its work.
+    "done jobs": {
+        "calibration:calibration_work": "fixel.workflows.calibration.project:store_result"
     },
     # Classes that saved results may contain. None of them opens a file or starts a process.
     "saved classes": {

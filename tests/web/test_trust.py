@@ -181,7 +181,7 @@ def test_a_sample_within_a_budget_is_the_one_that_the_command_draws(bench, proje
     one = bench.get(f"/calibrations/{seen['stored'][0]}")
     assert len(one["residuals"]) == 2
     assert one["ended"] == OUT_OF_BUDGET
-    assert (one["method"]["sample_of"], one["method"]["budget_s"]) == (6, 1e-3)
+    assert (one["method"]["sample_of"], one["method"]["budget"]) == (6, 1e-3)
     typed = f"calibrate {' '.join(ids)} --project {project} --fit mu_pusher --name typed"
     typed += " --sample 2 --seed 5 --budget 1e-3 --no-verdicts --prepare --json"
     shown = json.loads(CliRunner().invoke(app, typed.split()).stdout)
@@ -207,14 +207,14 @@ def test_one_is_stopped_and_goes_on(bench, project):
     again |= {"name": "long", "max_evaluations": 1_000_000, "starts": 3}
     again |= {"optimiser": "pattern-search"}
     assert bench.post("/run/calibrate", again, 409)
-    assert bench.post(f"/calibrations/jobs/{name}/stop")["state"] == "cancelled"
+    assert bench.post(f"/jobs/{name}/cancel")["job"]["state"] == "cancelled"
     kept = bench.get(f"/calibrations/jobs/{name}")
     assert kept["ended"]
     assert kept["evaluations"] >= seen["evaluations"]
     assert name in [one["name"] for one in bench.get("/calibrations")["running"]]
-    bench.post(f"/calibrations/jobs/{name}/resume")
+    bench.post(f"/jobs/{name}/resume")
     awaited(bench, name, lambda seen: seen["evaluations"] > kept["evaluations"])
-    bench.post(f"/calibrations/jobs/{name}/stop")
+    bench.post(f"/jobs/{name}/cancel")
     assert jobs.status_of(folder).state == "cancelled"
 
 

@@ -45,11 +45,11 @@ class Capability:
         `([project], *places, *, ..., progress=None) -> result`. Arguments that Python could pass
         by position are typed without a flag. It gets None in a folder that is no project, if it
         annotates that. Its module imports nothing heavy. That module, or `report` in the same
-        folder, reports results: `report_of(result)`, an `AnalysisReport`; `content(done)`, the
-        content of `--json` of a `StoredAnswer`, if it is another than usual; `next_words(done)`,
-        words of the next command or none; `draw(result, path)` if `plot` is `"file"`; where a run
-        can stop early, `failed(result)`; `add_files(result, folder)` for files of the stored
-        analysis; and `about()`, tables below the form of the page.
+        folder, reports results: `report_of(result)`, an `AnalysisReport`; `JSON`, names of what
+        `--json` has besides numbers, or `content(done)`, its content of a `StoredAnswer`;
+        `next_words(done)`, words of the next command or none; `draw(result, path)` if `plot` is
+        `"file"`; where a run can stop early, `failed(result)`; `add_files(result, folder)` for
+        files of the stored analysis; and `about()`, tables below the form of the page.
     of : callable, optional
         Public function whose arguments are options too.
     leave_out : tuple of str
@@ -65,8 +65,6 @@ class Capability:
     prepare : callable, optional
         `(project, **arguments) -> folder` prepares the job of a function that runs and stores its
         own jobs; no analysis is stored for it.
-    after : str
-        Function of jobs that stores the result of such a job.
     group : str
         Command whose sub-command it is.
     verb : str
@@ -85,7 +83,6 @@ class Capability:
     rounds: Callable[..., Any] | None = None
     settled: Callable[..., Any] | None = None
     prepare: Callable[..., Any] | None = None
-    after: str = ""
     group: str = ""
     verb: str = ""
     in_project: Callable[[Any], bool] | None = None
@@ -144,7 +141,7 @@ class Capability:
     @cached_property
     def model(self) -> type[BaseModel]:
         """Class of the requests, which checks them and converts them to JSON and back."""
-        from pydantic import ConfigDict, Field, create_model
+        from pydantic import BeforeValidator, ConfigDict, Field, create_model
 
         def checked(option: Option) -> Any:
             door = option.door
@@ -155,7 +152,10 @@ class Capability:
                 lt=door.below,
                 description=option.meaning or None,
             )
-            return Annotated[option.plain, limits], ... if option.required else option.default
+            kind = option.plain
+            if is_group(option.kind):
+                kind = Annotated[kind, BeforeValidator(option.fields)]
+            return Annotated[kind, limits], ... if option.required else option.default
 
         config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
         fields: Any = {name: checked(option) for name, option in self.options.items()}

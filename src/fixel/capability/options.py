@@ -166,6 +166,12 @@ class Option:
                 if text not in self.choices:
                     raise unknown_name(self.name, text, self.choices)
 
+    def fields(self, value: Any) -> Any:
+        """Return the fields of a group by name, from an object for Python that has them."""
+        names = inspect.get_annotations(self.kind)
+        is_object = all(hasattr(value, name) for name in names)
+        return {name: getattr(value, name) for name in names} if is_object else value
+
     def parsed(self, texts: Sequence[str]) -> Any:
         """Return the value that texts state, with numbers still as texts.
 

@@ -18,6 +18,10 @@ Threads = Annotated[int | None, Door(least=1, effort=True)]
 Save = Annotated[bool, Door(effort=True)]
 MotionName = Annotated["AbstractMotionModel | str | None", Door(plain=str | None, metavar="MODEL")]
 
+# Parameters to calibrate, and a stored calibration.
+Fit = Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH[:START]]")]
+CalibrationId = Annotated[int | None, Door(metavar="ID")]
+
 # Options that select experiments; their meaning is in the docstring of each function.
 Dataset = Annotated[str, Door(metavar="NAME")]
 Where = Annotated[tuple[str, ...], Door(metavar="FILTER")]

@@ -132,7 +132,7 @@ def _prepare(capability: Capability, request: "BaseModel", folder: Path, as_json
 def _run(
     capability: Capability, request: "BaseModel", folder: Path, plot: Path | None, as_json: bool
 ) -> None:
-    from fixel.workflows.analysis import usual_content
+    from fixel.workflows.analysis import content_of
     from fixel.workflows.capabilities import run
 
     (require_picture if capability.plot == "file" else require_folder)(plot)
@@ -142,7 +142,7 @@ def _run(
     kept = [] if done.folder is None else [f"stored in {done.folder}"]
     print_answer(
         as_json,
-        lambda: getattr(present, "content", usual_content)(done),
+        lambda: getattr(present, "content", content_of)(done),
         lambda: paragraphs(
             analysis.lines(),
             [f"Took {time_text(analysis.seconds)}.", *wrote(done.files.values()), *kept],

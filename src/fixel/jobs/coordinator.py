@@ -24,6 +24,7 @@ from fixel.jobs.engine import LocalEngine
 from fixel.jobs.folder import Job, JobState, RunSettings
 from fixel.jobs.functions import named_function, stamp
 from fixel.jobs.work import AbstractEngine, JobProgress, Show, StopRequest, run_work
+from fixel.registry import offered, offers
 from fixel.typing import Notify
 
 LARGE: Final = 1 << 16  # [byte] larger answers are dropped from the journal once the job is done
@@ -95,13 +96,12 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a job in the background; messages go to its log and its state."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--then", metavar="KIND:FUNCTION", help="called once it is done")
     given = parser.parse_args(arguments)
     interrupt_on_termination()
     try:
-        ended = coordinate(given.folder)
-        if given.then and ended.state == "done":
-            named_function(given.then)(given.folder)
+        maker = files.read_job(given.folder).maker
+        if coordinate(given.folder).state == "done" and maker in offers("done jobs"):
+            offered("done jobs", maker)(given.folder)
     except FixelError as problem:
         files.log(given.folder, str(problem))
         return 1

@@ -184,9 +184,20 @@ class StoredAnswer(NamedTuple):
         return self.capability.words(self.request)
 
 
-def usual_content(done: StoredAnswer) -> dict[str, Any]:
-    """Return the content of `--json`, for reports that define no other."""
-    return done.analysis.numbers | {"files": {k: str(path) for k, path in done.files.items()}}
+def content_of(done: StoredAnswer) -> dict[str, Any]:
+    """Return the content of `--json`: numbers, and what `JSON` of the report's module names."""
+    analysis, paths = done.analysis, [str(path) for path in done.files.values()]
+    known = {
+        "headline": list(analysis.headline),
+        "warnings": list(analysis.warnings),
+        "seconds": analysis.seconds,
+        "folder": None if done.folder is None else str(done.folder),
+        "files": paths,
+        "pictures": paths,
+    }
+    names = getattr(done.capability.present, "JSON", ())
+    usual = {"files": {name: str(path) for name, path in done.files.items()}}
+    return ({name: known[name] for name in names} or usual) | analysis.numbers
 
 
 def store_analysis(

@@ -279,5 +279,5 @@ def begin(capability: Capability, request: BaseModel, project: Project) -> Path:
     folder = prepare(capability, request, project)
     if jobs.status_of(folder).state != "done":
         jobs.arrange(folder)
-        jobs.run_detached(folder, capability.after)
+        jobs.run_detached(folder)
     return folder

@@ -161,19 +161,11 @@ def run_here(
     return status_of(folder)
 
 
-def run_detached(folder: Path, then: str = "") -> JobStatus:
-    """Run or continue a job in its own process, which outlives this one.
-
-    Parameters
-    ----------
-    folder : Path
-    then : str
-        `"KIND:FUNCTION"`, called with the folder in that process once the job is done.
-    """
+def run_detached(folder: Path) -> JobStatus:
+    """Run or continue a job in its own process, which outlives this one."""
     with (folder / files.LOG).open("ab") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "fixel.jobs.coordinator", str(folder.resolve())]
-            + (["--then", then] if then else []),
+            [sys.executable, "-m", "fixel.jobs.coordinator", str(folder.resolve())],
             stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
         )  # fmt: skip
     deadline = time.monotonic() + START_S

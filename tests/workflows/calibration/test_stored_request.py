@@ -1,6 +1,7 @@
 """Stored calibrations state all options and results of their run, wherever they are read."""
 
 import dataclasses
+import hashlib
 import json
 import shutil
 import subprocess
@@ -22,6 +23,7 @@ from fixel.model.space import Unknown
 from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import load_detail
+from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.project import add_to_project, stored_calibration
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.result import RUN
@@ -106,6 +108,16 @@ def test_the_table_covers_every_option():
     usual = CalibrationRequest(unknowns=[])
     assert set(UNLIKE) == set(CalibrationRequest.model_fields)
     assert all(value != getattr(usual, name) for name, value in UNLIKE.items())
+
+
+def test_the_bytes_of_a_request_stay_since_they_name_folders():
+    """The digests are those of requests stored before the fields followed from a signature."""
+    usual = CalibrationRequest(unknowns=UNLIKE["unknowns"])
+    digests = {
+        hashlib.sha256(request.model_dump_json().encode()).hexdigest()[:16]
+        for request in (CalibrationRequest(**UNLIKE), usual)
+    }
+    assert digests == {"6dd7bf800ca478c4", "d5d0ac8f55818955"}
 
 
 @pytest.mark.parametrize("option", UNLIKE)
@@ -203,6 +215,17 @@ def test_a_record_of_an_earlier_version_states_what_is_unknown(project, fit):
         page = load_detail(project, store, found.run.ids[0]).answer
     assert page.level is None
     assert page.noise == ""
+
+
+def test_options_of_an_earlier_version_repeat_the_command(project, fit):
+    with project.store() as store:
+        record = store.calibration(fit.run.ids[0])
+        asked = dict(record.result["asked"]) | {"faulty": True}
+        del asked["flagged"]
+        method = {**record.method, RUN: "faulty"}
+        result = {**record.result, "asked": asked}
+        number = store.add_calibration(dataclasses.replace(record, result=result, method=method))
+    assert "--all" in command_of(stored_calibration(project, number).run.asked)
 
 
 def test_a_new_calibration_needs_a_level(fit):

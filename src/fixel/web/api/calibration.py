@@ -1,8 +1,7 @@
-"""Calibrations: stored and running ones; stop and resume a calibration."""
+"""Calibrations: stored and running ones."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Final
 
 from fastapi import APIRouter, Query
@@ -11,15 +10,12 @@ from pydantic import Field
 
 from fixel.web.context import Context
 from fixel.web.values import Answer, Number
-from fixel.web.views import job_list
 from fixel.web.views.calibration_detail import (
     CalibrationSummary,
     StoredCalibration,
     list_calibrations,
 )
 from fixel.web.views.calibration_progress import CalibrationProgress, LiveProgress
-from fixel.workflows import jobs
-from fixel.workflows.calibration.project import STORE_RESULT
 
 MAX_LISTED: Final = 500
 
@@ -33,13 +29,6 @@ class CalibrationList(Answer):
     total: int
     running: list[CalibrationProgress]
     unreadable: list[str] = Field(description="reasons why other jobs cannot be shown")
-
-
-class CalibrationJob(Answer):
-    """A job."""
-
-    name: str
-    state: str
 
 
 @router.get("", summary="List calibrations, grouped by run")
@@ -64,24 +53,6 @@ def live(
     context: Context, name: str, since: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0
 ) -> LiveProgress:
     return context.calibrations.look(context.calibrations.folder(name), since)
-
-
-@router.post("/jobs/{name}/stop", summary="Stop a calibration; finished evaluations stay stored")
-def stop(context: Context, name: str) -> CalibrationJob:
-    folder = context.calibrations.folder(name)
-    return CalibrationJob(name=name, state=jobs.cancel(folder).state)
-
-
-@router.post("/jobs/{name}/resume", summary="Resume a calibration that was stopped or lost")
-def resume(context: Context, name: str) -> CalibrationJob:
-    folder = context.calibrations.folder(name)
-    with job_list.job_slot(context.project.folder):
-        return CalibrationJob(name=name, state=_resumed(folder))
-
-
-def _resumed(folder: Path) -> str:
-    jobs.arrange(folder)
-    return jobs.run_detached(folder, STORE_RESULT).state
 
 
 @router.get("/{number}", summary="Get a calibration")

@@ -13,10 +13,9 @@ from fixel.web.pages.experiment import Fact, number_in
 from fixel.web.views.calibration_detail import StoredCalibration, engine_of
 from fixel.web.views.calibration_progress import LiveProgress
 from fixel.web.words import rms, short
-from fixel.workflows.calibration.result import SEARCHED
+from fixel.workflows.calibration.charts import CAPTIONS
 
 if TYPE_CHECKING:
-    from fixel.model.records import CalibrationRecord
     from fixel.web.context import ProjectContext
 
 LISTED = 100  # calibrations, unless more are asked for
@@ -33,9 +32,6 @@ STAGES = {
     "alone": "each experiment", "verdicts": "intervals and verdicts", "best": "best values",
     "neighbours": "values of neighbours",
 }  # fmt: skip
-HIDDEN = (  # shown elsewhere
-    "how", "job", "nominal_error", "error_unit", "seconds", "ended", SEARCHED,
-)  # fmt: skip
 
 
 def list_page(context: ProjectContext, request: Request) -> dict[str, Any]:
@@ -50,7 +46,7 @@ def stored_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill the page of a stored calibration."""
     number = number_in(request, "calibration", "the page Calibrations lists all")
     record = context.store.calibration(number)
-    one, analysis = context.calibration_detail(number)
+    one, analysis, facts = context.calibration_detail(number)
     ids = [sibling.id for sibling in one.siblings]
     place = ids.index(number) if number in ids else 0
     return {
@@ -59,8 +55,7 @@ def stored_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "one": one,
         "analysis": analysis,
         "engine": engine_of(record),
-        "method": method(record),
-        "provenance": provenance(record),
+        "facts": [Fact(name, value) for name, value in facts.items()],
         "errors": [
             row.model_copy(update={k: rms(getattr(row, k), one.unit) for k in ("before", "after")})
             for row in one.residuals
@@ -73,28 +68,8 @@ def stored_page(context: ProjectContext, request: Request) -> dict[str, Any]:
 
 def plots_of(one: StoredCalibration) -> list[tuple[str, str]]:
     """Return the kinds of plots of a calibration with their captions."""
-    found = []
-    if one.complete and one.objective is not None:
-        found.append(("search", f"Search: error against evaluation; {one.ended or 'ended'}."))
-    if one.complete and one.starts:
-        good = sum(start.good for start in one.starts)
-        found.append(
-            (
-                "starts",
-                f"Results of all starts: {good} of {len(one.starts)} searches "
-                "reached the smallest error or nearly so.",
-            )
-        )
-    if one.curves:
-        found.append(
-            (
-                "profiles",
-                "Profiles: increase of the objective when one parameter is "
-                "fixed at another value. A flat line means that the data do not determine "
-                "the parameter.",
-            )
-        )
-    return found
+    shown = {"search": one.objective is not None, "starts": one.starts, "profiles": one.curves}
+    return [(kind, CAPTIONS[kind]) for kind, has in shown.items() if one.complete and has]
 
 
 def running_page(context: ProjectContext, request: Request) -> dict[str, Any]:
@@ -141,35 +116,3 @@ def _graph(live: LiveProgress) -> dict[str, Any] | None:
         "start": None if start is None else down(start),
         "ticks": [(down(value), short(value)) for value in ticks],
     }  # fmt: skip
-
-
-def method(record: CalibrationRecord) -> list[Fact]:
-    """Facts on the method of a calibration."""
-    found = [
-        Fact(name.replace("_", " ").replace(".", ": "), _word(value))
-        for name, value in record.method.items()
-        if name not in HIDDEN and name != "error.angle_scale"
-    ]
-    scale = record.method.get("error.angle_scale")
-    if isinstance(scale, float | int):
-        found.append(Fact("weight of angles", f"{1e3 * scale:g}", "mm/rad"))
-    return found
-
-
-def provenance(record: CalibrationRecord) -> list[Fact]:
-    """Facts on the origin of a calibration."""
-    origin, seconds = record.provenance, record.method.get("seconds")
-    took = f"{seconds:.3g}" if isinstance(seconds, float | int) else ""
-    given = (
-        ("stored", f"{origin.created[:10]} {origin.created[11:16]} UTC", ""),
-        ("fixel version", origin.version, ""),
-        ("took", took, "s"),
-        ("job", str(record.method.get("job", "")), ""),
-        ("seed", "" if origin.seed is None else str(origin.seed), ""),
-        ("command", origin.command, ""),
-    )
-    return [Fact(name, value, unit) for name, value, unit in given if value]
-
-
-def _word(value: str | float) -> str:
-    return value if isinstance(value, str) else f"{value:g}"

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Mapping
 from dataclasses import replace
 from io import BytesIO
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
 from fixel.errors import FixelError, NotStored
-from fixel.model.records import CalibrationRecord, Estimate, ProfileRecord, estimate_table
+from fixel.model.records import CalibrationRecord, Estimate, estimate_table
 from fixel.model.space import split_label
 from fixel.simulation.engine_names import is_engine
 from fixel.typing import FloatArray
@@ -42,6 +43,9 @@ EARLIER: Final = (
 )
 
 
+Curve = Annotated[list[Finite], BeforeValidator(np.ndarray.tolist)]
+
+
 class Residual(Answer):
     """An experiment, and how far the simulation is from it."""
 
@@ -65,10 +69,10 @@ class ProfileCurve(Answer):
 
     label: str
     unit: str
-    values: list[float]
-    rises: list[Finite]
-    slice_values: list[float] = Field(description="values of the parameter with the others fixed")
-    slice_rises: list[Finite]
+    values: Curve
+    rises: Curve = Field(validation_alias="deviances")
+    slice_values: Curve = Field(description="values of the parameter with the others fixed")
+    slice_rises: Curve = Field(validation_alias="slice_deviances")
     low: float | None
     high: float | None
     threshold: float = Field(description="increase of the objective at the ends of the interval")
@@ -114,6 +118,7 @@ class CalibrationDetail(NamedTuple):
 
     answer: StoredCalibration
     analysis: Analysis
+    facts: Mapping[str, str]  # method and origin, by name
 
 
 def load_detail(project: Project, store: Store, calibration_id: int) -> CalibrationDetail:
@@ -142,7 +147,9 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> Calibrat
         worst=residuals[:WORST],
         objective=_objective(record),
         starts=starts,
-        curves=[] if fit is None else [_curve(one) for one in fit.found.profiles],
+        curves=[]
+        if fit is None
+        else [ProfileCurve.model_validate(one) for one in fit.found.profiles],
         misfit=misfit_of(record),
         noise="" if fit is None else fit.found.noise,
         note=note,
@@ -153,7 +160,14 @@ def load_detail(project: Project, store: Store, calibration_id: int) -> Calibrat
         command=record.provenance.command,
         python=PYTHON.format(folder=str(project.folder.resolve()), number=calibration_id),
     )
-    return CalibrationDetail(answer, _analysis_of(answer) if fit is None else fit.analysis)
+    origin, facts = record.provenance, {} if fit is None else fit.details
+    facts = {k: v for k, v in facts.items() if k not in ("call", "command")} | {
+        "stored": f"{origin.created[:10]} {origin.created[11:16]} UTC",
+        "fixel": origin.version,
+        "job": str(record.method.get("job", "none")),
+    }
+    analysis = _analysis_of(answer) if fit is None else fit.analysis
+    return CalibrationDetail(answer, analysis, facts)
 
 
 def plot(project: Project, store: Store, calibration_id: int, kind: str) -> bytes:
@@ -211,20 +225,6 @@ def starts_of(fit: Calibration) -> list[Start]:
         for end, count in zip(ends, evaluations, strict=True)
     ]
     return sorted(found, key=lambda start: math.inf if start.error is None else start.error)
-
-
-def _curve(curve: ProfileRecord) -> ProfileCurve:
-    return ProfileCurve(
-        label=curve.label,
-        unit=curve.unit,
-        values=curve.values.tolist(),
-        rises=curve.deviances.tolist(),
-        slice_values=curve.slice_values.tolist(),
-        slice_rises=curve.slice_deviances.tolist(),
-        low=curve.low,
-        high=curve.high,
-        threshold=curve.threshold,
-    )
 
 
 def _of_record(record: CalibrationRecord) -> list[Estimate]:

@@ -272,7 +272,7 @@ def _most(request: CalibrationRequest) -> int | None:
     if request.least_squares is not None or request.mode == "each":
         return None
     if request.max_evaluations is not None:
-        return request.max_evaluations
+        return int(request.max_evaluations)
     made = request.made_optimiser
     inner = getattr(made, "optimiser", made)
     limit = next((getattr(inner, name) for name in LIMITS if hasattr(inner, name)), None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,6 +30,8 @@ from fixel.calibration.objective import (
 from fixel.calibration.study import MADE, OUT_OF_BUDGET
 from fixel.calibration.target import Target, target_of
 from fixel.errors import InvalidInput
+from fixel.io.damaged_files import readable
+from fixel.jobs import folder as files
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.records import Estimate, estimate_table
 from fixel.model.space import ParameterSpace, split_label
@@ -38,12 +41,14 @@ from fixel.simulation.motion import AbstractMotionModel
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.commands import call_of, enlarged_command
+from fixel.workflows.calibration.plan import CalibrationPlan
 from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import (
     CalibrationResult,
     FitKind,
     ParameterSet,
     length_of,
+    outcome_of,
     outliers,
 )
 
@@ -151,7 +156,8 @@ class Calibration(Result, Mapping[str, float]):
     @property
     def level(self) -> float | None:
         """Confidence level of the intervals; None if an earlier version stored them without it."""
-        return self.run.request.level
+        own: float | None = self.run.request.level
+        return own
 
     @property
     def targets(self) -> list[Target]:
@@ -452,7 +458,6 @@ class Calibration(Result, Mapping[str, float]):
             warnings=(*([self.misfit.reason] if found.misfit else []), *others),
             tables=(estimate_table(estimates, self.level),),
             notes=(*reasons, *self._outlier_notes(), *self._further_notes()),
-            numbers=_plain(found, run.ids[self.number] if run.ids else None, run.outcome),
             calibrations=tuple(run.ids[self.number : self.number + 1]),
             command=self.command,
             seed=run.request.seed,
@@ -462,7 +467,7 @@ class Calibration(Result, Mapping[str, float]):
     def _summary(self) -> Summary:
         own = self.analysis
         notes = [*own.notes, *own.headline[1:], *own.warnings]
-        return Summary(own.headline[0], own.tables, notes, self._details())
+        return Summary(own.headline[0], own.tables, notes, self.details)
 
     @property
     def _subject(self) -> str:
@@ -537,17 +542,17 @@ class Calibration(Result, Mapping[str, float]):
         larger = enlarged_command(self.run.asked, self.request)
         return [*notes, f"a larger model may fit better: {larger}"] if larger else notes
 
-    def _details(self) -> dict[str, str]:
+    @property
+    def details(self) -> dict[str, str]:
+        """Method and origin, by name."""
         from importlib.metadata import version
 
-        request = self.request
+        listed = self.request.listed().items()
         details = {
-            "optimiser": request.optimiser.name,
-            "error": f"{request.error.name}, combined by {request.combine}",
-            "motion model": request.motion,
-            "seed": str(request.seed),
+            **{k: value if isinstance(value, str) else f"{value:g}" for k, value in listed},
             "noise": self.found.noise,
             "ended": self.message,
+            "took": f"{self.found.seconds:.3g} s",
             "fixel": version("fixel"),
             "call": self.call,
             "command": self.command,
@@ -567,25 +572,18 @@ class Calibration(Result, Mapping[str, float]):
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Calibrations(Result, Sequence[Calibration]):
+class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
     """Calibrations of one run: one for each experiment, or the steps of a campaign.
+
+    Its other fields are those of the plan: parameters and method as `request`, the experiments as
+    `targets`, and skipped ones as `left_out`.
 
     Parameters
     ----------
-    request : CalibrationRequest
-        Parameters and method.
     outcome : CalibrationResult
         Numbers of all parameter sets.
-    targets : sequence of Target
-        Scenes and measured poses of the experiments.
-    source : str
-        Python expression of the experiments.
     command : str
         Shell command of the same run.
-    asked : mapping
-        Options of the command or page, as plain content; empty for other calls.
-    left_out : mapping from name to reason
-        Experiments that were skipped.
     folder : Path, optional
         Folder of the job, if it has one.
     ids : sequence of int
@@ -605,13 +603,8 @@ class Calibrations(Result, Sequence[Calibration]):
     0.25
     """
 
-    request: CalibrationRequest
     outcome: CalibrationResult
-    targets: Sequence[Target]
-    source: str = "experiments"
     command: str = ""
-    asked: Mapping[str, Any] = field(default_factory=dict, compare=False)
-    left_out: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = field(default=None, compare=False)
     ids: Sequence[int] = field(default=(), compare=False)
     interrupted: bool = False
@@ -769,6 +762,13 @@ class Calibrations(Result, Sequence[Calibration]):
             )
         head: list[Column | str] = ["experiments", "how", Column("rms_error", "m"), *ends]
         return Table(head, rows)
+
+
+def collect(plan: CalibrationPlan, folder: Path) -> Calibrations:
+    """Load the result of the finished job of a plan."""
+    path = folder / files.RESULT
+    with readable(path, f"delete that file, then: fixel jobs resume {shlex.quote(str(folder))}"):
+        return Calibrations(**vars(plan), outcome=outcome_of(path.read_bytes()), folder=folder)
 
 
 def values_under(

@@ -26,17 +26,6 @@ PRESSURE: Final = "pressure_spread"  # ... and hardly ever on a tripod
 IDEAL: Final = ("tripod_radius", "ellipsoid_force", "ellipsoid_torque")  # replaced by PRESSURE
 
 
-def plain_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return options as plain content for JSON; those that are None or empty are left out."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, Noise):
-            return {"position_m": value.position_m, "angle_rad": value.angle_rad}
-        return str(value) if isinstance(value, Path) else value
-
-    return {k: plain(value) for k, value in options.items() if value not in (None, ())}
-
-
 def options_of(request: CalibrationRequest, keys: Sequence[str]) -> dict[str, Any]:
     """Return the options of the command that repeats a calibration, as plain content.
 
@@ -47,20 +36,20 @@ def options_of(request: CalibrationRequest, keys: Sequence[str]) -> dict[str, An
     keys : sequence of str
         Ids or names of the experiments.
     """
-    known = offered("capability", "calibrate").options
+    capability = offered("capability", "calibrate")
     free = (u for u in request.unknowns if not u.frozen)
-    own = {name: getattr(request, name) for name in CalibrationRequest.model_fields}
+    own = {name: getattr(request, name) for name in (*CalibrationRequest.model_fields, "noise")}
+    own = {k: v.name if isinstance(v, NamedOptions) else v for k, v in own.items()}
     own |= {
-        "experiments": list(keys),
+        **request.error.options,
+        "experiments": keys,
         "fit": [f"{u.name}={u.low:.9g}:{u.high:.9g}:{u.nominal:.9g}" for u in free],
         "fixed": [f"{u.name}={u.nominal:.9g}" for u in request.unknowns if u.frozen],
-        "error": request.error.name,
-        "optimiser": request.optimiser.name,
         "option": [f"{name}={value}" for name, value in request.optimiser.options.items()],
-        "noise": request.noise,
-        **{k: v for k, v in request.error.options.items() if k == "angle_scale"},
     }
-    return plain_options({name: value for name, value in own.items() if name in known})
+    known = {k: v for k, v in own.items() if k in capability.options and v is not None}
+    plain: dict[str, Any] = capability.request(known).model_dump(mode="json")
+    return plain
 
 
 def call_of(request: CalibrationRequest, source: str) -> str:

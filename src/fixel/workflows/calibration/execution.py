@@ -6,7 +6,7 @@ import json
 import math
 import shlex
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -36,10 +36,10 @@ from fixel.model import Experiment, Scene
 from fixel.model.selection import parse_filter
 from fixel.model.space import ParameterSpace
 from fixel.progress import Progress, ProgressOption, Reporter, show_progress
+from fixel.registry import offered
 from fixel.simulation.trust import permit
 from fixel.workflows import jobs
-from fixel.workflows.calibration.calibration import Calibration, Calibrations
-from fixel.workflows.calibration.commands import plain_options
+from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect
 from fixel.workflows.calibration.job import (
     CHUNKS,
     SearchState,
@@ -53,7 +53,7 @@ from fixel.workflows.calibration.parameter_options import (
     read_space,
     searched_unknowns,
 )
-from fixel.workflows.calibration.plan import CalibrationPlan, collect, job_folder, prepare_folder
+from fixel.workflows.calibration.plan import CalibrationPlan, job_folder, prepare_folder
 from fixel.workflows.calibration.request import CalibrationRequest, Mode, NamedOptions
 from fixel.workflows.calibration.result import (
     CalibrationResult,
@@ -64,6 +64,8 @@ from fixel.workflows.calibration.result import (
 )
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from fixel.database.project import Project
 
 SINGLES: Final = "calibration:calibrate_alone"  # chunks that calibrate single experiments
@@ -76,10 +78,7 @@ def calibrate_in(
     """Calibrate in one of the modes of a request; the options are those of `calibrate`."""
     asked = SimpleNamespace(**options)
     permit(asked.motion)
-    if asked.workers < 0:
-        raise InvalidInput("workers", found=asked.workers, expected="0 or more")
-    plan = CalibrationPlan.of(mode, experiments, parameters, **options)
-    return _run(plan.rehearse(asked.threads), asked)
+    return _run(CalibrationPlan.of(mode, experiments, parameters, asked), asked)
 
 
 def _run(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
@@ -89,10 +88,10 @@ def _run(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
     """
     if asked.store is None and not asked.workers and asked.site is None:
         return _run_here(plan, asked)
-    given = None if asked.store is None else Path(getattr(asked.store, "folder", asked.store))
-    if given is None:
+    if asked.store is None:
         with tempfile.TemporaryDirectory(prefix="fixel-") as temporary:
             return replace(_run_in_folder(plan, Path(temporary) / "job", asked), folder=None)
+    given = Path(getattr(asked.store, "folder", asked.store))
     if not (given / PROJECT_FILE).is_file():
         return _run_in_folder(plan, given, asked)
     from fixel.database.project import Project
@@ -114,7 +113,7 @@ def _run_here(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
             found = _best_so_far(plan, comparer, state, engine.alone)
             best = found[-1] if found and plan.request.mode == "joint" else found
             raise Interrupted(best, hint) from None
-    return plan.result(outcome_of(result))
+    return Calibrations(**vars(plan), outcome=outcome_of(result))
 
 
 def _run_in_folder(plan: CalibrationPlan, folder: Path, asked: SimpleNamespace) -> Calibrations:
@@ -216,7 +215,7 @@ def _best_so_far(
         nominal=nominal[0],
         found=tuple(found),
     )
-    return plan.result(outcome, interrupted=True)
+    return Calibrations(**vars(plan), outcome=outcome, interrupted=True)
 
 
 def _reporting(report: Reporter) -> Show:
@@ -239,41 +238,36 @@ def _reporting(report: Reporter) -> Show:
 # --- experiments of a project -------------------------------------------------------------------
 
 
-def run_in_project(
-    project: Project, asked: Mapping[str, Any], progress: ProgressOption = None
-) -> Calibrations:
-    """Calibrate experiments of a project with the options of `calibrate_in_project`."""
-    plan = plan_in_project(project, asked)
-    return _run(plan, SimpleNamespace(**{**asked, "store": project, "progress": progress}))
+def run_in_project(project: Project, request: BaseModel, progress: ProgressOption) -> Calibrations:
+    """Calibrate experiments of a project by a request of the capability."""
+    own = offered("capability", "calibrate").arguments(request)
+    asked = SimpleNamespace(**own, store=project, progress=progress)
+    return _run(plan_in_project(project, request), asked)
 
 
-def plan_in_project(project: Project, options: Mapping[str, Any]) -> CalibrationPlan:
+def plan_in_project(project: Project, request: BaseModel) -> CalibrationPlan:
     """Return the plan of a calibration of experiments of a project, checked and rehearsed."""
     from fixel.workflows.calibration.project import draw_sample, select_experiments, stored_points
     from fixel.workflows.compilation import get_ready
 
-    asked = SimpleNamespace(**options)
-    given = [name for name in ("dataset", "where") if options[name]]
+    asked = SimpleNamespace(**offered("capability", "calibrate").arguments(request), start=None)
+    given = "dataset" if asked.dataset else "where" if asked.where else ""
     if asked.experiments and given:
-        raise InvalidInput(given[0], found="names of experiments too", expected="one of them")
-    query = parse_filter(*asked.where, dataset=asked.dataset, include_faulty=asked.faulty)
+        raise InvalidInput(given, found="names of experiments too", expected="one of them")
+    query = parse_filter(*asked.where, dataset=asked.dataset or None, include_faulty=asked.flagged)
     with project.store() as store:
         chosen = select_experiments(store, asked.experiments, query)
     if asked.sample is not None:
         chosen = draw_sample(chosen, asked.sample, asked.seed)
     mode: Mode = asked.mode or ("each" if len(chosen.targets) == 1 else "joint")
-    search, space = _search_and_space(asked, [target.case.scene for target in chosen.targets])
-    own: dict[str, Any] = {
-        "error": {"name": asked.error, "angle_scale": asked.angle_scale},
-        "optimiser": search,
-    }
+    asked.optimiser, space = _search_and_space(asked, [t.case.scene for t in chosen.targets])
+    asked.error = {"name": asked.error, "angle_scale": asked.angle_scale}
     if mode == "stored":
-        points = stored_points(project, search_space(space, targets_of(chosen)))
-        own |= {"stored": points, "verdicts": False}
+        asked.stored = stored_points(project, search_space(space, targets_of(chosen)))
+        asked.verdicts = False
     get_ready(chosen.targets[0].case.scene)  # before the clock runs
-    plan = CalibrationPlan.of(mode, chosen, space, **{**options, **own})
-    plain = plain_options(options) | {"project": str(project.folder)}
-    return replace(plan.rehearse(asked.threads), asked=plain)
+    plain = request.model_dump(mode="json") | {"project": str(project.folder)}
+    return replace(CalibrationPlan.of(mode, chosen, space, asked), asked=plain)
 
 
 def _search_and_space(

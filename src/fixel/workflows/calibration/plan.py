@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
-import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self, final
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
-from pydantic import ValidationError
 
 from fixel.calibration.target import Target, targets_of
 from fixel.calibration.usual_parameters import Space, search_space
@@ -21,25 +19,17 @@ from fixel.io.damaged_files import readable
 from fixel.jobs import folder as files
 from fixel.kernels import codes
 from fixel.model import Experiment, Scene
+from fixel.registry import offered
 from fixel.simulation.motion import stated_name
 from fixel.simulation.trust import remember
 from fixel.workflows import jobs
-from fixel.workflows.calibration.calibration import Calibrations
-from fixel.workflows.calibration.job import (
-    REQUEST,
-    comparer_of,
-    explained,
-)
+from fixel.workflows.calibration.job import REQUEST, comparer_of, explained
 from fixel.workflows.calibration.request import (
     CalibrationRequest,
     Mode,
     named_options,
     read_targets,
     target_files,
-)
-from fixel.workflows.calibration.result import (
-    CalibrationResult,
-    outcome_of,
 )
 
 if TYPE_CHECKING:
@@ -52,15 +42,16 @@ PREFLIGHT: Final = 16  # experiments that are simulated before any work starts
 JAMMED: Final = codes.STATUS_NAMES[codes.JAMMED]
 
 
-@final
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CalibrationPlan:
     """Calibration that has not been run yet: its request and its experiments.
 
     Parameters
     ----------
     request : CalibrationRequest
+        Parameters and method.
     targets : sequence of Target
+        Scenes and measured poses of the experiments.
     source : str
         Python expression of the experiments.
     asked : mapping
@@ -72,44 +63,43 @@ class CalibrationPlan:
     request: CalibrationRequest
     targets: Sequence[Target]
     source: str = "experiments"
-    asked: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    left_out: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    asked: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(
         cls,
         mode: Mode,
         experiments: Iterable[Experiment | Target],
-        parameters: Space = None,
-        /,
-        *,
-        start: Mapping[str, float] | None = None,
-        **options: Any,
+        parameters: Space,
+        asked: SimpleNamespace,
     ) -> Self:
-        """Return the plan for arguments of `calibrate`, checked."""
+        """Return the plan for arguments of `calibrate`, checked and rehearsed."""
+        capability, given = offered("capability", "calibrate"), vars(asked)
+        known = capability.options.items()
+        capability.request({k: given[k] for k, own in known if k in given and not own.door.plain})
         targets = targets_of(experiments)
-        space = search_space(parameters, targets, start)
-        own = {name: v for name, v in options.items() if name in CalibrationRequest.model_fields}
-        own |= {name: named_options(options[name], name) for name in ("error", "optimiser")}
-        own |= {"mode": mode, "unknowns": list(space.unknowns)}
-        if (noise := options["noise"]) is not None:
-            own |= {"noise_position": noise.position_m, "noise_angle": noise.angle_rad}
-        own["motion"] = stated_name(options["motion"])
-        own["sample_of"] = getattr(experiments, "sample_of", None)
-        try:
-            request = CalibrationRequest(**own).with_usual_search(targets)
-        except ValidationError as problem:
-            first = problem.errors(include_url=False)[0]
-            where = ".".join(map(str, first["loc"]))
-            expected = first["msg"].removeprefix("Input should be ")
-            raise InvalidInput(where, found=first["input"], expected=expected) from None
+        space = search_space(parameters, targets, asked.start)
+        own = {name: given[name] for name in CalibrationRequest.model_fields if name in given}
+        own |= {name: named_options(given[name], name) for name in ("error", "optimiser")}
+        own |= {
+            "mode": mode,
+            "unknowns": list(space.unknowns),
+            "motion": stated_name(asked.motion),
+            "sample_of": getattr(experiments, "sample_of", None),
+        }
+        if asked.noise is not None:
+            own["noise_position"] = asked.noise.position_m
+            own["noise_angle"] = asked.noise.angle_rad
+        request = CalibrationRequest(**own).with_usual_search(targets)
         request.check()
-        return cls(
+        plan = cls(
             request=request,
             targets=targets,
             source=str(getattr(experiments, "call", "experiments")),
             left_out=getattr(experiments, "left_out", {}),
         )
+        return plan.rehearse(asked.threads)
 
     def rehearse(self, threads: int | None = None) -> Self:
         """Simulate a few experiments, and all that may jam, with the start values.
@@ -143,22 +133,10 @@ class CalibrationPlan:
             )
         if not jammed or self.request.mode == "each":
             return self
-        return dataclasses.replace(
+        return replace(
             self,
             targets=[target for k, target in enumerate(self.targets) if k not in jammed],
             left_out={**self.left_out, **{self.targets[k].key: why for k, why in jammed.items()}},
-        )
-
-    def result(self, outcome: CalibrationResult, **more: Any) -> Calibrations:
-        """Return the calibrations for the numbers that were found."""
-        return Calibrations(
-            request=self.request,
-            outcome=outcome,
-            targets=tuple(self.targets),
-            source=self.source,
-            asked=self.asked,
-            left_out=self.left_out,
-            **more,
         )
 
 
@@ -212,34 +190,23 @@ def _inputs(plan: CalibrationPlan) -> dict[str, bytes]:
 
 def _check_same(plan: CalibrationPlan, folder: Path) -> None:
     """Raise if a folder belongs to another calibration, naming the first difference."""
-    before = request_of(folder)
-    for name in CalibrationRequest.model_fields:
-        own, other = getattr(plan.request, name), getattr(before, name)
-        if own != other:
-            raise InvalidInput(
-                "store",
-                found=f"{folder}, which belongs to a calibration with another"
-                f" {ARGUMENTS.get(name, name)}: {_plain(other)}",
-                expected=f"the same call again, which has {_plain(own)} now",
-                hint="give this calibration a folder of its own",
-            )
-    own = target_files(plan.targets)
-    if own != {name: (folder / "inputs" / name).read_bytes() for name in own}:
-        raise InvalidInput(
-            "store",
-            found=f"{folder}, which belongs to a calibration of other experiments",
-            expected="the same call again",
-            hint="give this calibration a folder of its own",
-        )
-
-
-# Arguments of `calibrate` by the field of a request, where they differ.
-ARGUMENTS: Final = {
-    "unknowns": "parameters",
-    "noise_position": "noise",
-    "noise_angle": "noise",
-    "mode": "function",
-}
+    own, before, files_of = plan.request, request_of(folder), target_files(plan.targets)
+    fields = CalibrationRequest.model_fields
+    name = next((k for k in fields if getattr(own, k) != getattr(before, k)), "")
+    if name:
+        word = {"unknowns": "parameters", "mode": "function"}.get(name, name.replace("_", " "))
+        found = f"with another {word}: {_plain(getattr(before, name))}"
+        now = f", which has {_plain(getattr(own, name))} now"
+    elif files_of != {k: (folder / "inputs" / k).read_bytes() for k in files_of}:
+        found, now = "of other experiments", ""
+    else:
+        return
+    raise InvalidInput(
+        "store",
+        found=f"{folder}, which belongs to a calibration {found}",
+        expected=f"the same call again{now}",
+        hint="give this calibration a folder of its own",
+    )
 
 
 def _plain(value: Any) -> str:
@@ -249,13 +216,6 @@ def _plain(value: Any) -> str:
             for u in value
         )
     return str(getattr(value, "name", value))
-
-
-def collect(plan: CalibrationPlan, folder: Path) -> Calibrations:
-    """Load the result of a finished job."""
-    path = folder / files.RESULT
-    with readable(path, f"delete that file, then: fixel jobs resume {shlex.quote(str(folder))}"):
-        return plan.result(outcome_of(path.read_bytes()), folder=folder)
 
 
 def plan_in(folder: Path) -> CalibrationPlan:

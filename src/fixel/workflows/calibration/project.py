@@ -10,30 +10,29 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, final, overload
+from typing import Final, final, overload
 
 import numpy as np
 
 from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, target_of
-from fixel.database.project import Project
+from fixel.database.project import SETTINGS, Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput, StoreRefused
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import INVALID_CONTENT, readable
 from fixel.io.lock import FileLock
 from fixel.jobs import folder as files
-from fixel.jobs.functions import callable_by_jobs
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Evaluations, Member
 from fixel.model.selection import ExperimentQuery
 from fixel.model.space import ParameterSpace
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.calibration import Calibration, Calibrations
+from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect
 from fixel.workflows.calibration.commands import command_of, options_of
-from fixel.workflows.calibration.plan import collect, job_of, plan_in
-from fixel.workflows.calibration.request import TARGETS, NamedOptions
+from fixel.workflows.calibration.plan import job_of, plan_in
+from fixel.workflows.calibration.request import TARGETS
 from fixel.workflows.calibration.result import (
     RUN,
     CalibrationResult,
@@ -46,8 +45,8 @@ from fixel.workflows.calibration.result import (
 from fixel.workflows.calibration.stored import VERSION, request_in
 from fixel.workflows.project.filters import check_known_names
 
-STORE_RESULT: Final = "calibration-result:store_result"  # what follows a job in the background
 STORED: Final = "stored.json"  # ids of the calibrations, once they are stored
+EARLIER: Final = {"faulty": "flagged"}  # names of options in records of earlier versions
 MEMBERS_A_GROUP: Final = 5  # experiments for each value of a condition that a sample is spread over
 
 
@@ -216,13 +215,14 @@ def collected(project: Project, folder: Path) -> Calibrations:
     return add_to_project(project, collect(plan_in(folder), folder))
 
 
-@callable_by_jobs
 def store_result(folder: Path) -> None:
-    """Store the result of a finished job in the project that contains its folder.
+    """Store the result of a finished job in the project that contains its folder, if one does.
 
     The process may be killed at any moment: the next one that inspects the job does the rest.
     """
-    collected(Project(folder.resolve().parents[1]), folder)
+    place = folder.resolve().parents[1]
+    if (place / SETTINGS).is_file():
+        collected(Project(place), folder)
 
 
 def stored_run(project: Project, number: int, record: CalibrationRecord) -> Calibrations | None:
@@ -309,7 +309,7 @@ def _from_records(store: Store, records: Mapping[int, CalibrationRecord]) -> Cal
             targets=targets,
             source=str(result.get("source", "")),
             command=ordered[0].provenance.command,
-            asked=dict(result.get("asked", {})),
+            asked={EARLIER.get(k, k): own for k, own in result.get("asked", {}).items()},
             left_out=dict(result.get("left_out", {})),
             ids=ids,
         )
@@ -453,7 +453,7 @@ def _records(run: Calibrations, experiments: Sequence[int]) -> Iterator[Calibrat
 def _method(run: Calibrations, one: ParameterSet) -> dict[str, str | float]:
     """Return the method for lists; everything about it is in the request."""
     nominal = run.outcome.nominal[list(one.members)]
-    found: dict[str, str | float] = {
+    return {
         "how": one.how,
         "error_unit": run.request.made_error.unit,
         "seconds": one.seconds,
@@ -462,17 +462,5 @@ def _method(run: Calibrations, one: ParameterSet) -> dict[str, str | float]:
         **({} if run.folder is None else {"job": run.folder.name}),
         **({"misfit": "\n".join(one.misfit)} if one.misfit else {}),
         **({"misfit_ratio": one.misfit_ratio} if math.isfinite(one.misfit_ratio) else {}),
+        **run.request.listed(),
     }
-    for name, value in run.request.listed().items():
-        if isinstance(value, NamedOptions):
-            found[name] = value.name
-            found |= {f"{name}.{k}": _listed_value(v) for k, v in value.options.items()}
-        elif value is not None:
-            found[name] = _listed_value(value)
-    return found
-
-
-def _listed_value(value: Any) -> str | float:
-    if isinstance(value, str):
-        return value
-    return float(value) if isinstance(value, int | float) else str(value)

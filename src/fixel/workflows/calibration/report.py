@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Final
 
 from fixel.calibration.usual_parameters import known_parameters
 from fixel.simulation.engine_names import compare_words
@@ -15,26 +15,21 @@ from fixel.workflows.calibration.charts import pictures_of
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
 
+JSON: Final = ("pictures",)  # what `--json` has besides numbers
+
 
 def report_of(found: Calibrations) -> AnalysisReport:
     """Return the report of the calibrations of a run."""
     ids = f"{', '.join(map(str, found.ids[:3]))}{', ...' * (len(found.ids) > 3)}"
     stored = f"stored as calibration {ids}; job {found.folder}"
-    analysis = found.analysis.model_copy(
-        update={"notes": (*found.analysis.notes, stored), "calibrations": tuple(found.ids)}
-    )
+    notes, numbers = (*found.analysis.notes, stored), found.summary()
+    analysis = found.analysis.model_copy(update={"notes": notes, "numbers": numbers})
     return AnalysisReport(analysis, pictures_of(found))
 
 
 def about() -> tuple[Table, ...]:
     """Return the tables that a form shows: parameters that can be calibrated."""
     return (replace(known_parameters(), title="Parameters that can be calibrated"),)
-
-
-def content(done: StoredAnswer) -> dict[str, Any]:
-    """Return the content of `--json`."""
-    run: Calibrations = done.result
-    return run.summary() | {"pictures": [str(path) for path in done.files.values()]}
 
 
 def next_words(done: StoredAnswer) -> list[str]:

@@ -6,10 +6,17 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    create_model,
+)
 
 from fixel.calibration import OPTIMISERS, AbstractOptimiser, MultiStart, PatternSearch
 from fixel.calibration.least_squares import LeastSquares
@@ -22,6 +29,7 @@ from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.damaged_files import readable
 from fixel.model.fields import name_of
 from fixel.model.space import ParameterSpace, Unknown
+from fixel.registry import offered
 from fixel.simulation import AbstractMotionModel
 from fixel.simulation.motion import motion_model
 from fixel.simulation.rollouts import RolloutCase
@@ -80,7 +88,39 @@ def named_options(choice: Any, where: str) -> NamedOptions:
     raise InvalidInput(where, found=choice, expected="a name, or a mapping with a name and options")
 
 
-class CalibrationRequest(_RequestLevel):
+def _fields() -> dict[str, Any]:
+    """Return the fields of a request; those of options as the signature of `calibrate` has them.
+
+    They have the order of stored requests, since the bytes of one name the folder of its job.
+    """
+    known = offered("capability", "calibrate").model.model_fields
+    fields: dict[str, Any] = {name: (own.annotation, own) for name, own in known.items()}
+    fields |= {
+        "mode": (Mode, "each"),
+        "unknowns": (list[PlainUnknown], ...),
+        "error": (NamedOptions, NamedOptions(name="mean-square")),
+        "optimiser": (NamedOptions, NamedOptions(name=PATTERN_SEARCH)),
+        "noise_position": (float | None, None),
+        "noise_angle": (float | None, None),
+        "level": (known["level"].annotation | None, known["level"]),
+        "stored": (list[list[float]], []),
+        "sample_of": (Annotated[int, Field(ge=1)] | None, None),
+    }
+    order = """name mode unknowns error motion optimiser starts combine seed noise_position
+        noise_angle level verdicts stored budget sample_of max_evaluations"""
+    return {name: fields[name] for name in order.split()}
+
+
+if TYPE_CHECKING:
+
+    class _Fields(_RequestLevel):
+        def __getattr__(self, name: str) -> Any: ...
+
+else:
+    _Fields = create_model("_Fields", __base__=_RequestLevel, **_fields())
+
+
+class CalibrationRequest(_Fields):
     """A calibration to be.
 
     Its other fields are options of `fixel.calibrate`.
@@ -103,24 +143,6 @@ class CalibrationRequest(_RequestLevel):
         them are.
     """
 
-    name: str = "calibration"
-    mode: Mode = "each"
-    unknowns: list[PlainUnknown]
-    error: NamedOptions = NamedOptions(name="mean-square")
-    motion: str = "dynamic"
-    optimiser: NamedOptions = NamedOptions(name="pattern-search")
-    starts: int = Field(default=1, ge=1)
-    combine: Combine = "sum"
-    seed: int = Field(default=0, ge=0)
-    noise_position: float | None = None
-    noise_angle: float | None = None
-    level: float | None = 0.95
-    verdicts: bool = True
-    stored: list[list[float]] = []
-    budget: float | None = Field(default=None, gt=0.0)
-    sample_of: int | None = Field(default=None, ge=1)
-    max_evaluations: int | None = Field(default=None, ge=1)
-
     @property
     def space(self) -> ParameterSpace:
         """Parameters to search, with their bounds."""
@@ -129,13 +151,13 @@ class CalibrationRequest(_RequestLevel):
     @property
     def made_error(self) -> AbstractError:
         """The error of one experiment."""
-        made: AbstractError = _made(ERRORS, self.error, "error")
+        made: AbstractError = _made(ERRORS, self.error)
         return made
 
     @property
     def made_optimiser(self) -> AbstractOptimiser:
         """The search, from one start or several."""
-        made: AbstractOptimiser = _made(OPTIMISERS, self.optimiser, "optimiser")
+        made: AbstractOptimiser = _made(OPTIMISERS, self.optimiser)
         return made if self.starts == 1 else MultiStart(optimiser=made, starts=self.starts)
 
     @property
@@ -144,21 +166,18 @@ class CalibrationRequest(_RequestLevel):
         if self.optimiser.name != LEAST_SQUARES:
             return None
         error = self.made_error
-        options: dict[str, Any] = {"starts": self.starts}
+        options: dict[str, Any] = dict(starts=self.starts)
         if isinstance(error, Robust):
             # Residuals are in millimetres.
             options |= {"loss": "soft_l1", "width": 1e3 * error.distance}
-        made: LeastSquares = _made(
-            (LeastSquares,),
-            NamedOptions(name=LEAST_SQUARES, options=options | self.optimiser.options),
-            "optimiser",
-        )
+        search = NamedOptions(name=LEAST_SQUARES, options=options | self.optimiser.options)
+        made: LeastSquares = _made((LeastSquares,), search)
         return made
 
     @property
     def sums_squares(self) -> bool:
         """Whether one set of parameters is searched whose error is a sum of squares."""
-        return self.mode == "joint" and self.combine != "largest" and self.error.name != PAPER
+        return bool(self.mode == "joint" and self.combine != "largest" and self.error.name != PAPER)
 
     def with_usual_search(self, targets: Sequence[Target]) -> Self:
         """Return the request with the search that suits it best, if it has `"auto"`.
@@ -192,10 +211,17 @@ class CalibrationRequest(_RequestLevel):
         """Return the share of one of n experiments in a combined error, where that is a sum."""
         return error / n if self.combine == "sum" else error
 
-    def listed(self) -> dict[str, Any]:
-        """Return the fields that lists of calibrations show, by name."""
-        names = ("mode", "error", "motion", "optimiser", "starts", "combine", "sample_of")
-        return {name: getattr(self, name) for name in names} | {"budget_s": self.budget}
+    def listed(self) -> dict[str, str | float]:
+        """Return the values that records have for lists, by name; without the parameters."""
+        found: dict[str, str | float] = {}
+        for name in CalibrationRequest.model_fields:
+            value = getattr(self, name)
+            if isinstance(value, NamedOptions):
+                own = {f"{name}.{option}": x for option, x in value.options.items()}
+                found |= {name: value.name} | {k: _listed(x) for k, x in own.items()}
+            elif isinstance(value, str | int | float):
+                found[name] = _listed(value)
+        return found
 
     def check(self) -> None:
         """Refuse what cannot be, before any work starts."""
@@ -203,18 +229,14 @@ class CalibrationRequest(_RequestLevel):
             expected = "a name for a folder, without / and without a leading dot"
             raise InvalidInput("name", found=repr(self.name), expected=expected)
         name_of(self.name, "name")
-        if self.level is None or not 0.0 < self.level < 1.0:
-            raise InvalidInput("level", found=self.level, expected="a number between 0 and 1")
+        if self.level is None:
+            raise InvalidInput("level", found=None, expected="a number between 0 and 1")
         if self.mode == "stored" and not self.stored:
             raise InvalidInput(
                 "mode stored",
                 found="no stored calibration with values of all these parameters",
                 expected="at least one",
                 hint="calibrate each first",
-            )
-        if (self.noise_position is None) != (self.noise_angle is None):
-            raise InvalidInput(
-                "noise", found="one of position and angle", expected="both, or neither"
             )
         if self.budget is not None and self.mode != "joint":
             raise InvalidInput("budget", found=f"mode {self.mode}", expected="mode joint")
@@ -235,8 +257,13 @@ class CalibrationRequest(_RequestLevel):
             )
 
 
-def _made(family: tuple[Any, ...], choice: NamedOptions, where: str) -> Any:
+def _listed(value: Any) -> str | float:
+    return float(value) if isinstance(value, int | float) else str(value)
+
+
+def _made(family: tuple[Any, ...], choice: NamedOptions) -> Any:
     """A member of a family, by its name and options."""
+    where = "error" if family is ERRORS else "optimiser"
     known = {getattr(member, "name", LEAST_SQUARES): member for member in family}
     if choice.name not in known:
         names = [*known, *([LEAST_SQUARES] if family is OPTIMISERS else [])]

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
-from fixel.capability.usual import Level, NoiseOption, Seed, Threads, Where
+from fixel.capability.usual import (
+    Dataset,
+    Fit,
+    Flagged,
+    Level,
+    NoiseOption,
+    Seed,
+    Threads,
+    Where,
+)
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -238,16 +247,16 @@ def calibrate_in_project(
     experiments: Annotated[tuple[str, ...], Door(metavar="EXPERIMENT")] = (),
     *,
     mode: Annotated[Mode | None, Door(usual="each for one experiment, else joint")] = None,
-    fit: Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH[:START]]")] = (),
+    fit: Fit = (),
     fixed: Annotated[tuple[str, ...], Door(flag="--set", metavar="NAME=VALUE")] = (),
     space: Path | None = None,
     dakota: Path | None = None,
     angle_scale: Annotated[float, Door(unit="mm", above=0.0)] = 0.035,
     option: Annotated[tuple[str, ...], Door(metavar="NAME=VALUE")] = (),
     sample: Annotated[int | None, Door(least=1)] = None,
-    dataset: str | None = None,
+    dataset: Dataset = "",
     where: Where = (),
-    faulty: Annotated[bool, Door(flag="--all")] = False,
+    flagged: Flagged = False,
     progress: ProgressOption = None,
     **options: Any,
 ) -> Calibrations:
@@ -277,11 +286,11 @@ def calibrate_in_project(
         Option of the optimiser; may be repeated.
     sample : int, optional
         Number of experiments in a random sample, spread over their conditions.
-    dataset : str, optional
+    dataset : str
         Dataset whose experiments are selected.
     where : tuple of str
         Filter that experiments match, such as "surface=abs error>5 real"; may be repeated.
-    faulty : bool
+    flagged : bool
         Whether to include experiments whose data have faults.
     progress : bool or callable, optional
         See `fixel.progress.show_progress`.
@@ -300,17 +309,17 @@ def calibrate_in_project(
     InvalidInput
         No experiment matches, or the options do not fit together.
     """
-    asked = {k: own for k, own in locals().items() if k not in ("project", "progress", "options")}
+    asked = CALIBRATE.asked(locals())
     from fixel.workflows.calibration.execution import run_in_project
 
-    return run_in_project(project, asked | options, progress)
+    return run_in_project(project, asked, progress)
 
 
-def _prepare(project: Project, **asked: Any) -> Path:
+def _prepare(project: Project, **options: Any) -> Path:
     from fixel.workflows.calibration.execution import plan_in_project
     from fixel.workflows.calibration.plan import job_folder, prepare_folder
 
-    plan = plan_in_project(project, asked)
+    plan = plan_in_project(project, CALIBRATE.request(options))
     folder = job_folder(project.folder, plan)
     prepare_folder(plan, folder)
     return folder
@@ -322,5 +331,4 @@ CALIBRATE: Final = Capability(
     of=calibrate,
     leave_out=("experiments", "parameters", "start", "store"),
     prepare=_prepare,
-    after="calibration-result:store_result",
 )

@@ -133,7 +133,7 @@ def run_camera_tour(
             store.add_experiment(twin)
         runs.append(run)
     notify("calibrating friction and support to the tracked poses, and to the true ones")
-    own: dict[str, Any] = {"optimiser": "least-squares", "faulty": True, "progress": False}
+    own: dict[str, Any] = {"optimiser": "least-squares", "flagged": True, "progress": False}
     numbers = [
         call(project, "calibrate", dataset=dataset, name=dataset, **own).ids[-1]
         for dataset in (TRUE, TRACKED)

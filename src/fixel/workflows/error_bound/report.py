@@ -26,6 +26,7 @@ from fixel.workflows.domain.evidence import FOLDER, mark_of
 from fixel.workflows.domain.fits import ProjectRequest, fit_store, stored_model
 from fixel.workflows.figures import Picture
 
+JSON: Final = ("headline", "warnings", "folder", "pictures")  # what `--json` has besides numbers
 # Largest number of fits with groups left out; more groups are left out several at a time.
 MAX_FOLDS: Final = 24
 
@@ -81,18 +82,6 @@ def report_of(answer: BoundAnswer) -> AnalysisReport:
         ),
         [Picture("bounds", bound_chart(bound), banner, caption)],
     )
-
-
-def content(done: StoredAnswer) -> dict[str, Any]:
-    """Return the content of `--json`."""
-    analysis = done.analysis
-    return {
-        "headline": list(analysis.headline),
-        "warnings": list(analysis.warnings),
-        "folder": str(done.folder),
-        "pictures": [str(path) for path in done.files.values()],
-        **analysis.numbers,
-    }
 
 
 def next_words(done: StoredAnswer) -> list[str]:

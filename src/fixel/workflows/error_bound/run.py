@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
-from fixel.capability.usual import Dataset, EngineName, Flagged, Level, Names, Seed, Threads, Where
+from fixel.capability.usual import (
+    CalibrationId,
+    Dataset,
+    EngineName,
+    Fit,
+    Flagged,
+    Level,
+    Names,
+    Seed,
+    Threads,
+    Where,
+)
 
 if TYPE_CHECKING:
     from fixel.calibration.usual_parameters import Space
@@ -121,8 +132,8 @@ def error_bound(
 def bound_stored(
     project: Project,
     *,
-    calibration: Annotated[int | None, Door(metavar="ID")] = None,
-    fit: Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH[:START]]")] = (),
+    calibration: CalibrationId = None,
+    fit: Fit = (),
     engine: EngineName = "",
     dataset: Dataset = "",
     where: Where = (),

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,8 @@ from fixel.workflows.figures import Picture, banner_of
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
+
+JSON: Final = ("seconds", "folder", "files")  # what `--json` has besides numbers
 
 
 def report_of(found: PushProposal) -> AnalysisReport:
@@ -72,14 +74,6 @@ def report_of(found: PushProposal) -> AnalysisReport:
         numbers=_numbers(found),
     )
     return AnalysisReport(analysis, [Picture("pushes", chart, banner_of(simulated), caption)])
-
-
-def content(done: StoredAnswer) -> dict[str, Any]:
-    """Return the content of `--json`."""
-    files = [str(file) for file in done.files.values()]
-    return done.analysis.numbers | {
-        "seconds": done.analysis.seconds, "folder": str(done.folder), "files": files
-    }  # fmt: skip
 
 
 def next_words(done: StoredAnswer) -> list[object]:

@@ -19,7 +19,7 @@ from fixel.workflows.planning.request import FoundPlan, PlanAnswer, save_plan
 
 if TYPE_CHECKING:
     from fixel.workflows.analysis import StoredAnswer
-
+JSON: Final = ("warnings", "files")  # what `--json` has besides numbers
 # Files in the folder of the analysis.
 FILE: Final = "plan.plan"
 GOAL: Final = "goal.yaml"
@@ -76,12 +76,6 @@ def add_files(answer: PlanAnswer, folder: Path) -> None:
     save_plan(answer.found, folder / FILE)
     with written_whole(folder / GOAL) as path:
         path.write_text(yaml_text(dict(answer.found.request["goal"])), encoding="utf-8")
-
-
-def content(done: StoredAnswer) -> dict[str, Any]:
-    """Return the content of `--json`."""
-    files = [str(file) for file in done.files.values()]
-    return done.analysis.numbers | {"warnings": list(done.analysis.warnings), "files": files}
 
 
 def next_words(done: StoredAnswer) -> list[object]:

@@ -40,6 +40,7 @@ from fixel.workflows.calibration.stored import CalibratedValues, load_values, ne
 from fixel.workflows.figures import Picture
 from fixel.workflows.sentences import rounded, sentences
 
+JSON: Final = ("headline", "warnings", "folder", "files")  # what `--json` has besides numbers
 MAX_SENTENCES: Final = 3  # pushes with sentences in the headline
 MAX_PICTURES: Final = 12  # of the pushes to avoid first; the table has all
 
@@ -80,17 +81,6 @@ def report_of(answer: RankedPushes) -> AnalysisReport:
         seed=first.prediction.seed,
     )
     return AnalysisReport(analysis, pictures_of(found), arrays_of(found))
-
-
-def content(done: StoredAnswer) -> dict[str, Any]:
-    """Return the content of `--json`."""
-    return {
-        "headline": list(done.analysis.headline),
-        "warnings": list(done.analysis.warnings),
-        **done.analysis.numbers,
-        "folder": None if done.folder is None else str(done.folder),
-        "files": [str(path) for path in done.files.values()],
-    }
 
 
 def next_words(done: StoredAnswer) -> list[str]:

@@ -39,6 +39,7 @@ from fixel.workflows.figures import Picture, banner_of
 from fixel.workflows.sentences import rounded, sentences
 from fixel.workflows.uncertainty.sampling import ExperimentPrediction, Uncertainty, predicted_by
 
+JSON: Final = ("folder", "pictures")  # what `--json` has besides numbers
 REFERENCES: Final = ("skilling2006", "feroz2009", "speagle2020", "kennedy2001")
 
 
@@ -67,12 +68,6 @@ def report_of(found: Uncertainty) -> AnalysisReport:
     )
     arrays = {"samples": posterior.points, "log_likelihood": posterior.log_likelihood}
     return AnalysisReport(analysis, list(pictures_of(found)), arrays)
-
-
-def content(done: StoredAnswer) -> dict[str, Any]:
-    """Return the content of `--json`."""
-    files = [str(path) for path in done.files.values()]
-    return done.analysis.numbers | {"folder": str(done.folder), "pictures": files}
 
 
 def next_words(done: StoredAnswer) -> list[str]:

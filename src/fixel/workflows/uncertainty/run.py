@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
-from fixel.capability.usual import Motion, NoiseOption, Seed, Threads
+from fixel.capability.usual import CalibrationId, Motion, NoiseOption, Seed, Threads
 
 if TYPE_CHECKING:
     from fixel.calibration.usual_parameters import Space
@@ -113,7 +113,7 @@ def uncertainty(
     project: Project,
     experiments: Annotated[tuple[str, ...], Door(metavar="[EXPERIMENT]...")] = (),
     *,
-    calibration: Annotated[int | None, Door(metavar="ID")] = None,
+    calibration: CalibrationId = None,
     fit: Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH]")] = (),
     held_out: Annotated[tuple[str, ...], Door(metavar="NAME")] = (),
     progress: ProgressOption = None,
