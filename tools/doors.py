@@ -17,7 +17,9 @@ from tools.source import Module
 ROOMS: Final = ("workflows", "cli", "web", "drawing", "database", "formats")
 SCRIPTS: Final = (".js", ".html")
 # Options whose names have other meanings in these files, so that a count says nothing.
-AMBIGUOUS: Final = frozenset({"error", "first", "name", "start", "store"})
+AMBIGUOUS: Final = frozenset({"error", "first", "name", "start"})
+# An argument of this type has the records of a project, whatever an option of its name means.
+RECORDS: Final = "Store"
 # An option bears its unit at a border: `threshold` is `threshold_mm` in a file.
 UNITS: Final = ("", "_m", "_mm", "_um", "_rad", "_deg", "_s", "_kg", "_n")
 
@@ -94,6 +96,8 @@ def statements(capability: Capability, modules: Mapping[str, Module]) -> list[st
 def _in_code(module: Module) -> Iterator[tuple[int, str, str]]:
     for node in module.nodes:
         match node:
+            case ast.arg(annotation=ast.Name(id=kind)) if kind == RECORDS:
+                continue
             case ast.arg(arg=name) | ast.AnnAssign(target=ast.Name(id=name)):
                 yield node.lineno, name, "declared"
             case ast.keyword(arg=str(name)):
@@ -105,7 +109,7 @@ def _in_code(module: Module) -> Iterator[tuple[int, str, str]]:
 def _in_docstrings(module: Module) -> Iterator[tuple[int, str, str]]:
     """Entries in NumPy layout: ``level : float``."""
     for line, _, text in module.docstrings:
-        for name in re.findall(r"(?m)^(\w+) : ", text):
+        for name in re.findall(rf"(?m)^(\w+) : (?!{RECORDS}$)", text):
             yield line, name, "docstring"
 
 
@@ -118,7 +122,7 @@ def _in_scripts(
         if file.suffix in SCRIPTS and capability.is_door(path):
             lines = file.read_text(encoding="utf-8").splitlines()
             for number, line in enumerate(lines, start=1):
-                for name in re.findall(r"\w+", line):
+                for name in re.findall(r"(?<!<)(?<!</)\b\w+", line):  # no elements of HTML
                     if name in names:
                         yield f"{path}:{number} {name} ({file.suffix[1:]})"
 

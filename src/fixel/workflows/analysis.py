@@ -197,7 +197,7 @@ def content_of(done: StoredAnswer) -> dict[str, Any]:
     }
     names = getattr(done.capability.present, "JSON", ())
     usual = {"files": {name: str(path) for name, path in done.files.items()}}
-    return ({name: known[name] for name in names} or usual) | analysis.numbers
+    return analysis.numbers | ({name: known[name] for name in names} or usual)
 
 
 def store_analysis(

@@ -454,7 +454,6 @@ def test_space_files_that_cannot_be(tmp_path, content, said):
             "the option delta",
         ),
         ({"motion": "static"}, "one of dynamic"),
-        ({"noise_position": 1e-4}, "both, or neither"),
         ({"unknowns": []}, "no parameter"),
     ],
 )

@@ -191,7 +191,9 @@ def earlier(project, fit):
     """Store a calibration as an earlier version did: without request and result."""
     with project.store() as store:
         record = store.calibration(fit.run.ids[0])
-        method = {k: v for k, v in record.method.items() if k not in (RUN, "job")}
+        method = {
+            k: v for k, v in record.method.items() if k not in (RUN, "job") and "noise" not in k
+        }
         method["unknowns"] = json.dumps([unknown.plain() for unknown in fit.request.unknowns])
         old = dataclasses.replace(record, request=None, result=None, method=method)
         return store.add_calibration(old)

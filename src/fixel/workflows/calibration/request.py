@@ -106,9 +106,9 @@ def _fields() -> dict[str, Any]:
         "stored": (list[list[float]], []),
         "sample_of": (Annotated[int, Field(ge=1)] | None, None),
     }
-    order = """name mode unknowns error motion optimiser starts combine seed noise_position
-        noise_angle level verdicts stored budget sample_of max_evaluations"""
-    return {name: fields[name] for name in order.split()}
+    others = """error motion optimiser starts combine seed noise_position noise_angle level
+        verdicts stored budget sample_of max_evaluations"""
+    return {name: fields[name] for name in ("name", "mode", "unknowns", *others.split())}
 
 
 if TYPE_CHECKING:
