@@ -14,11 +14,12 @@ from pathlib import Path
 
 DAY_S = 86400.0  # processes of a running test may use them
 REPOSITORY = Path(__file__).resolve().parents[1]
-# Artefacts depend on the package, on what it uses, and on the module that makes them.
+# Artefacts depend on the package, on what it uses, and on the modules that make them.
 SOURCES = (
     *sorted((REPOSITORY / "src").rglob("*.py")),
     REPOSITORY / "requirements" / "lock.txt",
     REPOSITORY / "tests" / "laboratories.py",
+    REPOSITORY / "tests" / "workflows" / "growing.py",
 )
 
 

@@ -28,7 +28,11 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 # a red test is red for everybody. `make soak` looks for new ones.
 _SLOW_EXAMPLES = [HealthCheck.too_slow]
 settings.register_profile(
-    "default", deadline=None, derandomize=True, suppress_health_check=_SLOW_EXAMPLES
+    "default",
+    max_examples=50,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=_SLOW_EXAMPLES,
 )
 settings.register_profile("ci", parent=settings.get_profile("default"), print_blob=True)
 settings.register_profile(
@@ -44,13 +48,36 @@ settings.load_profile(
 )
 
 
-# Files that wait for browsers and processes, and take longest.
-_FIRST = ("_browser", "benchmarks", "database", "docs", "jobs", "workflows", "cli")
+# Files that compile or wait for browsers and processes, and take longest.
+_FIRST = (
+    ("kernels/",),
+    ("_browser", "benchmarks", "database", "docs", "jobs", "contracts", "workflows", "cli"),
+    ("environments", "filtering", "simulation"),
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put long files first: one that starts last leaves all other processes idle."""
-    items.sort(key=lambda item: not any(word in item.nodeid.split("::")[0] for word in _FIRST))
+
+    def rank(item: pytest.Item) -> int:
+        file = item.nodeid.split("::")[0]
+        ranks = (k for k, words in enumerate(_FIRST) if any(word in file for word in words))
+        return next(ranks, len(_FIRST))
+
+    items.sort(key=rank)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Run all files of kernels in one process, where they share what they compile."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = super()._split_scope(nodeid)
+            return "tests/kernels" if file.startswith("tests/kernels/") else file
+
+    return Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
 def pytest_collection_finish() -> None:

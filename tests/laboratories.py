@@ -3,9 +3,11 @@
 import shutil
 from pathlib import Path
 
+import numpy as np
 from tests import calibrating as run
 from tests.artefacts import artefact, copied
 from tests.fixtures import project_of
+from tests.workflows import growing
 
 from fixel.database.project import Project
 from fixel.model import Flag
@@ -21,6 +23,17 @@ def laboratory(folder: Path) -> Path:
 def trusted_laboratory(folder: Path) -> Path:
     """Return a copy of the same with a calibration of six experiments and a map of all."""
     return copied("trusted_laboratory", _make_trusted, folder)
+
+
+def campaign(folder: Path) -> Path:
+    """Return a copy of a project: the steps of the thesis along each axis, each calibrated."""
+    return copied("campaign", _make_campaign, folder)
+
+
+def _make_campaign(folder: Path) -> None:
+    experiments, points = growing.performed(growing.planned()), growing.made_up_points(21)
+    errors = growing.comparer_of(experiments).errors(np.arange(21), points).error
+    growing.project_with(folder, experiments, points, errors)
 
 
 def _make_laboratory(folder: Path) -> None:

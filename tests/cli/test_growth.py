@@ -2,15 +2,8 @@
 
 import json
 
-import numpy as np
 import pytest
-from tests.workflows.growing import (
-    comparer_of,
-    made_up_points,
-    performed,
-    planned,
-    project_with,
-)
+from tests.laboratories import campaign
 from typer.testing import CliRunner
 
 from fixel.cli.main import app
@@ -19,11 +12,7 @@ from fixel.errors import InvalidInput
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    place = tmp_path_factory.mktemp("projects") / "my lab"
-    experiments, points = performed(planned()), made_up_points(21)
-    errors = comparer_of(experiments).errors(np.arange(21), points).error
-    project_with(place, experiments, points, errors)
-    return place
+    return campaign(tmp_path_factory.mktemp("projects") / "my lab")
 
 
 def call(folder, *arguments):

@@ -80,6 +80,7 @@ def test_status_where_there_is_none(tmp_path):
     assert call("status", tmp_path)[1].splitlines()[0] == "no jobs in this folder"
 
 
+@pytest.mark.system
 def test_a_lost_job_says_what_is_kept_and_what_goes_on(tmp_path):
     folder = toy_job(tmp_path / "job", **OPTIONS | {"sleep_s": 0.3})
     coordinator = start(folder)
@@ -97,6 +98,7 @@ def test_a_lost_job_says_what_is_kept_and_what_goes_on(tmp_path):
     assert call("resume", folder)[0] == 0
 
 
+@pytest.mark.system
 def test_detached_and_cancelled(tmp_path):
     folder = toy_job(tmp_path / "job", **OPTIONS | {"sleep_s": 0.5})
     code, out = call("submit", folder, "--detach")
@@ -107,6 +109,7 @@ def test_detached_and_cancelled(tmp_path):
     assert out.splitlines()[-1] == f"Next: fixel jobs resume {folder}"
 
 
+@pytest.mark.system
 def test_ctrl_c_says_how_to_go_on(tmp_path):
     folder = toy_job(tmp_path / "job", **OPTIONS | {"sleep_s": 0.2})
     script = "from fixel.cli.main import run; run()"

@@ -157,18 +157,22 @@ def ended_by(tmp_path: Path, end: Callable[[subprocess.Popen[bytes], int], None]
     return str(answer["reason"])
 
 
+@pytest.mark.system
 def test_enter_ends_it_well(tmp_path: Path) -> None:
     assert ended_by(tmp_path, lambda p, tty: os.write(tty, b"\n") and None) == "stopped with Enter"
 
 
+@pytest.mark.system
 def test_an_interrupt_ends_it_well(tmp_path: Path) -> None:
     assert ended_by(tmp_path, lambda p, tty: p.send_signal(signal.SIGINT)) == "stopped with Ctrl-C"
 
 
+@pytest.mark.system
 def test_a_polite_kill_ends_it_well(tmp_path: Path) -> None:
     assert ended_by(tmp_path, lambda p, tty: p.terminate()) == "stopped by a signal"
 
 
+@pytest.mark.system
 def test_a_served_film_is_a_camera(tmp_path: Path, capsys: Any) -> None:
     played, out = film(tmp_path / "film"), tmp_path / "r"
     server = subprocess.Popen(

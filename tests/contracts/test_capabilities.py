@@ -11,14 +11,13 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Literal, get_args, get_origin
 
-import numpy as np
 import pytest
 import typer
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tests import laboratories
 from tests.filtering.recordings import push
 from tests.fixtures import project_of
-from tests.workflows.growing import made_up_points, performed, planned, project_with
 from typer.testing import CliRunner
 
 from fixel.capability.capability import Capability, named
@@ -303,9 +302,7 @@ def project(tmp_path_factory):
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory):
     """Project with the steps of the thesis along each axis."""
-    folder = tmp_path_factory.mktemp("campaigns") / "lab"
-    made, _ = project_with(folder, performed(planned()), made_up_points(21), np.ones(21))
-    return made
+    return Project(laboratories.campaign(tmp_path_factory.mktemp("campaigns") / "lab"))
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """Tests of what all environments share: episodes, copies, parameters, spaces and pictures."""
 
 import copy
+import functools
 import pickle
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -48,6 +49,12 @@ def _episode(env, seen, steps=20):
     return np.array(found)
 
 
+@functools.cache
+def _of_a_square(source):
+    """Posterior or calibration of a push of a square of 100 mm."""
+    return _calibrated(source, example_pushes(1, duration=0.3)[0])
+
+
 def _calibrated(source, push):
     """Posterior or calibration of one push."""
     space = {"mu_pusher": (0.1, 0.5), "tripod_radius": (0.03, 0.05)}
@@ -86,9 +93,8 @@ def test_worlds_are_drawn_from_calibrations(kind, source):
 @pytest.mark.parametrize("source", ["posterior", "calibration"])
 def test_the_support_of_another_part_is_refused(kind, source):
     """A calibration on a square of 100 mm, whose friction alone any part may have."""
-    square = _calibrated(source, example_pushes(1, duration=0.3)[0])
     with pytest.raises(InvalidInput, match="tripod_radius: found values of a part with another"):
-        kind(2, world="posterior", parameters=square)
+        kind(2, world="posterior", parameters=_of_a_square(source))
     kind(2, world="posterior", parameters={"mu_pusher": (0.1, 0.5)})
 
 

@@ -78,7 +78,7 @@ def test_coverage_is_the_area_that_shapely_computes():
 @pytest.mark.parametrize("world", ["legacy", "nominal", "posterior"])
 @pytest.mark.parametrize("mode", MODES)
 def test_copies_are_bit_for_bit_as_many_single_environments(world, mode):
-    n, steps = 64, 40
+    n, steps = 12, 40
     many = gymnasium.make_vec(
         "fixel/PushT-v0", n, world=world, autoreset_mode=mode, max_episode_steps=25
     )
@@ -121,7 +121,7 @@ def test_an_episode_does_not_depend_on_threads():
 @pytest.mark.parametrize("kind", ["state", "environment_state_agent_pos"])
 def test_every_start_is_in_the_space_of_the_observations(kind, seeds, block_cog):
     """Also starts with a corner outside the picture, which gym-pusht draws now and then."""
-    env = PushTVectorEnv(3000, obs_type=kind, seeds=seeds, block_cog=block_cog)
+    env = PushTVectorEnv(1000, obs_type=kind, seeds=seeds, block_cog=block_cog)
     found, _ = env.reset(seed=0)
     assert env.observation_space.contains(found)
 

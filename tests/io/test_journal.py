@@ -114,6 +114,7 @@ def test_a_second_writer_is_refused_while_the_first_lives(path):
         assert len(journal) == 4
 
 
+@pytest.mark.system
 def test_kill_9_while_writing_loses_nothing_that_was_reported(tmp_path):
     path = tmp_path / "journal"
     code = (

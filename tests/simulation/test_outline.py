@@ -18,7 +18,7 @@ from fixel.simulation.stepper import Adaptive
 from fixel.simulation.vary import Variation
 from fixel.testing.scenes import pushed_square
 
-N_PUSH = 50
+N_PUSH = 12
 
 
 def butterfly(n: int, size: float = 1.0, noise: float = 0.0) -> Polygon:

@@ -196,6 +196,7 @@ run(["compare", "1", "--calibration", "1", "--project", sys.argv[1]])
 """
 
 
+@pytest.mark.system
 def test_a_calibration_by_a_named_program_can_be_used_later(engine: str, tmp_path: Path) -> None:
     project = project_of(tmp_path / "lab", example_pushes(2, duration=0.3))
     options: dict[str, Any] = {"verdicts": False, "max_evaluations": 2, "progress": False}
@@ -211,6 +212,7 @@ def test_a_calibration_by_a_named_program_can_be_used_later(engine: str, tmp_pat
         assert load_values(store, 1).motion.name.startswith(engine)
 
 
+@pytest.mark.system
 def test_workers_run_the_program_that_the_call_names(engine: str) -> None:
     pytest.importorskip("distributed")
     options: dict[str, Any] = {"verdicts": False, "max_evaluations": 2, "progress": False}

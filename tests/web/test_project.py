@@ -186,6 +186,7 @@ def test_other_machines_only_where_that_is_said(project):
         serve(place=project, host="0.0.0.0", allow_others=False)
 
 
+@pytest.mark.system
 def test_the_command_prints_a_link_that_opens_and_ends_at_once(project):
     import signal
     import urllib.request
@@ -214,6 +215,7 @@ def test_the_command_prints_a_link_that_opens_and_ends_at_once(project):
     assert token not in out + err
 
 
+@pytest.mark.system
 @pytest.mark.skipif(sys.platform != "linux", reason="a terminal of Linux, and its list of programs")
 def test_no_other_user_reads_the_token_in_the_arguments_of_the_browser(project, tmp_path):
     """A browser of ours reports its arguments, and where the file it was given leads."""

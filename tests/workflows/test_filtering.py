@@ -121,7 +121,7 @@ def test_the_next_command_works_until_there_is_a_picture(project, tmp_path, monk
     out = good(project, "push")
     for _ in range(2):
         following = out.splitlines()[-1].removeprefix("Next: ")
-        result = CliRunner().invoke(app, shlex.split(following)[1:])
+        result = CliRunner().invoke(app, [*shlex.split(following)[1:], "--particles", "40"])
         assert result.exit_code == 0, result.output
         out = result.stdout
 

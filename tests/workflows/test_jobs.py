@@ -22,6 +22,7 @@ OPTIONS = {"rounds": 2, "chunks": 6}
 SLOW = OPTIONS | {"sleep_s": 0.1}
 
 
+@pytest.mark.system
 def test_the_states_of_a_life(tmp_path):
     folder = toy_job(tmp_path / "job", **SLOW)
     assert jobs.status_of(folder).state == "queued"
@@ -38,6 +39,7 @@ def test_the_states_of_a_life(tmp_path):
     assert_as_undisturbed(folder, **SLOW)
 
 
+@pytest.mark.system
 def test_a_detached_job_outlives_who_started_it(tmp_path):
     folder = toy_job(tmp_path / "job", **SLOW)
     jobs.arrange(folder)
@@ -50,6 +52,7 @@ def test_a_detached_job_outlives_who_started_it(tmp_path):
     assert_as_undisturbed(folder, **SLOW)
 
 
+@pytest.mark.system
 def test_cancelled_with_its_workers_and_gone_on_with(tmp_path):
     pytest.importorskip("distributed")
     folder = toy_job(tmp_path / "job", RunSettings(workers=1), **SLOW)
@@ -65,6 +68,7 @@ def test_cancelled_with_its_workers_and_gone_on_with(tmp_path):
     assert_as_undisturbed(folder, **SLOW)
 
 
+@pytest.mark.system
 def test_a_lost_job_can_be_cancelled(tmp_path):
     folder = toy_job(tmp_path / "job", **SLOW)
     coordinator = start(folder)
@@ -106,6 +110,7 @@ def test_jobs_of_a_project(tmp_path):
     assert found == {"one", "two"}
 
 
+@pytest.mark.system
 def test_packed_half_way_and_unpacked_elsewhere_it_goes_on(tmp_path):
     folder = toy_job(tmp_path / "job", **SLOW)
     coordinator = start(folder)
@@ -153,6 +158,7 @@ def test_a_file_that_is_no_zip(tmp_path):
             jobs.unpack(tmp_path / file, tmp_path / "copy")
 
 
+@pytest.mark.system
 def test_the_log_from_beginning_to_end(tmp_path):
     folder = toy_job(tmp_path / "job", **SLOW)
     assert list(jobs.log_lines(folder)) == []

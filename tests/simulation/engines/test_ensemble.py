@@ -265,6 +265,7 @@ for line in sys.stdin:
 """
 
 
+@pytest.mark.system
 def test_a_calibration_goes_on_after_crashes(tmp_path: Path) -> None:
     """The search finds the same values as with an engine that does not crash far from them."""
     pytest.importorskip("pymunk")

@@ -78,7 +78,7 @@ def test_fixels_report_as_often_wrong_as_the_testbed_says(tmp_path, rig):
     plan = replace(thesis, shapes=thesis.shapes[:1], layouts=thesis.layouts[:1])
     path = tmp_path / "plan.yaml"
     path.write_text(plan_text(plan))
-    settings = FilmSettings(rig=rig, looks="clean", rest=0.0, rate=5.0)
+    settings = FilmSettings(rig=rig, looks="clean", rest=0.0, rate=2.5)
     (first, second) = film([str(path)], tmp_path / "films", settings, limit=2)
     wrong, total = 0, 0
     for one in (first, second):

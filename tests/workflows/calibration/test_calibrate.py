@@ -375,6 +375,7 @@ def _interrupted(folder, delays, stores):
             process.kill()
 
 
+@pytest.mark.system
 def test_the_interpreter_is_usable_after_an_interruption(tmp_path):
     # A busy machine takes longer until there is a first result, which `Interrupted` has.
     delays = [0.05 * 2.0**k for k in range(8)]

@@ -234,6 +234,7 @@ def test_verdicts_killed_at_any_round_continue_with_the_same_bits(project, chose
             assert (mine.deviances == theirs.deviances).all()
 
 
+@pytest.mark.system
 def test_a_killed_calibration_of_each_loses_one_chunk(project, chosen, monkeypatch):
     """The journal has whole chunks of experiments, verdicts included; none is computed again."""
     monkeypatch.setattr(job, "MEMBERS_A_CHUNK", 2)

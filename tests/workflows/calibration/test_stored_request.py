@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+from PIL import Image
 from tests.fixtures import project_of
 
 import fixel
@@ -23,6 +24,7 @@ from fixel.model.space import Unknown
 from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import load_detail
+from fixel.workflows import figures
 from fixel.workflows.calibration.commands import command_of
 from fixel.workflows.calibration.project import add_to_project, stored_calibration
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
@@ -83,6 +85,17 @@ def fit(project):
     )
 
 
+@pytest.fixture
+def blank(monkeypatch):
+    """Save blank pictures, whose numbers are compared: other tests draw them."""
+
+    def save(chart, *paths, banner=""):
+        Image.new("RGB", (9, 9)).save(paths[0], dpi=(60, 60))
+        paths[1].touch()
+
+    monkeypatch.setattr(figures, "draw_chart", save)
+
+
 def texts(folder, number, capsys):
     """Everything that a user reads of a stored calibration, without the place of the project."""
     project = Project(folder)
@@ -134,6 +147,7 @@ def test_every_option_is_stored_and_loaded(option, project, fit):
     assert repr(found) == repr(run[0])
 
 
+@pytest.mark.usefixtures("blank")
 def test_what_was_printed_is_printed_again(project, fit, tmp_path, capsys):
     number = fit.run.ids[0]
     # A copy, since the folder of the job is deleted on the way.
@@ -168,6 +182,7 @@ def test_what_was_printed_is_printed_again(project, fit, tmp_path, capsys):
     assert texts(other.folder, number, capsys) == before
 
 
+@pytest.mark.usefixtures("blank")
 def test_a_campaign_is_whole_without_its_job(project, tmp_path, capsys):
     space = {"mu_pusher": (0, 1), "tripod_radius": 0.03}
     quick = {"name": "pattern-search", "threshold_delta": 0.1}

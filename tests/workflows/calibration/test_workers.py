@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.system
+
 SCRIPT = """
 import fixel
 from fixel.units import mm
@@ -15,6 +17,7 @@ fits = [
         pushes,
         {"mu_pusher": (0, 1), "tripod_radius": (10 * mm, 60 * mm)},
         verdicts=False,
+        max_evaluations=20,
         workers=n,
         progress=False,
     )

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.laboratories import campaign
 from tests.workflows.growing import (
     NAMES,
     comparer_of,
@@ -15,6 +16,7 @@ from tests.workflows.growing import (
     record,
 )
 
+from fixel.database.project import Project
 from fixel.domain.growth import ROWS, STORED, domain
 from fixel.errors import InvalidInput
 from fixel.workflows.analysis import load_analyses
@@ -47,8 +49,8 @@ def errors(comparer, points):
 
 
 @pytest.fixture
-def lab(tmp_path, experiments, points, errors):
-    return project_with(tmp_path / "lab", experiments, points, errors)
+def lab(tmp_path):
+    return Project(campaign(tmp_path / "lab")), list(range(1, 22))
 
 
 def _place(experiments):

@@ -39,17 +39,22 @@ def planned(job: Path) -> fixel.PushPlan:
     return load_plan(stored.folder / FILE).found.plan
 
 
-def expected(job: Path) -> fixel.PushPlan:
-    goal = json.dumps(GOAL | {"scene": str(job.parents[2] / "scene.yaml")})
-    return plan_goal(fixel.Project(job.parents[1]), goal, rollouts=2_000, progress=False).found.plan
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory) -> fixel.PushPlan:
+    """Plan of one call."""
+    folder = tmp_path_factory.mktemp("call")
+    pushed_square().save(folder / "scene.yaml")
+    goal = json.dumps(GOAL | {"scene": str(folder / "scene.yaml")})
+    project = fixel.Project.create(folder / "lab")
+    return plan_goal(project, goal, rollouts=2_000, progress=False).found.plan
 
 
-def test_a_job_finds_the_plan_of_the_same_call(job: Path):
+def test_a_job_finds_the_plan_of_the_same_call(job: Path, expected: fixel.PushPlan):
     assert jobs.run_here(job).state == "done"
-    assert planned(job) == expected(job)
+    assert planned(job) == expected
 
 
-def test_a_stopped_job_continues_to_the_same_plan(job: Path):
+def test_a_stopped_job_continues_to_the_same_plan(job: Path, expected: fixel.PushPlan):
     class Stop(Exception):
         pass
 
@@ -63,4 +68,4 @@ def test_a_stopped_job_continues_to_the_same_plan(job: Path):
     with pytest.raises(Stop):
         jobs.run_here(job, progress=stop)
     assert jobs.run_here(job).state == "done"
-    assert planned(job) == expected(job)
+    assert planned(job) == expected
