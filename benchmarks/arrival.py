@@ -16,8 +16,7 @@ from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.model import pose_error
 from fixel.testing.scenes import grasp
 from fixel.typing import FloatArray
-from fixel.vision.frame import Frame
-from fixel.vision.opencv import opencv
+from fixel.vision.frame import Frame, opencv
 from fixel.vision.tracking import track
 from fixel.workflows.acquisition.film import FilmSettings, film
 from fixel.workflows.acquisition.track import Film, open_film

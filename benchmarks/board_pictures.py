@@ -9,9 +9,8 @@ import numpy as np
 from fixel.typing import FloatArray
 from fixel.vision.boards import Board, Corners
 from fixel.vision.calibrate_lens import BoardView
-from fixel.vision.frame import Picture
+from fixel.vision.frame import Picture, opencv
 from fixel.vision.lens import Lens
-from fixel.vision.opencv import opencv
 
 FINE: Final = 2  # samples per pixel along each axis
 

@@ -14,9 +14,8 @@ from benchmarks.figures import Figure, Size, at_least
 from fixel.calibration.objective import Comparer, MeanSquare
 from fixel.calibration.target import Target, same_configuration, targets_of
 from fixel.calibration.usual_parameters import default_unknowns
-from fixel.domain.cells import cells_of
+from fixel.domain.cells import cells_of, coordinates_of
 from fixel.domain.claim import NOT_TRUSTED, TRUSTED, Claim
-from fixel.domain.coordinates import coordinates_of
 from fixel.domain.domain import DomainMap, domain_map
 from fixel.domain.evidence import HeldOutErrors
 from fixel.domain.held_out import Apart, CalibrationModel, calibrated_on, held_out

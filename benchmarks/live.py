@@ -23,8 +23,7 @@ import numpy as np
 from fixel.formats.rig_file import rig_of
 from fixel.formats.scene_file import load_scene
 from fixel.model import Trajectory
-from fixel.vision.frame import Frame, Picture
-from fixel.vision.opencv import opencv
+from fixel.vision.frame import Frame, Picture, opencv
 from fixel.vision.render.film import film_scene
 from fixel.vision.render.looks import looks_named
 from fixel.web.live import PART_HEAD, LiveView

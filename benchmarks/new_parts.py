@@ -32,11 +32,10 @@ from fixel.model import (
     UniformPressure,
 )
 from fixel.parts.candidates import push_candidates
-from fixel.parts.fit import choose_pushes, slopes
+from fixel.parts.fit import choose_pushes, learned_prior, slopes
 from fixel.parts.left_out import halves, leave_parts_out
 from fixel.parts.model import PartModel
 from fixel.parts.next_pushes import NextPushes
-from fixel.parts.prior import learned_prior
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.parts import part_model
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figures import FULL, Figure, Size, at_most
-from fixel.formats.jpeg import jpeg_of
 from fixel.formats.recording import RecordingHeader, RecordingWriter, open_recording
+from fixel.formats.recording_video import jpeg_of
 from fixel.vision.frame import Frame, Picture
 
 PIXELS = (1280, 720)

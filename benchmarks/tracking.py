@@ -14,7 +14,7 @@ from fixel.formats.rig_file import rig_of
 from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.model import pose_error
 from fixel.testing.scenes import grasp, micro_push
-from fixel.vision.opencv import opencv
+from fixel.vision.frame import opencv
 from fixel.vision.tracking import FilmTracks, PartTrack, track
 from fixel.workflows.acquisition.film import FilmSettings, film
 from fixel.workflows.acquisition.track import open_film

@@ -13,8 +13,8 @@ from fixel.datasets.mit_push import MitPushes, read_mit_pushes
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache, listed
 from fixel.model import wrapped
+from fixel.parts.fit import NAMES
 from fixel.parts.model import PartModel
-from fixel.parts.prior import NAMES
 from fixel.replay.base import Row
 from fixel.typing import BoolArray, FloatArray, IntArray, ProgressCallback
 from fixel.workflows.parts import part_model

@@ -140,7 +140,7 @@ OFFERS: Final[Mapping[str, Mapping[str, str]]] = {
         "fixel.parts.left_out": "LeftOutEnds",
         "fixel.parts.model": "PartModel",
         "fixel.parts.next_pushes": "NextPushes",
-        "fixel.parts.prior": "PartValues",
+        "fixel.parts.fit": "PartValues",
         "fixel.planning.belief": "Belief RigError Scenarios",
         "fixel.planning.causes": "Explanation FailureRegion UnknownEffect",
         "fixel.planning.held_out": "HeldSuccess",

@@ -153,7 +153,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _scene_content() -> dict[str, Any]:
-    from fixel.formats.scene_schema import scene_content
+    from fixel.formats.scene_file import scene_content
 
     return scene_content(pushed_square())
 

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from fixel.errors import InvalidInput
-from fixel.formats.jpeg import brightness, decoded, jpeg_frame, jpeg_of
+from fixel.formats.recording_video import brightness, decoded, jpeg_frame, jpeg_of
 from fixel.vision.frame import Frame
 
 SIZE = (139, 85)

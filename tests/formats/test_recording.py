@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.formats.jpeg import jpeg_of
 from fixel.formats.recording import (
     VIDEO,
     RecordingHeader,
@@ -21,6 +20,7 @@ from fixel.formats.recording import (
     repair_recording,
 )
 from fixel.formats.recording_files import CODECS, END, HEADER, ROWS
+from fixel.formats.recording_video import jpeg_of
 from fixel.vision.frame import LUMA, Frame, Picture
 
 SIZE = (64, 48)

@@ -7,8 +7,16 @@ from fixel.calibration.target import target_of
 from fixel.model import Body, Polygon, Scene, SupportPoints, UniformPressure
 from fixel.model.footprint import support_grid
 from fixel.parts.candidates import push_candidates
-from fixel.parts.fit import PartPushes, fit_part, paced, simulated, slopes
-from fixel.parts.prior import NAMES, SupportPrior, bounds
+from fixel.parts.fit import (
+    NAMES,
+    PartPushes,
+    SupportPrior,
+    bounds,
+    fit_part,
+    paced,
+    simulated,
+    slopes,
+)
 from fixel.simulation import QuasiStatic, simulate
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.pushes import example_parts

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fixel.parts.prior import NAMES, UNPUSHED, PartValues, SupportPrior, learned_prior
+from fixel.parts.fit import NAMES, UNPUSHED, PartValues, SupportPrior, learned_prior
 
 RIM, CORNER = NAMES.index("pressure_rim"), NAMES.index("pressure_corner")
 SHIFT, BEND = NAMES.index("registration_x"), NAMES.index("table_bend_xy")

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fixel.formats.jpeg import jpeg_of
 from fixel.formats.recording import RecordingHeader, RecordingWriter
+from fixel.formats.recording_video import jpeg_of
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
 from fixel.vision.frame import Frame, Picture
 

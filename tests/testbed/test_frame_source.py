@@ -16,8 +16,8 @@ import pytest
 from tests.testbed.films import SIZE, film, picture
 
 from fixel.errors import InvalidInput
-from fixel.formats.jpeg import brightness, jpeg_of, jpeg_size, shrunk
 from fixel.formats.recording import open_recording
+from fixel.formats.recording_video import brightness, jpeg_of, jpeg_size, shrunk
 from fixel.formats.video_file import VideoWriter
 from fixel.testbed.file_source import FileSource, PlayedTactile
 from fixel.testbed.frame_source import FrameQueue, Stream

@@ -16,8 +16,8 @@ import pytest
 from tests.testbed.films import SIZE, Fixels, Pictures, picture
 
 from fixel.errors import InvalidInput
-from fixel.formats.jpeg import jpeg_of
 from fixel.formats.recording import open_recording
+from fixel.formats.recording_video import jpeg_of
 from fixel.testbed import recorder as recorder_module
 from fixel.testbed.frame_source import CATCHING_UP, CameraPicture, FrameQueue, FrameSource
 from fixel.testbed.recorder import Recorder, RecordingStatus, RecordingSummary, Seating

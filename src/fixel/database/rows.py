@@ -13,7 +13,7 @@ import numpy as np
 import sqlalchemy as sa
 
 from fixel.database import arrays
-from fixel.formats.scene_schema import SceneRecord, scene_content, scene_of
+from fixel.formats.scene_file import SceneRecord, scene_content, scene_of
 from fixel.model import Channel, Experiment, Flag, Parameters, Provenance, Scene, Trajectory
 from fixel.model.records import Estimate, Evaluations, FilterRecord
 from fixel.typing import FloatArray

@@ -12,7 +12,7 @@ import numpy as np
 from fixel.calibration.registration import gaps_and_normals
 from fixel.datasets.contact import MAX_CORRECTION, corrected_path, correction_flag, moved_to_contact
 from fixel.errors import InvalidInput
-from fixel.formats.scene_schema import FILL_IN, scene_of, scene_record
+from fixel.formats.scene_file import FILL_IN, scene_of, scene_record
 from fixel.io.document import read_document, yaml_text
 from fixel.model import Disk, Experiment, Flag, PathDrive, Pusher, Scene, Shape, Trajectory
 from fixel.model.fields import instance

@@ -15,7 +15,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from fixel.calibration.known_pushes import KnownPushes, push_target, texts_of, with_dataset
-from fixel.domain.cells import CellAxis, Cells
+from fixel.domain.cells import CellAxis, Cells, coordinates_of, label_of, refuse_missing
 from fixel.domain.claim import (
     COLOURS,
     DOUBTFUL,
@@ -27,7 +27,6 @@ from fixel.domain.claim import (
     CellVerdict,
     Claim,
 )
-from fixel.domain.coordinates import coordinates_of, label_of, refuse_missing
 from fixel.domain.evidence import HeldOutErrors, Measure, value_of
 from fixel.domain.next_experiment import Proposal, proposals
 from fixel.domain.predicted_cells import untried

@@ -20,7 +20,7 @@ from fixel.calibration.noise import Noise, noise_from_repetitions
 from fixel.calibration.objective import AbstractError, Comparer, EndPose, MeanSquare
 from fixel.calibration.study import box_of
 from fixel.calibration.target import Target, repetitions, same_configuration
-from fixel.domain.coordinates import label_of
+from fixel.domain.cells import label_of
 from fixel.domain.evidence import folds_of
 from fixel.errors import InvalidInput
 from fixel.model.space import ParameterSpace

@@ -21,7 +21,7 @@ from fixel.calibration.known_pushes import (
     with_dataset,
 )
 from fixel.calibration.target import Target
-from fixel.domain.coordinates import PUSH, TRAVEL, coordinates_of, label_of, refuse_missing
+from fixel.domain.cells import PUSH, TRAVEL, coordinates_of, label_of, refuse_missing
 from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound, min_experiments
 from fixel.model import Experiment, Probability, Scene
 from fixel.results import Result, Summary

@@ -12,8 +12,8 @@ from fixel.io.atomic import written_whole
 from fixel.io.document import yaml_text
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera, MeasuredCamera
+from fixel.vision.frame import opencv
 from fixel.vision.lens import Lens
-from fixel.vision.opencv import opencv
 
 MATRIX: Final = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "M1", "intrinsic_matrix")
 DISTORTION: Final = (

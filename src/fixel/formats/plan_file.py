@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 from pydantic import Field
 
 from fixel.errors import InvalidInput
-from fixel.formats import scene_schema as _shapes_and_supports  # noqa: F401
+from fixel.formats import scene_file as _shapes_and_supports  # noqa: F401
 from fixel.formats.records import arguments, choice_of, content, keys_of, made, record_of, validated
 from fixel.io.document import parse_yaml, read_document, yaml_text
 from fixel.model import Disk, Ellipsoid, NoSupport, Polygon, SupportPoints, Tripod, UniformPressure

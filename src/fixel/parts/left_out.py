@@ -10,14 +10,16 @@ import numpy as np
 
 from fixel.parts.fit import (
     PartPushes,
+    PartValues,
+    SupportPrior,
     bound_features,
     choose_pushes,
     errors_of,
     fit_part,
+    learned_prior,
     simulated,
     slopes,
 )
-from fixel.parts.prior import PartValues, SupportPrior, learned_prior
 from fixel.typing import FloatArray, IntArray, ProgressCallback
 
 # Weights of the others' mean load among which leaving parts out chooses.

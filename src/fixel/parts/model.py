@@ -17,7 +17,15 @@ from fixel.domain.error_bound import CAUTIOUS, NO_DATA, TYPICAL, ConformalBound,
 from fixel.domain.push_bound import UNSEEN, PushBound
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Pose, Scene
-from fixel.parts.fit import PartPushes, bound_features, simulated
+from fixel.parts.fit import (
+    NAMES,
+    PartPushes,
+    PartValues,
+    SupportPrior,
+    bound_features,
+    learned_prior,
+    simulated,
+)
 from fixel.parts.left_out import (
     MAX_TEST,
     LeftOutEnds,
@@ -28,7 +36,6 @@ from fixel.parts.left_out import (
     rung,
 )
 from fixel.parts.next_pushes import NextPushes, propose
-from fixel.parts.prior import NAMES, PartValues, SupportPrior, learned_prior
 from fixel.progress import ProgressOption, show_progress
 from fixel.results import Result, Summary
 from fixel.table import Column, Table

@@ -12,8 +12,14 @@ import numpy as np
 from fixel.calibration.objective import ANGLE_SCALE
 from fixel.domain.push_bound import PushBound
 from fixel.errors import InvalidInput
-from fixel.parts.fit import PartPushes, bound_features, choose_pushes, simulated, slopes
-from fixel.parts.prior import SupportPrior
+from fixel.parts.fit import (
+    PartPushes,
+    SupportPrior,
+    bound_features,
+    choose_pushes,
+    simulated,
+    slopes,
+)
 from fixel.results import Result, Summary
 from fixel.table import Column, Table
 from fixel.typing import BoolArray, FloatArray, IntArray

@@ -16,8 +16,8 @@ from fixel.calibration.known_pushes import push_target
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.fields import Value, check_fields, instance, non_negative, settle
+from fixel.parts.fit import NAMES
 from fixel.parts.model import PartModel
-from fixel.parts.prior import NAMES
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.typing import FloatArray, IntArray
 from fixel.uncertainty.discrepancy import LABEL

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple, final
 
 from fixel.errors import FixelError
-from fixel.formats.jpeg import REDUCED, brightness, decoded, jpeg_size, shrunk
+from fixel.formats.recording_video import REDUCED, brightness, decoded, jpeg_size, shrunk
 from fixel.vision.frame import Gray, Picture
 
 STALLED: Final = 3.0  # [s] without data after which a camera counts as unplugged

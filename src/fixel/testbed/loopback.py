@@ -11,7 +11,7 @@ from typing import Final, final
 from urllib.parse import quote
 
 from fixel.errors import InvalidInput
-from fixel.formats.jpeg import jpeg_of
+from fixel.formats.recording_video import jpeg_of
 from fixel.testbed.file_source import FileSource
 from fixel.testbed.frame_source import Stream
 

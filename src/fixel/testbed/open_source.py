@@ -18,13 +18,12 @@ from urllib.parse import SplitResult, unquote, urlsplit
 import numpy as np
 
 from fixel.errors import InvalidInput
-from fixel.formats.jpeg import END
+from fixel.formats.recording_video import END
 from fixel.testbed.clocks import CaptureClock
 from fixel.testbed.file_source import FileSource
 from fixel.testbed.frame_source import STALLED, CameraPicture, FrameSource, Stream
 from fixel.testbed.loopback import SIMULATED, STAMP
-from fixel.vision.frame import Picture
-from fixel.vision.opencv import opencv
+from fixel.vision.frame import Picture, opencv
 
 
 def source_of(

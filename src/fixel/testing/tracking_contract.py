@@ -24,10 +24,9 @@ from fixel.model import pose_error
 from fixel.testing.scenes import row
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
-from fixel.vision.frame import Frame, Picture
+from fixel.vision.frame import Frame, Picture, opencv
 from fixel.vision.lens import Lens
 from fixel.vision.marks import MarkedPart, Rig, Sticker, Tag
-from fixel.vision.opencv import opencv
 from fixel.vision.tracking.base import AbstractTracking
 from fixel.vision.tracking.follow import track
 from fixel.vision.tracking.tag_reader import cells

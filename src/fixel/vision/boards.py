@@ -15,8 +15,7 @@ import numpy as np
 from fixel.errors import InvalidInput
 from fixel.model.fields import positive, settle
 from fixel.typing import FloatArray
-from fixel.vision.frame import Gray, Picture
-from fixel.vision.opencv import opencv
+from fixel.vision.frame import Gray, Picture, opencv
 
 MIN_OTHERS: Final = 3  # tags of another dictionary that may be found by chance
 MIN_CORNERS: Final = 8  # of one picture; a pose has six parameters, a corner two coordinates

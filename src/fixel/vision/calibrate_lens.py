@@ -14,9 +14,8 @@ from fixel.typing import FloatArray
 from fixel.vision.boards import Board, Corners
 from fixel.vision.bundle import BundleFit, PointObservations, fit
 from fixel.vision.camera import MeasuredCamera
-from fixel.vision.frame import Picture
+from fixel.vision.frame import Picture, opencv
 from fixel.vision.lens import BROWN, FISHEYE, Lens
-from fixel.vision.opencv import opencv
 
 MIN_PICTURES: Final = 4
 MIN_TILT: Final = 8.0  # [deg] between two boards; with less the focal length is undetermined

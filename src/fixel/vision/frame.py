@@ -1,12 +1,14 @@
-"""Frames of a film, with their times."""
+"""Frames of a film, with their times; the optional import of OpenCV."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from fixel.errors import InvalidInput
 
 Picture = NDArray[np.uint8]
 Gray = NDArray[np.uint8]
@@ -78,3 +80,17 @@ class Frame:
 
 def _gray(picture: Picture) -> Gray:
     return np.asarray(np.rint(picture @ LUMA), dtype=np.uint8)
+
+
+def opencv() -> Any:
+    """Return the package cv2; raise with the command to install it if missing."""
+    try:
+        import cv2
+    except ImportError:
+        raise InvalidInput(
+            "opencv",
+            found="the package is not installed",
+            expected="OpenCV, which reads cameras and boards",
+            hint="pip install 'fixel[vision]'",
+        ) from None
+    return cv2

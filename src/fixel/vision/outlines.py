@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 from fixel.model.shape import Shape, placed
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
-from fixel.vision.frame import Picture
+from fixel.vision.frame import Picture, opencv
 from fixel.vision.lens import Lens
-from fixel.vision.opencv import opencv
 
 Bgr = tuple[int, int, int]
 

@@ -13,8 +13,7 @@ from fastapi import APIRouter
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 
 from fixel.errors import InvalidInput
-from fixel.vision.frame import Picture
-from fixel.vision.opencv import opencv
+from fixel.vision.frame import Picture, opencv
 
 BOUNDARY: Final = "next-picture-of-fixel-7d1f0c5e"
 PART_HEAD: Final = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\n\r\n".encode()

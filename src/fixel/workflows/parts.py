@@ -14,10 +14,9 @@ from fixel.domain.error_bound import LEVEL
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache, listed
 from fixel.model import Experiment
-from fixel.parts.fit import PartPushes, fit_part
+from fixel.parts.fit import UNPUSHED, PartPushes, PartValues, SupportPrior, fit_part
 from fixel.parts.left_out import NOISE_OF_MANY, best_share, leave_parts_out
 from fixel.parts.model import PartModel, grouped
-from fixel.parts.prior import UNPUSHED, PartValues, SupportPrior
 from fixel.progress import ProgressOption, show_progress
 
 # Pushes that one fit uses: twelve values need no more, and time grows with them.

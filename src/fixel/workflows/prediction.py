@@ -17,8 +17,8 @@ from fixel.errors import InvalidInput
 from fixel.model import Experiment, Scene
 from fixel.model.fields import instance, non_negative
 from fixel.model.goals import touching
+from fixel.parts.fit import NAMES
 from fixel.parts.model import PartModel
-from fixel.parts.prior import NAMES
 from fixel.progress import ProgressOption, show_progress
 from fixel.simulation.motion import AbstractMotionModel, QuasiStatic
 from fixel.simulation.simulate import SceneWithMethod

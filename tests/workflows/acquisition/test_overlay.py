@@ -13,7 +13,7 @@ from tests.testbed.films import Pictures
 from tests.vision.plate import plate_picture, small_rig
 
 from fixel.errors import InvalidInput
-from fixel.formats.jpeg import jpeg_of
+from fixel.formats.recording_video import jpeg_of
 from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Pusher, Scene, Tripod
 from fixel.testbed.frame_source import CameraPicture, FrameSource, Stream
 from fixel.vision.camera import Camera

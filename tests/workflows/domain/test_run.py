@@ -9,7 +9,7 @@ from tests.fixtures import project_of
 from fixel.calibration.objective import Comparer, Evaluation, MeanSquare, RootMeanSquare
 from fixel.calibration.target import targets_of
 from fixel.database.project import Project
-from fixel.domain.coordinates import coordinates_of, label_of
+from fixel.domain.cells import coordinates_of, label_of
 from fixel.domain.held_out import Apart, CalibrationModel, held_out, noise_floor, stepper_for
 from fixel.errors import InvalidInput
 from fixel.io.result_cache import ResultCache

@@ -9,8 +9,8 @@ import numpy as np
 
 from fixel.model import Scene
 from fixel.typing import FloatArray
+from fixel.vision.frame import opencv
 from fixel.vision.marks import Rig
-from fixel.vision.opencv import opencv
 from fixel.vision.render.bodies import (
     backdrop,
     body_solid,

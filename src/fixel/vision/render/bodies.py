@@ -13,8 +13,8 @@ from fixel.model import Body, Disk, Fixel, LineDrive, Pusher, Shape
 from fixel.model.probability import stream
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
+from fixel.vision.frame import opencv
 from fixel.vision.marks import Mark, Rig, Tag
-from fixel.vision.opencv import opencv
 from fixel.vision.render.canvas import Canvas, FilledPolygons, FloatPicture, PictureWindow
 from fixel.vision.render.solids import Marking, Slab, Solid, circle, outline_of, polygon
 from fixel.vision.render.virtual_camera import Projection

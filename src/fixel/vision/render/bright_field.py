@@ -11,8 +11,8 @@ from fixel.model import Body, Disk, Pusher, Scene
 from fixel.model.probability import stream
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
+from fixel.vision.frame import opencv
 from fixel.vision.marks import Rig
-from fixel.vision.opencv import opencv
 from fixel.vision.render.bodies import direction_of, falloff
 from fixel.vision.render.canvas import Canvas, FloatPicture, PictureWindow
 from fixel.vision.render.looks import CameraEffects

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from fixel.model import Shape
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
-from fixel.vision.frame import Frame, Gray
-from fixel.vision.opencv import opencv
+from fixel.vision.frame import Frame, Gray, opencv
 from fixel.vision.tracking.base import PartObservation, PartPrediction
 from fixel.vision.tracking.loops import find_edges
 

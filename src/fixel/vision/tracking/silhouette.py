@@ -16,9 +16,8 @@ from fixel.model.shape import placed
 from fixel.model.trajectory import wrapped
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
-from fixel.vision.frame import Frame, Gray
+from fixel.vision.frame import Frame, Gray, opencv
 from fixel.vision.marks import Rig
-from fixel.vision.opencv import opencv
 from fixel.vision.tracking.base import (
     AbstractFollower,
     AbstractTracking,

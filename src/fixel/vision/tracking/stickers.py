@@ -15,9 +15,8 @@ from fixel.kernels.jit import entry
 from fixel.model.shape import placed
 from fixel.typing import FloatArray
 from fixel.vision.camera import Camera
-from fixel.vision.frame import Frame, Gray, Picture
+from fixel.vision.frame import Frame, Gray, Picture, opencv
 from fixel.vision.marks import Rig, Sticker
-from fixel.vision.opencv import opencv
 from fixel.vision.tracking.base import (
     AbstractFollower,
     AbstractTracking,

@@ -14,9 +14,8 @@ from fixel.errors import FixelError
 from fixel.formats.rig_file import EXAMPLES, load_rig, rig_of
 from fixel.formats.video_file import VideoWriter, open_video
 from fixel.model import Experiment
-from fixel.vision.frame import Frame
+from fixel.vision.frame import Frame, opencv
 from fixel.vision.marks import Rig
-from fixel.vision.opencv import opencv
 from fixel.vision.outlines import outline_pixels
 from fixel.web.values import Answer, Array, ShortArray
 from fixel.workflows.acquisition.tracked_experiment import CAMERA

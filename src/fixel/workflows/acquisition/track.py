@@ -297,7 +297,7 @@ def write_overlay(
 
 def write_sheet(frames: Iterator[Frame], scene: Scene, tracked: FilmTracks, path: Path) -> None:
     """Write a few frames of the overlay as one picture."""
-    from fixel.vision.opencv import opencv
+    from fixel.vision.frame import opencv
 
     cv2 = opencv()
     n = len(tracked.time)

@@ -24,7 +24,7 @@ from fixel.calibration.noise import Noise
 from fixel.calibration.objective import ERRORS, AbstractError, EndPose, Robust, RootMeanSquare
 from fixel.calibration.target import Target
 from fixel.errors import InvalidInput, unknown_name
-from fixel.formats.scene_schema import SceneRecord, scene_content, scene_of
+from fixel.formats.scene_file import SceneRecord, scene_content, scene_of
 from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.io.damaged_files import readable
 from fixel.model.fields import name_of

@@ -16,7 +16,7 @@ from fixel.calibration.objective import ANGLE_SCALE, EndPose
 from fixel.calibration.target import Target, same_configuration
 from fixel.database.project import ANALYSES, Project
 from fixel.database.store import Store
-from fixel.domain.coordinates import coordinates_of, label_of
+from fixel.domain.cells import coordinates_of, label_of
 from fixel.domain.evidence import HeldOutErrors, default_folds
 from fixel.domain.held_out import (
     MAX_TRAINING,

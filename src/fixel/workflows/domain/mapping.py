@@ -11,9 +11,8 @@ import numpy as np
 from fixel.calibration.known_pushes import KnownPushes
 from fixel.calibration.target import Target
 from fixel.capability.options import FACTORS, in_unit
-from fixel.domain.cells import Cells, cells_of, varying
+from fixel.domain.cells import Cells, cells_of, coordinates_of, varying
 from fixel.domain.claim import Claim
-from fixel.domain.coordinates import coordinates_of
 from fixel.domain.domain import DomainMap, default_threshold, domain_map
 from fixel.domain.evidence import HeldOutErrors
 from fixel.domain.held_out import CalibrationModel, Finished, own_errors

@@ -10,7 +10,7 @@ from fixel.calibration.known_pushes import KnownPushes, with_units
 from fixel.calibration.objective import Comparer
 from fixel.calibration.target import Target, same_configuration
 from fixel.database.project import ANALYSES, Project
-from fixel.domain.coordinates import label_of
+from fixel.domain.cells import label_of
 from fixel.domain.error_bound import min_experiments
 from fixel.domain.evidence import default_folds
 from fixel.domain.held_out import Apart, CalibrationModel, end_errors, held_out, stepper_for

@@ -17,7 +17,7 @@ from fixel.database.project import Project
 from fixel.drawing.sensitivity import indices_chart, sensitivity_chart
 from fixel.errors import InvalidInput
 from fixel.formats import load_scene
-from fixel.formats.scene_schema import scene_content
+from fixel.formats.scene_file import scene_content
 from fixel.model import Experiment, Parameters, Scene
 from fixel.model.parameters import info_of
 from fixel.model.selection import ExperimentQuery
