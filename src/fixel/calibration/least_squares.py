@@ -163,17 +163,11 @@ class LeastSquaresFit(NamedTuple):
 
 @final
 class LeastSquaresSearch:
-    """Running descents from all starts, advanced by the residuals of the points they request.
-
-    Attributes
-    ----------
-    descents : tuple of Descent
-        Descents, one per start.
-    """
+    """Running descents from all starts, advanced by the residuals of the points they request."""
 
     def __init__(self, box: SearchBox, descents: tuple[Descent, ...]) -> None:
         self.box = box
-        self.descents = descents
+        self.descents = descents  # descents, one per start
 
     @property
     def best(self) -> Best:

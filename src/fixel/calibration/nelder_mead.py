@@ -95,20 +95,13 @@ class NelderMead(AbstractOptimiser):
 
 @final
 class NelderMeadSearch(GeneratorSearch):
-    """Running Nelder-Mead search.
-
-    Attributes
-    ----------
-    size : float
-        Mean distance of the vertices from their centre, in scales.
-    vertices : (n + 1, n) float64
-        Vertices of the simplex, the best first.
-    """
+    """Running Nelder-Mead search."""
 
     def __init__(self, box: SearchBox, options: NelderMead, vertices: FloatArray) -> None:
         super().__init__(box)
         self.options = options
-        self.vertices = vertices
+        self.vertices = vertices  # vertices of the simplex, the best first
+        # Mean distance of the vertices from their centre, in scales.
         self.size = simplex_size(box, vertices)
 
     def _walk(self) -> Moves:

@@ -279,16 +279,11 @@ class MultiStart(AbstractOptimiser):
 
 @final
 class MultiStartSearch(Search):
-    """Parallel searches that are running.
-
-    Attributes
-    ----------
-    searches : tuple of Search
-        Searches, each with its own `best`, `reason` and `evaluations`.
-    """
+    """Parallel searches that are running."""
 
     def __init__(self, box: SearchBox, searches: list[Search]) -> None:
         super().__init__(box)
+        # Searches, each with its own `best`, `reason` and `evaluations`.
         self.searches = tuple(searches)
         self.has_iterations = all(search.has_iterations for search in searches)
 

@@ -109,21 +109,13 @@ class PatternSearch(AbstractOptimiser):
 
 @final
 class PatternSearchSearch(GeneratorSearch):
-    """Running pattern search.
-
-    Attributes
-    ----------
-    delta : float
-        Present step, in scales.
-    iterations : int
-        Number of iterations begun.
-    """
+    """Running pattern search."""
 
     def __init__(self, box: SearchBox, options: PatternSearch) -> None:
         super().__init__(box)
         self.options = options
-        self.delta = options.initial_delta
-        self.iterations = 0
+        self.delta = options.initial_delta  # present step, in scales
+        self.iterations = 0  # number of iterations begun
         self._successes = 0
 
     def _walk(self) -> Moves:

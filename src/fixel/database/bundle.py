@@ -243,13 +243,6 @@ class _Copy:
     source, target : Store
     add_video : callable
         Called with the checksum of each video of a copied experiment.
-
-    Attributes
-    ----------
-    new : dict of str to int
-        Copied records by kind, and counts of the experiments that the target has.
-    n_left_out : int
-        Calibrations that use an experiment that is not copied.
     """
 
     def __init__(self, source: Store, target: Store, add_video: Callable[[str], None]) -> None:
@@ -258,8 +251,9 @@ class _Copy:
         self._add_video = add_video
         self._ids: dict[int, int] = {}  # ids of experiments in the source -> in the target
         self._fits: dict[int, int] = {}  # the same of calibrations
+        # Copied records by kind, and counts of the experiments that the target has.
         self.new = dict.fromkeys((*KINDS, "analyses", "known", "flags", "outdated"), 0)
-        self.n_left_out = 0
+        self.n_left_out = 0  # calibrations that use an experiment that is not copied
 
     def check(self, experiment_ids: Sequence[int]) -> set[int]:
         """Load all records of the source; return the experiments the target has newer ones of."""

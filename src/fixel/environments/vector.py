@@ -363,13 +363,6 @@ class WorldDraws:
     n : int
         Number of environments.
 
-    Attributes
-    ----------
-    scene : Scene
-        The scene, with a support that the parameters can describe.
-    values : mapping of str to (n,) float64
-        Parameters of the episodes [SI].
-
     Raises
     ------
     InvalidInput
@@ -386,6 +379,7 @@ class WorldDraws:
             if not name.startswith(_OF_EXPERIMENTS)
         }
         _refuse_other_part(scene, belief, draws)
+        # The scene, with a support that the parameters can describe.
         self.scene = _with_support(scene, draws)
         reasons = infeasible(self.scene, draws) if draws else []
         ready = np.flatnonzero([not reason for reason in reasons])
@@ -397,6 +391,7 @@ class WorldDraws:
             )
         self._draws = {name: x[ready] for name, x in draws.items()}
         self._count = len(ready)
+        # Parameters of the episodes [SI].
         self.values = {name: np.full(n, x[0]) for name, x in self._draws.items()}
 
     def redraw(self, which: IntArray, rngs: Sequence[np.random.Generator]) -> None:

@@ -40,30 +40,18 @@ class GrblLink:
     next_line : callable
         Called repeatedly; returns the next line of a move, or None for no more at present. Runs in
         the link's own thread, which holds `changed`.
-
-    Attributes
-    ----------
-    changed : threading.Condition
-        Notified when anything below changes; hold it to read more than one of them.
-    status : GrblStatus, optional
-        Last report.
-    reported : float
-        Arrival of the last report, on `time.monotonic` [s].
-    current : bool
-        Whether the last report was requested after the last line was accepted.
-    trouble : str
-        Why a move cannot continue: an alarm, a reset, a refused line, a lost connection.
-    lost : bool
-        Whether the controller is no longer there.
     """
 
     def __init__(self, port: Serial, next_line: Callable[[], str | None]) -> None:
+        # Notified when anything below changes; hold it to read more than one of them.
         self.changed = threading.Condition(threading.RLock())
-        self.status: GrblStatus | None = None
-        self.reported = time.monotonic()
+        self.status: GrblStatus | None = None  # last report
+        self.reported = time.monotonic()  # arrival of the last report, on `time.monotonic` [s]
+        # Whether the last report was requested after the last line was accepted.
         self.current = False
+        # Why a move cannot continue: an alarm, a reset, a refused line, a lost connection.
         self.trouble = ""
-        self.lost = False
+        self.lost = False  # whether the controller is no longer there
         self.resets = 0
         self.offset: tuple[float, ...] = (0.0, 0.0, 0.0)  # of work coordinates
         self._port = port

@@ -60,22 +60,13 @@ Watch = Callable[[CameraPicture, RecordingStatus], None]
 
 @final
 class FrameRate:
-    """Running measurement of the rate of frames and of gaps between them.
-
-    Attributes
-    ----------
-    gaps : int
-        Number of intervals much longer than usual, in which frames were lost before arrival.
-    longest : float
-        Longest gap [s].
-    longest_at : float
-        Beginning of the longest gap [s].
-    """
+    """Running measurement of the rate of frames and of gaps between them."""
 
     def __init__(self) -> None:
+        # Number of intervals much longer than usual, in which frames were lost before arrival.
         self.gaps = 0
-        self.longest = 0.0
-        self.longest_at = 0.0
+        self.longest = 0.0  # longest gap [s]
+        self.longest_at = 0.0  # beginning of the longest gap [s]
         self._times: deque[float] = deque(maxlen=WINDOW)
 
     def tick(self, time: float) -> None:

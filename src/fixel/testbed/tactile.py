@@ -47,16 +47,6 @@ class TactileReader:
         Time without requests after opening [s], since the boot loader would take them for a new
         program. Default: 2 s where opening restarts a board, else 0.
 
-    Attributes
-    ----------
-    statistics : Statistics
-    protocol : int
-        1: one byte per request byte, as in the thesis; 2: with time and checksum; 0: not connected.
-    identity : Identity, optional
-        Identity that a board of protocol 2 reports.
-    trouble : str
-        Why the connection ended; empty while it lasts.
-
     Examples
     --------
     >>> with TactileReader("/dev/ttyACM0") as fixels:  # doctest: +SKIP
@@ -75,10 +65,12 @@ class TactileReader:
         self.port = chosen_port(port, "the tactile board")
         self.deadline = positive(deadline, "deadline", "s")
         self.statistics = Statistics()
+        # 1: one byte per request byte, as in the thesis; 2: with time and checksum; 0: not
+        # connected.
         self.protocol = 0
-        self.identity: frames.Identity | None = None
+        self.identity: frames.Identity | None = None  # identity that a board of protocol 2 reports
         self.clock = DeviceClock()
-        self.trouble = "not connected"
+        self.trouble = "not connected"  # why the connection ended; empty while it lasts
         self._thresholds = None if thresholds is None else _checked(thresholds)
         self._settle = settle
         self._serial: Serial | None = None

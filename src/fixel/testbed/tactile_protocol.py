@@ -119,16 +119,10 @@ def identity_of(frame: BoardFrame) -> Identity | None:
 
 
 class FrameFinder:
-    """Finder of frames in arriving bytes, which resynchronises after errors.
-
-    Attributes
-    ----------
-    stray : int
-        Number of bytes so far that belong to no frame with a correct checksum.
-    """
+    """Finder of frames in arriving bytes, which resynchronises after errors."""
 
     def __init__(self) -> None:
-        self.stray = 0
+        self.stray = 0  # number of bytes so far that belong to no frame with a correct checksum
         self._held = bytearray()
 
     def add(self, arrived: bytes) -> list[BoardFrame]:

@@ -49,13 +49,6 @@ class ParameterPrior:
         without is uniform within its bounds.
     model_error : ModelError, optional
         Adds the standard deviation of model error as the last unknown.
-
-    Attributes
-    ----------
-    labels, units : tuple of str
-        Names and units of the unknowns.
-    low, high : (n,) float64
-        Bounds.
     """
 
     def __init__(self, space: ParameterSpace, model_error: ModelError | None = None) -> None:
@@ -63,8 +56,10 @@ class ParameterPrior:
         self.model_error = model_error
         self._sd = np.array([np.inf if u.prior is None else u.prior for u in space.free])
         more = [] if model_error is None else [model_error]
+        # Names and units of the unknowns.
         self.labels = (*space.labels, *(LABEL for _ in more))
         self.units = (*(u.unit for u in space.free), *("m" for _ in more))
+        # Bounds.
         self.low = np.array([*space.low, *(error.low for error in more)])
         self.high = np.array([*space.high, *(error.high for error in more)])
 

@@ -91,18 +91,6 @@ class EmulatedGrbl:
         Name in `FIRMWARE`.
     axes : int
         Number of axes that it reports.
-
-    Attributes
-    ----------
-    port : str
-        Path of the port to open.
-    lines : list of str
-        All received lines.
-    events : list of GrblEvent
-    lost : int
-        Number of bytes that did not fit into its buffer.
-    trace : list of (float, float)
-        Position from the withdrawn end [mm] and speed [mm/s], while it moved.
     """
 
     def __init__(
@@ -129,10 +117,10 @@ class EmulatedGrbl:
         tty.setraw(self._slave)
         # A port without a reader becomes full; a real wire would lose the data, too.
         os.set_blocking(self._master, False)
-        self.port = os.ttyname(self._slave)
-        self.lines: list[str] = []
+        self.port = os.ttyname(self._slave)  # path of the port to open
+        self.lines: list[str] = []  # all received lines
         self.events: list[GrblEvent] = []
-        self.lost = 0
+        self.lost = 0  # number of bytes that did not fit into its buffer
         self.mute = False  # fault: sends nothing
         self.garble = 0  # fault: number of following bytes to damage
         self.refuse = 0  # fault: number of following lines to reject
@@ -159,6 +147,7 @@ class EmulatedGrbl:
         self._units = 1.0
         self._ended = False
         self._errands: deque[Callable[[], object]] = deque()
+        # Position from the withdrawn end [mm] and speed [mm/s], while it moved.
         self.trace: list[tuple[float, float]] = []
         self._say("", self._firmware.greeting, *self._lock_words())
         self._thread = threading.Thread(target=self._run, name="emulated-grbl", daemon=True)

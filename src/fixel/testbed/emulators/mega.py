@@ -60,16 +60,11 @@ class EmulatedMega:
     ----------
     folder : Path
         Folder that `built` returned.
-
-    Attributes
-    ----------
-    port : str
-        Path of the port to open.
     """
 
     def __init__(self, folder: Path) -> None:
         self._place = tempfile.TemporaryDirectory(prefix="fixel-mega-")
-        self.port = f"{self._place.name}/ttyACM0"
+        self.port = f"{self._place.name}/ttyACM0"  # path of the port to open
         program, firmware = folder / "emulated_mega", folder / "tactile.elf"
         self._process = subprocess.Popen(
             [program, firmware, self.port],
