@@ -76,8 +76,6 @@ def option(default: T, help: str, *names: str, **more: Any) -> T:
 
     Parameters
     ----------
-    default : object
-    help : str
     *names : str
         Names of the option; by default that of the field or parameter.
     **more : object

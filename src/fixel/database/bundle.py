@@ -84,10 +84,8 @@ def export_bundle(
 
     Parameters
     ----------
-    store : Store
     path : Path
         Bundle to write, a ``.zip``; replaced atomically once it is complete.
-    dataset : str, optional
     progress : callable, optional
         Called with the number of exported experiments and their total.
 

@@ -66,10 +66,8 @@ def opened_bundle(path: Path, folder: Path, limits: BundleLimits = LIMITS) -> It
 
     Parameters
     ----------
-    path : Path
     folder : Path
         Folder for the unpacked files while the bundle is open.
-    limits : BundleLimits
 
     Raises
     ------

@@ -94,7 +94,6 @@ def pushed_scene(
     ----------
     body : Body
         Object at its start pose.
-    tip : Disk
     path : (n, 4) float64
         Measured path of the tip: time [s] and pose [m, m, rad].
     friction : float

@@ -124,7 +124,6 @@ def template_text(experiment: Experiment, source: str) -> str:
 
     Parameters
     ----------
-    experiment : Experiment
     source : str
         Name of the table.
     """

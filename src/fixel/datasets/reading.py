@@ -79,7 +79,6 @@ def plan_import(
 
     Parameters
     ----------
-    source : Path or table
     format : str, optional
         Name of an importer; by default the one that recognises the source.
     scene, columns, units, split_by

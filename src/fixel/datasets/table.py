@@ -132,10 +132,8 @@ def plan_table(
 
     Parameters
     ----------
-    table : CsvRows
     source : Path
         File of the table; its name names the experiments.
-    provenance : Provenance
     options : mapping of str to str
         Options of `CsvTable`, except for the next two.
     scene : Scene, Path or callable, optional

@@ -209,8 +209,6 @@ def axis_of(name: str, values: Sequence[Value], step: float | None = None) -> Ce
 
     Parameters
     ----------
-    name : str
-    values : sequence of (str, float or None)
     step : float, optional
         Width of ranges, one of which is centred at zero [SI].
     """
@@ -358,7 +356,6 @@ def cells_of(
 
     Parameters
     ----------
-    evidence : HeldOutErrors
     axes : sequence of str
         Names of coordinates. More than two are allowed only if every experiment differs from the
         nominal along at most one of them, as in a plan of offsets axis by axis.

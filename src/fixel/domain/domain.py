@@ -510,9 +510,6 @@ def domain_map(
 
     Parameters
     ----------
-    evidence : HeldOutErrors
-    cells : Cells
-    measure : str
     seed : int
         Seed of the versions of the surface.
     predicted_mm : (n_group, n_cell) float64, optional

@@ -110,7 +110,6 @@ class ConformalBound:
             Probability of a bound, between 0 and 1, both excluded.
         seed : int
             Seed of the folds and trees.
-        also : Experience, optional
         model : str, optional
             Name of the model of errors; by default the best that is available.
         units : (n,) sequence, optional

@@ -153,7 +153,6 @@ def folds_of(blocks: Sequence[str], strata: Sequence[str], folds: int, seed: int
         configuration, or a group.
     strata : sequence of str
         Label of the stratum, whose blocks are distributed over the folds as evenly as possible.
-    folds : int
     seed : int
         Seed of the order within a stratum.
 

@@ -84,7 +84,6 @@ def simulated_features(asked: Configurations, roll: Roll, mu: float) -> Features
 
     Parameters
     ----------
-    asked : Configurations
     roll : callable
         Calibrated simulator; its poses are at equal intervals up to the end of the push.
     mu : float

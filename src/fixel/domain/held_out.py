@@ -105,13 +105,8 @@ def held_out(
 
     Parameters
     ----------
-    targets : sequence of Target
-    model : CalibrationModel
-    apart : Apart
     finished : callable
         `(name, question, compute) -> answer`, which may return an answer that is stored.
-    progress : callable, optional
-    threads : int, optional
 
     Raises
     ------
@@ -261,7 +256,6 @@ def noise_floor(
 
     Parameters
     ----------
-    targets : sequence of Target
     scale : float
         Length that an angle counts as [m/rad].
     ends : bool

@@ -43,12 +43,10 @@ def proposals(
 
     Parameters
     ----------
-    cells : Cells
     groups : tuple of str
         Groups, one per map.
     surface : Surface
         Errors over the cells of every group.
-    claim : Claim
     verdicts : list of list of CellVerdict
         Verdicts of the claim for every group and cell.
     inside : list of list of int

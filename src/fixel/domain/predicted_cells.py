@@ -23,11 +23,8 @@ def predicted_cells(
 
     Parameters
     ----------
-    evidence : HeldOutErrors
-    cells : Cells
     level : float
         Probability of each bound.
-    seed : int
     """
     place = cells.find(evidence)
     known = np.flatnonzero((place >= 0) & ~np.isnan(evidence.error_mm2))

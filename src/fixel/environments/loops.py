@@ -137,7 +137,6 @@ def begin_step(
 
     Parameters
     ----------
-    state, control, rows
     outline : (m, 2) float64
         Corners of the body about its centre of mass [px]; none for a disk.
     action : (n, 2) float64
@@ -196,7 +195,6 @@ def end_step(
 
     Parameters
     ----------
-    state, control, rows
     pose : (n, 3) float64
         Scaled pose of the body at the end of each rollout.
     samples, status : (n,) int64

@@ -67,7 +67,6 @@ def misfit_of(
         At the end of a run.
     track, pusher : Trajectory
         What was measured of the object and of the pusher, over that run.
-    seed : int
     """
     random = np.random.default_rng([seed, 1])
     noise = noise_of(running.scene, track)

@@ -169,7 +169,6 @@ class Mechanics:
         ----------
         particles : Particles
             At frame `first`; changed in place.
-        unknowns : Unknowns
         sights : sequence of FrameMeasurement
             At the frame where the particles are, and at those to come.
         path : (n, n_sight, 3) float64
@@ -412,8 +411,6 @@ def power(log_weight: FloatArray, score: FloatArray, reached: FloatArray, least:
         How much of it is in the weights already.
     least : float
         Effective number of particles [-].
-
-    Source: the idea of Neal (2001), Annealed importance sampling.
     """
     best, most = COARSE, 0.0
     for trial in POWERS:

@@ -132,7 +132,6 @@ def prior_for(scene: Scene, priors: Mapping[str, tuple[float, float] | None]) ->
 
     Parameters
     ----------
-    scene : Scene
     priors : mapping from name to (low, high) or None
         Replace `DEFAULT_PRIORS`; None leaves a parameter at the scene's value. Defaults that
         change nothing in the scene are left out; what is asked for and changes nothing is refused.
@@ -233,7 +232,6 @@ class Unknowns(NamedTuple):
             How often a particle is one of the two.
         depends : (n_name,) float64
             Share of the particles whose path depends on each parameter [-].
-        random : numpy.random.Generator
 
         Returns
         -------

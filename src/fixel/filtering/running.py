@@ -415,7 +415,6 @@ def start_filter(
 
     Parameters
     ----------
-    options : ParticleFilter
     setup : Scene or Experiment
         What is on the plate. Of an experiment, its scene at its first frame is taken.
     seed : int

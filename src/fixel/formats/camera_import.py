@@ -53,7 +53,6 @@ def import_camera(
 
     Parameters
     ----------
-    path : str or Path
     format : str
         One of `FORMATS`, or `auto` to recognise the format from the file.
     size : (int, int), optional

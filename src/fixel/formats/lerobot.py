@@ -86,8 +86,6 @@ def write_lerobot(
 
     Parameters
     ----------
-    experiments : iterable of Experiment
-    folder : Path
     fps : int
         Frames per second.
     name : str

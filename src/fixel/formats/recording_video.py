@@ -73,7 +73,6 @@ def brightness(data: bytes, reduced: int = 1, where: str = "picture") -> Gray:
 
     Parameters
     ----------
-    data : bytes
     reduced : int
         Factor by which width and height shrink: 1, 2, 4 or 8.
     where : str

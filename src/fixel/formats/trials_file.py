@@ -41,7 +41,6 @@ def write_trials(path: str | Path, trials: Trials) -> Path:
     ----------
     path : str or path
         File that does not exist: a stated probability is never replaced.
-    trials : Trials
 
     Returns
     -------
@@ -116,7 +115,6 @@ def read_trials(path: str | Path, *, plan: str | None = None) -> Trials:
 
     Parameters
     ----------
-    path : str or path
     plan : str, optional
         Id of the plan whose trials are expected.
 

@@ -88,7 +88,6 @@ def open_video(path: str | Path, *, threads: int = 0) -> VideoFile:
 
     Parameters
     ----------
-    path : str or Path
     threads : int
         Number of decoding threads; 0: chosen by the decoder.
 

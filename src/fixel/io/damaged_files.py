@@ -33,7 +33,6 @@ def readable(path: Path, hint: str = "") -> Iterator[None]:
 
     Parameters
     ----------
-    path : Path
     hint : str
         Advice on how to create it again; by default to restore or delete it.
 

@@ -45,7 +45,6 @@ def read_document(path: Path, kind: str = "file") -> Any:
 
     Parameters
     ----------
-    path : Path
     kind : str
         Kind of the file, for errors: `"scene file"`.
 

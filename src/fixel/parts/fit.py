@@ -120,9 +120,6 @@ def learned_prior(fits: Sequence[PartValues], surface: str, share: float) -> Sup
         there are any.
     share : float
         Weight of the others' mean load and table, between 0 (equal loads on a flat table) and 1.
-
-    Source: Gelman et al. (2013), Bayesian Data Analysis, chapter 5, for the model of parts that
-    differ about a mean.
     """
     prior = SupportPrior.unpushed()
     if not fits:
@@ -168,10 +165,8 @@ def fit_part(
 
     Parameters
     ----------
-    pushes : PartPushes
     which : (k,) int
         Pushes to fit.
-    prior : SupportPrior
     noise : (k,) float64
         Size of the errors of each push [m].
 
@@ -298,8 +293,6 @@ def choose_pushes(candidates: FloatArray, intended: FloatArray, n: int) -> Chose
         The same for the pushes whose ends matter.
     n : int
         Number of pushes, at most m.
-
-    Source: Fedorov (1972), V-optimal designs; greedy choice as in Krause, Singh & Guestrin (2008).
     """
     covariance = np.eye(candidates.shape[2])
     wanted = np.einsum("kci,kcj->ij", intended, intended) / max(len(intended), 1)

@@ -88,7 +88,6 @@ def leave_parts_out(
 
     Parameters
     ----------
-    groups : mapping of (surface, part) to PartPushes
     fits : sequence of PartValues
         Values fitted to all groups.
     share : float
@@ -98,8 +97,6 @@ def leave_parts_out(
         of the other half.
     chosen : bool
         Whether these are chosen by `choose_pushes` rather than at random.
-    seed : int
-    progress : callable, optional
 
     Returns
     -------

@@ -211,7 +211,6 @@ def propose(
         Candidates.
     wanted : PartPushes
         Pushes whose ends matter.
-    prior : SupportPrior
     bounds_of : callable
         Function that returns the bounds of the wanted pushes, by their features (m, f) and whether
         their simulations converged (m,).

@@ -108,7 +108,6 @@ def held_success(
         Tolerances of the goals [m], [rad].
     seed : int
         Seed of the random numbers.
-    progress : bool or callable, optional
 
     Raises
     ------

@@ -77,7 +77,6 @@ def race(evaluate: Evaluate, n_plans: int, **options: Any) -> RaceResult:
     evaluate : callable
         Function `evaluate(plans, scenarios)` of (m,) and (k,) int64 indices that returns the
         margins (m, k) of these plans in these scenarios, in units of the goal's tolerance.
-    n_plans : int
     **options
         Options of `race_rounds`.
 
@@ -118,7 +117,6 @@ def race_rounds(
 
     Parameters
     ----------
-    n_plans : int
     sizes : sequence of int
         Number of scenarios that a plan has met at the end of each round, increasing.
     worlds : (n,) int64, optional

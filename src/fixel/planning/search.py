@@ -365,7 +365,6 @@ def conduct(search: PlanSearch, rounds: Rounds[T], answers: Answers) -> T:
 
     Parameters
     ----------
-    search : PlanSearch
     rounds : generator
         `PlanSearch.rounds`.
     answers : mutable mapping of str to (m, n) float64

@@ -45,14 +45,12 @@ def belief_after(
 
     Parameters
     ----------
-    plan : PushPlan
     seen : (3,) float64
         Pose of the part [m, m, rad].
     done : int
         Number of pushes that were carried out.
     error : StartError
         Error of the seen pose.
-    threads : int, optional
 
     Notes
     -----

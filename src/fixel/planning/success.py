@@ -39,7 +39,6 @@ def lower_bound(successes: float, n: float, confidence: float = 0.95) -> float:
     ----------
     successes, n : float
         Numbers of successes and of runs; fractions are effective numbers.
-    confidence : float
 
     Returns
     -------
@@ -175,7 +174,6 @@ class SuccessProbability(Result):
             Margins of the goal in fresh scenarios, in units of its tolerance; at least 0 for a
             success, and negative for a simulation that failed. A row has the runs of one draw of
             the parameters. Of (n,) margins, each has its own draw.
-        confidence : float
         independent : (n,) float64, optional
             Margins in further scenarios, each with its own draw of the parameters. The mean and
             its bounds are then computed from these alone.

@@ -194,7 +194,6 @@ def trial_scene(trial: Experiment, start: FloatArray, time: FloatArray, path: Fl
 
     Parameters
     ----------
-    trial : Experiment
     start : (3,) float64
         Start pose of the object [m, m, rad].
     time : (n,) float64

@@ -222,7 +222,6 @@ def tactile_channel(
         True contacts.
     false_contact, missed_contact : float
         Probabilities of reading 1 without contact, and 0 with it [-].
-    rng : numpy.random.Generator
     """
     wrong = rng.random(touches.shape) < np.where(touches, missed_contact, false_contact)
     return Channel(

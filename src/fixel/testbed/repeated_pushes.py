@@ -42,7 +42,6 @@ def repeat_pushes(
 
     Parameters
     ----------
-    testbed : SimulatedTestbed
     pushes : sequence of Scene
         Scenes of the pushes with the path of the tool; only in the first is the part's pose used.
     starts : (n, 3) float64

@@ -59,7 +59,6 @@ def chosen_port(port: str | None, what: str) -> str:
 
     Parameters
     ----------
-    port : str, optional
     what : str
         Device expected at the port, for the message: `"the tactile board"`.
     """

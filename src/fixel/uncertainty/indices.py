@@ -125,13 +125,10 @@ def sobol_indices(
     ----------
     model : callable
         Function of points (m, n_factor) -> outcomes (m, n_outcome); NaN for a failure.
-    factors : sequence of Factor
     outcomes : sequence of str
         Names of the columns.
     n : int
         Base samples, a power of two; the model is evaluated at ``n (n_factor + 2)`` points.
-    units : sequence of str, optional
-    seed : int
 
     Raises
     ------
@@ -203,8 +200,6 @@ def indices_of(
 
     Parameters
     ----------
-    scene : Scene
-    error : StartError
     ranges : mapping of name to (low, high)
         Ranges of uniformly distributed parameters.
     n : int

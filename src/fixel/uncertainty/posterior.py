@@ -298,7 +298,6 @@ class NestedSampling:
             Any object with `labels`, `units`, `low`, `high` and `transform`.
         seed : int
             Seed; the same seed gives the same result, bit for bit.
-        progress : callable, optional
 
         Raises
         ------

@@ -49,7 +49,6 @@ def push_of(
 
     Parameters
     ----------
-    what : Scene, SceneFile, path or Experiment
     model : mapping of str to float or Calibration, optional
         Parameters; by default the scene's own values.
     motion : AbstractMotionModel or str, optional

@@ -37,7 +37,6 @@ def predict_repetition(
 
     Parameters
     ----------
-    comparer : Comparer
     member : int
         Index of the experiment among its targets.
     posterior : Posterior

@@ -66,7 +66,6 @@ def simulate_starts(
         Instants to record [s]; by default twelve up to the end of the scene.
     motion, stepper, threads : optional
         Options of `Ensemble`.
-    seed : int
     progress : callable, optional
         Called with the number of starts done and in all.
 
@@ -238,7 +237,6 @@ def remove_overlap(
         Shape of the body.
     poses : (n, 3) float64
         Poses of the body [m, m, rad].
-    neighbours : list of Neighbour
     most : float
         Largest distance by which a body may be moved [m].
 

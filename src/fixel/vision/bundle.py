@@ -67,7 +67,6 @@ def fit(
         Start nearby: the lens, and the place of every view.
     names : sequence of str
         Parameters of the lens to fit; empty to fit places only.
-    sight : PointObservations
     steps : int
         Largest number of steps.
     """

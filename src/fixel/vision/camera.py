@@ -96,7 +96,6 @@ class Camera(Comparable):
 
         Parameters
         ----------
-        lens : Lens
         height : float
             Height of the camera above the plane [m].
         above : (2,) array_like

@@ -32,7 +32,6 @@ def outline_pixels(camera: Camera, shape: Shape, pose: ArrayLike, height: float)
 
     Parameters
     ----------
-    camera : Camera
     shape : Shape
         Shape in its own frame.
     pose : (3,) array_like

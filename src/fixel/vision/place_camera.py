@@ -56,7 +56,6 @@ def place_by_board(
     measured : MeasuredCamera
         Camera with a calibrated lens.
     picture : (height, width, 3) or (height, width) uint8
-    board : Board
     pose : (3,) array_like
         Pose of the board's lower left corner in the world [m, m, rad].
     height : float

@@ -113,8 +113,6 @@ def analysis_of(kind: str, result: Result, **more: Any) -> Analysis:
 
     Parameters
     ----------
-    kind : str
-    result : Result
     **more
         Other fields of the analysis, such as `numbers`.
     """
@@ -210,7 +208,6 @@ def store_analysis(
 
     Parameters
     ----------
-    project : Project
     analysis : Analysis
         `pictures`, `version` and `created` are filled in here.
     pictures : iterable of Picture

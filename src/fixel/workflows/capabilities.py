@@ -65,7 +65,6 @@ def run(
 
     Parameters
     ----------
-    capability : Capability
     request : BaseModel
         Request of this capability.
     folder : Path
@@ -99,7 +98,6 @@ def call(project: Project, name: str, /, *, progress: ProgressOption = None, **o
 
     Parameters
     ----------
-    project : Project
     name : str
         Name of the capability.
     progress : bool or callable, optional
@@ -128,16 +126,12 @@ def report_result(
 
     Parameters
     ----------
-    capability : Capability
-    request : BaseModel
-    project : Project or None
     result : object
         What the function returned.
     seconds : float
         Duration of the call, unless the report has another one.
     plot : Path, optional
         Folder or file for figures.
-    keep : bool
     """
     from fixel.workflows.analysis import StoredAnswer, store_analysis
     from fixel.workflows.figures import write_picture

@@ -25,7 +25,6 @@ def sentences(template: str, block: str, **values: Any) -> tuple[str, ...]:
     ----------
     template : str
         Name of the template, such as `growth`.
-    block : str
     **values
         Variables of the block; a missing one is an error.
     """

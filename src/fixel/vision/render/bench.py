@@ -201,12 +201,10 @@ def shade(
 
     Parameters
     ----------
-    window : PictureWindow
     level : float
         Height of the face above the plane [m].
     casters : sequence of PlacedSolid
         Solids that cast shadows; those below the face cast none.
-    eye : Projection
     depth : float
         Share of the light that is missing in a full shadow [-].
 

@@ -93,7 +93,6 @@ def part_outline(body: Body, tab: tuple[float, float], pixel: float) -> FloatArr
 
     Parameters
     ----------
-    body : Body
     tab : (float, float)
         Width and length of the tab [m]; a disk has none.
     pixel : float

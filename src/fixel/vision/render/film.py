@@ -132,8 +132,6 @@ def film_scene(
         Scene with the true shapes.
     motion : Simulation or mapping of str to Trajectory
         Motion of every body and pusher in film time; they rest before its begin and after its end.
-    rig : Rig
-    looks : CameraEffects
     times : (n,) float64
         Increasing times of the frames, in the middle of their exposures [s]. See `frame_times`.
     seed : int

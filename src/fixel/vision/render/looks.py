@@ -159,8 +159,6 @@ def frame_times(duration: float, rate: float, looks: CameraEffects, seed: int) -
         Duration of the film, from the first frame at 0 [s].
     rate : float
         Frame rate [Hz].
-    looks : CameraEffects
-    seed : int
     """
     count = int(duration * rate + 1e-6) + 1
     random = stream(seed, "film", "clock")

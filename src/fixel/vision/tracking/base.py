@@ -77,7 +77,6 @@ class AbstractTracking(ABC):
 
         Parameters
         ----------
-        rig : Rig
         things : dict of str to Thing
             Bodies and pushers of the scene, if any, with their outlines and approximate start
             poses.

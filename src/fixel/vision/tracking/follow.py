@@ -57,7 +57,6 @@ def track(
     ----------
     frames : iterable of Frame
         Frames in order of time.
-    rig : Rig
     scene : Scene, optional
         Scene with outlines for silhouettes, and approximate places of fixels.
     method : str or AbstractTracking

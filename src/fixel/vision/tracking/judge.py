@@ -41,7 +41,6 @@ def judged(
 
     Parameters
     ----------
-    name : str
     time : (n,) float64
         Times of the frames [s].
     sightings : sequence of PartObservation

@@ -58,7 +58,6 @@ class NeedleFollower:
 
         Parameters
         ----------
-        frame : Frame
         part : (n, 2) float64, optional
             Outline of the part in the picture [px]; None where it is unknown.
         dark : (height, width) uint8, optional

@@ -85,8 +85,6 @@ def fit_pose(
     Parameters
     ----------
     picture : (height, width) uint8
-    camera : Camera
-    edges : OutlineEdges
     pose : (3,) float64
         Start of the fit.
     reach : float

@@ -228,10 +228,8 @@ def find_patches(
     ----------
     picture : (height, width, 3) uint8
         A window of the camera's picture.
-    wanted : tuple of Sticker
     stickers : tuple of Sticker
         All stickers of the rig; a pixel belongs to the one with the nearest hue.
-    camera : Camera
     corner : (2,) float64
         Upper left corner of the window [px].
     """
@@ -275,9 +273,6 @@ def fit_sticker(
 
     Parameters
     ----------
-    frame : Frame
-    camera : Camera
-    sticker : Sticker
     place : (2,) float64
         Expected place in the world [m].
     reach : float

@@ -108,8 +108,6 @@ def film(
         Scene files, plan files, and ids or names of experiments of the project.
     out : Path
         Folder to create: the recording, or a folder of recordings for several films.
-    settings : FilmSettings, optional
-    project : Path
     limit : int, optional
         Maximum number of experiments per plan.
     video : Path, optional

@@ -148,7 +148,6 @@ def frames_of(
 
     Parameters
     ----------
-    source : FrameSource
     live : bool
         Whether the source continues without waiting for its reader.
     notify : callable, optional
@@ -189,8 +188,6 @@ def watch(overlay: Overlay, frames: Iterable[Frame], show: Show) -> Iterator[Loo
 
     Parameters
     ----------
-    overlay : Overlay
-    frames : iterable of Frame
     show : callable
         Called with a function that draws the picture, to be used only if there is a viewer, and
         with the status: `LiveView.show`.

@@ -75,7 +75,6 @@ def record(
 
     Parameters
     ----------
-    plan : RecordPlan
     stop : callable, optional
         Called often; returns a reason in words if the recording shall end.
     watch : callable, optional

@@ -75,13 +75,8 @@ def experiment_of(
 
     Parameters
     ----------
-    tracked : FilmTracks
-    rig : Rig
     scene : Scene
         Planned scene: shapes, masses, nominal friction.
-    readings : Readings, optional
-    dataset, name : str
-    provenance : Provenance
     simulated_by : str
         Program that rendered the film; empty for a camera.
     remarks : tuple of str

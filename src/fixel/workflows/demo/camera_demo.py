@@ -276,7 +276,6 @@ def true_twin(tracked: Experiment, film: Path) -> tuple[Experiment, TrackedRun]:
 
     Parameters
     ----------
-    tracked : Experiment
     film : Path
         Folder of the tracked film, with its ground truth.
     """

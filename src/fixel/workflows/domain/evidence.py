@@ -58,7 +58,6 @@ def gather(project: Project, asked: Any, report: ProgressCallback | None = None)
 
     Parameters
     ----------
-    project : Project
     asked : BaseModel
         Request for a map.
     report : callable, optional

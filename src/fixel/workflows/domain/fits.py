@@ -50,7 +50,6 @@ def calibration_model(
     ----------
     fit : Calibration, mapping, sequence of str or None
         Calibration at which fits start, or parameters as for `fixel.calibrate`.
-    targets : sequence of Target
     motion : AbstractMotionModel or str, optional
         Motion model; by default that of the calibration, else dynamic. A program that is named is
         permitted.

@@ -68,8 +68,6 @@ def map_of(
 
     Parameters
     ----------
-    gathered : DomainEvidence
-    asked : BaseModel
     fitted : mapping of name to array, optional
         Arrays stored with the same map; with them nothing is fitted.
 

@@ -103,13 +103,10 @@ def bound_of(
 
     Parameters
     ----------
-    targets : sequence of Target
-    model : CalibrationModel
     asked : BaseModel
         Request of `error_bound`.
     store : path, optional
         Folder for finished fits.
-    progress : callable
     """
     features = features_of(targets)
     judged = _first_of_repeated(targets, features)

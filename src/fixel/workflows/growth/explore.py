@@ -85,7 +85,6 @@ def explore(
         Folder of the project, for commands.
     command : str
         Command that repeats it.
-    progress : Reporter, optional
     """
     limits = {**SIZES, **sizes_in(asked.sizes)}
     samples = read_samples(store, asked.shape or None, asked.dataset or None)
@@ -360,7 +359,6 @@ def best_singles(
     ----------
     summaries : mapping from int to CalibrationRecord
         Result of `Store.calibration_summaries`.
-    samples : GrowthSamples
     motion, error : str
         Use only calibrations made with these.
     folder : Path

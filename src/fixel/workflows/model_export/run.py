@@ -332,8 +332,6 @@ def distances_from_fixel(
 
     Parameters
     ----------
-    source : ModelSource
-    engine : OtherEngine
     n : int
         Number of scenes, shared by at most ten cases of the source.
     seed : int

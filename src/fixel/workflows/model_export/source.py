@@ -60,7 +60,6 @@ def source_of(
 
     Parameters
     ----------
-    what : Scene, SceneFile, path, Experiment, Calibration or Project
     calibration : int, optional
         Id of a calibration of a project; by default the newest for several experiments.
     held_out : iterable of Experiment
@@ -167,7 +166,6 @@ def urdf(task: PlainTask, name: str) -> tuple[str, Mapping[str, str], list[str]]
 
     Parameters
     ----------
-    task : PlainTask
     name : str
         Name of the robot.
     """

@@ -62,7 +62,6 @@ def run_on_testbed(path: str | Path, *, trials: int = 1, seed: int = 1) -> Trial
     ----------
     path : str or Path
         Plan file.
-    trials : int
     seed : int
         Seed of the testbed: its plate and its conditions.
 
@@ -117,10 +116,8 @@ def run_on_drive(
     ----------
     path : Path
         Plan file.
-    actuator : AbstractActuator
     seen : callable
         Asks for the pose of the part, such as the one that a camera sees.
-    notify : callable
     by : str
         Person or program that carries out the plan.
     camera : RecordPlan, optional
@@ -359,8 +356,6 @@ def held_out_success(
 
     Parameters
     ----------
-    calibration : Calibration
-    experiments : sequence of Experiment
     **options
         Options of `held_success`.
     """
@@ -406,7 +401,6 @@ def next_plan(
 
     Parameters
     ----------
-    project : Project or None
     path : Path
         Plan file.
     seen : (3,) float64

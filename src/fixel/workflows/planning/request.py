@@ -131,7 +131,6 @@ def inputs_of(
 
     Parameters
     ----------
-    project : Project or None
     content : object
         Content of a goal file.
     folder : Path

@@ -95,8 +95,6 @@ def coverage(
 
     Parameters
     ----------
-    store : Store
-    view : ExperimentQuery
     x, y : str, optional
         Columns or conditions with numbers; by default offsets along x and y, or else the start of
         the object.

@@ -75,10 +75,8 @@ def import_texts(
 
     Parameters
     ----------
-    store : Store
     name : str
         Name of the table's file, from which the experiment gets its name.
-    table : str
     scene : str, optional
         Scene file, as YAML.
     angle_unit : str, optional

@@ -192,7 +192,6 @@ def gather(
 
     Parameters
     ----------
-    project : Project
     number : int, optional
         Id of the calibration; by default the newest for several experiments.
     folder : Path
@@ -364,12 +363,6 @@ def _embedded(path: Path) -> dict[str, Any]:
 
 def results_content(results: Sequence[Result], folder: Path, title: str = "") -> Content:
     """Collect tables and figures of results; the figures are drawn into an existing folder.
-
-    Parameters
-    ----------
-    results : sequence of Result
-    folder : Path
-    title : str
 
     Raises
     ------

@@ -162,8 +162,6 @@ def with_predictions(
 
     Parameters
     ----------
-    own : SampledExperiments
-    found : Posterior
     requested : int
         Number of effective samples that was requested.
     point : (n_free,) float64, optional
