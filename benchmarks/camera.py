@@ -15,7 +15,8 @@ from fixel.typing import FloatArray
 from fixel.vision.boards import board_of
 from fixel.vision.calibrate_lens import calibrate_lens, find_boards
 from fixel.vision.camera import Camera
-from fixel.vision.place_camera import place_by_board, plane_errors
+from fixel.vision.place_camera import place_by_board
+from fixel.vision.plane_errors import plane_errors
 
 BOARDS: Final = ("charuco:7x5:30mm:22mm", "checkerboard:8x5:25mm")
 PICTURES: Final = 15

@@ -26,7 +26,8 @@ from fixel.vision.boards import Board, board_of
 from fixel.vision.calibrate_lens import BoardView, calibrate_lens
 from fixel.vision.frame import Picture
 from fixel.vision.marks import Tag
-from fixel.vision.place_camera import Placement, place_by_board, place_by_tags, plane_errors
+from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
+from fixel.vision.plane_errors import plane_errors
 
 # The number of coefficients, the jackknife and the spread of edges were chosen on seeds below 20.
 SEEDS: Final = range(100, 120)

@@ -14,7 +14,7 @@ from fixel.vision.boards import Board, Corners, board_of
 from fixel.vision.calibrate_lens import BoardView, SkippedPicture, calibrate_lens, find_boards
 from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
-from fixel.vision.place_camera import radius95
+from fixel.vision.plane_errors import radius95
 
 LENS = Lens(image_size=(480, 360), focal=(440.0, 444.0), centre=(244.0, 177.0),  # type: ignore[arg-type]
             distortion=(-0.12, 0.05, 0.001, -0.0008))  # type: ignore[arg-type]  # fmt: skip

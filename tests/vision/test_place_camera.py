@@ -18,14 +18,8 @@ from fixel.vision.camera import PLACE, Camera, MeasuredCamera
 from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
 from fixel.vision.marks import Tag
-from fixel.vision.place_camera import (
-    place_by_board,
-    place_by_points,
-    place_by_tags,
-    plane_errors,
-    radius95,
-    shifted,
-)
+from fixel.vision.place_camera import place_by_board, place_by_points, place_by_tags
+from fixel.vision.plane_errors import plane_errors, radius95, shifted
 
 LENS = Lens(image_size=(480, 360), focal=(440.0, 444.0), centre=(244.0, 177.0),  # type: ignore[arg-type]
             distortion=(-0.12, 0.05, 0.001, -0.0008))  # type: ignore[arg-type]  # fmt: skip

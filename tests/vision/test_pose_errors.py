@@ -15,7 +15,7 @@ from fixel.model.shape import placed
 from fixel.vision.camera import Camera, MeasuredCamera
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig
-from fixel.vision.place_camera import pose_covariance, shifted
+from fixel.vision.plane_errors import pose_covariance, shifted
 from fixel.vision.tracking.checks import check_camera_place
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "rx", "ry", "rz", "tx", "ty", "tz")

@@ -14,7 +14,7 @@ from fixel.drawing.top_view import closed_line
 from fixel.model import placed, pose_error
 from fixel.table import Table
 from fixel.typing import FloatArray
-from fixel.vision.place_camera import PlaneErrors
+from fixel.vision.plane_errors import PlaneErrors
 from fixel.vision.tracking.tracked import FilmTracks, PartTrack
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from fixel.vision.bundle import BundleFit, PointObservations, fit
 from fixel.vision.camera import PLACE, Camera, MeasuredCamera
 from fixel.vision.frame import Frame, Gray
 from fixel.vision.marks import Rig, Tag
-from fixel.vision.place_camera import place_covariance, radius95
+from fixel.vision.plane_errors import place_covariance, radius95
 from fixel.vision.tracking.outline import MIN_SCATTER, fit_pose, window_of
 from fixel.vision.tracking.tag_reader import read_tags, tag_corners
 from fixel.vision.tracking.tags import names_of, tag_edges

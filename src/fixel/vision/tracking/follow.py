@@ -13,7 +13,7 @@ from fixel.model import Disk, Fixel, Scene
 from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig, Tag
-from fixel.vision.place_camera import pose_covariance
+from fixel.vision.plane_errors import pose_covariance
 from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, PartObservation, Thing
 from fixel.vision.tracking.checks import (
     UNWATCHED,

@@ -13,7 +13,8 @@ from fixel.typing import FloatArray
 from fixel.vision.calibrate_lens import LensCalibration
 from fixel.vision.camera import MeasuredCamera
 from fixel.vision.lens import BROWN, FISHEYE
-from fixel.vision.place_camera import Placement, PlaneErrors, plane_errors
+from fixel.vision.place_camera import Placement
+from fixel.vision.plane_errors import PlaneErrors, plane_errors
 
 CORNERS: Final = ("upper left", "upper right", "lower left", "lower right")
 MAX_ROWS: Final = 40  # pictures in the text of a calibration
