@@ -12,7 +12,7 @@ from tests.datasets import push_files, recordings
 from typer.testing import CliRunner
 
 from fixel.cli import main
-from fixel.cli.replay import refuse_picture
+from fixel.cli.options import require_picture
 from fixel.errors import DatasetMissing, InvalidInput
 from fixel.replay import Replay, ReplayRequest, replay_dataset
 from fixel.replay.base import columns_and_values, names_and_numbers, spread
@@ -205,10 +205,10 @@ def test_command_refuses_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_pictures_are_refused_before_the_work(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match=r"\.png, \.svg or \.pdf"):
-        refuse_picture(tmp_path / "replay.gif")
+    with pytest.raises(InvalidInput, match="a picture file"):
+        require_picture(tmp_path / "replay.gif")
     with pytest.raises(InvalidInput, match="no folder"):
-        refuse_picture(tmp_path / "nowhere" / "replay.png")
+        require_picture(tmp_path / "nowhere" / "replay.png")
 
 
 def test_an_unknown_folder_says_what_was_looked_for(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """`fixel new`, `import`, `list`, `export` and `data`: a laboratory's project folder."""
 
 import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from math import degrees
 from pathlib import Path
@@ -21,7 +20,15 @@ from fixel.cli.options import (
     required,
     with_options,
 )
-from fixel.cli.screen import command_of, notify, print_answer, progress_bar, project_words, wrote
+from fixel.cli.screen import (
+    command_line,
+    command_of,
+    notify,
+    print_answer,
+    progress_bar,
+    project_words,
+    wrote,
+)
 from fixel.errors import InvalidInput
 from fixel.progress import time_text
 from fixel.table import Column, Table
@@ -104,7 +111,7 @@ def import_(
     if dry_run:
         content["experiments"] = sum(1 for _ in plan)
         content["skipped"] = list(plan.skipped)
-        following = f"Next: {_without_dry_run()}"
+        following = f"Next: {command_line(without='--dry-run')}"
         print_answer(as_json, lambda: content, lambda: [*lines, *_skipped(plan.skipped), following])
         return
     if not as_json:
@@ -115,7 +122,7 @@ def import_(
     if template is not None:
         content |= {
             "template": str(template),
-            "next": shlex.join(["fixel", *sys.argv[1:], "--scene", str(template)]),
+            "next": f"{command_line()} --scene {shlex.quote(str(template))}",
         }
     print_imported(done, content, as_json, folder)
 
@@ -139,10 +146,6 @@ def _pair(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _without_dry_run() -> str:
-    return shlex.join(["fixel", *(word for word in sys.argv[1:] if word != "--dry-run")])
-
-
 def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> None:
     """Import the bundle that another project exported."""
     from fixel.database.project import Project
@@ -151,7 +154,7 @@ def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> 
     counts = import_zip(Project(folder), source, progress_bar("Importing"), dry_run=dry_run)
     verb = "would add" if dry_run else "added"
     found = ", ".join(f"{n} {kind}" for kind, n in counts.items() if n) or "nothing"
-    following = _without_dry_run() if dry_run else command_of("list", project=folder)
+    following = command_line("--dry-run") if dry_run else command_of("list", project=folder)
     print_answer(
         as_json,
         lambda: {"source": str(source), "dry_run": dry_run, **counts},

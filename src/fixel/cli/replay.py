@@ -3,9 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from fixel.cli.options import AsJson, option, required, with_options
+from fixel.cli.options import AsJson, option, require_picture, required, with_options
 from fixel.cli.screen import command_of, counting_bar, print_answer, table
-from fixel.errors import InvalidInput
 
 if TYPE_CHECKING:
     from fixel.replay import Replay
@@ -55,8 +54,7 @@ def replay(
     from fixel.replay import ReplayRequest, replay_dataset
     from fixel.replay.base import columns_and_values, names_and_numbers
 
-    if plot is not None:
-        refuse_picture(plot)
+    require_picture(plot)
     request = ReplayRequest(
         select=columns_and_values(select or ()),
         limit=limit,
@@ -72,16 +70,6 @@ def replay(
 
         save_figure(answer.figure, plot)
     print_answer(as_json, answer.summary, lambda: _replay_lines(answer, dataset, plot))
-
-
-def refuse_picture(file: Path) -> None:
-    """Raise `InvalidInput` for a file that cannot be drawn to, before the replay is computed."""
-    if file.suffix.lower() not in (".pdf", ".png", ".svg"):
-        raise InvalidInput("--plot", found=file.name, expected="a file .png, .svg or .pdf")
-    if not file.parent.is_dir():
-        raise InvalidInput(
-            "--plot", found=f"no folder {file.parent}", expected="an existing folder"
-        )
 
 
 # Columns of the tables: heading, name of the value in a row, and its format.
