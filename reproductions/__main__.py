@@ -10,9 +10,9 @@ import typer
 from fixel.cli.main import run
 from fixel.cli.options import AsJson, option, with_options
 from fixel.cli.replay import cell
-from fixel.cli.screen import counting_bar, print_answer, table
+from fixel.cli.screen import print_answer, table
 from fixel.errors import InvalidInput
-from fixel.progress import time_text
+from fixel.progress import show_progress, time_text
 from fixel.replay.base import Row
 
 if TYPE_CHECKING:
@@ -71,13 +71,13 @@ def reproduce_published(
     )
 
     if only in REPRODUCTIONS:
-        with counting_bar() as show:
+        with show_progress() as show:
             found = reproduce(only, data, out=out, progress=show, quick=quick)
         print_answer(as_json, found.summary, lambda: found.conclusions)
         return
     data = _require_data(data)
     if protocol == ["joint"]:
-        with counting_bar() as show:
+        with show_progress() as show:
             timed = joint_real(data, only, show)
         print_answer(as_json, lambda: timed, lambda: _timed(timed))
         return
@@ -87,7 +87,7 @@ def reproduce_published(
         folds=0 if quick else folds,
         quick=quick,
     )
-    with counting_bar() as show:
+    with show_progress() as show:
         answer = benchmark_real(data, request, part=only, out=out, progress=show)
     print_answer(as_json, answer.summary, lambda: _benchmark_lines(answer, data, out))
 

@@ -10,8 +10,9 @@ from typing import Annotated, Any
 import typer
 
 from fixel.cli.options import AsJson, argument, option, required, with_options
-from fixel.cli.screen import counting_bar, paragraphs, print_answer, wrote
+from fixel.cli.screen import paragraphs, print_answer, wrote
 from fixel.errors import InvalidInput
+from fixel.progress import show_progress
 
 THESIS_HEIGHTS = (0.0, 25.4)  # [mm] plate, upper face of the object
 
@@ -79,7 +80,7 @@ def calibrate(
             expected="the board in the pictures: charuco:7x5:30mm:22mm or checkerboard:9x6:25mm",
             hint="to print one: fixel camera board",
         )
-    with counting_bar() as bar:
+    with show_progress() as bar:
         answer = run(pictures, board, out, coefficients=coefficients, fisheye=fisheye, progress=bar)
     after = (
         f"fixel camera place {_quoted(out)} PICTURE --rig RIG with a picture of the plate and its "

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from fixel.cli.options import AsJson, option, with_options
-from fixel.cli.screen import notify, print_answer, progress_bar
-from fixel.progress import time_text
+from fixel.cli.screen import notify, print_answer
+from fixel.progress import show_progress, time_text
 
 if TYPE_CHECKING:
     from fixel.workflows.demo.camera_demo import CameraTour
@@ -53,11 +53,12 @@ def demo(
         from fixel.workflows.demo.camera_demo import run_camera_tour
 
         begin = time.monotonic()
-        tour = run_camera_tour(
-            out / CAMERA,
-            notify=lambda what: notify(f"{time.monotonic() - begin:4.0f} s  {what} ..."),
-            progress=progress_bar("Filming"),
-        )
+        with show_progress(stage="filming") as report:
+            tour = run_camera_tour(
+                out / CAMERA,
+                notify=lambda what: notify(f"{time.monotonic() - begin:4.0f} s  {what} ..."),
+                progress=report,
+            )
         return typer.echo("\n".join(_camera_lines(tour)))
     from fixel.workflows.demo.scene_demo import run_demo
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fixel.cli.options import AsJson, option, with_options
-from fixel.cli.screen import notify, print_answer, progress_bar, table
-from fixel.progress import time_text
+from fixel.cli.screen import notify, print_answer, table
+from fixel.progress import show_progress, time_text
 
 if TYPE_CHECKING:
     from fixel.testbed.serial_port import PortSeen
@@ -64,12 +64,13 @@ def check(
     """
     from fixel.workflows.acquisition.devices import check_tactile
 
-    found = check_tactile(
-        port,
-        readings=readings,
-        deadline=1e-3 * deadline,
-        progress=None if as_json else progress_bar("Reading"),
-    )
+    with show_progress(stage="reading") as report:
+        found = check_tactile(
+            port,
+            readings=readings,
+            deadline=1e-3 * deadline,
+            progress=report,
+        )
     print_answer(as_json, found.summary, lambda: _check_lines(found))
     if not found.passed:
         raise typer.Exit(1)

@@ -25,12 +25,11 @@ from fixel.cli.screen import (
     command_of,
     notify,
     print_answer,
-    progress_bar,
     project_words,
     wrote,
 )
 from fixel.errors import InvalidInput
-from fixel.progress import time_text
+from fixel.progress import show_progress, time_text
 from fixel.table import Column, Table
 
 if TYPE_CHECKING:
@@ -151,7 +150,8 @@ def _import_bundle(source: Path, folder: Path, dry_run: bool, as_json: bool) -> 
     from fixel.database.project import Project
     from fixel.workflows.project.export import import_zip
 
-    counts = import_zip(Project(folder), source, progress_bar("Importing"), dry_run=dry_run)
+    with show_progress(stage="importing") as report:
+        counts = import_zip(Project(folder), source, report, dry_run=dry_run)
     verb = "would add" if dry_run else "added"
     found = ", ".join(f"{n} {kind}" for kind, n in counts.items() if n) or "nothing"
     following = command_line("--dry-run") if dry_run else command_of("list", project=folder)

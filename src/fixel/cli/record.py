@@ -15,8 +15,9 @@ import typer
 
 from fixel.cli.camera import picture_size
 from fixel.cli.options import AsJson, ProjectFolder, option, required, with_options
-from fixel.cli.screen import command_line, command_of, notify, print_answer, progress_bar, wrote
+from fixel.cli.screen import command_line, command_of, notify, print_answer, wrote
 from fixel.errors import InvalidInput
+from fixel.progress import show_progress
 from fixel.table import Column, Table
 
 if TYPE_CHECKING:
@@ -325,20 +326,21 @@ def track(
     """Track a film or recording and store it as an experiment."""
     from fixel.workflows.acquisition.track import track_film
 
-    answer = track_film(
-        source,
-        rig=rig,
-        scene=scene,
-        method=method,
-        register=register,
-        project=None if dry_run else folder,
-        dataset=dataset,
-        name=name,
-        overlay=overlay,
-        sheet=sheet,
-        plot=plot,
-        progress=progress_bar("Tracking"),
-    )
+    with show_progress(stage="tracking") as report:
+        answer = track_film(
+            source,
+            rig=rig,
+            scene=scene,
+            method=method,
+            register=register,
+            project=None if dry_run else folder,
+            dataset=dataset,
+            name=name,
+            overlay=overlay,
+            sheet=sheet,
+            plot=plot,
+            progress=report,
+        )
     print_answer(as_json, answer.summary, lambda: _track_lines(answer, folder))
 
 

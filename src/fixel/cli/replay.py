@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from fixel.cli.options import AsJson, option, require_picture, required, with_options
-from fixel.cli.screen import command_of, counting_bar, print_answer, table
+from fixel.cli.screen import command_of, print_answer, table
+from fixel.progress import show_progress
 
 if TYPE_CHECKING:
     from fixel.replay import Replay
@@ -63,7 +64,7 @@ def replay(
         everything=everything,
         window=window,
     )
-    with counting_bar() as show:
+    with show_progress() as show:
         answer = replay_dataset(dataset, request, show)
     if plot is not None:
         from fixel.drawing.chart import save_figure

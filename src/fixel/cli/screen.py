@@ -4,8 +4,7 @@ import json
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +14,8 @@ from fixel.table import Table
 
 if TYPE_CHECKING:
     from fixel.jobs.work import JobProgress
-    from fixel.typing import ProgressCallback
 
-BAR = 30  # [characters]
 JOB_BAR = 24  # [characters]
-BETWEEN_BARS = 0.1  # [s] between two updates of a bar
 BETWEEN_LINES_S = 30.0  # [s] where the progress of a job goes into a file
 
 
@@ -78,44 +74,6 @@ def command_of(*words: object, project: Path = Path()) -> str:
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:
     """Format the lines of a table of texts; the first `left` columns are left-aligned."""
     return Table(head, rows, left=left).lines()
-
-
-def progress_bar(what: str) -> "ProgressCallback | None":
-    """Create a bar on standard error; None if that is no terminal."""
-    if not sys.stderr.isatty():
-        return None
-    last = 0.0
-
-    def show(done: int, total: int, note: str = "") -> None:
-        nonlocal last
-        now = time.monotonic()
-        if done < total and now - last < BETWEEN_BARS:
-            return
-        last = now
-        full = BAR * done // total
-        end = "\n" if done == total else ""
-        bar = "#" * full + "." * (BAR - full)
-        print(f"\r{what} [{bar}] {100 * done // total:3d} %", end=end, file=sys.stderr, flush=True)
-
-    return show
-
-
-@contextmanager
-def counting_bar() -> "Iterator[ProgressCallback]":
-    """Yield a callback for a bar on standard error, which takes number, total and name."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
-    from rich.progress import Progress as Bar
-
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("getting ready", total=None)
-
-        def show(done: int, total: int, note: str = "") -> None:
-            bar.update(task, completed=done, total=total, description=note)
-
-        yield show
 
 
 def job_bar() -> "Callable[[JobProgress], None]":

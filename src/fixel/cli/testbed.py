@@ -16,7 +16,8 @@ from fixel.cli.options import (
     with_options,
 )
 from fixel.cli.project import print_imported
-from fixel.cli.screen import command_of, print_answer, progress_bar, shortened, wrote
+from fixel.cli.screen import command_of, print_answer, shortened, wrote
+from fixel.progress import show_progress
 from fixel.table import Column, Table
 
 if TYPE_CHECKING:
@@ -51,14 +52,15 @@ def run_plan(
     from fixel.database.project import Project
     from fixel.workflows.project.importing import run_testbed
 
-    done = run_testbed(
-        Project(folder),
-        plan,
-        seed=seed,
-        limit=limit,
-        threads=threads,
-        progress=progress_bar("Performing"),
-    )
+    with show_progress(stage="performing") as report:
+        done = run_testbed(
+            Project(folder),
+            plan,
+            seed=seed,
+            limit=limit,
+            threads=threads,
+            progress=report,
+        )
     print_imported(done, {"seed": seed}, as_json, folder)
 
 
@@ -122,15 +124,16 @@ def film(
         rest=rest,
         frames=frames,
     )
-    made = films.film(
-        sources or [],
-        out,
-        settings,
-        project=folder,
-        limit=limit,
-        video=video,
-        progress=None if as_json else progress_bar("Filming"),
-    )
+    with show_progress(stage="filming") as report:
+        made = films.film(
+            sources or [],
+            out,
+            settings,
+            project=folder,
+            limit=limit,
+            video=video,
+            progress=report,
+        )
     print_answer(as_json, lambda: {"films": list(map(_content, made))}, lambda: _lines(made))
 
 
