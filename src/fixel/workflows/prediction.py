@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -179,15 +178,6 @@ def _rest(found: Prediction, runs: RunChanges) -> FloatArray:
     return np.asarray(np.stack(rest, axis=1) * free[:, None, None])
 
 
-class _SampledPush(NamedTuple):
-    """Push with the parameters of its runs."""
-
-    push: Push
-    values: Mapping[str, ArrayLike]
-    best: Mapping[str, float]
-    tau: FloatArray | None
-
-
 def _parameters(
     scene: Scene | SceneWithMethod | str | PathLike[str] | Experiment,
     model: Mapping[str, float] | Posterior | PartModel | None,
@@ -195,7 +185,7 @@ def _parameters(
     uncertain: bool,
     samples: int,
     seed: int,
-) -> _SampledPush:
+) -> tuple[Push, Mapping[str, ArrayLike], Mapping[str, float], FloatArray | None]:
     """Return a push with parameters for every run: fixed ones, or samples of their distribution."""
     if isinstance(model, PartModel):
         push = push_of(scene, None, motion or QuasiStatic())
@@ -203,7 +193,7 @@ def _parameters(
         best = model.distribution(labels.get(model.surface, ""), labels.get(model.part, ""))
         tau = np.full(samples, model.typical_error) if model.typical_error else None
         nominal = dict(zip(NAMES, best.mean.tolist(), strict=True))
-        return _SampledPush(push, model.samples(samples, seed, **labels), nominal, tau)
+        return (push, model.samples(samples, seed, **labels), nominal, tau)
     if isinstance(model, Posterior):
         push = push_of(scene, None, motion or model.motion)
         own = model.under(push.conditions)
@@ -213,7 +203,7 @@ def _parameters(
             name: float(x[0]) for name, x in own.values(own.best[None], push.conditions).items()
         }
         tau = own.points[rows, -1] if own.labels[-1] == LABEL else None
-        return _SampledPush(push, values, nominal, tau)
+        return (push, values, nominal, tau)
     if not uncertain:
         raise InvalidInput(
             "start",
@@ -222,7 +212,7 @@ def _parameters(
             hint="simulate() computes the one end; or give start=StartError(x=, y=, theta=, kind=)",
         )
     push = push_of(scene, model, motion)
-    return _SampledPush(push, push.values, push.values, None)
+    return (push, push.values, push.values, None)
 
 
 def _unseen(model: object, of: object, scene: Scene) -> tuple[str, ...]:
