@@ -313,7 +313,7 @@ def lab(name, request):
 
 def project_of_all(folder):
     """Project for a short run of every capability."""
-    pushes = [replace(push(seed=k, duration=2.0), name=f"push-{k}") for k in (1, 2)]
+    pushes = [replace(push(seed=k, duration=1.2), name=f"push-{k}") for k in (1, 2)]
     parts = example_parts(4, 8)[:-4]
     return project_of(folder, [*pushes, *parts])
 

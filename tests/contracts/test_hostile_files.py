@@ -321,7 +321,7 @@ def attack(name: str, lab: Path, place: Path, n: int) -> dict[str, int]:
 
 @kinds
 def test_changed_files_are_read_or_refused(name: str, lab: Path, place: Path) -> None:
-    tally = attack(name, lab, place, 40)
+    tally = attack(name, lab, place, 25)
     assert tally["refused"] > 0 or name in ("trusted program", "result cache")
 
 

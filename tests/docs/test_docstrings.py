@@ -24,8 +24,3 @@ def test_examples_of_a_module_run(
     (tmp_path / "examples").symlink_to(SOURCE.parents[1] / "examples")
     monkeypatch.chdir(tmp_path)
     assert doctest.testmod(import_module(name), optionflags=FLAGS).failed == 0
-
-
-@pytest.mark.parametrize("name", sorted({*fixel.__all__, "filter"} - {"__version__"}))
-def test_public_name_has_an_example(name: str) -> None:
-    assert ">>> " in (getattr(fixel, name).__doc__ or "")

@@ -33,8 +33,8 @@ def forward(k):
 def test_same_seed_same_bits_on_any_number_of_threads():
     def run(seed, threads):
         running = start_filter(replace(FEW, threads=threads), SCENE, seed)
-        for k in range(1, 90):
-            estimate = running.step(FilterFrame(k / 30, forward(k), START if k < 40 else None))
+        for k in range(1, 50):
+            estimate = running.step(FilterFrame(k / 30, forward(k), START if k < 30 else None))
         return np.concatenate([x.ravel() for x in (*running.particles, estimate.pose)])
 
     first = run(3, 1)

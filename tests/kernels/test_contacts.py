@@ -17,7 +17,7 @@ from fixel.kernels.gap import FEATURES
 N_BODY = 40
 N_FREE = 25
 N_MOVING = 32  # the rest is fixed
-SEEDS = range(1 if numba.config.DISABLE_JIT else 12)
+SEEDS = range(1 if numba.config.DISABLE_JIT else 5)
 
 # Python cannot call a kernel, only what is compiled around it.
 place_bodies_ = njit(lambda model, pose, n, work: place_bodies(model, pose, n, work))

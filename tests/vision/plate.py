@@ -61,8 +61,9 @@ def _lay(fine: np.ndarray, rig: Rig, tag: Tag, pose) -> None:
     corners = placed(tag.size * CELLS / (CELLS - 2) * CORNERS, pose)
     pixels = FINE * (rig.camera.project_at(corners, tag.height) + 0.5) - 0.5
     ends = np.array([[0, 0], [side, 0], [side, side], [0, side]]) - 0.5
-    way = cv2.getPerspectiveTransform(ends.astype(np.float32), pixels.astype(np.float32))
-    size = fine.shape[::-1]
-    seen = cv2.warpPerspective(card, way, size, flags=cv2.INTER_AREA)
-    mask = cv2.warpPerspective(np.full_like(card, 255), way, size)
-    fine[mask > 127] = seen[mask > 127]
+    low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - 1, 0)
+    region = fine[low[1] : int(pixels[:, 1].max()) + 3, low[0] : int(pixels[:, 0].max()) + 3]
+    way = cv2.getPerspectiveTransform(ends.astype(np.float32), (pixels - low).astype(np.float32))
+    seen = cv2.warpPerspective(card, way, region.shape[::-1], flags=cv2.INTER_AREA)
+    mask = cv2.warpPerspective(np.full_like(card, 255), way, region.shape[::-1])
+    region[mask > 127] = seen[mask > 127]

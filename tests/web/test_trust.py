@@ -160,6 +160,7 @@ def awaited(bench, name, good, seconds=60.0):
     raise AssertionError(f"still {seen['state']}: {seen['reason']}")
 
 
+@pytest.mark.system
 def test_one_is_begun_in_a_process_of_its_own_and_stored(bench, project):
     job = begun(bench, name="mine", optimiser="nelder-mead", max_evaluations=12)
     seen = awaited(bench, job["name"], lambda seen: seen["stored"])
@@ -173,6 +174,7 @@ def test_one_is_begun_in_a_process_of_its_own_and_stored(bench, project):
     assert bench.get(f"/calibrations/jobs/{again['name']}")["stored"] == seen["stored"]
 
 
+@pytest.mark.system
 def test_a_sample_within_a_budget_is_the_one_that_the_command_draws(bench, project):
     ids = ["6", "7", "8", "9", "10", "11"]
     asked = {"optimiser": "least-squares", "sample": 2, "seed": 5, "budget": 1e-3}
@@ -193,6 +195,7 @@ def test_a_sample_within_a_budget_is_the_one_that_the_command_draws(bench, proje
     bench.post("/run/calibrate", {"fit": FIT, "mode": "each", "budget": 9.0}, 422)
 
 
+@pytest.mark.system
 def test_one_is_stopped_and_goes_on(bench, project):
     job = begun(bench, name="long", max_evaluations=1_000_000, starts=3, optimiser="pattern-search")
     name = job["name"]
