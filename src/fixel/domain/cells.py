@@ -146,6 +146,11 @@ class CellAxis:
         return split_unit(self.name)[0]
 
     @property
+    def label(self) -> str:
+        """Name for people, with the displayed unit."""
+        return self.title.replace("_", " ") + (f" [{self.unit}]" if self.unit else "")
+
+    @property
     def factor(self) -> float:
         """Factor from SI to the displayed unit."""
         return displayed(split_unit(self.name)[1])[1]

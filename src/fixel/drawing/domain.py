@@ -84,9 +84,9 @@ def map_chart(
             own.set_yticks(range(n_up), up_ticks if labelled else [""] * n_up)
             own.set_xticks(places, [ticks[j] if last else "" for j in places],
                              rotation=90 if upwards else 0)  # fmt: skip
-            own.set_xlabel(_label(axes[across]) if last else "")
+            own.set_xlabel(axes[across].label if last else "")
             if labelled and up is not None:
-                own.set_ylabel(_label(axes[up]))
+                own.set_ylabel(axes[up].label)
             title = chart.shorten(shown[k] or "all experiments", int(room / LETTER))
             own.set_title(title, fontsize=palette.FONT_SIZE, pad=2.5)
         _legend(figure, {own[c].colour for own in verdicts[: len(shown)] for c in grid.flat})
@@ -171,16 +171,6 @@ def _most_columns(n_up: int, n_across: int) -> int:
     if n_up == 1:
         return 2 if n_across > 6 else 3
     return max(1, min(COLUMNS, 28 // max(n_across, 4)))
-
-
-def _label(axis: CellAxis) -> str:
-    """Name of an axis with its unit."""
-    name = axis.name
-    for ending in ("_m_s", "_rad", "_m", "_s"):
-        if axis.unit and name.endswith(ending):
-            name = name.removesuffix(ending)
-            break
-    return name.replace("_", " ") + (f" [{axis.unit}]" if axis.unit else "")
 
 
 def _ticks(axis: CellAxis) -> list[str]:

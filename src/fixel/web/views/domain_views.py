@@ -18,7 +18,6 @@ from fixel.domain.claim import COLOURS, TRUSTED, CellVerdict, Claim
 from fixel.domain.domain import DomainMap
 from fixel.domain.evidence import value_of
 from fixel.errors import InvalidInput, JobRefused, NotStored
-from fixel.units import split_unit
 from fixel.web.values import Answer, Finite
 from fixel.workflows.analysis import StoredAnalysis, find_analysis
 from fixel.workflows.domain.evidence import DomainEvidence, load_evidence
@@ -45,13 +44,8 @@ class AxisTicks(Answer):
 
     name: str
     unit: str = Field(description="unit of the tick labels")
+    label: str = Field(description="name and unit for people")
     ticks: list[str]
-
-    @property
-    def label(self) -> str:
-        """Name and unit for people."""
-        name = split_unit(self.name)[0] if self.unit else self.name
-        return name.replace("_", " ") + (f" [{self.unit}]" if self.unit else "")
 
 
 class DomainPanel(Answer):
@@ -338,7 +332,8 @@ def _panels(cells: Cells) -> list[DomainPanel]:
 
 
 def _ticks(axis: CellAxis) -> AxisTicks:
-    return AxisTicks(name=axis.name, unit=axis.unit, ticks=[axis.text(k) for k in range(len(axis))])
+    ticks = [axis.text(k) for k in range(len(axis))]
+    return AxisTicks(name=axis.name, unit=axis.unit, label=axis.label, ticks=ticks)
 
 
 def shown_map(view: MapView, query: Mapping[str, str], folder: Path) -> dict[str, Any]:
