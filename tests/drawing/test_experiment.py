@@ -10,10 +10,9 @@ from PIL import Image
 from tests.drawing.collisions import axes_of, check_page
 
 from fixel.drawing import palette
+from fixel.drawing.chart import save_figure
 from fixel.drawing.experiment import (
     comparison_figure,
-    draw_comparison,
-    draw_experiment,
     experiment_figure,
 )
 from fixel.drawing.thumbnail import thumbnail
@@ -54,15 +53,15 @@ EVERY = {"real": REAL, "simulated": NOT_REAL, "path only": PATH_ONLY, "two poses
 
 
 def test_experiments_and_comparisons_can_be_drawn(tmp_path):
-    draw_experiment(REAL, tmp_path / "one.png")
-    draw_comparison(REAL, AWAY, tmp_path / "both.png", TACTILE)
+    save_figure(lambda: experiment_figure(REAL), tmp_path / "one.png")
+    save_figure(lambda: comparison_figure(REAL, AWAY, TACTILE), tmp_path / "both.png")
     assert all(path.stat().st_size > 5000 for path in tmp_path.iterdir())
 
 
 def test_users_get_embedded_fonts_and_300_pixels_an_inch(tmp_path, full_style, monkeypatch):
     monkeypatch.setattr(palette, "STYLE", full_style)
-    draw_comparison(REAL, AWAY, tmp_path / "both.png", TACTILE)
-    draw_comparison(REAL, AWAY, tmp_path / "both.pdf", TACTILE)
+    both = tmp_path / "both.png", tmp_path / "both.pdf"
+    save_figure(lambda: comparison_figure(REAL, AWAY, TACTILE), *both)
     with Image.open(tmp_path / "both.png") as image:
         assert image.info["dpi"] == pytest.approx((300.0, 300.0), abs=0.1)
     written = (tmp_path / "both.pdf").read_bytes()
@@ -150,7 +149,7 @@ def test_start_and_end_alone_are_drawn_as_two_poses(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Axes, "plot", noted)
     two = replace(whole, trajectory=ends, channels=(), effective=None)
-    draw_experiment(two, tmp_path / "two.png")
+    save_figure(lambda: experiment_figure(two), tmp_path / "two.png")
     assert lines
     assert {style for style, n in lines if n == 2 and style != "None"} <= set()
     # A dot is a line of no length; a measured way has one piece for each pose after the first.

@@ -53,7 +53,6 @@ def show(
 ) -> None:
     """Show an experiment: scene, data, faults and provenance."""
     from fixel.database.project import Project
-    from fixel.io.atomic import written_whole
     from fixel.workflows.project.compare import summary
 
     require_picture(plot)
@@ -61,10 +60,10 @@ def show(
         number = store.find(key)
         experiment = store.experiment(number)
     if plot is not None:
-        from fixel.drawing.experiment import draw_experiment
+        from fixel.drawing.chart import save_figure
+        from fixel.drawing.experiment import experiment_figure
 
-        with written_whole(plot) as unfinished:
-            draw_experiment(experiment, unfinished)
+        save_figure(lambda: experiment_figure(experiment), plot)
     print_answer(
         as_json,
         lambda: {"id": number, **summary(experiment), "files": _files(plot)},

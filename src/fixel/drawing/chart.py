@@ -17,6 +17,7 @@ import numpy as np
 
 from fixel.drawing import palette
 from fixel.errors import InvalidInput
+from fixel.io.atomic import written_whole
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.units import displayed
@@ -153,12 +154,16 @@ def in_rows(every: Sequence[Mark], columns: int) -> list[Sequence[Mark]]:
     return [every[k : k + columns] for k in range(0, len(every), columns)]
 
 
-def plot_of(chart: Callable[..., Chart]) -> Callable[..., Any]:
-    """Return the `plot` function of a result from the function that makes its chart."""
+def plot_of(draw: Callable[..., Chart | Figure]) -> Callable[..., Any]:
+    """Return the `plot` function of a result from the function that makes its chart or figure."""
 
-    @wraps(chart)
+    @wraps(draw)
     def plot(found: Any, *, ax: Axes | None = None, **options: Any) -> Any:
-        return plot_axes(lambda: chart(found, **options).figure(), ax)
+        def figure() -> Figure:
+            made = draw(found, **options)
+            return made.figure() if isinstance(made, Chart) else made
+
+        return plot_axes(figure, ax)
 
     return plot
 
@@ -190,7 +195,13 @@ def draw_chart(chart: Chart, *paths: str | Path, banner: str = "") -> None:
 
 
 def save_figure(make: Callable[[], Figure], *paths: str | Path) -> None:
-    """Create a figure in the house style and save it; reject other endings than of pictures."""
+    """Create a figure in the house style and save it to files, each whole or not at all.
+
+    Raises
+    ------
+    InvalidInput
+        A file name has another ending than `.pdf`, `.svg` or `.png`.
+    """
     import matplotlib as mpl
 
     for path in paths:
@@ -200,7 +211,8 @@ def save_figure(make: Callable[[], Figure], *paths: str | Path) -> None:
     with mpl.rc_context(palette.STYLE):  # type: ignore[arg-type]
         figure = _laid_out(make)
         for path in paths:
-            figure.savefig(path, metadata=known.get(Path(path).suffix.lower()))
+            with written_whole(path) as unfinished:
+                figure.savefig(unfinished, metadata=known.get(Path(path).suffix.lower()))
             figure.set_layout_engine(None)  # all files have the layout of the first
 
 

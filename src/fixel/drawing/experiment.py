@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import Style, plot_axes, save_figure
+from fixel.drawing.chart import Style, plot_axes, plot_of
 from fixel.drawing.top_view import (
     DASHED,
     FEW_POSES,
@@ -42,55 +41,6 @@ COLOURS: Final = (palette.FIXEL, palette.BODY, palette.PUSHER, palette.TOUCHED, 
 MAX_PATHS: Final = 200
 MAX_DRAWN: Final = 6  # experiments that are drawn with outlines
 STEPS: Final = 2  # number of outlines between start and end in a comparison
-
-
-def draw_experiment(experiment: Experiment, path: str | Path) -> None:
-    """Draw an experiment: top view of the plate, poses against time, contacts of the fixels.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Experiment; without a scene, only its path is drawn.
-    path : str or Path
-        File to write (`.pdf`, `.svg` or `.png`).
-
-    Raises
-    ------
-    InvalidInput
-        The file name has another ending.
-    """
-    save_figure(lambda: experiment_figure(experiment), path)
-
-
-def draw_comparison(
-    experiment: Experiment,
-    simulated: Trajectory,
-    path: str | Path,
-    contacts: Channel | None = None,
-) -> None:
-    """Draw a simulation over its experiment, and its errors against time.
-
-    Parameters
-    ----------
-    experiment : Experiment
-    simulated : Trajectory
-        Simulated poses of the object, on the experiment's clock.
-    path : str or Path
-        File to write (`.pdf`, `.svg` or `.png`).
-    contacts : Channel, optional
-        Simulated contacts of the fixels, like the channel `tactile` of an experiment.
-
-    Raises
-    ------
-    InvalidInput
-        The file name has another ending, or the simulation does not overlap in time.
-    """
-    save_figure(lambda: comparison_figure(experiment, simulated, contacts), path)
-
-
-def plot_experiment(experiment: Experiment, *, ax: Axes | None = None) -> Any:
-    """Draw an experiment as `draw_experiment` does, for `Experiment.plot`; return its axes."""
-    return plot_axes(lambda: experiment_figure(experiment), ax)
 
 
 def plot_path(experiment: Experiment, *, ax: Axes | None = None) -> Axes:
@@ -213,7 +163,13 @@ def _shown(shown: int, total: int) -> str:
 
 
 def experiment_figure(experiment: Experiment) -> Figure:
-    """Create the figure that `draw_experiment` saves."""
+    """Draw an experiment: top view of the plate, poses against time, contacts of the fixels.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Experiment; without a scene, only its path is drawn.
+    """
     track, felt = experiment.trajectory, readings(experiment.channel("tactile"))
     labels = ("x [mm]", "y [mm]", "θ [deg]")
     page = column_page(_extent(experiment, track), labels, [PANEL] * 3, tuple(felt))
@@ -230,7 +186,21 @@ def experiment_figure(experiment: Experiment) -> Figure:
 def comparison_figure(
     experiment: Experiment, simulated: Trajectory, contacts: Channel | None = None
 ) -> Figure:
-    """Create the figure that `draw_comparison` saves."""
+    """Draw a simulation over its experiment, and its errors against time.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    simulated : Trajectory
+        Simulated poses of the object, on the experiment's clock.
+    contacts : Channel, optional
+        Simulated contacts of the fixels, like the channel `tactile` of an experiment.
+
+    Raises
+    ------
+    InvalidInput
+        The simulation does not overlap in time.
+    """
     compared = _common_time(experiment, simulated)
     felt, touched = readings(experiment.channel("tactile")), readings(contacts)
     labels = ("position\nerror [mm]", "angle\nerror [deg]")
@@ -390,3 +360,6 @@ def _set_time(page: ColumnPage, experiment: Experiment) -> None:
     for axes in page.panels:
         axes.locator_params(axis="y", nbins=4, steps=[1, 2, 5, 10])
         axes.margins(y=0.12)
+
+
+plot_experiment = plot_of(experiment_figure)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import plot_axes, save_figure, tint
+from fixel.drawing.chart import plot_of, tint
 from fixel.drawing.top_view import (
     DASHED,
     DOTTED,
@@ -49,34 +48,11 @@ LABELS: Final = {
 FACTORS: Final = {"tripod_radius": 1e3}  # from SI to the unit of the label
 
 
-def draw_filter(experiment: Experiment, estimates: FilterRun, path: str | Path) -> None:
-    """Draw the estimates of a filter and the measurements of an experiment.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        Experiment that was filtered.
-    estimates : FilterRun
-    path : str or Path
-        File to write (`.pdf`, `.svg` or `.png`).
-
-    Raises
-    ------
-    InvalidInput
-        The file name has another ending.
-    """
-    save_figure(lambda: filter_figure(experiment, estimates), path)
-
-
-def plot_filter(found: FilterRun, *, ax: Axes | None = None) -> Any:
+def filter_figure(estimates: FilterRun) -> Figure:
     """Draw the estimates of a filter and the measurements of its experiment."""
-    return plot_axes(lambda: filter_figure(found.experiment, found), ax)
-
-
-def filter_figure(experiment: Experiment, estimates: FilterRun) -> Figure:
-    """Create the figure that `draw_filter` saves."""
     from matplotlib.patches import Patch
 
+    experiment = estimates.experiment
     scene, measured = _scene(experiment), _cut(experiment.trajectory, estimates)
     pusher = _pusher(experiment, estimates)
     corners = swept_points(scene.pushers[0].shape, pusher.pose)
@@ -229,3 +205,6 @@ def _set_time(every: Sequence[Axes], estimates: FilterRun) -> None:
             axes.margins(y=0.1)
         elif k < 3 + len(estimates.prior.names):
             axes.locator_params(axis="y", nbins=3)
+
+
+plot_filter = plot_of(filter_figure)

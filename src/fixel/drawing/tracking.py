@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from fixel.drawing import palette
-from fixel.drawing.chart import WIDE, Chart, Style, clean, save_figure, sheet
+from fixel.drawing.chart import WIDE, Chart, Style, clean, sheet
 from fixel.drawing.top_view import closed_line
 from fixel.model import placed, pose_error
 from fixel.table import Table
@@ -29,24 +28,15 @@ ROOM: Final = 5.0  # [mm], margin around all that is drawn
 LEVELS: Final = 9  # contours of errors
 
 
-def draw_track(
-    tracked: FilmTracks, path: str | Path, effective: tuple[float, float] | None = None
-) -> None:
+def track_figure(tracked: FilmTracks, effective: tuple[float, float] | None = None) -> Figure:
     """Draw tracked poses and residuals against time, with gaps shaded.
 
     Parameters
     ----------
     tracked : FilmTracks
-    path : str or Path
-        File to write (`.pdf`, `.svg` or `.png`).
     effective : (float, float), optional
         First and last time of useful data, counted from the first frame [s].
     """
-    save_figure(lambda: track_figure(tracked, effective), path)
-
-
-def track_figure(tracked: FilmTracks, effective: tuple[float, float] | None = None) -> Figure:
-    """Create the figure that `draw_track` saves."""
     figure = sheet(WIDE, HEIGHT)
     panels = figure.subplots(4, 1, sharex=True)
     micro = _is_small(tracked)

@@ -44,8 +44,7 @@ def make_folder(folder: Path) -> None:
 def write_picture(folder: Path, picture: Picture) -> list[Path]:
     """Write the files of a picture, replacing those of the same names; return their paths."""
     paths = [folder / f"{picture.name}.{ending}" for ending in ENDINGS]
-    with written_whole(paths[0]) as png, written_whole(paths[1]) as pdf:
-        draw_chart(picture.chart, png, pdf, banner=picture.banner)
+    draw_chart(picture.chart, *paths[:2], banner=picture.banner)
     with written_whole(paths[2]) as temporary:
         temporary.write_text(picture.chart.table().csv(), encoding="utf-8", newline="")
     return paths

@@ -47,13 +47,11 @@ class Outputs(NamedTuple):
         """Write the requested files, each completely or not at all."""
         from fixel.drawing.picture import draw_simulation
         from fixel.formats.trajectory_file import save_trajectory
-        from fixel.io.atomic import written_whole
 
         if self.trajectory:
             save_trajectory(simulation, self.trajectory)
         if self.plot:
-            with written_whole(self.plot) as temporary:
-                draw_simulation(simulation, temporary)
+            draw_simulation(simulation, self.plot)
         if self.animate:
             simulation.animate(self.animate)
 

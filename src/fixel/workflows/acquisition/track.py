@@ -243,14 +243,15 @@ def _draw(
     experiment: Experiment,
     files: dict[str, Path],
 ) -> None:
-    from fixel.drawing.tracking import draw_track
+    from fixel.drawing.chart import save_figure
+    from fixel.drawing.tracking import track_figure
 
     if "overlay" in files:
         write_overlay(film.frames(), scene, tracked, files["overlay"], film.simulated_by)
     if "sheet" in files:
         write_sheet(film.frames(), scene, tracked, files["sheet"])
     if "plot" in files:
-        draw_track(tracked, files["plot"], experiment.effective)
+        save_figure(lambda: track_figure(tracked, experiment.effective), files["plot"])
 
 
 def _check_files(files: dict[str, Path]) -> None:

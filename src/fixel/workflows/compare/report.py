@@ -7,8 +7,8 @@ from math import degrees
 from pathlib import Path
 from typing import Any
 
-from fixel.drawing.experiment import draw_comparison
-from fixel.io.atomic import written_whole
+from fixel.drawing.chart import save_figure
+from fixel.drawing.experiment import comparison_figure
 from fixel.table import Column, Table
 from fixel.workflows.analysis import Analysis, AnalysisReport, StoredAnswer
 from fixel.workflows.compare.run import StoredComparison
@@ -42,8 +42,8 @@ def draw(found: StoredComparison, path: Path) -> None:
     """Draw measured and simulated motion into a file."""
     shown = found.run or found.published
     assert shown is not None  # one of them was compared
-    with written_whole(path) as unfinished:
-        draw_comparison(found.experiment, shown.simulated, unfinished, shown.contacts)
+    pair = shown.simulated, shown.contacts
+    save_figure(lambda: comparison_figure(found.experiment, *pair), path)
 
 
 def failed(found: StoredComparison) -> bool:

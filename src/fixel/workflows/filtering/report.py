@@ -11,10 +11,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from fixel.database.project import Project
-from fixel.drawing.filtering import draw_filter
+from fixel.drawing.chart import save_figure
+from fixel.drawing.filtering import filter_figure
 from fixel.filtering.particle_filter import ParticleFilter
 from fixel.filtering.recorded import FilterRun, label_and_factor
-from fixel.io.atomic import written_whole
 from fixel.model import Provenance
 from fixel.model.records import CalibrationRecord, FilterParameters, FilterRecord
 from fixel.table import Column, Table
@@ -55,8 +55,7 @@ def report_of(answer: FilterAnswer) -> AnalysisReport:
 
 def draw(answer: FilterAnswer, path: Path) -> None:
     """Draw a run into a file."""
-    with written_whole(path) as unfinished:
-        draw_filter(answer.estimates.experiment, answer.estimates, unfinished)
+    save_figure(lambda: filter_figure(answer.estimates), path)
 
 
 def next_words(done: StoredAnswer) -> list[str]:

@@ -337,7 +337,7 @@ def diagram(file: Path) -> list[str]:
     """
     from fixel.database.tables import METADATA
     from fixel.drawing.relations import Entity, draw_relations
-    from fixel.io.atomic import refuse_unwritable, written_whole
+    from fixel.io.atomic import refuse_unwritable
 
     refuse_unwritable(file)
     entities = [
@@ -352,6 +352,5 @@ def diagram(file: Path) -> list[str]:
         )
         for table in METADATA.tables.values()
     ]
-    with written_whole(file) as unfinished:
-        draw_relations(entities, unfinished)
+    draw_relations(entities, file)
     return [entity.name for entity in entities]

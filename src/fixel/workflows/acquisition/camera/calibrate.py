@@ -212,8 +212,7 @@ def draw_errors(
     if plot is None or not verdicts:
         return None
     chart = camera_error_chart(verdicts[0].errors, measured.lens.image_size, measured.seen)
-    with written_whole(plot) as unfinished:
-        draw_chart(chart, unfinished)
+    draw_chart(chart, plot)
     return plot
 
 
