@@ -246,7 +246,7 @@ def test_a_long_table_has_pages(table, server):
 @pytest.fixture
 def one(browser_page, server):
     browser_page.goto(server.home + "experiments/1")
-    browser_page.wait_for_selector("#experiment[data-ready=yes]")
+    browser_page.wait_for_selector("#figures td")
     return browser_page
 
 

@@ -20,7 +20,7 @@ FRAMES = 30.0  # a second
 @pytest.fixture
 def compare(browser_page, server):
     browser_page.goto(server.home + "compare?experiment=1")
-    browser_page.wait_for_selector("#compare[data-ready]", timeout=60_000)
+    browser_page.wait_for_selector("#sets svg", timeout=60_000)
     return browser_page
 
 
@@ -131,15 +131,16 @@ def the_wheel_zooms_a_drag_pans_and_a_double_click_shows_everything(compare):
 
 
 def test_a_slider_has_a_new_simulation_within_100_ms(compare, server):
-    slider = compare.locator("#slide-mu_pusher")
-    slider.focus()
+    compare.locator("#slide-mu_pusher").focus()
     before = compare.locator("tr[data-set=adjusted] td").first.inner_text()
+    command = "document.getElementById('copy-command').dataset.copy"
     trips = []
     for _ in range(8):
-        compare.evaluate("delete document.getElementById('compare').dataset.roundTrip")
+        old = compare.evaluate(command)
+        begun = time.perf_counter()
         compare.keyboard.press("Shift+ArrowRight")
-        compare.wait_for_selector("#compare[data-round-trip]")
-        trips.append(float(compare.get_attribute("#compare", "data-round-trip")))
+        compare.wait_for_function(f"old => {command} !== old", arg=old)
+        trips.append(1e3 * (time.perf_counter() - begun))
     print("round trips [ms]:", trips)
     assert compare.locator("tr[data-set=adjusted] td").first.inner_text() != before
     assert median(trips) < 2 * ROUND_TRIP  # of a machine that does much else beside
@@ -148,6 +149,7 @@ def test_a_slider_has_a_new_simulation_within_100_ms(compare, server):
 
 def sets_are_pinned_removed_brought_back_and_kept(compare, server):
     compare.click("#reset")
+    compare.wait_for_selector("tr[data-set=adjusted] >> text=values of the scene")
     row = compare.locator("#sets tr")
     assert row.count() == 2
     compare.fill(".slider[data-name=mu_support] input[type=number]", "0.4")
@@ -155,8 +157,9 @@ def sets_are_pinned_removed_brought_back_and_kept(compare, server):
     compare.wait_for_selector("tr[data-set=pinned-1]")
     assert "mu_support 0.4" in compare.inner_text("tr[data-set=pinned-1]")
     compare.click("tr[data-set=pinned-1] button[aria-label^=Remove]")
-    assert row.count() == 2
+    compare.wait_for_selector("tr[data-set=pinned-1]", state="detached")
     compare.click(".toast .undo")
+    compare.wait_for_selector("tr[data-set=pinned-1]")
     assert row.count() == 3
     number = len(server.context.store.simulations(1))
     compare.click("#keep")

@@ -206,7 +206,7 @@ def test_nothing_is_wider_than_a_phone(browser_page, server, path):
 def test_an_experiment_opens_with_nominal_against_calibrated(browser_page, server):
     page = browser_page
     page.goto(server.home + "experiments/7")
-    page.wait_for_selector("#experiment[data-ready]", state="attached", timeout=30_000)
+    page.wait_for_selector("#figures td", timeout=30_000)
     heads = page.locator("#figures thead th").all_inner_texts()
     assert [head.strip() for head in heads] == ["nominal", "calibrated"]
     before, after = page.locator("#figures tbody tr:first-child td").all_inner_texts()
@@ -217,7 +217,7 @@ def test_an_experiment_opens_with_nominal_against_calibrated(browser_page, serve
 def test_comparing_opens_with_nominal_against_calibrated(browser_page, server):
     page = browser_page
     page.goto(server.home + "compare?experiment=id:7")
-    page.wait_for_selector("#compare[data-ready]", state="attached", timeout=30_000)
+    page.wait_for_selector("#sets svg", timeout=30_000)
     shown = [row.get_attribute("data-set") for row in page.locator("#sets tr").all()]
     assert shown[:2] == ["adjusted", "nominal"]
     assert shown[2].startswith("calibration-")

@@ -13,6 +13,7 @@ from fastapi import Request
 from fixel.errors import NotStored
 from fixel.model import Experiment
 from fixel.testbed.simulated import TRUTH
+from fixel.web.pages.compare import judged
 from fixel.web.values import MAX_ID
 from fixel.web.words import condition, fixed, instant, touched
 from fixel.workflows.project.compare import compare_path, summary
@@ -60,6 +61,7 @@ def experiment_page(context: ProjectContext, request: Request) -> dict[str, Any]
         "flag_names": list(store.flags()),
         "notes": store.notes(number),
         "has_scene": experiment.scene is not None,
+        "judged": None if experiment.scene is None else judged(context, number),
         "has_video": bool(experiment.video),
         "facts": facts(experiment),
         "published": published_facts(context, number, experiment),

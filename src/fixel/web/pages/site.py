@@ -14,19 +14,18 @@ from typing import Any, Final
 from fastapi import Request
 
 from fixel.domain.claim import COLOURS
-from fixel.errors import FixelError, NotStored
+from fixel.errors import FixelError
 from fixel.model.selection import ExperimentQuery
-from fixel.simulation.engine_names import installed_engines
 from fixel.web.api.system import system_status
 from fixel.web.app import API, Page
 from fixel.web.context import ProjectContext
 from fixel.web.pages import calibration, experiment, run
+from fixel.web.pages.compare import OFFERED, compare_page
 from fixel.web.pages.listing import experiments_page
 from fixel.web.views import scene_editor
 from fixel.web.views.domain_views import MAP_KEY, shown_map
 from fixel.workflows.analysis import load_with_errors
 
-OFFERED: Final = 300  # names in the list of experiments
 FIRST: Final = "grasp"  # example that is shown first
 METHODS: Final = ("get", "post", "put", "patch", "delete")
 
@@ -78,23 +77,6 @@ def project_pages(context: ProjectContext) -> list[Page]:
             for path, title, template, fill, take in forms
         ),
     ]  # fmt: skip
-
-
-def compare_page(context: ProjectContext, request: Request) -> dict[str, Any]:
-    """Fill `/compare?experiment=KEY`."""
-    listed = context.store.experiments(ExperimentQuery(limit=OFFERED)).rows
-    key = request.query_params.get("experiment", "")
-    if not key and not listed:
-        raise NotStored("experiment to compare", hint="import some with: fixel import")
-    number = context.store.find(key) if key else listed[0].id
-    one = context.store.experiment(number)
-    return {
-        "title": f"Compare {one.key}",
-        "number": number,
-        "key": one.key,
-        "keys": [row.key for row in listed],
-        "engines": installed_engines(),
-    }
 
 
 def domain_page(context: ProjectContext, request: Request) -> dict[str, Any]:

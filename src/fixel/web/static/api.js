@@ -25,15 +25,10 @@ export function word() {
 
 /**
  * @param {string} path below /api/v1
- * @param {Record<string, string | number | boolean | null | undefined>} [query]
- * @param {AbortSignal} [signal]
+ * @param {Record<string, string>} [query]
  * @returns {Promise<any>}
  */
-export function get(path, query = {}, signal) {
-  const given = Object.entries(query).filter(([, value]) => value !== null && value !== undefined && value !== "");
-  const search = new URLSearchParams(given.map(([name, value]) => [name, String(value)]));
-  return ask(`${path}${search.size ? `?${search}` : ""}`, { signal });
-}
+export const get = (path, query = {}) => ask(`${path}?${new URLSearchParams(query)}`, {});
 
 /**
  * Changes something.
@@ -78,17 +73,6 @@ export function numbers(packed) {
   for (let k = 0; k < text.length; k += 1) bytes[k] = text.charCodeAt(k);
   const Kind = KINDS[/** @type {keyof typeof KINDS} */ (packed.dtype)];
   return new Kind(bytes.buffer);
-}
-
-/**
- * One column of a table of numbers.
- * @param {Packed} packed of shape [n, m]
- * @param {number} k
- */
-export function column(packed, k) {
-  const all = numbers(packed);
-  const width = packed.shape[1] ?? 1;
-  return Float64Array.from({ length: packed.shape[0] }, (_, row) => all[row * width + k]);
 }
 
 /** Of the messages that are there, the newest last. @type {(() => void)[]} */

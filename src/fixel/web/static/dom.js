@@ -88,9 +88,6 @@ export function settled(action, pause) {
   };
 }
 
-/**
- * Whether keys are meant for a field that is written into.
- * @param {Event} event
- */
+/** Whether keys are meant for a field that is written into. @param {Event} event */
 export const typing = (event) =>
-  event.target instanceof Element && event.target.matches("input, textarea, select, [contenteditable]");
+  event.target instanceof Element && event.target.matches("input:not([type=checkbox], [type=radio], [type=range]), textarea, select, [contenteditable]");

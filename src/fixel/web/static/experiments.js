@@ -1,7 +1,7 @@
 // @ts-check
 // The table of experiments: keys, selection, marks of what is selected.
 
-import { complain, get, send, toast, undoNewest } from "./api.js";
+import { complain, get, send, toast } from "./api.js";
 import { ROOT, at, input, typing } from "./dom.js";
 import { offerImport } from "./import.js";
 import * as marks from "./marks.js";
@@ -154,28 +154,19 @@ const KEYS = {
     anchor = active;
     paint();
   },
-  f: acts.flag,
-  n: acts.note,
-  c: acts.calibrate,
-  Delete: acts.delete,
   "/": () => input("filter").focus(),
-  "?": () => /** @type {HTMLDialogElement} */ (at("keys")).showModal(),
   Escape: acts.none,
 };
 
 document.addEventListener("keydown", (event) => {
   if (document.querySelector("dialog[open]")) return;
-  if ((event.ctrlKey || event.metaKey) && event.key === "z" && !typing(event)) {
-    if (undoNewest()) event.preventDefault();
-    return;
-  }
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   const target = /** @type {Element} */ (event.target);
   if (target.id === "filter" && ["Escape", "Enter"].includes(event.key)) {
     event.preventDefault();
     return input("filter").blur();
   }
-  if (typing(event) && !target.matches("[type=checkbox]")) return;
+  if (typing(event)) return;
   if (target.matches("button, a, summary") && (event.key === "Enter" || event.key === " ")) return;
   if (!KEYS[event.key]) return;
   event.preventDefault();
@@ -183,6 +174,6 @@ document.addEventListener("keydown", (event) => {
 });
 
 document.addEventListener("renewed", paint);
-at("show-keys").addEventListener("click", KEYS["?"]);
+at("show-keys").addEventListener("click", () => /** @type {HTMLDialogElement} */ (at("keys")).showModal());
 offerImport(changed);
 paint();

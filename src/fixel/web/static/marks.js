@@ -1,8 +1,8 @@
 // @ts-check
 // Flags, notes and deletions, each with a way back.
 
-import { complain, send, toast } from "./api.js";
-import { at, input } from "./dom.js";
+import { complain, send, toast, undoNewest } from "./api.js";
+import { at, input, typing } from "./dom.js";
 import { several } from "./units.js";
 
 /** @typedef {() => unknown} After what follows a change */
@@ -79,3 +79,8 @@ export async function remove(ids, after, restore) {
     (changed) => `${restore ? "Restored" : "Deleted"} ${several(changed.length, "experiment")}.`,
     (changed) => [`/experiments/${back}`, { ids: changed }]);
 }
+
+document.addEventListener("keydown", (event) => {
+  const asked = (event.ctrlKey || event.metaKey) && event.key === "z" && !typing(event) && !document.querySelector("dialog[open]");
+  if (asked && undoNewest()) event.preventDefault();
+});

@@ -4,13 +4,14 @@
 // <form data-send="/path">   its fields are sent to the API, then the parts of the page are renewed;
 //   data-said   words for the message afterwards, {name} from the answer
 //   data-then   page to open instead of renewing, {name} from the answer
-// <form data-live>           a filter: the parts change as one types, and with every choice
+// <form data-live>           a filter: the parts change as one types, and with every choice or button;
+//   data-said on a button   words for a message that offers the way back
 // <a data-renew>             a link that changes parts of this page only
 // <div id data-part>         is replaced by what the server renders; data-every: again after [ms]
 // <button data-copy>         copies a text
-// <select data-sets="ID">    its value is written into the field of that id
+// <select data-sets="ID">    its value is written into the field of that id; also of a slider
 // <select data-goes>         its value is the page to open
-// <a data-key="j">           is opened by that key
+// <a data-key="j">           is opened by that key; a button is pressed by it
 // <a data-goto>              is opened at once
 
 import { complain, copy, send, toast } from "./api.js";
@@ -45,7 +46,8 @@ export function exchange(text) {
     part.replaceWith(document.adoptNode(other));
     for (const { id, scrollTop } of scrolled) document.getElementById(id)?.scrollTo({ top: scrollTop });
   }
-  for (const field of document.querySelectorAll("form[data-live] input")) {
+  // Fields that were changed meanwhile are sent next.
+  for (const field of waiting.length ? [] : document.querySelectorAll("form[data-live] input")) {
     const other = fresh.getElementById(field.id);
     if (field instanceof HTMLInputElement && other instanceof HTMLInputElement && field !== document.activeElement) field.value = other.value;
   }
@@ -106,25 +108,39 @@ async function sent(form) {
 }
 
 let busy = false;
-/** @type {FormData | null} */
-let waiting = null;
+/** Buttons that were pressed; null stands for a slider. @type {(HTMLButtonElement | null)[]} */
+const waiting = [];
+
+/** Show what a filter selects. @param {HTMLFormElement} form */
+function searched(form) {
+  if (busy) inTurn(form);
+  else renew(selects(form)).catch(complain);
+}
 
 /**
- * Show what a filter selects: one request at a time, the newest one next.
+ * The same for sliders and buttons: one request at a time, with the values of then.
  * @param {HTMLFormElement} form
- * @param {HTMLElement | null} [button] that was pressed
+ * @param {HTMLButtonElement | null} [button]
  */
-async function searched(form, button) {
-  waiting = new FormData(form, button);
+async function inTurn(form, button = null) {
+  if (button || !waiting.length) waiting.push(button);
   if (busy) return;
   busy = true;
-  while (waiting) {
-    const fields = [...waiting].filter(([, value]) => value !== "");
-    const query = new URLSearchParams(/** @type {[string, string][]} */ (fields));
-    waiting = null;
-    await renew(`${location.pathname}${query.size ? `?${query}` : ""}`).catch(complain);
+  while (waiting.length) {
+    const pressed = waiting.shift();
+    const before = location.href;
+    await renew(selects(form, pressed)).catch(complain);
+    if (pressed?.dataset.said) toast(pressed.dataset.said, { undo: () => renew(before) });
   }
   busy = false;
+}
+
+/** Address of what a form selects. @param {HTMLFormElement} form @param {HTMLButtonElement | null} [button] */
+function selects(form, button) {
+  const fields = [...new FormData(form)].filter(([, value]) => value !== "");
+  const query = new URLSearchParams(/** @type {[string, string][]} */ (fields));
+  if (button?.name) query.append(button.name, button.value);
+  return `${location.pathname}${query.size ? `?${query}` : ""}`;
 }
 
 const typed = settled(searched, 150);
@@ -134,11 +150,14 @@ document.addEventListener("submit", (event) => {
   if (!form.matches("[data-send], [data-live]")) return;
   event.preventDefault();
   if (form.dataset.send) sent(form);
-  else searched(form, event.submitter);
+  else if (event.submitter) inTurn(form, /** @type {HTMLButtonElement} */ (event.submitter));
+  else searched(form);
 });
 document.addEventListener("input", ({ target }) => {
   if (!(target instanceof HTMLInputElement) || !target.form?.matches("[data-live]")) return;
-  if (target.type === "range") searched(target.form);
+  const field = document.getElementById(target.dataset.sets ?? "");
+  if (field instanceof HTMLInputElement) field.value = String(+Number(target.value).toPrecision(5));
+  if (target.type === "range") inTurn(target.form);
   else typed(target.form);
 });
 document.addEventListener("change", ({ target }) => {
@@ -157,7 +176,9 @@ document.addEventListener("click", (event) => {
 });
 document.addEventListener("keydown", (event) => {
   if (typing(event) || event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
-  const link = document.querySelector(`a[data-key="${CSS.escape(event.key)}"]`);
-  if (link instanceof HTMLElement) link.click();
+  const pressed = document.querySelector(`[data-key="${CSS.escape(event.key)}"]`);
+  if (!(pressed instanceof HTMLElement)) return;
+  event.preventDefault();
+  pressed.click();
 });
 wait();

@@ -5,7 +5,7 @@
 //     player.show(await getJson("/api/v1/experiments/12/motion"));
 //     player.addEventListener("time", () => charts.cursor(player.time));
 
-import { make, svg } from "./dom.js";
+import { make, svg, typing } from "./dom.js";
 import { Motion, lastBefore } from "./motion.js";
 import { TopView, swatch } from "./view.js";
 
@@ -30,14 +30,6 @@ const icon = (name) => svg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" 
  */
 const iconButton = (name, label) =>
   make("button", { type: "button", class: "icon", "aria-label": label, title: label }, icon(name));
-
-/** Whether a key press belongs to a field or button and not to the player. */
-export function isTyping(/** @type {KeyboardEvent} */ event) {
-  const target = /** @type {HTMLElement} */ (event.target);
-  if (event.ctrlKey || event.metaKey || event.altKey) return true;
-  if (target instanceof HTMLInputElement) return !["range", "checkbox", "radio"].includes(target.type);
-  return target.matches?.("select, textarea, [contenteditable]") ?? false;
-}
 
 const FORCES = "Forces on the part in the first simulation shown. A dashed arrow is shortened: the force is larger.";
 
@@ -232,7 +224,7 @@ export class Player extends EventTarget {
 
   /** @param {KeyboardEvent} event */
   #key(event) {
-    if (isTyping(event)) return;
+    if (typing(event) || event.ctrlKey || event.metaKey || event.altKey) return;
     const target = /** @type {HTMLElement} */ (event.target);
     if (event.key === " " && target.matches("button, input[type=checkbox]")) return;
     const many = event.shiftKey ? 10 : 1;

@@ -7,7 +7,7 @@ import { at, input, make } from "./dom.js";
 import { Editor } from "./editor.js";
 import { box, refuse, rows, sceneFields, thingFields } from "./inspector.js";
 import { Motion } from "./motion.js";
-import { Player, isTyping } from "./player.js";
+import { Player } from "./player.js";
 import { reachOf } from "./scene.js";
 import { deg, mm } from "./units.js";
 
@@ -306,8 +306,7 @@ document.addEventListener("keydown", (event) => {
 });
 
 /** @param {KeyboardEvent} event */
-const inText = (event) => event.target instanceof HTMLInputElement
-  && event.target.type === "text" && isTyping(event);
+const inText = (event) => event.target instanceof HTMLInputElement && event.target.type === "text";
 
 // --- from and to files ----------------------------------------------------------------------
 

@@ -21,18 +21,5 @@ export const mm = (metres, digits = 1) => fixed(metres, digits, 1e3);
 /** @param {number | null | undefined} radians @param {number} [digits] */
 export const deg = (radians, digits = 1) => fixed(radians, digits, 180 / Math.PI);
 
-/** At most four digits. @param {number | null | undefined} value */
-export const digits = (value) => (value === null || value === undefined || !Number.isFinite(value) ? NONE
-  : String(+value.toPrecision(4)).replace("-", "\u2212"));
-
 /** "1 experiment", "2 experiments". @param {number} n @param {string} what */
 export const several = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;
-
-/** Units as people read them; the same as in units.py. @type {Record<string, [number, string]>} */
-const UNITS = {
-  m: [1e3, "mm"], "m/s": [1e3, "mm/s"], rad: [180 / Math.PI, "deg"], "rad/s": [180 / Math.PI, "deg/s"],
-  "N m": [1e3, "N mm"], kg: [1e3, "g"], "-": [1, ""],
-};
-
-/** Factor from SI and unit as it is shown. @param {string} unit @returns {[number, string]} */
-export const shownIn = (unit) => UNITS[unit] ?? [1, unit];

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, Literal, final
@@ -33,6 +33,7 @@ from fixel.workflows.compilation import INSTANT, get_ready
 from fixel.workflows.project.compare import RunComparison, compare_run
 
 DYNAMIC: Final = "dynamic"
+ready = threading.Event()  # once the engine is loaded or compiled
 MAX_STEPS: Final = 20_000  # of one simulation; those of the thesis take about a hundred
 MAX_KEPT: Final = 16  # experiments in memory
 MAX_SETS: Final = 40  # that are offered of one kind, the newest first
@@ -113,6 +114,8 @@ class LiveComparison:
         self.refused: dict[int, str] = {}  # reasons why experiments cannot be simulated
         self.experiment = lru_cache(MAX_KEPT)(store.experiment)  # an experiment never changes
         self.sliders = lru_cache(MAX_KEPT)(self._sliders)
+        # Of the sets that a page shows, only the adjusted one changes.
+        self.repeated = lru_cache(MAX_KEPT)(self._repeated)
         self._known = lru_cache(MAX_SETS)(self._known_pushes)
 
     def _sliders(self, experiment_id: int) -> list[ParameterSlider]:
@@ -182,6 +185,15 @@ class LiveComparison:
             wall_time_s=answer.simulation.wall_time_s,
             **_repeated(answer.experiment, folder, answer.parameters, motion),
         )
+
+    def _repeated(
+        self,
+        experiment_id: int,
+        parameters: tuple[tuple[str, float], ...],
+        motion: str,
+        folder: Path,
+    ) -> ComparedSimulation:
+        return self.compared(experiment_id, dict(parameters), motion, folder)
 
     def _comparison(
         self, experiment_id: int, parameters: Mapping[str, float], motion: str
@@ -253,11 +265,20 @@ class LiveComparison:
         return NewSimulations(stored=stored, refused=refused)
 
 
+def calibrated_of(offered: Iterable[StoredSet]) -> StoredSet | None:
+    """Return the newest calibration that was fitted to the experiment, or the newest of all."""
+    known = [one for one in offered if one.kind == "calibration"]
+    return next((one for one in known if one.error_mm2 is not None), next(iter(known), None))
+
+
 def warm_up() -> None:
     """Load or compile the engine, so that the first slider is as fast as the tenth."""
     from fixel.testing.scenes import grasp
 
-    get_ready(grasp())
+    try:
+        get_ready(grasp())
+    finally:
+        ready.set()
 
 
 def _shown(motion: str) -> str:
