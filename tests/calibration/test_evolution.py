@@ -74,11 +74,3 @@ def test_missing_package_is_named(monkeypatch):
     monkeypatch.setattr("fixel.calibration.evolution.find_spec", lambda name: None)
     with pytest.raises(InvalidInput, match=r'pip install "fixel\[cma\]"'):
         CmaEs().start(box())
-
-
-@pytest.mark.parametrize(
-    "options", [{"sigma": 0.0}, {"population": 2}, {"tolerance": -1.0}, {"restarts": -1}]
-)
-def test_impossible_options(options):
-    with pytest.raises(InvalidInput, match=rf"CmaEs\.{next(iter(options))}"):
-        CmaEs(**options)

@@ -95,11 +95,3 @@ def test_missing_package_is_named(monkeypatch):
     monkeypatch.setattr("fixel.calibration.mads.find_spec", lambda name: None)
     with pytest.raises(InvalidInput, match=r'pip install "fixel\[mads\]"'):
         Mads().start(box())
-
-
-@pytest.mark.parametrize(
-    "options", [{"initial_frame": 0.0}, {"threshold": -1.0}, {"max_evaluations": 0}]
-)
-def test_impossible_options(options):
-    with pytest.raises(InvalidInput, match=rf"Mads\.{next(iter(options))}"):
-        Mads(**options)

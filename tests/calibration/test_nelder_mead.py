@@ -1,7 +1,5 @@
 """Nelder-Mead beside SciPy's, its bounds and its size; several starts."""
 
-import math
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -126,14 +124,6 @@ def test_a_restart_leaves_a_crease():
     assert missed[1] == 0
 
 
-@pytest.mark.parametrize(
-    "options", [{"size": 0.0}, {"step": math.inf}, {"restarts": -1}, {"max_evaluations": 0}]
-)
-def test_impossible_options(options):
-    with pytest.raises(InvalidInput, match=rf"NelderMead\.{next(iter(options))}"):
-        NelderMead(**options)
-
-
 # --- several starts -------------------------------------------------------------------------------
 
 
@@ -209,9 +199,3 @@ def test_feasible_points_fill_the_box_evenly():
     # Any interval of 1/8 of an unknown holds an eighth of a Sobol' sequence.
     for column in places.T:
         assert np.histogram(column, 8, (0.0, 1.0))[0].tolist() == [32] * 8
-
-
-@pytest.mark.parametrize("options", [{"optimiser": "nelder-mead"}, {"starts": 0}])
-def test_impossible_starts(options):
-    with pytest.raises(InvalidInput, match=rf"MultiStart\.{next(iter(options))}"):
-        MultiStart(**{"optimiser": NelderMead(), **options})

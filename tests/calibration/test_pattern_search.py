@@ -197,25 +197,6 @@ def test_failed_start_is_left_for_any_trial_that_works():
     assert search.ask().mean(axis=0) == pytest.approx(first)
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"initial_delta": 0.0},
-        {"threshold_delta": -1.0},
-        {"contraction_factor": 1.0},
-        {"expand_after": 0},
-        {"sufficient_decrease": -0.1},
-        {"resolution": -1e-6},
-        {"solution_accuracy": math.nan},
-        {"max_iterations": 1.5},
-        {"max_function_evaluations": True},
-    ],
-)
-def test_impossible_options(options):
-    with pytest.raises(InvalidInput, match=rf"PatternSearch\.{next(iter(options))}"):
-        PatternSearch(**options)
-
-
 # --- the thesis's own, appendix C.5 ---------------------------------------------------------------
 
 
@@ -255,9 +236,3 @@ def test_fixed_steps_are_moved_onto_the_bounds():
 def test_fixed_steps_have_to_be_as_many_as_unknowns():
     with pytest.raises(InvalidInput, match="found 3 steps, expected 2"):
         FixedStepSearch(steps=[0.1, 0.1, 0.1]).start(box())
-
-
-@pytest.mark.parametrize("options", [{"step": 0.0}, {"steps": [0.1, -1.0]}, {"rounds": 0}])
-def test_impossible_fixed_steps(options):
-    with pytest.raises(InvalidInput, match="FixedStepSearch"):
-        FixedStepSearch(**options)

@@ -1,5 +1,7 @@
 """Every built-in optimiser keeps the contract of its family."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -8,10 +10,12 @@ from fixel.calibration import (
     AbstractOptimiser,
     CmaEs,
     FixedStepSearch,
+    Mads,
     MultiStart,
     NelderMead,
     PatternSearch,
 )
+from fixel.errors import InvalidInput
 from fixel.testing.optimiser_contract import OptimiserContract
 
 CONVERGING = [
@@ -23,6 +27,28 @@ CONVERGING = [
     MultiStart(optimiser=NelderMead(), starts=3),
     MultiStart(optimiser=PatternSearch(), starts=2),
 ]
+# Values that each option must not have.
+IMPOSSIBLE = {
+    CmaEs: {"sigma": 0.0, "population": 2, "tolerance": -1.0, "restarts": -1},
+    FixedStepSearch: {"step": 0.0, "steps": [0.1, -1.0], "rounds": 0},
+    Mads: {"initial_frame": 0.0, "threshold": -1.0, "max_evaluations": 0},
+    MultiStart: {"optimiser": "nelder-mead", "starts": 0},
+    NelderMead: {"size": 0.0, "step": math.inf, "restarts": -1, "max_evaluations": 0},
+    PatternSearch: {
+        "initial_delta": 0.0, "threshold_delta": -1.0, "contraction_factor": 1.0, "expand_after": 0,
+        "sufficient_decrease": -0.1, "resolution": -1e-6, "solution_accuracy": math.nan,
+        "max_iterations": 1.5, "max_function_evaluations": True,
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("kind", "option"), [(kind, option) for kind, own in IMPOSSIBLE.items() for option in own]
+)
+def test_impossible_options(kind, option):
+    needed = {"optimiser": NelderMead()} if kind is MultiStart else {}
+    with pytest.raises(InvalidInput, match=rf"{kind.__name__}\.{option}"):
+        kind(**needed | {option: IMPOSSIBLE[kind][option]})
 
 
 @pytest.fixture(autouse=True)

@@ -67,6 +67,18 @@ class Assessment(NamedTuple):
     dispersion: Dispersion
     misfit: Misfit | None = None
 
+    @property
+    def quoted(self) -> tuple[Estimate, ...]:
+        """Estimates; after a misfit with what noise alone would allow, where that differs."""
+        if self.misfit is None or not self.misfit.noted:
+            return self.estimates
+        best = self.profiles.best.point.tolist()
+        noise = {p.unknown: (best[p.unknown], p.low, p.high) for p in self.profiles.profiles}
+        return tuple(
+            own if (own.low, own.high) == noise[k][1:] else own.with_noise(*noise[k])
+            for k, own in enumerate(self.estimates)
+        )
+
 
 def assess(
     comparer: Comparer,

@@ -77,6 +77,19 @@ class Noise:
         """Standard deviations (3,) of x, y, theta, by which residuals are divided [m, m, rad]."""
         return np.array([self.position_m, self.position_m, self.angle_rad])
 
+    @property
+    def text(self) -> str:
+        """Size and origin in words."""
+        how = {
+            "stated": "as stated",
+            "repetitions": "from the scatter of repetitions",
+            "residuals": "residuals of the fit, including model error",
+            "differences": "second differences of the poses",
+        }[self.source]
+        if self.correlation > 1.5:
+            how += f"; {self.correlation:.0f} correlated frames count as one"
+        return f"noise {1e3 * self.position_m:.3g} mm, {1e3 * self.angle_rad:.3g} mrad ({how})"
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -362,3 +362,50 @@ def combined_errors(errors: FloatArray, combine: str) -> FloatArray:
     if combine == "largest":
         return np.asarray(errors.max(axis=1))
     return np.asarray(errors.sum(axis=1) if combine == "sum" else errors.mean(axis=1))
+
+
+# Outliers: their error, as a length, exceeds the median by this many standard deviations of its
+# logarithm, and by this factor; both robust, computed from this many experiments at least.
+STANDS_OUT: Final = 3.5
+TIMES: Final = 2.0
+MIN_COUNT: Final = 8
+# Or a single one contributes this share of the summed square, and this many times an equal share.
+RULES: Final = 0.05
+TIMES_ITS_SHARE: Final = 20.0
+
+
+def lengths_of(errors: FloatArray, unit: str) -> FloatArray:
+    """Convert errors to lengths [mm]: the roots of those in mm^2."""
+    return np.sqrt(errors) if unit == "mm^2" else np.asarray(errors)
+
+
+def root_mean(errors: FloatArray, unit: str) -> float:
+    """Return the root mean square of errors as lengths [mm]."""
+    squares = errors if unit == "mm^2" else errors**2
+    return math.sqrt(float(np.mean(squares)))
+
+
+def outliers(errors: FloatArray, unit: str) -> list[int]:
+    """Return the indices of the errors (n,) that are outliers, the largest first.
+
+    Parameters
+    ----------
+    errors : (n,) float64
+    unit : str
+        `"mm^2"` or `"mm"`.
+
+    Source
+    ------
+    Iglewicz & Hoaglin (1993): the modified z-score, here of logarithms, as errors are positive and
+    skewed; 3.5 is their limit.
+    """
+    known = np.flatnonzero(np.isfinite(errors) & (errors > 0.0))
+    if len(known) < MIN_COUNT:
+        return []
+    logs = np.log(errors[known]) * (0.5 if unit == "mm^2" else 1.0)
+    middle = float(np.median(logs))
+    scatter = 1.4826 * float(np.median(np.abs(logs - middle)))
+    squares = np.exp(2.0 * (logs - logs.max()))
+    ruling = squares > max(RULES, TIMES_ITS_SHARE / len(known)) * squares.sum()
+    far = known[(logs > middle + max(STANDS_OUT * scatter, math.log(TIMES))) | ruling]
+    return sorted(far.tolist(), key=lambda k: -float(errors[k]))

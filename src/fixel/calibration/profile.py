@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, final
 
@@ -21,6 +21,7 @@ from fixel.calibration.optimiser import Best, SearchBox, whole
 from fixel.calibration.profile_branch import Node, ProfileBranch, Slice, Slicer
 from fixel.errors import InvalidInput
 from fixel.model.fields import positive, settle
+from fixel.model.records import ProfileRecord
 from fixel.typing import FloatArray
 
 # All gains of deviance below are shares of the threshold.
@@ -90,6 +91,23 @@ class Profiles(NamedTuple):
     def limit(self) -> float:
         """Rise of the deviance at the ends of the intervals."""
         return self.threshold + self.roughness
+
+    def records(self, labels: Sequence[str]) -> tuple[ProfileRecord, ...]:
+        """Return the profiles as results contain them, above the smallest deviance."""
+        least = self.best.error
+        return tuple(
+            ProfileRecord(
+                label=labels[one.unknown],
+                values=one.values,
+                deviances=one.deviances - least,
+                slice_values=one.slice.values,
+                slice_deviances=one.slice.deviances - least,
+                low=one.low,
+                high=one.high,
+                threshold=self.limit,
+            )
+            for one in self.profiles
+        )
 
 
 @final

@@ -20,7 +20,7 @@ MotionName = Annotated["AbstractMotionModel | str | None", Door(plain=str | None
 
 # Parameters to calibrate, and a stored calibration.
 Fit = Annotated[tuple[str, ...], Door(metavar="NAME[=LOW:HIGH[:START]]")]
-CalibrationId = Annotated[int | None, Door(metavar="ID")]
+CalibrationId = Annotated[int | None, Door(metavar="ID", least=1)]
 
 # Options that select experiments; their meaning is in the docstring of each function.
 Dataset = Annotated[str, Door(metavar="NAME")]

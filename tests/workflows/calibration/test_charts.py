@@ -14,7 +14,7 @@ from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views import calibration_detail
-from fixel.workflows.calibration.charts import _ChartData, draw_all, pictures_of
+from fixel.workflows.calibration.charts import _ChartData, pictures_of
 from fixel.workflows.calibration.parameter_options import searched_unknowns
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.figures import write_picture
@@ -70,7 +70,7 @@ def test_of_each_experiment_by_itself(lab, tmp_path):
     done = _done(lab, mode="each")
     folder = tmp_path / "new" / "pictures"
 
-    assert _names(draw_all(done, folder)) == [
+    assert _names(done.draw(folder)) == [
         "search",
         "seconds",
         *(f"parameters_{word}" for word in ("best", "median", "worst")),
@@ -94,7 +94,7 @@ def test_of_each_experiment_by_itself(lab, tmp_path):
 
 def test_of_one_set_for_all(lab, tmp_path):
     done = _done(lab, n=1, mode="joint", starts=3)
-    names = _names(draw_all(done, tmp_path))
+    names = _names(done.draw(tmp_path))
 
     assert names[:2] == ["search", "starts"]
     assert "seconds" not in names
@@ -110,7 +110,7 @@ def test_of_one_set_for_all(lab, tmp_path):
 
 def test_of_a_campaign(lab, tmp_path):
     done = _done(lab, n=2, mode="campaign")
-    names = _names(draw_all(done, tmp_path))
+    names = _names(done.draw(tmp_path))
 
     assert {"search", "search_alone", "seconds", "parameters", "parameters_by_offset"} < {*names}
     assert "iteration" in _rows(tmp_path / "search.csv")[0]
@@ -132,7 +132,7 @@ def test_of_one_experiment(lab, tmp_path):
     """Overlays hold the trajectories that the errors are of."""
     done = _done(lab, n=1, mode="each")
 
-    assert _names(draw_all(done, tmp_path)) == ["search", "parameters", "overlay"]
+    assert _names(done.draw(tmp_path)) == ["search", "parameters", "overlay"]
     curves = {}
     for row in _rows(tmp_path / "overlay.csv"):
         curves.setdefault(row["curve"], []).append(
@@ -173,7 +173,7 @@ def test_verdicts_and_profiles_are_drawn(lab, tmp_path):
     )
     judged = replace(done, outcome=replace(done.outcome, found=(found,)))
 
-    assert "profiles" in _names(draw_all(judged, tmp_path))
+    assert "profiles" in _names(judged.draw(tmp_path))
     row = _rows(tmp_path / "parameters.csv")[0]
     assert (row["interval_low"], row["interval_high"], row["verdict"]) == ("0.2", "", "at bound")
     assert float(row["solution 2, nearly as good"]) == 0.7
@@ -232,7 +232,7 @@ def test_a_folder_that_cannot_be_made_is_refused(lab, tmp_path):
     (tmp_path / "file").touch()
 
     with pytest.raises(InvalidInput, match="a folder for pictures"):
-        draw_all(done, tmp_path / "file" / "pictures")
+        done.draw(tmp_path / "file" / "pictures")
 
 
 def test_pictures_of_a_search_with_failed_evaluations(lab, tmp_path):

@@ -18,14 +18,13 @@ from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import load_detail
 from fixel.web.views.live_comparison import LiveComparison
 from fixel.workflows.calibration.charts import pictures_of
-from fixel.workflows.calibration.commands import enlarged_command
-from fixel.workflows.calibration.parameter_options import searched_unknowns
+from fixel.workflows.calibration.parameter_options import enlarged_command, searched_unknowns
 from fixel.workflows.calibration.request import (
     LEAST_SQUARES,
     CalibrationRequest,
     NamedOptions,
 )
-from fixel.workflows.calibration.stored import load_values, parameters_of, searched_space
+from fixel.workflows.calibration.stored import load_values, searched_space
 from fixel.workflows.demo.laboratory_demo import _beside_truth
 from fixel.workflows.report.sections import calibration_warnings, parameters_section
 
@@ -155,11 +154,11 @@ def test_what_reads_a_calibration_simulates_with_its_pressure(found, enlarged):
         one = load_values(store, enlarged.ids[-1])
         for member in one.record.members:
             experiment = store.experiment(member.experiment_id)
-            values, motion = parameters_of(store, one.id, experiment, Parameters())
+            values = Parameters(one.values_for(experiment))
             assert "pressure_spread" in values
             assert "tripod_radius" not in values
             live = LiveComparison(store)
-            held = live.compared(member.experiment_id, values, motion.name, project.folder)
+            held = live.compared(member.experiment_id, values, one.motion.name, project.folder)
             assert held.error_mm2 == pytest.approx(member.error_mm2, rel=1e-2)
         scenes = [scene_of(store.experiment(m.experiment_id)) for m in one.record.members]
         space = searched_space(project, one, scenes)

@@ -11,7 +11,7 @@ from fixel.model.space import split_label
 from fixel.sampling.published import thesis_plan
 from fixel.simulation import QuasiStatic
 from fixel.testbed.simulated import SimulatedTestbed
-from fixel.workflows.calibration.stored import load_values, parameters_of
+from fixel.workflows.calibration.stored import load_values
 
 
 @pytest.fixture
@@ -46,8 +46,8 @@ def test_values_of_an_experiment_are_those_shared_and_its_own(store):
 def test_loads_of_support_points_are_parameters_too(store):
     known = Parameters(mu_pusher=0.2, load_1=2.0)
     number = store.add_calibration(_record([1], parameters=known))
-    found, _ = parameters_of(store, number, store.experiment(1), Parameters(mu_pusher=0.3))
-    assert dict(found) == {"mu_pusher": 0.3, "load_1": 2.0}
+    found = load_values(store, number).values_for(store.experiment(1))
+    assert found == {"mu_pusher": 0.2, "load_1": 2.0}
 
 
 def test_the_method_is_that_of_the_calibration(store):

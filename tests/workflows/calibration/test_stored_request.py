@@ -25,7 +25,7 @@ from fixel.sampling.published import thesis_plan
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.web.views.calibration_detail import load_detail
 from fixel.workflows import figures
-from fixel.workflows.calibration.commands import command_of
+from fixel.workflows.calibration.parameter_options import command_of
 from fixel.workflows.calibration.project import add_to_project, stored_calibration
 from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.result import RUN

@@ -18,7 +18,6 @@ from fixel.workflows.calibration.charts import CAPTIONS
 if TYPE_CHECKING:
     from fixel.web.context import ProjectContext
 
-LISTED = 100  # calibrations, unless more are asked for
 GRAPH = (54.0, 640.0, 220.0)  # left, width, height of the graph of errors [px]
 DOTS = 2000  # evaluations that the graph shows one by one
 CONTINUES = "Finished evaluations are saved; Resume continues from there."

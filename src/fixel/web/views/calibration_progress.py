@@ -23,8 +23,8 @@ from fixel.jobs import folder as files
 from fixel.typing import FloatArray
 from fixel.web.values import Answer, Finite
 from fixel.workflows import jobs
-from fixel.workflows.calibration.commands import command_of, options_of
 from fixel.workflows.calibration.job import ROLLOUTS_A_CHUNK
+from fixel.workflows.calibration.parameter_options import command_of, options_of
 from fixel.workflows.calibration.plan import MAKER, request_of
 from fixel.workflows.calibration.project import collected, experiments_of, stored_ids
 from fixel.workflows.calibration.request import CalibrationRequest
@@ -43,15 +43,65 @@ RATE_WINDOW_S: Final = 30.0
 class JournalProgress:
     """Content of the journal of one job so far."""
 
+    request: CalibrationRequest
+    ids: list[int]  # experiments in the project
     seen: int = 0  # blocks that were read
     size: int = -1  # [byte] of the journal when it was read
     stage: str = ""
-    objective: list[float] = field(default_factory=list)  # one per evaluation; inf where it failed
+    # One per evaluation, the mean of the experiments; inf where it failed.
+    objective: list[float] = field(default_factory=list)
     nominal: list[float] = field(default_factory=list)  # one per experiment
     alone: dict[int, float] = field(default_factory=dict)  # index of an experiment to its error
     waiting: list[FloatArray] = field(default_factory=list)  # chunks of an unfinished round
-    rate: deque[tuple[float, int]] = field(default_factory=deque)
-    ids: list[int] = field(default_factory=list)  # experiments in the project
+    times: deque[tuple[float, int]] = field(default_factory=deque)
+
+    def read(self, journal: Path) -> None:
+        """Read what the journal has more than last time."""
+        size = journal.stat().st_size if journal.is_file() else 0
+        if size in (self.size, 0):
+            return
+        self.size = size
+        for k, (name, data) in enumerate(read_journal(journal)):
+            if k >= self.seen:
+                self.seen = k + 1
+                if data[:1] == b"A":
+                    self._take(name, arrays_of(data[1:]))
+        self.times.append((time.monotonic(), len(self.objective)))
+
+    def _take(self, name: str, arrays: dict[str, Any]) -> None:
+        self.stage, _, part = name.rpartition(" ")[0].rpartition("/")
+        if self.stage == NOMINAL:
+            self.nominal += arrays["error"].tolist()
+        elif self.stage == ALONE:
+            for one in found_of(arrays):
+                self.alone[one.members[0]] = float(one.errors[0])
+        elif self.stage == SEARCHES[0]:
+            if part == "0":  # remains of a chunk that was lost
+                self.waiting.clear()
+            self.waiting.append(arrays["error"])
+            values = np.concatenate(self.waiting)
+            if len(values) % len(self.ids) == 0 and len(arrays["error"]) <= ROLLOUTS_A_CHUNK:
+                self.objective += self.shares(values.reshape(-1, len(self.ids)))
+                self.waiting.clear()
+        elif self.stage == SEARCHES[1]:
+            squares = np.einsum("km,km->k", arrays["table"], arrays["table"])
+            self.objective += self.request.error_of_one(squares, len(self.ids)).tolist()
+
+    def shares(self, errors: FloatArray) -> list[float]:
+        """Return the mean errors per experiment of rows (k, n) of all of them."""
+        combined = combined_errors(errors, self.request.combine)
+        shares: list[float] = self.request.error_of_one(combined, errors.shape[1]).tolist()
+        return shares
+
+    @property
+    def rate(self) -> float:
+        """Recent evaluations per second."""
+        now, times = time.monotonic(), self.times
+        while len(times) > 2 and now - times[0][0] > RATE_WINDOW_S:
+            times.popleft()
+        if len(times) < 2:
+            return 0.0
+        return (len(self.objective) - times[0][1]) / max(now - times[0][0], 1e-3)
 
 
 class CalibrationProgress(Answer):
@@ -143,19 +193,19 @@ class ProgressReader:
     def look(self, folder: Path, since: int = 0) -> LiveProgress:
         """Return the progress of one; of the objective only what follows evaluation `since`."""
         status = jobs.status_of(folder)
-        request = request_of(folder)
         with self._lock:
-            progress = self._known.setdefault(folder.name, JournalProgress())
-            if not progress.ids:
-                progress.ids = experiments_of(self._project, folder)
-            ids = progress.ids
-            _read(folder / files.JOURNAL, progress, request, len(ids))
-            objective = [request.error_of_one(e, len(ids)) for e in progress.objective]
-            rate = 0.0 if status.ended else _rate(progress)
+            read = self._known.get(folder.name)
+            if read is None:
+                ids = experiments_of(self._project, folder)
+                read = self._known[folder.name] = JournalProgress(request_of(folder), ids)
+            read.read(folder / files.JOURNAL)
+            objective = [*read.objective]
+            rate = 0.0 if status.ended else read.rate
         stored = stored_ids(folder)
         if status.state == "done" and not stored:
             stored = self._collected(folder)
-        nominal, most, left = progress.nominal, _most(request), status.left_s
+        request, ids, nominal = read.request, read.ids, read.nominal
+        most, left = _most(request), status.left_s
         at_most = left is None and most is not None and rate > 0.0
         if at_most and most is not None:
             left = (most - len(objective)) / rate
@@ -170,7 +220,7 @@ class ProgressReader:
             state=status.state,
             ended=status.ended,
             reason=status.reason,
-            stage=progress.stage,
+            stage=read.stage,
             evaluations=len(objective),
             most=most,
             rate=rate,
@@ -178,7 +228,9 @@ class ProgressReader:
             at_most=at_most,
             share=status.share,
             best=min((e for e in objective if math.isfinite(e)), default=None),
-            start=_start(np.array(nominal), request),
+            start=next(filter(math.isfinite, read.shares(np.array([nominal]))), None)
+            if nominal
+            else None,
             started_utc=status.started_utc,
             stored=stored,
             command=command_of(
@@ -191,7 +243,7 @@ class ProgressReader:
                 ExperimentProgress(
                     id=ids[k], before=nominal[k] if k < len(nominal) else None, after=error
                 )
-                for k, error in sorted(progress.alone.items())
+                for k, error in sorted(read.alone.items())
             ],
         )
 
@@ -204,68 +256,6 @@ class ProgressReader:
     def _folders(self) -> list[Path]:
         found = (path.parent for path in (self._project.folder / jobs.JOBS).glob("*/job.json"))
         return [one for one in found if files.made_by(one, MAKER)]
-
-
-def _read(journal: Path, progress: JournalProgress, request: CalibrationRequest, n: int) -> None:
-    """Read what the journal has more than last time."""
-    size = journal.stat().st_size if journal.is_file() else 0
-    if size == progress.size or size == 0:
-        return
-    progress.size = size
-    for k, (name, data) in enumerate(read_journal(journal)):
-        if k < progress.seen:
-            continue
-        progress.seen = k + 1
-        if data[:1] == b"A":
-            _take(name, arrays_of(data[1:]), progress, request, n)
-    progress.rate.append((time.monotonic(), len(progress.objective)))
-
-
-def _take(
-    name: str,
-    arrays: dict[str, Any],
-    progress: JournalProgress,
-    request: CalibrationRequest,
-    n: int,
-) -> None:
-    stage, _, rest = name.rpartition(" ")[0].rpartition("/")
-    first = rest == "0"
-    progress.stage = stage
-    if stage == NOMINAL:
-        progress.nominal += arrays["error"].tolist()
-    elif stage == ALONE:
-        for one in found_of(arrays):
-            progress.alone[one.members[0]] = float(one.errors[0])
-    elif stage == SEARCHES[0]:
-        if first:  # remains of a chunk that was lost
-            progress.waiting.clear()
-        progress.waiting.append(arrays["error"])
-        values = np.concatenate(progress.waiting)
-        if len(values) % n == 0 and len(arrays["error"]) <= ROLLOUTS_A_CHUNK:
-            table = values.reshape(-1, n)
-            progress.objective += combined_errors(table, request.combine).tolist()
-            progress.waiting.clear()
-    elif stage == SEARCHES[1]:
-        squares = np.einsum("km,km->k", arrays["table"], arrays["table"])
-        progress.objective += squares.tolist()
-
-
-def _start(nominal: FloatArray, request: CalibrationRequest) -> float | None:
-    if not len(nominal):
-        return None
-    value = float(combined_errors(nominal[None], request.combine)[0])
-    value = request.error_of_one(value, len(nominal))
-    return value if math.isfinite(value) else None
-
-
-def _rate(progress: JournalProgress) -> float:
-    now = time.monotonic()
-    while len(progress.rate) > 2 and now - progress.rate[0][0] > RATE_WINDOW_S:
-        progress.rate.popleft()
-    if len(progress.rate) < 2:
-        return 0.0
-    begun, count = progress.rate[0]
-    return (len(progress.objective) - count) / max(now - begun, 1e-3)
 
 
 def _most(request: CalibrationRequest) -> int | None:

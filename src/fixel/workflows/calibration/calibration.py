@@ -26,6 +26,9 @@ from fixel.calibration.objective import (
     MeanSquare,
     Robust,
     RootMeanSquare,
+    lengths_of,
+    outliers,
+    root_mean,
 )
 from fixel.calibration.study import MADE, OUT_OF_BUDGET
 from fixel.calibration.target import Target, target_of
@@ -40,16 +43,14 @@ from fixel.simulation.engine_names import EngineName
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
-from fixel.workflows.calibration.commands import call_of, enlarged_command
+from fixel.workflows.calibration.parameter_options import call_of, enlarged_command
 from fixel.workflows.calibration.plan import CalibrationPlan
 from fixel.workflows.calibration.request import CalibrationRequest
 from fixel.workflows.calibration.result import (
     CalibrationResult,
     FitKind,
     ParameterSet,
-    length_of,
     outcome_of,
-    outliers,
 )
 
 if TYPE_CHECKING:
@@ -460,7 +461,6 @@ class Calibration(Result, Mapping[str, float]):
             notes=(*reasons, *self._outlier_notes(), *self._further_notes()),
             calibrations=tuple(run.ids[self.number : self.number + 1]),
             command=self.command,
-            seed=run.request.seed,
             seconds=found.seconds,
         )
 
@@ -487,14 +487,14 @@ class Calibration(Result, Mapping[str, float]):
 
     def _error_note(self) -> str:
         unit, errors = self.request.made_error.unit, self.found.errors
-        before = _length(self.run.outcome.nominal[list(self.found.members)], unit)
+        before = root_mean(self.run.outcome.nominal[list(self.found.members)], unit)
         begin = "" if math.isnan(before) else f"{before:.3g} mm before, "
         how = "root mean square" if self.request.error.name != "end-pose" else "end pose"
         if self.request.error.name == "robust":
             how = "robust mean"
         scale = 1e3 * self.request.made_error.angle_scale
         return (
-            f"error: {begin}{_length(errors, unit):.3g} mm after calibration"
+            f"error: {begin}{root_mean(errors, unit):.3g} mm after calibration"
             f" ({how}; 1 rad counts as {scale:g} mm)"
         )
 
@@ -521,7 +521,7 @@ class Calibration(Result, Mapping[str, float]):
         if not found:
             return []
         named = ", ".join(
-            f"{self.keys_of_experiments[k]} ({length_of(errors[k], unit):.3g} mm)"
+            f"{self.keys_of_experiments[k]} ({lengths_of(errors[k], unit):.3g} mm)"
             for k in found[:MAX_OUTLIERS]
         )
         more = f" and {len(found) - MAX_OUTLIERS} more" if len(found) > MAX_OUTLIERS else ""
@@ -649,8 +649,11 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
 
     def draw(self, folder: Path) -> list[Path]:
         """Draw all charts into a folder; return PNG, PDF and CSV of each."""
-        paths: list[Path] = import_module(_CHARTS).draw_all(self, folder)
-        return paths
+        from fixel.workflows.figures import make_folder, write_picture
+
+        make_folder(folder)
+        pictures = import_module(_CHARTS).pictures_of(self)
+        return [path for picture in pictures for path in write_picture(folder, picture)]
 
     def summary(self) -> dict[str, Any]:
         """Return plain values, for `--json`; infinite errors become None."""
@@ -699,8 +702,8 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
                 one.keys_of_experiments[0]
                 if len(one.found.members) == 1
                 else f"{len(one.found.members)} experiments, {one.found.how}",
-                _length(self.outcome.nominal[list(one.found.members)], unit),
-                _length(one.found.errors, unit),
+                root_mean(self.outcome.nominal[list(one.found.members)], unit),
+                root_mean(one.found.errors, unit),
                 *(one.estimates[u.label].value_text for u in free),
             )
             for one in shown
@@ -724,7 +727,6 @@ class Calibrations(CalibrationPlan, Result, Sequence[Calibration]):
             notes=(*notes, *self._verdict_notes(), *(x for p in parts for x in p.headline[1:])),
             calibrations=tuple(self.ids),
             command=self.command,
-            seed=self.request.seed,
             seconds=sum(one.found.seconds for one in self),
         )
 
@@ -806,12 +808,6 @@ def values_under(
             hint=f"use fit.values_for({missing[name]}=...)",
         )
     return found
-
-
-def _length(errors: FloatArray, unit: str) -> float:
-    """Root mean square of errors [mm]."""
-    squares = errors if unit == "mm^2" else errors**2
-    return math.sqrt(float(np.mean(squares)))
 
 
 def _plain(

@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from fixel.calibration.objective import lengths_of
 from fixel.calibration.study import NOMINAL
 from fixel.calibration.target import Target
 from fixel.database.project import Project
@@ -35,7 +35,7 @@ from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations
 from fixel.workflows.calibration.job import NEARLY
 from fixel.workflows.calibration.result import FitKind, ParameterSet
-from fixel.workflows.figures import Picture, banner_of, make_folder, write_picture
+from fixel.workflows.figures import Picture, banner_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,7 +79,7 @@ class _ChartData:
             Number of experiments in each error; a sum is divided by it.
         """
         shared = self.request.error_of_one(errors, members)
-        return np.asarray(np.sqrt(shared) if self.unit == "mm^2" else shared)
+        return lengths_of(shared, self.unit)
 
     @cached_property
     def alone(self) -> list[ParameterSet]:
@@ -156,29 +156,6 @@ def _title_of(data: _ChartData, one: ParameterSet, word: str = "") -> str:
     return f"{name} ({word})" if word else name
 
 
-def draw_all(calibration: Calibrations, folder: Path) -> list[Path]:
-    """Draw all charts of a calibration.
-
-    Parameters
-    ----------
-    calibration : Calibrations
-    folder : Path
-        Created if missing; files of the same names are replaced.
-
-    Returns
-    -------
-    list of Path
-        PNG, PDF and CSV of each chart.
-
-    Raises
-    ------
-    InvalidInput
-        The folder cannot be written to.
-    """
-    make_folder(folder)
-    return [path for picture in pictures_of(calibration) for path in write_picture(folder, picture)]
-
-
 # --- plots of a single result -------------------------------------------------------------------
 
 
@@ -225,7 +202,7 @@ def plot_search(fit: Calibration, ax: Axes | None = None) -> Any:
 
 def plot_starts(fit: Calibration, ax: Axes | None = None) -> Any:
     """Draw the results of the searches from several starts; return the axes."""
-    found = next(_starts(_data(fit), "starts", fit.found), None)
+    found = next(_starts(_data(fit), "", fit.found), None)
     if found is None:
         raise InvalidInput(
             "kind", found="'starts' of a single search", expected="one with several starts"
@@ -295,15 +272,18 @@ def _of_searches(data: _ChartData) -> Pictures:
     together, searched = data.together, data.searched
     if together is not None and together.trace is not None:
         yield Picture("search", _search_chart(data, [("", together)]), data.banner)
-        yield from _starts(data, "starts", together)
+        yield from _starts(data, "", together)
     picks = _picks(searched)
     if picks:
         name = "search" if together is None else "search_alone"
         yield Picture(name, _search_chart(data, picks), data.banner)
     for word, one in picks:
-        yield from _starts(data, _named("starts", word, data), one)
+        yield from _starts(data, word, one)
     if len(searched) > 1:
-        yield Picture("seconds", _seconds_chart(data, searched), data.banner)
+        counts = [0 if one.trace is None else len(one.trace.errors) for one in searched]
+        seconds = np.array([one.seconds for one in searched])
+        keys = [data.keys[one.members[0]] for one in searched]
+        yield Picture("seconds", seconds_chart(keys, seconds, counts), data.banner)
 
 
 def _of_parameters(data: _ChartData) -> Pictures:
@@ -421,7 +401,7 @@ def _what(data: _ChartData, one: ParameterSet) -> str:
     return "largest RMS error" if data.request.combine == "largest" else "RMS error"
 
 
-def _starts(data: _ChartData, name: str, one: ParameterSet) -> Pictures:
+def _starts(data: _ChartData, word: str, one: ParameterSet) -> Pictures:
     """Chart of the ends of all starts, if there were several."""
     if data.request.starts == 1 or one.trace is None:
         return
@@ -438,15 +418,7 @@ def _starts(data: _ChartData, name: str, one: ParameterSet) -> Pictures:
         nearly=NEARLY if data.unit == "mm" else 0.5 * NEARLY,
         what=_what(data, one),
     )
-    yield Picture(name, chart, data.banner)
-
-
-def _seconds_chart(data: _ChartData, searched: list[ParameterSet]) -> Chart:
-    return seconds_chart(
-        keys=[data.keys[one.members[0]] for one in searched],
-        seconds=np.array([one.seconds for one in searched]),
-        evaluations=[0 if one.trace is None else len(one.trace.errors) for one in searched],
-    )
+    yield Picture(_named("starts", word, data), chart, data.banner)
 
 
 def _parameters_chart(data: _ChartData, word: str, one: ParameterSet) -> Chart:

@@ -35,15 +35,14 @@ from fixel.jobs.work import (
 from fixel.model import Experiment, Scene
 from fixel.model.selection import parse_filter
 from fixel.model.space import ParameterSpace
-from fixel.progress import Progress, ProgressOption, Reporter, show_progress
+from fixel.progress import Progress, Reporter, show_progress
 from fixel.registry import offered
 from fixel.simulation.trust import permit
 from fixel.workflows import jobs
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect
 from fixel.workflows.calibration.job import (
     CHUNKS,
-    SearchState,
-    calibration_rounds,
+    CalibrationSearch,
     comparer_of,
     evaluate_here,
 )
@@ -78,10 +77,10 @@ def calibrate_in(
     """Calibrate in one of the modes of a request; the options are those of `calibrate`."""
     asked = SimpleNamespace(**options)
     permit(asked.motion)
-    return _run(CalibrationPlan.of(mode, experiments, parameters, asked), asked)
+    return run_plan(CalibrationPlan.of(mode, experiments, parameters, asked), asked)
 
 
-def _run(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
+def run_plan(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
     """Run a plan in this process, or in a folder with a journal; store the result in a project.
 
     Options of `calibrate` decide where.
@@ -102,15 +101,14 @@ def _run(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
 
 def _run_here(plan: CalibrationPlan, asked: SimpleNamespace) -> Calibrations:
     comparer = comparer_of(plan.request, plan.targets, asked.threads)
-    state = SearchState(plan.request)
-    work = calibration_rounds(plan.request, comparer, state)
+    search = CalibrationSearch(plan.request, comparer)
     engine = DirectEngine(plan.request, comparer)
     with show_progress(asked.progress, "searching") as report:
         try:
-            result = run_work(work, engine, Path(), None, progress=_reporting(report))
+            result = run_work(search.rounds(), engine, Path(), None, progress=_reporting(report))
         except KeyboardInterrupt:
             hint = "with store='FOLDER' the same call would continue"
-            found = _best_so_far(plan, comparer, state, engine.alone)
+            found = _best_so_far(plan, search, engine.alone)
             best = found[-1] if found and plan.request.mode == "joint" else found
             raise Interrupted(best, hint) from None
     return Calibrations(**vars(plan), outcome=outcome_of(result))
@@ -139,7 +137,7 @@ def _run_in_folder(plan: CalibrationPlan, folder: Path, asked: SimpleNamespace) 
 def _best_in(plan: CalibrationPlan, folder: Path) -> Calibration | None:
     """Return the best parameter set in the journal of an interrupted calibration."""
     comparer = comparer_of(plan.request, plan.targets, None)
-    state = SearchState(plan.request)
+    search = CalibrationSearch(plan.request, comparer)
 
     class Nothing(DirectEngine):
         """Engine that ends where the journal ends."""
@@ -148,9 +146,8 @@ def _best_in(plan: CalibrationPlan, folder: Path) -> Calibration | None:
             raise StopRequest
 
     with suppress(StopRequest, FixelError), Journal(folder / files.JOURNAL) as journal:
-        work = calibration_rounds(plan.request, comparer, state)
-        run_work(work, Nothing(plan.request, comparer), folder, journal)
-    found = _best_so_far(plan, comparer, state)
+        run_work(search.rounds(), Nothing(plan.request, comparer), folder, journal)
+    found = _best_so_far(plan, search)
     return found[-1] if found else None
 
 
@@ -179,32 +176,26 @@ class DirectEngine(AbstractEngine):
 
 
 def _best_so_far(
-    plan: CalibrationPlan, comparer: Comparer, state: SearchState, alone: Sequence[bytes] = ()
+    plan: CalibrationPlan, search: CalibrationSearch, alone: Sequence[bytes] = ()
 ) -> Calibrations | None:
     """Return what an interrupted calibration has found; None if there is nothing yet.
 
     Parameters
     ----------
     plan : CalibrationPlan
-    comparer : Comparer
-    state : SearchState
+    search : CalibrationSearch
     alone : sequence of bytes
         Answers of the chunks that calibrated single experiments.
     """
-    found = [*state.found] or [one for own in alone for one in found_of(arrays_of(own))]
-    members = tuple(range(len(plan.targets)))
+    comparer, members = search.comparer, tuple(search.members)
+    found = [*search.found] or [one for own in alone for one in found_of(arrays_of(own))]
     here = evaluate_here(comparer)
-    if not state.found and math.isfinite(state.best.error):
-        point = state.best.point
+    if not search.found and math.isfinite(search.best.error):
+        point = search.best.point
         errors, _ = run_study(at_points(members, point[None]), here)
+        how, trace = FitKind.DIRECT, search.trace
         found.append(
-            ParameterSet(
-                how=FitKind.DIRECT,
-                members=members,
-                point=point,
-                errors=errors[0],
-                trace=state.trace,
-            )
+            ParameterSet(how=how, members=members, point=point, errors=errors[0], trace=trace)
         )
     if not found:
         return None
@@ -236,13 +227,6 @@ def _reporting(report: Reporter) -> Show:
 
 
 # --- experiments of a project -------------------------------------------------------------------
-
-
-def run_in_project(project: Project, request: BaseModel, progress: ProgressOption) -> Calibrations:
-    """Calibrate experiments of a project by a request of the capability."""
-    own = offered("capability", "calibrate").arguments(request)
-    asked = SimpleNamespace(**own, store=project, progress=progress)
-    return _run(plan_in_project(project, request), asked)
 
 
 def plan_in_project(project: Project, request: BaseModel) -> CalibrationPlan:

@@ -27,9 +27,8 @@ from fixel.calibration.assess import (
 )
 from fixel.calibration.cost import NormalPrior
 from fixel.calibration.noise import Noise
-from fixel.calibration.objective import Comparer, Evaluation, Objective
+from fixel.calibration.objective import Comparer, Evaluation, Objective, lengths_of
 from fixel.calibration.optimiser import Best
-from fixel.calibration.profile import Profiles
 from fixel.calibration.solutions import find_solutions
 from fixel.calibration.study import (
     OUT_OF_BUDGET,
@@ -56,7 +55,7 @@ from fixel.io.array_bytes import arrays_of, bytes_of
 from fixel.jobs.functions import callable_by_jobs, threads
 from fixel.jobs.work import Answers, Chunk, Failure, Round, Work
 from fixel.kernels import codes
-from fixel.model.records import Estimate, ProfileRecord
+from fixel.model.records import Estimate
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.request import CalibrationRequest, read_targets
 from fixel.workflows.calibration.result import (
@@ -65,7 +64,6 @@ from fixel.workflows.calibration.result import (
     ParameterSet,
     found_arrays,
     found_of,
-    length_of,
     outcome_bytes,
 )
 
@@ -89,41 +87,7 @@ ROLLOUTS_A_CHUNK: Final = 4000
 def calibration_work(inputs: Path, options: Mapping[str, Any]) -> Work:
     """Return the rounds of the calibration that is described in a folder of inputs."""
     request, comparer = _load_job(inputs)
-    return calibration_rounds(request, comparer, SearchState(request))
-
-
-def calibration_rounds(request: CalibrationRequest, comparer: Comparer, state: SearchState) -> Work:
-    """Calibrate in rounds of chunks; the result is a `CalibrationResult` as bytes."""
-    n = len(comparer.targets)
-    members = list(range(n))
-    start = comparer.space.nominal
-    before, _ = yield from _evaluate_study(at_points(members, start[None]), "nominal")
-    found: list[ParameterSet] = []
-    if request.mode in ("each", "campaign"):
-        alone = yield from _alone(request, comparer, n)
-        found += alone
-    if request.mode == "campaign" and n > 1:
-        found = yield from _campaign(request, comparer, found, state)
-    elif request.mode == "stored":
-        points = np.array(request.stored)
-        pooled = yield from _evaluate_study(minimax_of_stored(members, points), "stored")
-        found.append(_pooled(FitKind.STORED, members, pooled))
-    elif request.mode == "joint":
-        search = _by_squares if request.least_squares is not None else _direct
-        found.append((yield from search(request, comparer, members, start, state)))
-    if request.verdicts and request.mode != "each":
-        state.found = [*found]
-        for k, one in enumerate(found):
-            if one.how == FitKind.DIRECT:
-                found[k] = yield from _with_verdicts(request, comparer, one, state)
-    return outcome_bytes(
-        CalibrationResult(
-            keys=tuple(target.key for target in comparer.targets),
-            labels=comparer.space.labels,
-            nominal=before[0],
-            found=tuple(found),
-        )
-    )
+    return CalibrationSearch(request, comparer).rounds()
 
 
 ChunkFunction = Callable[[CalibrationRequest, Comparer, bytes], bytes]
@@ -145,20 +109,20 @@ Rounds = Generator[Round, Answers, T]
 
 
 @final
-class SearchState:
-    """Budget that a calibration has used, and the best point it has found so far.
+class CalibrationSearch:
+    """Rounds of a calibration, its used budget, and the best point found so far.
 
     Computing times come from the answers of chunks, so they are the same after an interruption.
 
     Parameters
     ----------
     request : CalibrationRequest
+    comparer : Comparer
     """
 
-    def __init__(self, request: CalibrationRequest) -> None:
-        self._budget = request.budget
-        self._share = SEARCH_SHARE if request.verdicts else 1.0
-        self._max_evaluations = request.max_evaluations
+    def __init__(self, request: CalibrationRequest, comparer: Comparer) -> None:
+        self.request, self.comparer = request, comparer
+        self.members = range(len(comparer.targets))
         self._spent = 0.0
         self._points: list[FloatArray] = []
         self._errors: list[FloatArray] = []
@@ -167,7 +131,7 @@ class SearchState:
 
     def add(self, answers: Answers) -> None:
         """Count the time of a round."""
-        if self._budget is not None:
+        if self.request.budget is not None:
             good = (one for one in answers.values() if not isinstance(one, Failure))
             self._spent += sum(float(arrays_of(one)[TIME]) for one in good)
 
@@ -194,66 +158,299 @@ class SearchState:
     @property
     def is_over(self) -> bool:
         """Whether the budget of the whole calibration is used up."""
-        return self._budget is not None and self._spent > self._budget
+        budget: float | None = self.request.budget
+        return budget is not None and self._spent > budget
 
     @property
     def search_end(self) -> str:
         """Reason to end the search now; empty to continue."""
-        if self._max_evaluations is not None and self.evaluations >= self._max_evaluations:
+        most, budget = self.request.max_evaluations, self.request.budget
+        if most is not None and self.evaluations >= most:
             return made(self.evaluations)
-        if self._budget is not None and self._spent > self._share * self._budget:
+        share = SEARCH_SHARE if self.request.verdicts else 1.0
+        if budget is not None and self._spent > share * budget:
             return OUT_OF_BUDGET
         return ""
+
+    def rounds(self) -> Work:
+        """Calibrate in rounds of chunks; the result is a `CalibrationResult` as bytes."""
+        request, comparer = self.request, self.comparer
+        members = self.members
+        start = comparer.space.nominal
+        before, _ = yield from self._evaluate(at_points(members, start[None]), "nominal")
+        found: list[ParameterSet] = []
+        if request.mode in ("each", "campaign"):
+            alone = yield from self._alone()
+            found += alone
+        if request.mode == "campaign" and len(members) > 1:
+            found = yield from self._campaign(found)
+        elif request.mode == "stored":
+            points = np.array(request.stored)
+            pooled = yield from self._evaluate(minimax_of_stored(members, points), "stored")
+            found.append(_pooled(FitKind.STORED, members, pooled))
+        elif request.mode == "joint":
+            search = self._direct(start) if request.least_squares is None else self._by_squares()
+            found.append((yield from search))
+        if request.verdicts and request.mode != "each":
+            self.found = [*found]
+            for k, one in enumerate(found):
+                if one.how == FitKind.DIRECT:
+                    found[k] = yield from self._with_verdicts(one)
+        return outcome_bytes(
+            CalibrationResult(
+                keys=tuple(target.key for target in comparer.targets),
+                labels=comparer.space.labels,
+                nominal=before[0],
+                found=tuple(found),
+            )
+        )
+
+    def _evaluate(
+        self, study: Study[T], stage: str, objective: Objective | None = None
+    ) -> Rounds[T]:
+        """Answer a study in rounds of chunks; those with an objective count, and show its best."""
+        best, shown = math.inf, None
+        try:
+            ask = next(study)
+            while True:
+                starts = range(0, len(ask.which), ROLLOUTS_A_CHUNK)
+                chunks = [
+                    Chunk(
+                        f"{stage}/{k}",
+                        bytes_of(
+                            which=ask.which[at : at + ROLLOUTS_A_CHUNK],
+                            points=ask.points[at : at + ROLLOUTS_A_CHUNK],
+                        ),
+                    )
+                    for k, at in enumerate(starts)
+                ]
+                answers = yield Round("calibration:evaluate", chunks, stage, best=shown)
+                if objective is not None:
+                    self.add(answers)
+                parts = [
+                    _evaluated(answers[chunk.name], len(ask.which[at : at + ROLLOUTS_A_CHUNK]))
+                    for chunk, at in zip(chunks, starts, strict=True)
+                ]
+                errors = np.concatenate([part.error for part in parts])
+                if objective is not None:
+                    table = errors.reshape(-1, len(objective.members))
+                    combined = objective.combined(table)
+                    self.record(ask.points[:: table.shape[1]], combined)
+                    best = min(best, float(combined.min()))
+                    shared = best / len(objective.members) if objective.combine == "sum" else best
+                    shown = 1e-3 * float(
+                        lengths_of(np.asarray(shared), objective.comparer.error.unit)
+                    )
+                reasons = [reason for part in parts for reason in part.reasons]
+                ask = study.send(Evaluation(errors, reasons))
+        except StopIteration as end:
+            result: T = end.value
+            return result
+
+    def _alone(self) -> Rounds[list[ParameterSet]]:
+        n = len(self.members)
+        size = max(MEMBERS_A_CHUNK, min(MAX_MEMBERS_A_CHUNK, n // CHUNKS_FOR_WORKERS))
+        chunks = [
+            Chunk(f"alone/{at}", bytes_of(members=np.arange(at, min(n, at + size))))
+            for at in range(0, n, size)
+        ]
+        left = 0 if self.request.mode == "each" else None
+        answers = yield Round(
+            "calibration:calibrate_alone", chunks, note="each experiment", left=left
+        )
+        found: list[ParameterSet] = []
+        for chunk in chunks:
+            answer = answers[chunk.name]
+            if isinstance(answer, Failure):
+                nothing = ParameterSet(
+                    how=FitKind.ALONE,
+                    members=(),
+                    point=self.comparer.space.nominal,
+                    errors=np.array([math.inf]),
+                    note=answer.reason,
+                )
+                members = arrays_of(chunk.payload)["members"].tolist()
+                found += [dataclasses.replace(nothing, members=(m,)) for m in members]
+            else:
+                found += found_of(arrays_of(answer))
+        return found
+
+    def _campaign(self, alone: list[ParameterSet]) -> Rounds[list[ParameterSet]]:
+        """After the single calibrations: neighbours' values, and one set for all in three ways."""
+        request, comparer, members = self.request, self.comparer, self.members
+        points = np.array([one.point for one in alone])
+        errors = np.array([one.errors[0] for one in alone])
+        groups = neighbours([target.conditions for target in comparer.targets])
+        better, least = yield from self._evaluate(
+            exchange_with_neighbours(points, errors, groups), "neighbours"
+        )
+        combine = Objective(comparer, combine=request.combine).combined
+        free = comparer.space.free
+        informed = np.array([[u.covers(t.conditions) for u in free] for t in comparer.targets])
+        pooled = yield from self._evaluate(
+            weighted(members, better, least, informed), "weighted mean"
+        )
+        subset = yield from self._evaluate(
+            best_subset(members, better, least, combine, request.seed, informed=informed), "subsets"
+        )
+        direct = yield from self._direct(subset.point)
+        return [
+            *alone,
+            *_improved(alone, better, least),
+            _pooled(FitKind.WEIGHTED, members, pooled),
+            _pooled(FitKind.SUBSET, members, subset),
+            direct,
+        ]
+
+    def _direct(self, start: FloatArray) -> Rounds[ParameterSet]:
+        request, comparer = self.request, self.comparer
+        objective = Objective(comparer, combine=request.combine)
+        begun = time.perf_counter()
+        trace, _ = yield from self._evaluate(
+            calibrate_joint(
+                self.members,
+                box_of(comparer.space.started_at(start)),
+                request.made_optimiser,
+                objective.combined,
+                request.seed,
+                comparer.feasible,
+                lambda: self.search_end,
+                request.max_evaluations or math.inf,
+            ),
+            "all together",
+            objective,
+        )
+        solutions = _distinct_solutions(comparer, trace)
+        return (yield from self._searched(trace, begun, solutions=solutions))
+
+    def _by_squares(self) -> Rounds[ParameterSet]:
+        """Search one set for all by least squares, with tens of evaluations an unknown."""
+        request, comparer, members = self.request, self.comparer, self.members
+        options = request.least_squares
+        assert options is not None
+        begun = time.perf_counter()
+        box = box_of(comparer.space)
+        search = options.start(box, request.seed, comparer.feasible, NormalPrior.of(comparer.space))
+        tried, errors = [np.zeros((0, box.n))], [np.zeros(0)]
+        best = math.inf
+        ended = ""
+        divisor = len(members) if request.combine == "sum" else 1
+        while not search.done:
+            wanted = search.ask()
+            points = wanted[
+                : request.max_evaluations and request.max_evaluations - self.evaluations
+            ]
+            shown = 1e-3 * math.sqrt(best / divisor) if tried[1:] else None
+            table = yield from self._rows(
+                "residuals", "squares", points, note="least squares", best=shown
+            )
+            if len(points) == len(wanted):
+                search.tell(table)
+            tried.append(points)
+            errors.append(np.einsum("km,km->k", table, table))
+            self.record(points, errors[-1])
+            best = min(best, float(errors[-1].min()))
+            if (ended := self.search_end) and not search.done:
+                break
+        trace = Trace(
+            better_of(search.best, tried, errors).point,
+            best,
+            np.concatenate(tried),
+            np.concatenate(errors),
+            [""] * sum(map(len, errors)),
+            search.reason or ended,
+        )
+        return (yield from self._searched(trace, begun))
+
+    def _searched(self, trace: Trace, begun: float, **more: Any) -> Rounds[ParameterSet]:
+        """Return the best point of a search, with its error for each experiment."""
+        at_best = at_points(self.members, trace.point[None])
+        (errors,), (reason,) = yield from self._evaluate(at_best, "best")
+        note = ""
+        if reason:
+            first = int(np.argmin(np.isfinite(errors)))
+            note = f"{self.comparer.targets[first].key}: {explained(reason)}"
+        return ParameterSet(
+            how=FitKind.DIRECT,
+            members=tuple(self.members),
+            point=trace.point,
+            errors=errors,
+            trace=trace,
+            seconds=time.perf_counter() - begun,
+            note=note,
+            **more,
+        )
+
+    def _rows(
+        self,
+        function: str,
+        stage: str,
+        points: FloatArray,
+        *,
+        note: str,
+        left: int | None = None,
+        best: float | None = None,
+        **arrays: Any,
+    ) -> Rounds[FloatArray]:
+        """Let chunks answer for points (k, n_free) of all members: one row for each point.
+
+        Parameters
+        ----------
+        function : str
+            Function of a chunk, whose answer has the rows as `table`.
+        stage : str
+            Beginning of the chunks' names.
+        left : int, optional
+            Estimated number of points after these.
+        **arrays
+            What a chunk receives with its points.
+        """
+        size = max(1, ROLLOUTS_A_CHUNK // len(self.members))
+        chunks = [
+            Chunk(f"{stage}/{k}", bytes_of(**arrays, points=points[at : at + size]))
+            for k, at in enumerate(range(0, len(points), size))
+        ]
+        rounds = None if left is None else math.ceil(left / size)
+        answers = yield Round(f"calibration:{function}", chunks, note, rounds, best)
+        self.add(answers)
+        tables: list[FloatArray] = []
+        for chunk in chunks:
+            answer = answers[chunk.name]
+            if isinstance(answer, Failure):
+                raise InvalidInput(chunk.name, found=answer.reason, expected="simulations")
+            tables.append(arrays_of(answer)["table"])
+        return np.concatenate(tables)
+
+    def _with_verdicts(self, one: ParameterSet) -> Rounds[ParameterSet]:
+        """Add a verdict on every parameter; the journal has every simulation behind them."""
+        if not np.isfinite(one.errors).all():
+            return one
+        running = _assessing(self.request, self.comparer, one)
+        try:
+            ask = next(running)
+            while True:
+                told = yield from self._rows(
+                    "assess_points",
+                    "verdicts",
+                    ask.points,
+                    note=ask.note,
+                    left=ask.left,
+                    kind=ask.kind,
+                    members=np.array(one.members, np.int64),
+                )
+                if self.is_over:
+                    more = "allow a larger budget, or calibrate a sample of the experiments"
+                    return dataclasses.replace(one, note=f"no verdicts: {OUT_OF_BUDGET}; {more}")
+                ask = running.send(told)
+        except StopIteration as end:
+            return _with_assessment(self.comparer, one, end.value)
+        except InvalidInput as problem:  # the values that were found stay worth having
+            return dataclasses.replace(one, note=f"no verdicts: {problem}")
 
 
 def _timed(begun: float, **arrays: Any) -> bytes:
     """Serialise an answer together with the time that it took to compute."""
     return bytes_of(**arrays, **{TIME: time.process_time() - begun})
-
-
-def _evaluate_study(
-    study: Study[T],
-    stage: str,
-    objective: Objective | None = None,
-    state: SearchState | None = None,
-) -> Rounds[T]:
-    """Answer a study in rounds of chunks; with an objective, progress shows its best."""
-    best, shown = math.inf, None
-    try:
-        ask = next(study)
-        while True:
-            starts = range(0, len(ask.which), ROLLOUTS_A_CHUNK)
-            chunks = [
-                Chunk(
-                    f"{stage}/{k}",
-                    bytes_of(
-                        which=ask.which[at : at + ROLLOUTS_A_CHUNK],
-                        points=ask.points[at : at + ROLLOUTS_A_CHUNK],
-                    ),
-                )
-                for k, at in enumerate(starts)
-            ]
-            answers = yield Round("calibration:evaluate", chunks, stage, best=shown)
-            if state is not None:
-                state.add(answers)
-            parts = [
-                _evaluated(answers[chunk.name], len(ask.which[at : at + ROLLOUTS_A_CHUNK]))
-                for chunk, at in zip(chunks, starts, strict=True)
-            ]
-            errors = np.concatenate([part.error for part in parts])
-            if objective is not None:
-                table = errors.reshape(-1, len(objective.members))
-                combined = objective.combined(table)
-                if state is not None:
-                    state.record(ask.points[:: table.shape[1]], combined)
-                best = min(best, float(combined.min()))
-                shared = best / len(objective.members) if objective.combine == "sum" else best
-                shown = 1e-3 * length_of(shared, objective.comparer.error.unit)
-            reasons = [reason for part in parts for reason in part.reasons]
-            ask = study.send(Evaluation(errors, reasons))
-    except StopIteration as end:
-        result: T = end.value
-        return result
 
 
 def _evaluated(answer: bytes | Failure, n: int) -> Evaluation:
@@ -278,32 +475,6 @@ def evaluate(request: CalibrationRequest, comparer: Comparer, payload: bytes) ->
 
 
 # --- every experiment by itself -----------------------------------------------------------------
-
-
-def _alone(request: CalibrationRequest, comparer: Comparer, n: int) -> Rounds[list[ParameterSet]]:
-    size = max(MEMBERS_A_CHUNK, min(MAX_MEMBERS_A_CHUNK, n // CHUNKS_FOR_WORKERS))
-    chunks = [
-        Chunk(f"alone/{at}", bytes_of(members=np.arange(at, min(n, at + size))))
-        for at in range(0, n, size)
-    ]
-    left = 0 if request.mode == "each" else None
-    answers = yield Round("calibration:calibrate_alone", chunks, note="each experiment", left=left)
-    found: list[ParameterSet] = []
-    for chunk in chunks:
-        answer = answers[chunk.name]
-        if isinstance(answer, Failure):
-            nothing = ParameterSet(
-                how=FitKind.ALONE,
-                members=(),
-                point=comparer.space.nominal,
-                errors=np.array([math.inf]),
-                note=answer.reason,
-            )
-            members = arrays_of(chunk.payload)["members"].tolist()
-            found += [dataclasses.replace(nothing, members=(m,)) for m in members]
-        else:
-            found += found_of(arrays_of(answer))
-    return found
 
 
 @_chunk
@@ -360,38 +531,6 @@ def _distinct_solutions(comparer: Comparer, trace: Trace) -> FloatArray:
 # --- several experiments ------------------------------------------------------------------------
 
 
-def _campaign(
-    request: CalibrationRequest,
-    comparer: Comparer,
-    alone: list[ParameterSet],
-    state: SearchState,
-) -> Rounds[list[ParameterSet]]:
-    """After the single calibrations: neighbours' values, and one set for all in three ways."""
-    members = list(range(len(comparer.targets)))
-    points = np.array([one.point for one in alone])
-    errors = np.array([one.errors[0] for one in alone])
-    groups = neighbours([target.conditions for target in comparer.targets])
-    better, least = yield from _evaluate_study(
-        exchange_with_neighbours(points, errors, groups), "neighbours"
-    )
-    combine = Objective(comparer, combine=request.combine).combined
-    free = comparer.space.free
-    informed = np.array([[u.covers(t.conditions) for u in free] for t in comparer.targets])
-    pooled = yield from _evaluate_study(weighted(members, better, least, informed), "weighted mean")
-    subset = yield from _evaluate_study(
-        best_subset(members, better, least, combine, request.seed, informed=informed), "subsets"
-    )
-    start = subset.point
-    direct = yield from _direct(request, comparer, members, start, state)
-    return [
-        *alone,
-        *_improved(alone, better, least),
-        _pooled(FitKind.WEIGHTED, members, pooled),
-        _pooled(FitKind.SUBSET, members, subset),
-        direct,
-    ]
-
-
 def _improved(
     alone: Sequence[ParameterSet], points: FloatArray, errors: FloatArray
 ) -> list[ParameterSet]:
@@ -406,140 +545,6 @@ def _improved(
 
 def _pooled(how: FitKind, members: Sequence[int], pooled: CombinedFit) -> ParameterSet:
     return ParameterSet(how=how, members=tuple(members), point=pooled.point, errors=pooled.members)
-
-
-def _direct(
-    request: CalibrationRequest,
-    comparer: Comparer,
-    members: Sequence[int],
-    start: FloatArray,
-    state: SearchState,
-) -> Rounds[ParameterSet]:
-    objective = Objective(comparer, combine=request.combine)
-    begun = time.perf_counter()
-    trace, _ = yield from _evaluate_study(
-        calibrate_joint(
-            members,
-            box_of(comparer.space.started_at(start)),
-            request.made_optimiser,
-            objective.combined,
-            request.seed,
-            comparer.feasible,
-            lambda: state.search_end,
-            request.max_evaluations or math.inf,
-        ),
-        "all together",
-        objective,
-        state,
-    )
-    solutions = _distinct_solutions(comparer, trace)
-    return (yield from _searched(comparer, members, trace, begun, solutions=solutions))
-
-
-def _by_squares(
-    request: CalibrationRequest,
-    comparer: Comparer,
-    members: Sequence[int],
-    start: FloatArray,
-    state: SearchState,
-) -> Rounds[ParameterSet]:
-    """One set for all by least squares: tens of evaluations an unknown, for thousands of pushes."""
-    options = request.least_squares
-    assert options is not None
-    begun = time.perf_counter()
-    box = box_of(comparer.space)
-    search = options.start(box, request.seed, comparer.feasible, NormalPrior.of(comparer.space))
-    tried, errors = [np.zeros((0, box.n))], [np.zeros(0)]
-    best = math.inf
-    ended = ""
-    divisor = len(members) if request.combine == "sum" else 1
-    while not search.done:
-        wanted = search.ask()
-        points = wanted[: request.max_evaluations and request.max_evaluations - state.evaluations]
-        shown = 1e-3 * math.sqrt(best / divisor) if tried[1:] else None
-        table = yield from _rows(
-            "residuals", "squares", points, len(members), state, note="least squares", best=shown
-        )
-        if len(points) == len(wanted):
-            search.tell(table)
-        tried.append(points)
-        errors.append(np.einsum("km,km->k", table, table))
-        state.record(points, errors[-1])
-        best = min(best, float(errors[-1].min()))
-        if (ended := state.search_end) and not search.done:
-            break
-    trace = Trace(
-        better_of(search.best, tried, errors).point,
-        best,
-        np.concatenate(tried),
-        np.concatenate(errors),
-        [""] * sum(map(len, errors)),
-        search.reason or ended,
-    )
-    return (yield from _searched(comparer, members, trace, begun))
-
-
-def _searched(
-    comparer: Comparer, members: Sequence[int], trace: Trace, begun: float, **more: Any
-) -> Rounds[ParameterSet]:
-    """Return the best point of a search, with its error for each experiment."""
-    (errors,), (reason,) = yield from _evaluate_study(at_points(members, trace.point[None]), "best")
-    note = ""
-    if reason:
-        first = members[int(np.argmin(np.isfinite(errors)))]
-        note = f"{comparer.targets[first].key}: {explained(reason)}"
-    return ParameterSet(
-        how=FitKind.DIRECT,
-        members=tuple(members),
-        point=trace.point,
-        errors=errors,
-        trace=trace,
-        seconds=time.perf_counter() - begun,
-        note=note,
-        **more,
-    )
-
-
-def _rows(
-    function: str,
-    stage: str,
-    points: FloatArray,
-    n_members: int,
-    state: SearchState,
-    *,
-    note: str,
-    left: int | None = None,
-    best: float | None = None,
-    **arrays: Any,
-) -> Rounds[FloatArray]:
-    """Let chunks answer for points (k, n_free) of all members: one row for each point.
-
-    Parameters
-    ----------
-    function : str
-        Function of a chunk, whose answer has the rows as `table`.
-    stage : str
-        Beginning of the chunks' names.
-    left : int, optional
-        Estimated number of points after these.
-    **arrays
-        What a chunk receives with its points.
-    """
-    size = max(1, ROLLOUTS_A_CHUNK // n_members)
-    chunks = [
-        Chunk(f"{stage}/{k}", bytes_of(**arrays, points=points[at : at + size]))
-        for k, at in enumerate(range(0, len(points), size))
-    ]
-    rounds = None if left is None else math.ceil(left / size)
-    answers = yield Round(f"calibration:{function}", chunks, note, rounds, best)
-    state.add(answers)
-    tables: list[FloatArray] = []
-    for chunk in chunks:
-        answer = answers[chunk.name]
-        if isinstance(answer, Failure):
-            raise InvalidInput(chunk.name, found=answer.reason, expected="simulations")
-        tables.append(arrays_of(answer)["table"])
-    return np.concatenate(tables)
 
 
 @_chunk
@@ -559,37 +564,6 @@ def residuals(request: CalibrationRequest, comparer: Comparer, payload: bytes) -
 
 
 # --- what the data determine --------------------------------------------------------------------
-
-
-def _with_verdicts(
-    request: CalibrationRequest, comparer: Comparer, one: ParameterSet, state: SearchState
-) -> Rounds[ParameterSet]:
-    """Add a verdict on every parameter; the journal has every simulation behind them."""
-    if not np.isfinite(one.errors).all():
-        return one
-    running = _assessing(request, comparer, one)
-    try:
-        ask = next(running)
-        while True:
-            told = yield from _rows(
-                "assess_points",
-                "verdicts",
-                ask.points,
-                len(one.members),
-                state,
-                note=ask.note,
-                left=ask.left,
-                kind=ask.kind,
-                members=np.array(one.members, np.int64),
-            )
-            if state.is_over:
-                more = "allow a larger budget, or calibrate a sample of the experiments"
-                return dataclasses.replace(one, note=f"no verdicts: {OUT_OF_BUDGET}; {more}")
-            ask = running.send(told)
-    except StopIteration as end:
-        return _with_assessment(comparer, one, end.value)
-    except InvalidInput as problem:  # the values that were found stay worth having
-        return dataclasses.replace(one, note=f"no verdicts: {problem}")
 
 
 @_chunk
@@ -632,19 +606,11 @@ def _with_estimates(
 
 
 def _with_assessment(comparer: Comparer, one: ParameterSet, found: Assessment) -> ParameterSet:
-    estimates = found.estimates
-    if found.misfit is not None and found.misfit.noted:
-        best = found.profiles.best.point.tolist()
-        noise = {p.unknown: (best[p.unknown], p.low, p.high) for p in found.profiles.profiles}
-        estimates = tuple(
-            own if (own.low, own.high) == noise[k][1:] else own.with_noise(*noise[k])
-            for k, own in enumerate(estimates)
-        )
     return dataclasses.replace(
         one,
-        estimates=(*estimates, *_frozen(comparer)),
-        profiles=_curves(comparer.space.labels, found.profiles),
-        noise=_noise_text(found.noise),
+        estimates=(*found.quoted, *_frozen(comparer)),
+        profiles=found.profiles.records(comparer.space.labels),
+        noise=found.noise.text,
         misfit=() if found.misfit is None else found.misfit.sentences,
         misfit_ratio=math.nan if found.misfit is None else found.misfit.ratio,
     )
@@ -656,39 +622,6 @@ def _frozen(comparer: Comparer) -> list[Estimate]:
         for u in comparer.space.unknowns
         if u.frozen
     ]
-
-
-def _curves(labels: Sequence[str], found: Profiles) -> tuple[ProfileRecord, ...]:
-    least = found.best.error
-    return tuple(
-        ProfileRecord(
-            label=labels[one.unknown],
-            values=one.values,
-            deviances=one.deviances - least,
-            slice_values=one.slice.values,
-            slice_deviances=one.slice.deviances - least,
-            low=one.low,
-            high=one.high,
-            threshold=found.limit,
-        )
-        for one in found.profiles
-    )
-
-
-def _noise_text(noise: Noise) -> str:
-    """One sentence for people."""
-    how = {
-        "stated": "as stated",
-        "repetitions": "from the scatter of repetitions",
-        "residuals": "residuals of the fit, including model error",
-        "differences": "second differences of the poses",
-    }[noise.source]
-    together = f"; {noise.correlation:.0f} correlated frames count as one" * (
-        noise.correlation > 1.5
-    )
-    return (
-        f"noise {1e3 * noise.position_m:.3g} mm, {1e3 * noise.angle_rad:.3g} mrad ({how}{together})"
-    )
 
 
 def explained(reason: str) -> str:

@@ -14,6 +14,7 @@ from typing import Final, final, overload
 
 import numpy as np
 
+from fixel.calibration.objective import root_mean
 from fixel.calibration.study import Trace
 from fixel.calibration.target import Target, target_of
 from fixel.database.project import SETTINGS, Project
@@ -30,7 +31,7 @@ from fixel.model.space import ParameterSpace
 from fixel.table import Column, Table
 from fixel.typing import FloatArray
 from fixel.workflows.calibration.calibration import Calibration, Calibrations, collect
-from fixel.workflows.calibration.commands import command_of, options_of
+from fixel.workflows.calibration.parameter_options import command_of, options_of
 from fixel.workflows.calibration.plan import job_of, plan_in
 from fixel.workflows.calibration.request import TARGETS
 from fixel.workflows.calibration.result import (
@@ -359,12 +360,10 @@ def list_calibrations(project: Project) -> Table:
     with project.store() as store:
         summaries = store.calibration_summaries()
     for number, record in reversed(summaries.items()):
-        errors = np.array(record.errors)
-        squares = errors if record.error_unit == "mm^2" else errors**2
+        error = root_mean(np.array(record.errors), record.error_unit)
         verdicts = Counter(own.word for own in record.estimates if own.word not in ("", "frozen"))
         said = ", ".join(f"{n} {word}" for word, n in verdicts.items())
-        error = float(np.sqrt(squares.mean()))
-        rows.append((number, record.name, len(errors), error, said or "-"))
+        rows.append((number, record.name, len(record.errors), error, said or "-"))
     error_column = Column("error", "mm", ".3g")
     return Table(("id", "calibration", "experiments", error_column, "verdicts"), rows, left=2)
 

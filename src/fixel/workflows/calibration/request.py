@@ -95,14 +95,15 @@ def _fields() -> dict[str, Any]:
     """
     known = offered("capability", "calibrate").model.model_fields
     fields: dict[str, Any] = {name: (own.annotation, own) for name, own in known.items()}
+    kind, usual = fields.pop("level")
     fields |= {
+        "level": (kind | None, usual),
         "mode": (Mode, "each"),
         "unknowns": (list[PlainUnknown], ...),
         "error": (NamedOptions, NamedOptions(name="mean-square")),
         "optimiser": (NamedOptions, NamedOptions(name=PATTERN_SEARCH)),
         "noise_position": (float | None, None),
         "noise_angle": (float | None, None),
-        "level": (known["level"].annotation | None, known["level"]),
         "stored": (list[list[float]], []),
         "sample_of": (Annotated[int, Field(ge=1)] | None, None),
     }

@@ -130,47 +130,6 @@ class CalibrationResult:
         return [one for one in self.found if not one.how.is_single]
 
 
-# Outliers: their error, as a length, exceeds the median by this many standard deviations of its
-# logarithm, and by this factor; both robust, computed from this many experiments at least.
-STANDS_OUT: Final = 3.5
-TIMES: Final = 2.0
-MIN_COUNT: Final = 8
-# Or a single one contributes this share of the summed square, and this many times an equal share.
-RULES: Final = 0.05
-TIMES_ITS_SHARE: Final = 20.0
-
-
-def length_of(error: float, unit: str) -> float:
-    """Convert an error to a length [mm]: the root of one in mm^2."""
-    return math.sqrt(error) if unit == "mm^2" else error
-
-
-def outliers(errors: FloatArray, unit: str) -> list[int]:
-    """Return the indices of the errors (n,) that are outliers, the largest first.
-
-    Parameters
-    ----------
-    errors : (n,) float64
-    unit : str
-        `"mm^2"` or `"mm"`.
-
-    Source
-    ------
-    Iglewicz & Hoaglin (1993): the modified z-score, here of logarithms, as errors are positive and
-    skewed; 3.5 is their limit.
-    """
-    known = np.flatnonzero(np.isfinite(errors) & (errors > 0.0))
-    if len(known) < MIN_COUNT:
-        return []
-    logs = np.log(errors[known]) * (0.5 if unit == "mm^2" else 1.0)
-    middle = float(np.median(logs))
-    scatter = 1.4826 * float(np.median(np.abs(logs - middle)))
-    squares = np.exp(2.0 * (logs - logs.max()))
-    ruling = squares > max(RULES, TIMES_ITS_SHARE / len(known)) * squares.sum()
-    far = known[(logs > middle + max(STANDS_OUT * scatter, math.log(TIMES))) | ruling]
-    return sorted(far.tolist(), key=lambda k: -float(errors[k]))
-
-
 def outcome_bytes(outcome: CalibrationResult) -> bytes:
     """Serialise the result of a calibration."""
     return bytes_of(

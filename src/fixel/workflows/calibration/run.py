@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from inspect import signature
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from fixel.capability.capability import Capability
@@ -309,10 +310,11 @@ def calibrate_in_project(
     InvalidInput
         No experiment matches, or the options do not fit together.
     """
-    asked = CALIBRATE.asked(locals())
-    from fixel.workflows.calibration.execution import run_in_project
+    request = CALIBRATE.asked(locals())
+    from fixel.workflows.calibration.execution import plan_in_project, run_plan
 
-    return run_in_project(project, asked, progress)
+    asked = CALIBRATE.arguments(request) | {"store": project, "progress": progress}
+    return run_plan(plan_in_project(project, request), SimpleNamespace(**asked))
 
 
 def _prepare(project: Project, **options: Any) -> Path:

@@ -16,7 +16,7 @@ from fixel.database.project import DATABASE, Project
 from fixel.database.store import Store
 from fixel.errors import InvalidInput
 from fixel.io.damaged_files import readable
-from fixel.model import Experiment, Parameters, Scene
+from fixel.model import Experiment, Scene
 from fixel.model.parameters import is_parameter
 from fixel.model.records import CalibrationRecord
 from fixel.model.space import ParameterSpace, Unknown, split_label
@@ -143,30 +143,6 @@ def load_values(
     return found
 
 
-def parameters_of(
-    store: Store,
-    calibration_id: int,
-    experiment: Experiment,
-    changed: Parameters,
-    motion: AbstractMotionModel | None = None,
-) -> tuple[Parameters, AbstractMotionModel]:
-    """Return the parameters of a stored calibration for an experiment, and the motion model.
-
-    Parameters
-    ----------
-    store : Store
-    calibration_id : int
-        Id of the calibration.
-    experiment : Experiment
-    changed : Parameters
-        Values that replace the calibration's.
-    motion : AbstractMotionModel, optional
-        Model that replaces the calibration's.
-    """
-    one = load_values(store, calibration_id)
-    return Parameters({**one.values_for(experiment), **changed}), motion or one.motion
-
-
 def known_pushes(store: Store, one: CalibratedValues) -> KnownPushes:
     """Return the parts, surfaces, laboratories, sides and speeds that a calibration has used."""
     targets = []
@@ -174,12 +150,6 @@ def known_pushes(store: Store, one: CalibratedValues) -> KnownPushes:
         with suppress(InvalidInput):  # without a scene it cannot have been used
             targets.append(target_of(store.experiment(number)))
     return KnownPushes.of(targets)
-
-
-def unseen_by(store: Store, calibration_id: int, experiment: Experiment) -> list[str]:
-    """Return what is new about an experiment for a stored calibration, as sentences."""
-    known = known_pushes(store, load_values(store, calibration_id))
-    return list(known.texts(target_of(experiment)))
 
 
 def newest_calibration(store: Store, experiment: int | None = None, engine: str = "") -> int | None:

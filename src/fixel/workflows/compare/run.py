@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 from fixel.capability.capability import Capability
 from fixel.capability.options import Door
-from fixel.capability.usual import Motion, Save
+from fixel.capability.usual import CalibrationId, Motion, Save
 
 if TYPE_CHECKING:
     from fixel.database.project import Project
@@ -37,7 +37,7 @@ def compare_stored(
     parameters: Annotated[
         Mapping[str, float] | None, Door(flag="--set", metavar="NAME=NUMBER")
     ] = None,
-    calibration: Annotated[int | None, Door(metavar="ID", least=1)] = None,
+    calibration: CalibrationId = None,
     motion: Motion = None,
     save: Save = False,
     progress: ProgressOption = None,
@@ -69,9 +69,10 @@ def compare_stored(
     InvalidInput
         The experiment has no scene or no motion to compare with, or a parameter changes nothing.
     """
+    from fixel.calibration.target import target_of
     from fixel.model import Parameters
     from fixel.simulation.motion import motion_model
-    from fixel.workflows.calibration.stored import parameters_of, unseen_by
+    from fixel.workflows.calibration.stored import known_pushes, load_values
     from fixel.workflows.compilation import get_ready
     from fixel.workflows.project.compare import RunComparison
     from fixel.workflows.project.comparison import compare
@@ -87,8 +88,9 @@ def compare_stored(
         model = motion_model(motion) if motion else None
         values, unseen = Parameters(parameters or {}), []
         if calibration is not None:
-            values, model = parameters_of(store, calibration, own, values, model)
-            unseen = unseen_by(store, calibration, own)
+            fit = load_values(store, calibration)
+            values, model = Parameters({**fit.values_for(own), **values}), model or fit.motion
+            unseen = list(known_pushes(store, fit).texts(target_of(own)))
         if own.scene is not None:
             get_ready(own.scene)  # compile before the clock runs
         run = compare(own, {"given": values}, motion=model, progress=False).rows[0].run

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from fixel.calibration.misfit import shown_ratio
+from fixel.calibration.objective import lengths_of
 from fixel.database.project import Project
 from fixel.database.query import ALL_EXPERIMENTS
 from fixel.database.store import Store
@@ -138,8 +139,8 @@ def methods(fit: Calibration) -> tuple[str, ...]:
 def errors_of(fit: Calibration) -> tuple[FloatArray, FloatArray]:
     """Root mean square errors (n_member,) before and after [mm]; not finite where unknown."""
     before = fit.run.outcome.nominal[list(fit.found.members)]
-    is_square = fit.request.made_error.unit == "mm^2"
-    return tuple(np.sqrt(e) if is_square else e for e in (before, fit.found.errors))  # type: ignore[return-value]
+    unit = fit.request.made_error.unit
+    return lengths_of(before, unit), lengths_of(fit.found.errors, unit)
 
 
 def _scale_mm(fit: Calibration) -> float:
