@@ -53,7 +53,7 @@ from fixel.workflows.calibration.parameter_options import (
     searched_unknowns,
 )
 from fixel.workflows.calibration.plan import CalibrationPlan, job_folder, prepare_folder
-from fixel.workflows.calibration.request import CalibrationRequest, Mode, NamedOptions
+from fixel.workflows.calibration.request import CalibrationRequest, NamedOptions
 from fixel.workflows.calibration.result import (
     CalibrationResult,
     FitKind,
@@ -72,7 +72,7 @@ PROJECT_FILE: Final = "fixel.yaml"  # makes a folder a project
 
 
 def calibrate_in(
-    mode: Mode, experiments: Iterable[Experiment | Target], parameters: Space = None, **options: Any
+    mode: str, experiments: Iterable[Experiment | Target], parameters: Space = None, **options: Any
 ) -> Calibrations:
     """Calibrate in one of the modes of a request; the options are those of `calibrate`."""
     asked = SimpleNamespace(**options)
@@ -243,7 +243,7 @@ def plan_in_project(project: Project, request: BaseModel) -> CalibrationPlan:
         chosen = select_experiments(store, asked.experiments, query)
     if asked.sample is not None:
         chosen = draw_sample(chosen, asked.sample, asked.seed)
-    mode: Mode = asked.mode or ("each" if len(chosen.targets) == 1 else "joint")
+    mode = asked.mode or ("each" if len(chosen.targets) == 1 else "joint")
     asked.optimiser, space = _search_and_space(asked, [t.case.scene for t in chosen.targets])
     asked.error = {"name": asked.error, "angle_scale": asked.angle_scale}
     if mode == "stored":

@@ -26,7 +26,6 @@ from fixel.workflows import jobs
 from fixel.workflows.calibration.job import REQUEST, comparer_of, explained
 from fixel.workflows.calibration.request import (
     CalibrationRequest,
-    Mode,
     named_options,
     read_targets,
     target_files,
@@ -69,7 +68,7 @@ class CalibrationPlan:
     @classmethod
     def of(
         cls,
-        mode: Mode,
+        mode: str,
         experiments: Iterable[Experiment | Target],
         parameters: Space,
         asked: SimpleNamespace,

@@ -6,7 +6,7 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import (
@@ -35,8 +35,6 @@ from fixel.simulation.motion import motion_model
 from fixel.simulation.rollouts import RolloutCase
 from fixel.typing import FloatArray
 
-Mode = Literal["each", "joint", "campaign", "stored"]
-Combine = Literal["sum", "mean", "largest"]
 Error = TypeVar("Error", float, FloatArray)
 
 AUTO: Final = "auto"
@@ -95,10 +93,10 @@ def _fields() -> dict[str, Any]:
     """
     known = offered("capability", "calibrate").model.model_fields
     fields: dict[str, Any] = {name: (own.annotation, own) for name, own in known.items()}
-    kind, usual = fields.pop("level")
+    (kind, usual), (mode, _) = fields.pop("level"), get_args(known["mode"].annotation)
     fields |= {
         "level": (kind | None, usual),
-        "mode": (Mode, "each"),
+        "mode": (mode, "each"),
         "unknowns": (list[PlainUnknown], ...),
         "error": (NamedOptions, NamedOptions(name="mean-square")),
         "optimiser": (NamedOptions, NamedOptions(name=PATTERN_SEARCH)),
