@@ -127,7 +127,6 @@ def test_a_job_to_submit_elsewhere(capsys, project):
         (("--fit", "mu_pusher=1:0"), "the lower bound first"),
         (("--fit", "mu_pusher=0:1:2"), "outside the bounds"),
         (("--optimiser", "least-squares", "--mode", "each"), "mode joint"),
-        (("--noise-mm", "0.1"), "both, or neither"),
         (("nowhere",), "no experiment 'nowhere'"),
         (("--noise-mm", "-1", "--noise-mrad", "1"), "--noise-mm: found -0.001"),
         (("--name", "../mine"), "--name: found '../mine'"),

@@ -87,7 +87,6 @@ def test_what_was_offset_elsewhere_is_left_out_and_said(capsys, project):
         (("--nominal", "offset_x_m"), "AXIS=VALUE"),
         (("--nominal", "offset_x_m=0.5"), "a value with experiments"),
         (("--step", "offset_x_m=wide"), "a number"),
-        (("--level", "1.5"), "--level: found 1.5, expected less than 1"),
         (("--by", "colour"), "without colour"),
         (("--facets", "colour"), "without colour"),
         (("--cells", "offset_x_m=-1"), "a positive step"),

@@ -325,7 +325,7 @@ def runs():
 
 
 @pytest.fixture
-def here(name, lab, runs):
+def here(name, lab, runs, few_live):
     if name not in runs:
         capability = CAPABILITIES[name]
         request = capability.request(SHORT[name])

@@ -37,6 +37,7 @@ HEAVY = "{'numpy','numba','scipy','pydantic','matplotlib','pandas','sqlalchemy',
 SPACE = {"mu_pusher": (0.0, 1.0), "tripod_radius": 0.038}
 START = fixel.StartError(x=1 * mm, y=1 * mm, theta=1 * deg, kind="uniform")
 QUIET: dict[str, Any] = {"progress": False}
+pytestmark = pytest.mark.usefixtures("few_live")
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ def fit():
 
 
 @pytest.fixture(scope="module")
-def answers(fit):
+def answers(fit, few_live):
     """Function by public entry point, from a push to the unseen texts and the printed answer."""
     bound = fixel.error_bound(pushes(), SPACE, folds=2, **QUIET)
     trust = fixel.map_domain(pushes(), SPACE, axes=["offset_m"], folds=2, threshold=2e-3, **QUIET)

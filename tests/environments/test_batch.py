@@ -76,6 +76,7 @@ def _push_of_its_part(kind):
 
 
 @every_task
+@pytest.mark.usefixtures("few_live")
 @pytest.mark.parametrize("source", ["posterior", "calibration"])
 def test_worlds_are_drawn_from_calibrations(kind, source):
     env = kind(40, world="posterior", parameters=_calibrated(source, _push_of_its_part(kind)))
@@ -90,6 +91,7 @@ def test_worlds_are_drawn_from_calibrations(kind, source):
 
 
 @every_task
+@pytest.mark.usefixtures("few_live")
 @pytest.mark.parametrize("source", ["posterior", "calibration"])
 def test_the_support_of_another_part_is_refused(kind, source):
     """A calibration on a square of 100 mm, whose friction alone any part may have."""

@@ -31,6 +31,16 @@ def project(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def bench(project, request):
+    """The application of the copy in this process, by the `Bench` of a module that has one."""
+    from tests.web.bench import Bench
+
+    made = getattr(request.module, "Bench", Bench)(project)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
 def server(project):
     """The pages of the copy, on a port of this machine: `server.link`, `server.home`."""
     from fixel.web.context import ProjectContext

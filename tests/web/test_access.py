@@ -13,7 +13,7 @@ import sqlite3
 from pathlib import Path
 
 import pytest
-from tests.web.bench import Bench, filled
+from tests.web.bench import filled
 
 from fixel.errors import InvalidInput
 from fixel.web import security
@@ -47,13 +47,6 @@ CREDENTIALS = (
     "cookie and prefix and wrong bearer",
 )
 ADMITTED = 299  # no handler answers so
-
-
-@pytest.fixture(scope="module")
-def bench(project):
-    made = Bench(project)
-    yield made
-    made.close()
 
 
 def expected(credential, host, origin, method):

@@ -6,35 +6,22 @@ import json
 import numpy as np
 import pytest
 from tests.datasets import recordings
-from tests.web.client import Client
+from tests.web.bench import Bench as WholeBench
 
-from fixel.database.project import Project
 from fixel.datasets import plan_import
 from fixel.formats.video_file import VideoWriter, open_video
 from fixel.model import Experiment, Provenance, Trajectory
 from fixel.vision.frame import Frame
-from fixel.web.app import create_app
-from fixel.web.context import ProjectContext
-from fixel.web.pages.site import project_pages
-from fixel.web.project import project_api
-from fixel.web.security import WORD_HEADER, Gate
+from fixel.web.security import WORD_HEADER
 from fixel.web.views import video as videos
 
-HERE = "http://127.0.0.1:8000"
 ADDRESS = "/api/v1/experiments"
 
 
-class Bench:
-    def __init__(self, folder):
-        self.gate = Gate()
-        self.context = ProjectContext(Project(folder))
-        self.store = self.context.store
-        self.app = create_app(
-            project_pages(self.context), self.gate, api=project_api(self.context), name="my_lab"
-        )
-        self.client = Client(
-            self.app, HERE + self.gate.root, cookies={self.gate.cookie: self.gate.session}
-        )
+class Bench(WholeBench):
+    @property
+    def store(self):
+        return self.context.store
 
     def get(self, path, status=200):
         answer = self.client.get(path)
@@ -55,13 +42,6 @@ class Bench:
 def numbers(array):
     data = base64.b64decode(array["base64"])
     return np.frombuffer(data, array["dtype"]).reshape(array["shape"])
-
-
-@pytest.fixture(scope="module")
-def bench(project):
-    made = Bench(project)
-    yield made
-    made.context.close()
 
 
 # --- the table --------------------------------------------------------------------------------
@@ -341,7 +321,7 @@ def test_marks_need_the_word_of_a_page_or_the_token(bench):
     foreign = {WORD_HEADER: bench.gate.word, "origin": "http://evil.example"}
     assert bench.client.post(f"{ADDRESS}/delete", headers=foreign, json=body).status_code == 403
     assert gone(bench) == []
-    program = Client(bench.app, HERE)
+    program = bench.stranger()
     token = {"authorization": f"Bearer {bench.gate.token}"}
     assert program.post(f"{ADDRESS}/delete", headers=token, json=body).json() == {"changed": [1]}
     assert program.post(f"{ADDRESS}/undelete", headers=token, json=body).status_code == 200

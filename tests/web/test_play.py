@@ -7,52 +7,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.web.client import Client
+from tests.web.bench import Bench as WholeBench
 from tests.web.conftest import unpacked
 
-from fixel.database.project import Project
 from fixel.model import Experiment, Provenance, Trajectory
-from fixel.web.app import create_app
-from fixel.web.context import ProjectContext
-from fixel.web.pages.site import project_pages
-from fixel.web.project import project_api
-from fixel.web.security import WORD_HEADER, Gate
+from fixel.web.security import WORD_HEADER
 from fixel.web.views import scene_editor
 from fixel.workflows.project.compare import compare_run
 
 
-class Bench:
-    """Asks as a page of ours would."""
-
-    def __init__(self, folder):
-        gate = Gate()
-        self.context = ProjectContext(Project(folder))
-        app = create_app(
-            project_pages(self.context), gate, api=project_api(self.context), name="my_lab"
-        )
-        cookies = {gate.cookie: gate.session}
-        self._client = Client(app, f"http://127.0.0.1:8000{gate.root}", cookies=cookies)
-        self._word = {WORD_HEADER: gate.word}
-
+class Bench(WholeBench):
     def page(self, path):
-        return self._client.get(path)
+        return self.client.get(path)
 
     def get(self, path):
-        return self._client.get("/api/v1" + path)
+        return self.client.get("/api/v1" + path)
 
     def send(self, path, text):
-        headers = {**self._word, "content-type": "application/json"}
-        return self._client.request("POST", "/api/v1" + path, headers, content=text)
+        headers = {WORD_HEADER: self.gate.word, "content-type": "application/json"}
+        return self.client.request("POST", "/api/v1" + path, headers, content=text)
 
     def post(self, path, body):
-        return self._client.post("/api/v1" + path, headers=self._word, json=body)
-
-
-@pytest.fixture(scope="module")
-def bench(project):
-    made = Bench(project)
-    yield made
-    made.context.close()
+        return super().post("/api/v1" + path, body)
 
 
 def test_a_motion_document_has_everything_a_drawing_needs(bench):
@@ -237,7 +213,7 @@ def test_a_body_of_very_many_keys_is_one_complaint(bench):
     """Unknown keys are not told one by one: 120,000 took 1.5 s before the first was answered."""
     taking = [
         path
-        for path, kinds in project_api(bench.context).openapi()["paths"].items()
+        for path, kinds in bench.api.openapi()["paths"].items()
         if "requestBody" in kinds.get("post", {})
     ]
     assert "/simulate" in taking

@@ -10,7 +10,6 @@ from urllib.parse import quote
 
 import pytest
 from tests.laboratories import trusted_laboratory
-from tests.web.bench import Bench
 
 from fixel.database.project import Project
 from fixel.model import Flag
@@ -97,13 +96,6 @@ def project(tmp_path_factory):
     folder = tmp_path_factory.mktemp("evil") / f"lab {evil}"
     trusted_laboratory(folder)
     return poisoned(folder)
-
-
-@pytest.fixture(scope="module")
-def bench(project):
-    made = Bench(project)
-    yield made
-    made.close()
 
 
 class _Marked(HTMLParser):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.laboratories import trusted_laboratory
-from tests.web.client import Client
+from tests.web.bench import Bench as WholeBench
 from tests.web.conftest import unpacked
 from typer.testing import CliRunner
 
@@ -18,16 +18,10 @@ from fixel.calibration.study import OUT_OF_BUDGET
 from fixel.cli.main import app
 from fixel.database.project import Project
 from fixel.errors import StoreRefused
-from fixel.web.app import create_app
-from fixel.web.context import ProjectContext
-from fixel.web.pages.site import project_pages
-from fixel.web.project import project_api
-from fixel.web.security import WORD_HEADER, Gate
 from fixel.web.views.calibration_progress import ProgressReader
 from fixel.workflows import jobs
 from fixel.workflows.calibration.project import collected
 
-HERE = "http://127.0.0.1:8000"
 ANSWERS_WITHIN = 0.2  # [s] of processor time: a map at another threshold
 FIT = ["mu_pusher=0:1:0.2"]
 
@@ -37,31 +31,16 @@ def project(tmp_path_factory):
     return trusted_laboratory(tmp_path_factory.mktemp("copy") / "my_lab")
 
 
-class Bench:
-    def __init__(self, folder):
-        self.context = ProjectContext(Project(folder))
-        gate = Gate()
-        pages, api = project_pages(self.context), project_api(self.context)
-        app = create_app(pages, gate, api=api, name="my_lab")
-        self.client = Client(app, HERE + gate.root, cookies={gate.cookie: gate.session})
-        self.word = {WORD_HEADER: gate.word}
-
+class Bench(WholeBench):
     def get(self, path, status=200):
         answer = self.client.get(f"/api/v1{path}")
         assert answer.status_code == status, answer.text
         return answer.json()
 
     def post(self, path, body=None, status=200):
-        answer = self.client.post(f"/api/v1{path}", headers=self.word, json=body)
+        answer = super().post(f"/api/v1{path}", body)
         assert answer.status_code == status, answer.text
         return answer.json() if answer.content else None
-
-
-@pytest.fixture(scope="module")
-def bench(project):
-    made = Bench(project)
-    yield made
-    made.context.close()
 
 
 # --- calibrations -------------------------------------------------------------------------------

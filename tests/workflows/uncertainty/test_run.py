@@ -17,6 +17,7 @@ from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
+from fixel.uncertainty import posterior
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.capabilities import run
@@ -83,7 +84,8 @@ def test_it_is_kept_as_an_analysis(folder, answered):
     json.dumps(numbers, allow_nan=False)
 
 
-def test_the_cameras_noise_is_found_out(folder):
+def test_the_cameras_noise_is_found_out(folder, monkeypatch):
+    monkeypatch.setattr(posterior, "MIN_LIVE", 30)
     found = _asked(folder, motion="quasistatic", samples=50)
     assert found.posterior.noise.position_m == pytest.approx(5e-5, rel=0.4)
     assert found.posterior.noise.angle_rad == pytest.approx(2e-3, rel=0.4)
@@ -101,8 +103,6 @@ def _asked(folder, **changes):
         ({"held_out": ("push-1",)}, "held_out"),
         ({"motion": "magic"}, "motion: found"),
         ({"experiments": ()}, "found none"),
-        ({"samples": 9}, "samples: found 9, expected at least 10"),
-        ({"noise": {"position_m": 1e-4}}, "noise.angle_rad: found only one of them"),
         ({"experiments": ("nothing",)}, "nothing"),
     ],
 )
