@@ -14,7 +14,6 @@ from fixel.web.context import Context
 from fixel.web.values import Answer
 from fixel.workflows.analysis import (
     Analysis,
-    AnalysisFigure,
     StoredAnalysis,
     find_analysis,
     load_with_errors,
@@ -29,28 +28,11 @@ router = APIRouter(prefix="/analyses", tags=["analyses"])
 plans = APIRouter(prefix="/plan", tags=["planning"])
 
 
-class TableText(Answer):
-    """A table as people read it."""
-
-    title: str
-    head: list[str]
-    rows: list[list[str]]
-
-
-class AnalysisSummary(Answer):
-    """A kept analysis."""
+class AnalysisSummary(Analysis):
+    """A kept analysis, without its numbers."""
 
     name: str
-    kind: str
-    title: str
     created_utc: str
-    warnings: list[str]
-    headline: list[str]
-    pictures: list[AnalysisFigure]
-    tables: list[TableText]
-    methods: list[str]
-    command: str
-    calibrations: list[int]
 
 
 class AnalysisList(Answer):
@@ -65,9 +47,10 @@ def analyses(context: Context, kind: str | None = None) -> AnalysisList:
     every, unreadable = load_with_errors(context.project, kind)
     return AnalysisList(
         analyses=[
-            AnalysisSummary.model_validate(
-                one.analysis.model_dump(include={*AnalysisSummary.model_fields})
-                | {"name": one.folder.name, "created_utc": one.analysis.created}
+            AnalysisSummary(
+                **{k: v for k, v in one.analysis if k not in ("numbers", "request")},
+                name=one.folder.name,
+                created_utc=one.analysis.created,
             )
             for one in every
         ],

@@ -15,7 +15,7 @@ from fixel.web.views.calibration_detail import (
     StoredCalibration,
     list_calibrations,
 )
-from fixel.web.views.calibration_progress import CalibrationProgress, LiveProgress
+from fixel.web.views.calibration_progress import LiveProgress
 
 MAX_LISTED: Final = 500
 
@@ -27,7 +27,7 @@ class CalibrationList(Answer):
 
     calibrations: list[CalibrationSummary]
     total: int
-    running: list[CalibrationProgress]
+    running: list[LiveProgress]
     unreadable: list[str] = Field(description="reasons why other jobs cannot be shown")
 
 
@@ -43,16 +43,14 @@ def calibrations(
     return CalibrationList(
         calibrations=every[offset : offset + limit],
         total=len(every),
-        running=[*running],
+        running=running,
         unreadable=[str(problem) for problem in unreadable],
     )
 
 
 @router.get("/jobs/{name}", summary="Get the progress and the objective of a calibration")
-def live(
-    context: Context, name: str, since: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0
-) -> LiveProgress:
-    return context.calibrations.look(context.calibrations.folder(name), since)
+def live(context: Context, name: str) -> LiveProgress:
+    return context.calibrations.look(context.calibrations.folder(name))
 
 
 @router.get("/{number}", summary="Get a calibration")

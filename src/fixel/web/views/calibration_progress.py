@@ -104,7 +104,15 @@ class JournalProgress:
         return (len(self.objective) - times[0][1]) / max(now - times[0][0], 1e-3)
 
 
-class CalibrationProgress(Answer):
+class ExperimentProgress(Answer):
+    """An experiment with parameters of its own."""
+
+    id: int
+    before: Finite
+    after: Finite
+
+
+class LiveProgress(Answer):
     """A calibration that is not stored yet, and how far it is."""
 
     name: str = Field(description="name of the job")
@@ -134,22 +142,8 @@ class CalibrationProgress(Answer):
     started_utc: str
     stored: list[int] = Field(description="ids of the stored calibrations")
     command: str
-
-
-class ExperimentProgress(Answer):
-    """An experiment with parameters of its own."""
-
-    id: int
-    before: Finite
-    after: Finite
-
-
-class LiveProgress(CalibrationProgress):
-    """The same with the objective."""
-
-    since: int
     objective: list[Finite] = Field(
-        description="mean error of each evaluation from number `since`; null if a simulation failed"
+        description="mean error of each evaluation; null if a simulation failed"
     )
     singles: list[ExperimentProgress] = Field(
         description="results of the experiments calibrated so far, in mode each"
@@ -190,8 +184,8 @@ class ProgressReader:
     def _look_if_open(self, folder: Path) -> LiveProgress | None:
         return None if stored_ids(folder) else self.look(folder)
 
-    def look(self, folder: Path, since: int = 0) -> LiveProgress:
-        """Return the progress of one; of the objective only what follows evaluation `since`."""
+    def look(self, folder: Path) -> LiveProgress:
+        """Return the progress of one."""
         status = jobs.status_of(folder)
         with self._lock:
             read = self._known.get(folder.name)
@@ -237,8 +231,7 @@ class ProgressReader:
                 options_of(request, [str(id_) for id_ in ids])
                 | {"project": str(self._project.folder.resolve())}
             ),
-            since=since,
-            objective=[*objective[since:]],
+            objective=[*objective],
             singles=[
                 ExperimentProgress(
                     id=ids[k], before=nominal[k] if k < len(nominal) else None, after=error
