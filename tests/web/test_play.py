@@ -50,6 +50,24 @@ def test_other_peoples_simulations_are_refused(bench):
     assert bench.get("/experiments/999/motion").status_code == 404
 
 
+@pytest.mark.parametrize(
+    ("query", "told"),
+    [
+        ("set=pinned-1&set=nothing", "values of the scene"),
+        ("set=pinned-2%7Cdynamic%7Cmu_support%3D0.4", "set 2"),
+        ("pin=yes&mu_pusher=0.3", "mu_pusher=0.3"),
+        ("mu_pusher=x", "expected a number"),
+        ("mu_pusher=-1", "invalid"),
+        ("motion=/bin/true", "pages start no programs"),
+        ("adopt=nothing&drop=nothing", "adjusted"),
+    ],
+)
+def test_an_address_of_a_comparison_holds_its_sets(bench, query, told):
+    answer = bench.page(f"/compare?experiment=1&base=nominal&{query}")
+    assert answer.status_code in (200, 422)
+    assert told in answer.text
+
+
 def test_a_comparison_is_that_of_the_workflow(bench):
     offered = bench.get("/experiments/1/comparison").json()
     assert offered["sets"][0]["kind"] == "nominal"

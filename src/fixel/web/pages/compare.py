@@ -66,9 +66,11 @@ def compare_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     `base` is the set that the sliders were moved to; values of other parameters are in the units of
     the sliders. Buttons add `adopt`, `pin` or `drop`.
     """
-    listed = context.store.experiments(ExperimentQuery(limit=OFFERED)).rows
     query, known = request.query_params, context.comparison
     key = query.get("experiment", "")
+    # The list of experiments is no part that is exchanged while a slider moves.
+    parts_only = key and "x-fixel-parts" in request.headers
+    listed = [] if parts_only else context.store.experiments(ExperimentQuery(limit=OFFERED)).rows
     if not key and not listed:
         raise NotStored("experiment to compare", hint="import some with: fixel import")
     number = context.store.find(key) if key else listed[0].id
@@ -184,7 +186,7 @@ def _chosen(ids: list[str], offered: Mapping[str, StoredSet]) -> list[StoredSet]
     for text in ids:
         if text in offered:
             found[text] = offered[text]
-        elif text.startswith(PINNED):
+        elif text.startswith(PINNED) and "|" in text:
             id_, motion, *values = text.split("|")
             pairs = (value.partition("=") for value in values)
             found[text] = StoredSet(

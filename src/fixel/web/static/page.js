@@ -27,7 +27,7 @@ let timer = 0;
 export async function renew(address = location.href) {
   newest += 1;
   const mine = newest;
-  const answer = await fetch(address, { redirect: "error" });
+  const answer = await fetch(address, { redirect: "error", headers: { "X-Fixel-Parts": "only" } });
   const text = await answer.text();
   if (mine !== newest) return; // something else is wanted meanwhile
   if (!text.includes(" data-part")) throw new Error(`The server answered with status ${answer.status}.`);

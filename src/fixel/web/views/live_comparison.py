@@ -115,7 +115,7 @@ class LiveComparison:
         self.experiment = lru_cache(MAX_KEPT)(store.experiment)  # an experiment never changes
         self.sliders = lru_cache(MAX_KEPT)(self._sliders)
         # Of the sets that a page shows, only the adjusted one changes.
-        self.repeated = lru_cache(MAX_KEPT)(self._repeated)
+        self.repeated = lru_cache(MAX_KEPT)(self._with_values)
         self._known = lru_cache(MAX_SETS)(self._known_pushes)
 
     def _sliders(self, experiment_id: int) -> list[ParameterSlider]:
@@ -186,7 +186,7 @@ class LiveComparison:
             **_repeated(answer.experiment, folder, answer.parameters, motion),
         )
 
-    def _repeated(
+    def _with_values(
         self,
         experiment_id: int,
         parameters: tuple[tuple[str, float], ...],
