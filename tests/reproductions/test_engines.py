@@ -26,6 +26,7 @@ TWO = {
 }
 
 
+@pytest.mark.system
 def test_engines_are_compared_and_a_second_run_simulates_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

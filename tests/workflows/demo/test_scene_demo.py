@@ -14,12 +14,14 @@ def demo(tmp_path_factory):
     return run_demo(tmp_path_factory.mktemp("demo") / "new" / "folder")
 
 
+@pytest.mark.system
 def test_files_are_left_behind(demo):
     assert set(demo.files) == {"scene", "plot", "animate", "trajectory"}
     assert all(path.stat().st_size > 500 for path in demo.files.values())
     assert demo.files["scene"].read_text() == example_text("grasp")
 
 
+@pytest.mark.system
 def test_the_story_is_complete_and_in_order(demo):
     times = [event.time for event in demo.events]
     told = " | ".join(event.text for event in demo.events)
@@ -37,6 +39,7 @@ def test_the_story_is_complete_and_in_order(demo):
         assert part in told
 
 
+@pytest.mark.system
 def test_the_first_touch_is_where_geometry_says(demo):
     """0.7768071 s, by bisection of the distance between head and square."""
     touch = next(event for event in demo.events if "touches" in event.text)
@@ -45,6 +48,7 @@ def test_the_first_touch_is_where_geometry_says(demo):
     assert touch.time == pytest.approx(0.7768071, abs=2e-5)
 
 
+@pytest.mark.system
 def test_the_grasp_turns_both_ways_and_holds_still(demo):
     run = demo.simulation
     angle = np.degrees(run.pose["object"][:, 2])

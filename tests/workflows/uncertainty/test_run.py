@@ -17,7 +17,6 @@ from fixel.database.project import Project
 from fixel.errors import InvalidInput, NotStored
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Estimate, Member
-from fixel.uncertainty import posterior
 from fixel.workflows.analysis import load_analyses
 from fixel.workflows.calibration.stored import CalibratedValues
 from fixel.workflows.capabilities import run
@@ -36,7 +35,7 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def answered(folder, tmp_path_factory):
+def answered(folder, few_live, tmp_path_factory):
     pictures = tmp_path_factory.mktemp("pictures")
     words = ["uncertainty", "push-1", "--held-out", "push-2", "--project", str(folder)]
     words += ["--noise-mm", "0.05", "--noise-mrad", "2", "--motion", "quasistatic"]
@@ -72,7 +71,8 @@ def test_it_is_kept_as_an_analysis(folder, answered):
     numbers = one.analysis.numbers
     assert numbers["experiments"] == ["testbed/push-1"]
     assert set(numbers["parameters"]) == {"tripod_radius", "model_error"}
-    assert one.arrays["samples"].shape == (1000, 2)
+    assert one.arrays["samples"].shape[0] >= 60
+    assert one.arrays["samples"].shape[1] == 2
     assert len(one.analysis.pictures) == 5
     own = numbers["parameters"]["tripod_radius"]
     assert own["prior"] == pytest.approx([0.02, 0.06])
@@ -84,8 +84,8 @@ def test_it_is_kept_as_an_analysis(folder, answered):
     json.dumps(numbers, allow_nan=False)
 
 
-def test_the_cameras_noise_is_found_out(folder, monkeypatch):
-    monkeypatch.setattr(posterior, "MIN_LIVE", 30)
+@pytest.mark.usefixtures("few_live")
+def test_the_cameras_noise_is_found_out(folder):
     found = _asked(folder, motion="quasistatic", samples=50)
     assert found.posterior.noise.position_m == pytest.approx(5e-5, rel=0.4)
     assert found.posterior.noise.angle_rad == pytest.approx(2e-3, rel=0.4)
