@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 
 from fixel.domain import features as scales
-from fixel.domain.error_bound import (
-    ConformalBound,
-    Experience,
-    constant_bound,
-    min_experiments,
-)
+from fixel.domain.error_bound import ConformalBound, Experience, constant_bound, min_experiments
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
 

@@ -5,15 +5,7 @@ import signal
 
 import pytest
 from tests.jobs.chaos import KINDS, storm, storm_at_random
-from tests.jobs.helpers import (
-    LOCAL_2,
-    await_true,
-    blocks_written,
-    kill,
-    names_in,
-    processes,
-    start,
-)
+from tests.jobs.helpers import LOCAL_2, await_true, blocks_written, kill, names_in, processes, start
 from tests.jobs.kinds import THESIS, assert_as_undisturbed, toy_job
 
 from fixel.errors import InvalidInput, JobRefused

@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 from tests.kernels.entries import solve_lcp
 
-from fixel.kernels.lemke import (
-    INACCURATE,
-    MAX_PIVOTS,
-    RAY,
-    SOLVED,
-)
+from fixel.kernels.lemke import INACCURATE, MAX_PIVOTS, RAY, SOLVED
 from fixel.typing import FloatArray
 
 LCP_TOLERANCE = 1e-10  # natural map of every answer called solved, n <= 60

@@ -6,16 +6,7 @@ from time import perf_counter
 import pytest
 
 from fixel.errors import InvalidInput
-from fixel.model import (
-    Body,
-    Disk,
-    Fixel,
-    LineDrive,
-    PairFriction,
-    Polygon,
-    Pusher,
-    Scene,
-)
+from fixel.model import Body, Disk, Fixel, LineDrive, PairFriction, Polygon, Pusher, Scene
 
 SQUARE = Polygon([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 ELL = Polygon([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]])

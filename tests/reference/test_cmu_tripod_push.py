@@ -12,13 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from reproductions.cmu_tripod import surface_friction, transfer_rows
-from reproductions.tripod_pushes import (
-    TripodPush,
-    fit_points,
-    machined,
-    read_pushes,
-    support_of,
-)
+from reproductions.tripod_pushes import TripodPush, fit_points, machined, read_pushes, support_of
 
 from fixel.calibration.least_squares import LeastSquares
 

@@ -5,12 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from reproductions.rpi_141 import (
-    HYPOTHESES,
-    evaluate_hypothesis,
-    experiment_141,
-    lateral_misses,
-)
+from reproductions.rpi_141 import HYPOTHESES, evaluate_hypothesis, experiment_141, lateral_misses
 
 from fixel.model import Experiment
 

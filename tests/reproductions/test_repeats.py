@@ -5,13 +5,7 @@ import math
 import numpy as np
 import pytest
 from reproductions import repeats
-from reproductions.repeat_groups import (
-    RepeatGroup,
-    group_scene,
-    outline_of,
-    read_groups,
-    rig_noise,
-)
+from reproductions.repeat_groups import RepeatGroup, group_scene, outline_of, read_groups, rig_noise
 from reproductions.run import reproduce
 
 from fixel.errors import DatasetMissing

@@ -4,12 +4,7 @@ import os
 import zipfile
 
 import pytest
-from tests.jobs.helpers import (
-    await_true,
-    names_in,
-    processes,
-    start,
-)
+from tests.jobs.helpers import await_true, names_in, processes, start
 from tests.jobs.kinds import assert_as_undisturbed, toy_job
 
 from fixel.errors import InvalidInput, JobRefused

@@ -2,13 +2,7 @@
 
 from fixel.model.bodies import Body, Drive, Fixel, LineDrive, PathDrive, Pusher, Spring
 from fixel.model.engine_parameters import ParameterInfo
-from fixel.model.experiment import (
-    Channel,
-    Experiment,
-    Flag,
-    PlannedExperiment,
-    Provenance,
-)
+from fixel.model.experiment import Channel, Experiment, Flag, PlannedExperiment, Provenance
 from fixel.model.goals import (
     AllOf,
     AnyOf,

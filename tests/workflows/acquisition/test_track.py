@@ -14,17 +14,7 @@ from fixel.formats.recording import RecordingHeader, RecordingWriter
 from fixel.formats.rig_file import save_rig
 from fixel.formats.scene_file import SceneFile, save_scene
 from fixel.formats.video_file import VideoWriter
-from fixel.model import (
-    Body,
-    Disk,
-    Fixel,
-    LineDrive,
-    Polygon,
-    Provenance,
-    Pusher,
-    Scene,
-    Tripod,
-)
+from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Provenance, Pusher, Scene, Tripod
 from fixel.model.shape import placed
 from fixel.testing.tracking_contract import moving, painted, tag_rig
 from fixel.vision.frame import Frame
