@@ -21,6 +21,7 @@ from __future__ import annotations
 import errno
 import reprlib
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -110,7 +111,8 @@ class InvalidInput(FixelError, ValueError):
         return f"{sentence}; {self.hint}" if self.hint else sentence
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _invalid_input, (self.where, self.found, self.expected, self.hint)
+        make = partial(InvalidInput, found=self.found, expected=self.expected, hint=self.hint)
+        return make, (self.where,)
 
 
 @final
@@ -146,7 +148,8 @@ class SolveFailed(FixelError, RuntimeError):
         super().__init__(message)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _solve_failed, (self.message, self.status, self.stopped_at)
+        make = partial(SolveFailed, status=self.status, stopped_at=self.stopped_at)
+        return make, (self.message,)
 
 
 @final
@@ -200,8 +203,20 @@ class NotStored(FixelError, LookupError):
         return NotStored, (self.what, self.hint)
 
 
+class _WithHint(FixelError, RuntimeError):
+    """Exception with a reason and a hint."""
+
+    def __init__(self, reason: str, hint: str | None = None) -> None:
+        self.reason = reason
+        self.hint = hint
+        super().__init__(f"{reason}; {hint}" if hint else reason)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.reason, self.hint)
+
+
 @final
-class StoreRefused(FixelError, RuntimeError):
+class StoreRefused(_WithHint):
     """Exception raised when a project cannot be opened, read or written.
 
     Parameters
@@ -221,17 +236,9 @@ class StoreRefused(FixelError, RuntimeError):
     no_such_folder ...
     """
 
-    def __init__(self, reason: str, hint: str | None = None) -> None:
-        self.reason = reason
-        self.hint = hint
-        super().__init__(f"{reason}; {hint}" if hint else reason)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return StoreRefused, (self.reason, self.hint)
-
 
 @final
-class JobRefused(FixelError, RuntimeError):
+class JobRefused(_WithHint):
     """Exception raised when a job cannot be started, continued or read.
 
     Parameters
@@ -242,17 +249,9 @@ class JobRefused(FixelError, RuntimeError):
         Command that helps.
     """
 
-    def __init__(self, reason: str, hint: str | None = None) -> None:
-        self.reason = reason
-        self.hint = hint
-        super().__init__(f"{reason}; {hint}" if hint else reason)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return JobRefused, (self.reason, self.hint)
-
 
 @final
-class DeviceFailed(FixelError, RuntimeError):
+class DeviceFailed(_WithHint):
     """Exception raised when a device stopped, or was stopped, before it had finished.
 
     Parameters
@@ -262,14 +261,6 @@ class DeviceFailed(FixelError, RuntimeError):
     hint : str
         Advice.
     """
-
-    def __init__(self, reason: str, hint: str | None = None) -> None:
-        self.reason = reason
-        self.hint = hint
-        super().__init__(f"{reason}; {hint}" if hint else reason)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return DeviceFailed, (self.reason, self.hint)
 
 
 @final
@@ -302,7 +293,7 @@ class MissingExtra(FixelError, ImportError):
         super().__init__(f"{feature} needs the package {package}; run: {self.command}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _missing_extra, (self.feature, self.package, self.command)
+        return partial(MissingExtra, command=self.command), (self.feature, self.package)
 
 
 @final
@@ -407,20 +398,6 @@ def machine_failure(problem: OSError) -> FixelError | None:
     full = problem.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
     hint = "free disk space, then repeat the command" if full else None
     return StoreRefused(f"{place}{reason}", hint=hint)
-
-
-def _invalid_input(
-    where: str, found: object, expected: str | None, hint: str | None
-) -> InvalidInput:
-    return InvalidInput(where, found=found, expected=expected, hint=hint)
-
-
-def _solve_failed(message: str, status: str | None, stopped_at: float | None) -> SolveFailed:
-    return SolveFailed(message, status=status, stopped_at=stopped_at)
-
-
-def _missing_extra(feature: str, package: str, command: str) -> MissingExtra:
-    return MissingExtra(feature, package, command=command)
 
 
 def _shown(found: object) -> str:
