@@ -20,7 +20,7 @@ from pathlib import Path
 from statistics import median
 
 from fixel.testbed import emergency
-from fixel.testbed.emulators import mega as emulated_mega
+from fixel.testbed.emulators import bench as emulated_mega
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 from fixel.testbed.tactile import DEADLINE, TactileReader
 

@@ -19,7 +19,7 @@ from fixel.domain.claim import NOT_TRUSTED, TRUSTED, Claim
 from fixel.domain.domain import DomainMap, domain_map
 from fixel.domain.evidence import HeldOutErrors
 from fixel.domain.held_out import Apart, CalibrationModel, calibrated_on, held_out
-from fixel.io.result_cache import ResultCache
+from fixel.io.array_bytes import ResultCache
 from fixel.model import PlannedExperiment
 from fixel.model.space import ParameterSpace
 from fixel.sampling.published import thesis_plan

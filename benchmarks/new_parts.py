@@ -31,11 +31,10 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
-from fixel.parts.candidates import push_candidates
 from fixel.parts.fit import choose_pushes, learned_prior, slopes
 from fixel.parts.left_out import halves, leave_parts_out
 from fixel.parts.model import PartModel
-from fixel.parts.next_pushes import NextPushes
+from fixel.parts.next_pushes import NextPushes, push_candidates
 from fixel.testbed.simulated import SimulatedTestbed
 from fixel.workflows.parts import part_model
 

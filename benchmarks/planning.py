@@ -31,7 +31,7 @@ from fixel.errors import InvalidInput
 from fixel.formats.goal_file import goal_file_from_dict
 from fixel.model import Body, Ellipsoid, Experiment, PlannedExperiment, Polygon, Scene
 from fixel.model.goals import BodyTrack, Goal, touching
-from fixel.parts.candidates import push_candidates
+from fixel.parts.next_pushes import push_candidates
 from fixel.planning.plan import PushPlan, simulator_of
 from fixel.planning.pushes import FreePushes, scene_of_push
 from fixel.planning.search import FRESH, WORLDS, PlanSearch

@@ -30,7 +30,7 @@ from fixel.datasets.contact import pushed_scene
 from fixel.datasets.mit_push import NOMINAL, STROKE, read_mit_pushes
 from fixel.datasets.mit_push_records import TIP
 from fixel.errors import DatasetMissing
-from fixel.io.result_cache import ResultCache, listed
+from fixel.io.array_bytes import ResultCache, listed
 from fixel.model import Body, Disk, SupportPoints, UniformPressure, wrapped
 from fixel.model.engine_parameters import ENGINE_PARAMETERS
 from fixel.model.footprint import support_grid

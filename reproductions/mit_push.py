@@ -19,7 +19,7 @@ from fixel.calibration.optimiser import Best, SearchBox
 from fixel.calibration.pattern_search import PatternSearch
 from fixel.calibration.target import Target
 from fixel.datasets.mit_push import MitPushes
-from fixel.io.result_cache import ResultCache
+from fixel.io.array_bytes import ResultCache
 from fixel.model.space import ParameterSpace, Unknown
 from fixel.replay.base import Row, errors_in_mm_and_deg
 from fixel.simulation import Adaptive

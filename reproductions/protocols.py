@@ -11,7 +11,7 @@ import numpy as np
 
 from fixel.datasets.mit_push import MitPushes, read_mit_pushes
 from fixel.errors import InvalidInput
-from fixel.io.result_cache import ResultCache, listed
+from fixel.io.array_bytes import ResultCache, listed
 from fixel.model import wrapped
 from fixel.parts.fit import NAMES
 from fixel.parts.model import PartModel

@@ -18,8 +18,7 @@ from fixel.datasets.rpi_2dgad import Rpi2dgad
 from fixel.drawing import palette
 from fixel.drawing.chart import clean, legend_below, log_scale, sheet
 from fixel.model.trajectory import wrapped
-from fixel.replay.base import Row
-from fixel.replay.charts import WIDE
+from fixel.replay.base import WIDE, Row
 from fixel.simulation import StewartTrinkle
 from fixel.typing import FloatArray
 from fixel.uncertainty.start_ensemble import simulate_starts

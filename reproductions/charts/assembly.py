@@ -10,8 +10,7 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.chart import WIDE, sheet, tint
 from fixel.model import placed
-from fixel.replay.base import Row
-from fixel.replay.charts import closed, hide_spines
+from fixel.replay.base import Row, closed, hide_spines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

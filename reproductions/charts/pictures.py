@@ -10,7 +10,7 @@ import numpy as np
 from fixel.drawing import palette
 from fixel.drawing.chart import sheet, tint
 from fixel.model import Scene, placed
-from fixel.replay.charts import SHOWN, WIDE, closed, hide_spines, label_fixels
+from fixel.replay.base import SHOWN, WIDE, closed, hide_spines, label_fixels
 from fixel.typing import FloatArray
 
 if TYPE_CHECKING:

@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     )
     from fixel.model.records import Estimate as Estimate
     from fixel.model.space import Parameter as Parameter
-    from fixel.parts.candidates import push_candidates as push_candidates
+    from fixel.parts.next_pushes import push_candidates as push_candidates
     from fixel.parts.model import PartModel as PartModel
     from fixel.parts.next_pushes import NextPushes as NextPushes
     from fixel.planning.orienting import (
@@ -139,9 +139,8 @@ _NAMES = {
     " PoseRegion Pusher Scene Seated SupportPoints Trajectory Tripod UniformPressure",
     "fixel.model.records": "Estimate",
     "fixel.model.space": "Parameter",
-    "fixel.parts.candidates": "push_candidates",
     "fixel.parts.model": "PartModel",
-    "fixel.parts.next_pushes": "NextPushes",
+    "fixel.parts.next_pushes": "NextPushes push_candidates",
     "fixel.planning.orienting": "orienting_plan OrientingPlan",
     "fixel.planning.belief": "Belief RigError",
     "fixel.planning.plan": "PushPlan",

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from fixel.testbed.emulators import mega as emulated_mega
+from fixel.testbed.emulators import bench as emulated_mega
 from fixel.testbed.emulators.grbl import EmulatedGrbl
 
 from .shell import fixel

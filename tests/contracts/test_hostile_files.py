@@ -34,7 +34,7 @@ from fixel.errors import FixelError, InvalidInput
 from fixel.formats.goal_file import load_goal
 from fixel.formats.plan_file import load_plan, plan_text
 from fixel.io import save
-from fixel.io.result_cache import ResultCache
+from fixel.io.array_bytes import ResultCache
 from fixel.jobs.site import TEMPLATE, load_site
 from fixel.kernels.code_cache import cache_folder
 from fixel.sampling import thesis_plan
@@ -463,7 +463,7 @@ def test_an_object_of_another_class_is_not_built(place: Path) -> None:
     victim = place / "thesis.txt"
     victim.write_text("ten pages\n")
     items = [["path", {"type": "path", "text": str(victim)}], ["what", "x"]]
-    for name in ("fixel.io.lock:FileLock", "fixel.io.result_cache:ResultCache", "fixel:Project"):
+    for name in ("fixel.io.lock:FileLock", "fixel.io.array_bytes:ResultCache", "fixel:Project"):
         head = {"fixel": "1", "format": 1, "kind": "Disk"}
         head["content"] = {"type": "object", "class": name, "items": items}  # type: ignore[assignment]
         with zipfile.ZipFile(place / "disk.fixel", "w") as file:

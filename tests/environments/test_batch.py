@@ -19,7 +19,7 @@ from fixel.environments.push import PushVectorEnv, push_scene
 from fixel.environments.push_t import PushTVectorEnv
 from fixel.environments.scene_picture import BODY
 from fixel.errors import InvalidInput
-from fixel.parts.candidates import push_candidates
+from fixel.parts.next_pushes import push_candidates
 from fixel.testing.pushes import example_pushes
 
 KINDS = {"PushT": PushTVectorEnv, "Push": PushVectorEnv, "Grasp": GraspVectorEnv}

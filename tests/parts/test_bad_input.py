@@ -8,9 +8,9 @@ import pytest
 from fixel.domain.push_bound import NO_DATA
 from fixel.errors import InvalidInput
 from fixel.model import Body, Disk, LineDrive, Polygon, Pusher, Scene, UniformPressure
-from fixel.parts.candidates import push_candidates
 from fixel.parts.fit import PartPushes
 from fixel.parts.model import distinct
+from fixel.parts.next_pushes import push_candidates
 from fixel.testing.pushes import example_parts
 from fixel.testing.scenes import box
 from fixel.workflows.parts import part_model

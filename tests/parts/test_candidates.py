@@ -19,7 +19,7 @@ from fixel.model import (
     UniformPressure,
     placed,
 )
-from fixel.parts.candidates import push_candidates
+from fixel.parts.next_pushes import push_candidates
 from fixel.testing.scenes import box
 
 U_SHAPE = [(-0.05, -0.05), (0.05, -0.05), (0.05, 0.05), (0.004, 0.05), (0.004, -0.03),

@@ -6,7 +6,6 @@ import pytest
 from fixel.calibration.target import target_of
 from fixel.model import Body, Polygon, Scene, SupportPoints, UniformPressure
 from fixel.model.footprint import support_grid
-from fixel.parts.candidates import push_candidates
 from fixel.parts.fit import (
     NAMES,
     PartPushes,
@@ -17,6 +16,7 @@ from fixel.parts.fit import (
     simulated,
     slopes,
 )
+from fixel.parts.next_pushes import push_candidates
 from fixel.simulation import QuasiStatic, simulate
 from fixel.simulation.rollouts import RolloutCase
 from fixel.testing.pushes import example_parts

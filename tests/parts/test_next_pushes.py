@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from fixel.parts.candidates import push_candidates
+from fixel.parts.next_pushes import push_candidates
 from fixel.testing.pushes import example_parts
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from fixel.errors import InvalidInput
 from fixel.model import Disk, Fixel, Seated, placed
-from fixel.parts.candidates import push_candidates
+from fixel.parts.next_pushes import push_candidates
 from fixel.testing.pushes import example_parts
 from fixel.testing.scenes import grasp
 from fixel.workflows.prediction import predict

@@ -16,7 +16,7 @@ from tests.reproductions.test_mit_push import made_up
 
 from fixel.datasets.mit_push import read_mit_pushes
 from fixel.errors import DatasetMissing
-from fixel.io.result_cache import ResultCache
+from fixel.io.array_bytes import ResultCache
 from fixel.model import Disk, Polygon
 
 

@@ -13,7 +13,7 @@ from reproductions.run import reproduce
 from tests.reproductions.test_mit_push import made_up
 
 from fixel.datasets.mit_push import read_mit_pushes
-from fixel.io.result_cache import ResultCache
+from fixel.io.array_bytes import ResultCache
 
 pytest.importorskip("sklearn")
 

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from fixel.datasets.mit_push import read_mit_pushes
 from fixel.errors import DatasetMissing, InvalidInput
-from fixel.io.result_cache import ResultCache
+from fixel.io.array_bytes import ResultCache
 
 SHIFT = (0.9e-3, -0.6e-3)
 TRUTH = {

@@ -15,7 +15,7 @@ from tests.reproductions.test_mit_push import made_up
 
 from fixel.datasets.mit_push import read_mit_pushes
 from fixel.domain import features
-from fixel.io.result_cache import ResultCache
+from fixel.io.array_bytes import ResultCache
 
 
 def test_a_side_left_out_has_no_push_in_training() -> None:

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from fixel.testbed.emulators import mega as emulated_mega
+from fixel.testbed.emulators import bench as emulated_mega
 
 
 @pytest.fixture(scope="session")

@@ -5,9 +5,9 @@ import threading
 
 import pytest
 
-from fixel.testbed.emulators import mega as emulated_mega
+from fixel.testbed.emulators import bench as emulated_mega
+from fixel.testbed.emulators.bench import EmulatedMega
 from fixel.testbed.emulators.grbl import EmulatedGrbl
-from fixel.testbed.emulators.mega import EmulatedMega
 
 
 def test_a_controller_whose_program_reads_nothing_can_be_ended():

@@ -8,7 +8,7 @@ from fixel.formats.rig_file import rig_of
 from fixel.model.shape import placed
 from fixel.testing.scenes import PART_LENGTH, PART_WIDTH, micro_push
 from fixel.vision.render import CameraEffects, looks_named
-from fixel.vision.render.bright_field import (
+from fixel.vision.render.film import (
     BLACK,
     GROUND,
     BrightField,

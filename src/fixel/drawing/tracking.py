@@ -14,7 +14,7 @@ from fixel.model import placed, pose_error
 from fixel.table import Table
 from fixel.typing import FloatArray
 from fixel.vision.plane_errors import PlaneErrors
-from fixel.vision.tracking.tracked import FilmTracks, PartTrack
+from fixel.vision.tracking.base import FilmTracks, PartTrack
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

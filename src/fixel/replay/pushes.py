@@ -23,11 +23,11 @@ from fixel.replay.base import (
     errors_in_mm_and_deg,
     matching,
     mean_and_median,
+    pushes_figure,
     settings_from,
     spread,
     template,
 )
-from fixel.replay.charts import pushes_figure
 from fixel.simulation import BatchResult, simulate_batch
 from fixel.simulation.motion import motion_model
 from fixel.typing import FloatArray, IntArray

@@ -19,19 +19,21 @@ from fixel.drawing.chart import sheet
 from fixel.errors import InvalidInput
 from fixel.model import Disk, Experiment, Scene, pose_error
 from fixel.replay.base import (
+    WIDE,
     AbstractReplay,
     Replay,
     ReplayPart,
     ReplayRequest,
     Row,
+    hide_spines,
     matching,
     mean_and_median,
     rms,
     settings_from,
     spread,
+    style_of,
     template,
 )
-from fixel.replay.charts import WIDE, hide_spines, style_of
 from fixel.simulation import simulate_batch
 from fixel.simulation.motion import motion_model
 from fixel.typing import FloatArray

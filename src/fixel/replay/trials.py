@@ -23,8 +23,8 @@ from fixel.replay.base import (
     rms,
     settings_from,
     spread,
+    trial_figure,
 )
-from fixel.replay.charts import trial_figure
 from fixel.simulation import Simulation, StewartTrinkle, simulate
 from fixel.simulation.motion import motion_model
 from fixel.typing import BoolArray, FloatArray

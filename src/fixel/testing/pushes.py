@@ -21,7 +21,7 @@ from fixel.model import (
     Tripod,
     UniformPressure,
 )
-from fixel.parts.candidates import push_candidates
+from fixel.parts.next_pushes import push_candidates
 from fixel.simulation import simulate
 from fixel.testing.scenes import box, row
 from fixel.typing import FloatArray

@@ -12,7 +12,7 @@ from fixel.calibration.known_pushes import PARTS, SURFACES
 from fixel.calibration.target import target_of
 from fixel.domain.error_bound import LEVEL
 from fixel.errors import InvalidInput
-from fixel.io.result_cache import ResultCache, listed
+from fixel.io.array_bytes import ResultCache, listed
 from fixel.model import Experiment
 from fixel.parts.fit import UNPUSHED, PartPushes, PartValues, SupportPrior, fit_part
 from fixel.parts.left_out import NOISE_OF_MANY, best_share, leave_parts_out

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from fixel.vision.tracking import judge
-from fixel.vision.tracking.base import PartObservation
+from fixel.vision.tracking.base import PartObservation, motion_of
 from fixel.vision.tracking.judge import judged
-from fixel.vision.tracking.tracked import motion_of
 
 TIME = np.arange(120) / 30.0
 

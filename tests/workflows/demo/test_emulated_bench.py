@@ -10,7 +10,7 @@ from fixel.errors import InvalidInput
 from fixel.formats.recording import open_recording
 from fixel.formats.scene_file import load_scene
 from fixel.model import Scene
-from fixel.testbed.emulators import mega as emulated_mega
+from fixel.testbed.emulators import bench as emulated_mega
 from fixel.workflows.acquisition.film import FilmSettings, film
 from fixel.workflows.acquisition.track import track_film
 from fixel.workflows.demo.camera_demo import record_film

@@ -12,7 +12,7 @@ from fixel.database.project import Project
 from fixel.domain.cells import coordinates_of, label_of
 from fixel.domain.held_out import Apart, CalibrationModel, held_out, noise_floor, stepper_for
 from fixel.errors import InvalidInput
-from fixel.io.result_cache import ResultCache
+from fixel.io.array_bytes import ResultCache
 from fixel.model import Parameters, Provenance
 from fixel.model.records import CalibrationRecord, Member
 from fixel.model.space import ParameterSpace

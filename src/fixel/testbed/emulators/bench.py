@@ -1,14 +1,23 @@
-"""Emulated bench: a film as camera, firmware in an emulator, and a controller to move."""
+"""Emulated bench: a film as camera, firmware in an emulator, and a controller to move.
+
+The tactile board runs its firmware in an emulator, behind a pseudo-terminal. The emulator is built
+from `firmware/` of a checkout with Debian's AVR tools and libsimavr (GPL 3); it is not part of the
+installed package. `why_not()` names missing prerequisites.
+"""
 
 from __future__ import annotations
 
+import select
+import shutil
+import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Final, Self, final
 
 import numpy as np
 
@@ -20,7 +29,6 @@ from fixel.testbed.loopback import LoopbackCamera
 from fixel.testbed.recorder import RecordingStatus
 
 if TYPE_CHECKING:
-    from fixel.testbed.emulators.mega import EmulatedMega
     from fixel.testbed.motion import AbstractActuator
 
 
@@ -105,7 +113,6 @@ def emulated_bench(film: Path, firmware: Path | None) -> Iterator[EmulatedBench]
         Firmware with its emulator, as built by `mega.built`.
     """
     from fixel.testbed.emulators.grbl import EmulatedGrbl
-    from fixel.testbed.emulators.mega import EmulatedMega
 
     with ExitStack() as stack:
         camera = stack.enter_context(LoopbackCamera(film))
@@ -117,3 +124,112 @@ def emulated_bench(film: Path, firmware: Path | None) -> Iterator[EmulatedBench]
             controller = stack.enter_context(EmulatedGrbl(start=0.0))
             actuator = stack.enter_context(GrblActuator(controller.port))
         yield EmulatedBench(open_recording(film), camera.url, board, actuator)
+
+
+FIRMWARE: Final = Path(__file__).parents[4] / "firmware"
+PACKAGES: Final = (
+    "make arduino-core-avr gcc-avr avr-libc gcc libc6-dev libsimavr-dev libelf-dev",
+    "/usr/share/arduino/hardware/arduino/avr/cores/arduino/Arduino.h",
+    "/usr/include/simavr/sim_avr.h",
+)
+CHANNEL_OF_BIT: Final = (2, 0, 1)  # bit 0 blue A2, bit 1 red A0, bit 2 green A1
+TOUCHED_V, FREE_V = 4.9, 0.4
+ANSWERS_WITHIN: Final = 10.0  # [s], for the emulator on a loaded computer
+BUILT_WITHIN: Final = 300.0  # [s], also if another process builds it first
+
+
+def why_not() -> str:
+    """Reason why the emulator cannot run here; empty if it can."""
+    packages, *headers = PACKAGES
+    if not (FIRMWARE / "Makefile").is_file():
+        return "the firmware is in a checkout of fixel, not in the installed package"
+    programs = ("make", "avr-gcc", "avr-g++", "cc")
+    missing = [name for name in programs if shutil.which(name) is None]
+    missing += [name for name in headers if not Path(name).is_file()]
+    return f"no {missing[0]}; apt install {packages}" if missing else ""
+
+
+def built(folder: Path) -> Path:
+    """Build firmware and emulator in a folder, unless they exist; return the folder."""
+    folder = folder.resolve()  # make works in another folder
+    folder.mkdir(parents=True, exist_ok=True)
+    command = ["make", "-s", "-j2", "-C", str(FIRMWARE), f"BUILD={folder}", "emulator"]
+    # Two test processes may build it at once; util-linux's flock makes one of them wait.
+    if shutil.which("flock"):
+        command = ["flock", str(folder / "lock"), *command]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, timeout=BUILT_WITHIN
+    )
+    if done.returncode:
+        raise RuntimeError(f"the firmware was not built:\n{done.stderr[-2000:]}")
+    return folder
+
+
+@final
+class EmulatedMega:
+    """Emulated Mega 2560 that runs the tactile firmware in real time.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder that `built` returned.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._place = tempfile.TemporaryDirectory(prefix="fixel-mega-")
+        self.port = f"{self._place.name}/ttyACM0"  # path of the port to open
+        program, firmware = folder / "emulated_mega", folder / "tactile.elf"
+        self._process = subprocess.Popen(
+            [program, firmware, self.port],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+        )
+        if not self._answer().startswith("ready"):
+            self.close()
+            raise RuntimeError("the emulator did not start")
+
+    def tell(self, command: str) -> str:
+        """Send a command to the emulator itself (see `emulated_mega.c`); return its answer."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(command + "\n")
+        answer = self._answer()
+        if not answer.startswith("ok"):
+            said = repr(answer) if answer else f"no answer within {ANSWERS_WITHIN:g} s"
+            raise RuntimeError(f"the emulator received {command!r}, and answered {said}")
+        return answer[3:]
+
+    def touch(self, bits: int, after: float = 0.0) -> None:
+        """Close the contacts of these bits and open the others, `after` seconds from now."""
+        for bit, channel in enumerate(CHANNEL_OF_BIT):
+            volts = TOUCHED_V if bits >> bit & 1 else FREE_V
+            self.tell(f"at {round(1e3 * after)} adc {channel} {round(1e3 * volts)}")
+
+    def volts(self, bit: int, volts: float) -> None:
+        """Set the voltage at the pin of a bit."""
+        self.tell(f"adc {CHANNEL_OF_BIT[bit]} {round(1e3 * volts)}")
+
+    @property
+    def time(self) -> float:
+        """Time on the board's clock [s]."""
+        return 1e-6 * int(self.tell("time"))
+
+    def close(self) -> None:
+        """End the emulator and remove the port."""
+        self._process.kill()
+        self._process.communicate()
+        self._place.cleanup()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _answer(self) -> str:
+        """Read one line; empty if the emulator ended or hangs."""
+        stream = self._process.stdout
+        assert stream is not None
+        said = select.select([stream], [], [], ANSWERS_WITHIN)[0]
+        return stream.readline().strip() if said else ""

@@ -14,7 +14,15 @@ from fixel.typing import FloatArray
 from fixel.vision.frame import Frame
 from fixel.vision.marks import Rig, Tag
 from fixel.vision.plane_errors import pose_covariance
-from fixel.vision.tracking.base import AbstractFollower, AbstractTracking, PartObservation, Thing
+from fixel.vision.tracking.base import (
+    AbstractFollower,
+    AbstractTracking,
+    FilmTracks,
+    FoundFixel,
+    PartObservation,
+    PartTrack,
+    Thing,
+)
 from fixel.vision.tracking.checks import (
     UNWATCHED,
     PlateWatch,
@@ -30,7 +38,6 @@ from fixel.vision.tracking.silhouette import Silhouette
 from fixel.vision.tracking.stickers import Stickers
 from fixel.vision.tracking.tag_reader import other_families, tag_corners
 from fixel.vision.tracking.tags import Tags
-from fixel.vision.tracking.tracked import FilmTracks, FoundFixel, PartTrack
 
 METHODS: Final[Mapping[str, AbstractTracking]] = {
     method.name: method for method in (Tags(), Stickers(), Silhouette())

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from fixel.model.trajectory import wrapped
 from fixel.typing import BoolArray, FloatArray
-from fixel.vision.tracking.base import PartObservation
-from fixel.vision.tracking.tracked import PartTrack
+from fixel.vision.tracking.base import PartObservation, PartTrack
 
 NEIGHBOURS: Final = 5  # frames to either side; a pose must agree with one side at least
 SCATTERS: Final = 8.0  # times the usual deviation, beyond which a pose is an outlier

@@ -26,8 +26,8 @@ from fixel.vision.frame import Frame, Picture
 from fixel.vision.marks import Rig
 from fixel.vision.outlines import bgr, draw_outline, draw_words, outline_pixels
 from fixel.vision.tracking import AUTO, FilmTracks, track
+from fixel.vision.tracking.base import ActuatorMotion
 from fixel.vision.tracking.follow import things_of
-from fixel.vision.tracking.tracked import ActuatorMotion
 from fixel.workflows.acquisition.tracked_experiment import Readings, actuator_motion, experiment_of
 
 RIG_FILE: Final = "rig.yaml"

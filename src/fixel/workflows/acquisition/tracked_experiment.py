@@ -25,8 +25,8 @@ from fixel.model import (
 from fixel.typing import FloatArray
 from fixel.uncertainty.start_ensemble import Neighbour, remove_overlap
 from fixel.vision.marks import Rig
+from fixel.vision.tracking.base import ActuatorMotion, FilmTracks, PartTrack, motion_of
 from fixel.vision.tracking.judge import stamp_scatter
-from fixel.vision.tracking.tracked import ActuatorMotion, FilmTracks, PartTrack, motion_of
 
 MAX_APART: Final = 1.5e-3  # [m] largest displacement of a start out of an overlap
 MAX_GAPS: Final = 0.5  # fraction of the frames, beyond which an object counts as lost

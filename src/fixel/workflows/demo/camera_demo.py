@@ -23,7 +23,7 @@ from fixel.model.records import Estimate
 from fixel.model.selection import ExperimentQuery
 from fixel.sampling.published import thesis_plan
 from fixel.table import Table
-from fixel.testbed.emulators import mega
+from fixel.testbed.emulators import bench as mega
 from fixel.testbed.emulators.bench import emulated_bench
 from fixel.testbed.frame_source import CameraPicture
 from fixel.testbed.recorder import RecordingStatus, RecordingSummary

@@ -28,9 +28,9 @@ from fixel.domain.held_out import (
     noise_floor,
 )
 from fixel.errors import InvalidInput
+from fixel.io.array_bytes import ResultCache
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
-from fixel.io.result_cache import ResultCache
 from fixel.typing import ProgressCallback
 from fixel.workflows.calibration.project import select_experiments
 from fixel.workflows.calibration.stored import known_pushes, load_values, newest_calibration

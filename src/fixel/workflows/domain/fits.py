@@ -17,9 +17,9 @@ from fixel.database.project import Project
 from fixel.database.store import Store
 from fixel.domain.held_out import Apart, CalibrationModel, Finished
 from fixel.errors import InvalidInput
+from fixel.io.array_bytes import ResultCache
 from fixel.io.atomic import written_whole
 from fixel.io.damaged_files import readable
-from fixel.io.result_cache import ResultCache
 from fixel.model.selection import ExperimentQuery, parse_filter
 from fixel.model.space import ParameterSpace
 from fixel.simulation import AbstractMotionModel

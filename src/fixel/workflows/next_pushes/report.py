@@ -22,9 +22,8 @@ from fixel.formats.plan_file import load_plan, plan_text
 from fixel.formats.scene_file import load_scene
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.model import Disk, Experiment, LineDrive, Scene
-from fixel.parts.candidates import push_candidates
 from fixel.parts.model import PartModel
-from fixel.parts.next_pushes import NextPushes
+from fixel.parts.next_pushes import NextPushes, push_candidates
 from fixel.sampling import FixelLayout, Plan, PlannedShape, SamplingRig
 from fixel.sampling.offsets import Offset, OffsetList
 from fixel.sampling.plan import object_pose
