@@ -7,10 +7,10 @@ from typing import Final, final
 import numpy as np
 
 from fixel.typing import FloatArray
-from fixel.vision.boards import Board, Corners
 from fixel.vision.calibrate_lens import BoardView
 from fixel.vision.frame import Picture, opencv
 from fixel.vision.lens import Lens
+from fixel.vision.marks import Board, Corners
 
 FINE: Final = 2  # samples per pixel along each axis
 

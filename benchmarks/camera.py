@@ -12,9 +12,9 @@ from benchmarks.board_pictures import Studio
 from benchmarks.figures import Figure, Size, at_least, at_most
 from fixel.formats.rig_file import rig_of
 from fixel.typing import FloatArray
-from fixel.vision.boards import board_of
 from fixel.vision.calibrate_lens import calibrate_lens, find_boards
 from fixel.vision.camera import Camera
+from fixel.vision.marks import board_of
 from fixel.vision.place_camera import place_by_board
 from fixel.vision.plane_errors import plane_errors
 

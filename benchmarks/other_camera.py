@@ -22,10 +22,9 @@ from benchmarks.other_pictures import OtherCamera, board_print, checker_print, s
 from benchmarks.report import RESULTS
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
-from fixel.vision.boards import Board, board_of
 from fixel.vision.calibrate_lens import BoardView, calibrate_lens
 from fixel.vision.frame import Picture
-from fixel.vision.marks import Tag
+from fixel.vision.marks import Board, Tag, board_of
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
 from fixel.vision.plane_errors import plane_errors
 

@@ -11,10 +11,10 @@ from tests.cli.shell import fixel
 from tests.formats.test_camera_import import CALIB_RESULTS, ROS
 
 from fixel.formats.rig_file import load_camera
-from fixel.vision.boards import Corners, board_of
 from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import Camera
 from fixel.vision.lens import Lens
+from fixel.vision.marks import Corners, board_of
 from fixel.workflows.acquisition.camera.answer import CameraAnswer
 
 BOARD = "charuco:7x5:30mm:20mm"

@@ -7,7 +7,7 @@ from fixel.domain.cells import axis_of, cells_of
 from fixel.domain.claim import Claim
 from fixel.domain.domain import domain_map
 from fixel.domain.evidence import HeldOutErrors
-from fixel.domain.predicted_cells import predicted_cells
+from fixel.domain.next_experiment import predicted_cells
 
 
 def _evidence(n, groups=("",), seed=0):

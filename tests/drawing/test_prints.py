@@ -19,8 +19,7 @@ from fixel.drawing.prints import (
     tag_sheets,
 )
 from fixel.errors import InvalidInput
-from fixel.vision.boards import board_of
-from fixel.vision.marks import Tag
+from fixel.vision.marks import Tag, board_of
 from fixel.vision.tracking.tag_reader import read_tags
 
 

@@ -15,9 +15,9 @@ from gymnasium.vector import AutoresetMode
 
 import fixel
 from fixel.environments.grasp import GraspVectorEnv
+from fixel.environments.pictures import BODY
 from fixel.environments.push import PushVectorEnv, push_scene
 from fixel.environments.push_t import PushTVectorEnv
-from fixel.environments.scene_picture import BODY
 from fixel.errors import InvalidInput
 from fixel.parts.next_pushes import push_candidates
 from fixel.testing.pushes import example_pushes

@@ -10,10 +10,10 @@ import pytest
 from benchmarks.board_pictures import Studio, seen_corners, spread
 
 from fixel.errors import InvalidInput
-from fixel.vision.boards import Board, Corners, board_of
 from fixel.vision.calibrate_lens import BoardView, SkippedPicture, calibrate_lens, find_boards
 from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
+from fixel.vision.marks import Board, Corners, board_of
 from fixel.vision.plane_errors import radius95
 
 LENS = Lens(image_size=(480, 360), focal=(440.0, 444.0), centre=(244.0, 177.0),  # type: ignore[arg-type]

@@ -12,12 +12,11 @@ from benchmarks.board_pictures import Studio, seen_corners
 from fixel.errors import InvalidInput
 from fixel.formats.rig_file import rig_of
 from fixel.typing import FloatArray
-from fixel.vision.boards import board_of
 from fixel.vision.calibrate_lens import calibrate_lens
 from fixel.vision.camera import PLACE, Camera, MeasuredCamera
 from fixel.vision.frame import Picture
 from fixel.vision.lens import Lens
-from fixel.vision.marks import Tag
+from fixel.vision.marks import Tag, board_of
 from fixel.vision.place_camera import place_by_board, place_by_points, place_by_tags
 from fixel.vision.plane_errors import plane_errors, radius95, shifted
 

@@ -30,7 +30,6 @@ from fixel.cli import (
     demo,
     devices,
     jobs,
-    overlay,
     plan,
     project,
     record,
@@ -91,7 +90,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, Capability | Callable[..., None] | typ
     },
     "Bench": {
         "camera": camera.app,
-        "overlay": overlay.overlay,
+        "overlay": devices.overlay,
         "record": record.app,
         "track": record.track,
         "tactile": devices.tactile,

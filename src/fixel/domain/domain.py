@@ -28,8 +28,7 @@ from fixel.domain.claim import (
     Claim,
 )
 from fixel.domain.evidence import HeldOutErrors, Measure, value_of
-from fixel.domain.next_experiment import Proposal, proposals
-from fixel.domain.predicted_cells import untried
+from fixel.domain.next_experiment import Proposal, proposals, untried
 from fixel.domain.surface import CellObservations, Surface, fit_surface
 from fixel.errors import InvalidInput
 from fixel.model import Experiment, Probability, Scene

@@ -1,4 +1,4 @@
-"""Proposals of the next experiments, by the information they add to a map.
+"""Proposals of the next experiments of a map, and error bounds for cells without experiments.
 
 Candidates are doubtful cells, and cells by which the domain may grow. The best cell is the one in
 which another experiment is expected to reduce the entropy of the colours of the map most.
@@ -12,10 +12,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from fixel.domain.cells import Cells
+from fixel.calibration.contacts import CONTACT_ANGLE, MAX_RATIO, MAX_TURN
+from fixel.domain.cells import CellAxis, Cells
 from fixel.domain.claim import DOUBTFUL, NO_DATA, PREDICTED, CellVerdict, Claim
+from fixel.domain.error_bound import ConformalBound, min_experiments
+from fixel.domain.evidence import HeldOutErrors, Value
 from fixel.domain.surface import Surface
-from fixel.typing import FloatArray
+from fixel.model import wrapped
+from fixel.typing import FloatArray, IntArray
+from fixel.units import split_unit
 
 NODES: Final = 9  # nodes of the quadrature over results of the experiment
 
@@ -125,3 +130,105 @@ def _reason(cells: Cells, verdict: CellVerdict, inside: list[int], c: int) -> st
         )
     touches = any(c in edge and (set(edge) & set(inside)) for edge in cells.edges)
     return f"doubtful{' and next to D' if touches else ''}: {verdict.reason}"
+
+
+def predicted_cells(
+    evidence: HeldOutErrors, cells: Cells, level: float, seed: int = 0
+) -> FloatArray | None:
+    """Return bounds (n_group, n_cell) that errors of new experiments satisfy [mm].
+
+    They apply to root mean square errors; inf without data, or for coordinates that no experiment
+    of the map has. None if there are too few experiments for any bound.
+
+    Parameters
+    ----------
+    level : float
+        Probability of each bound.
+    """
+    place = cells.find(evidence)
+    known = np.flatnonzero((place >= 0) & ~np.isnan(evidence.error_mm2))
+    groups = list(dict.fromkeys(evidence.group))
+    group = np.array([groups.index(name) for name in evidence.group])
+    # A cell without experiments is like another cell, not like another repetition in one of them.
+    # So its bound uses one experiment per cell, and models have seen no other of the same cell.
+    slots = {(int(group[k]), int(place[k])): k for k in reversed(known.tolist())}
+    first = np.sort(np.fromiter(slots.values(), np.int64, len(slots)))
+    bounds = _bounds(evidence, cells, place, known, level, seed)
+    if bounds is None:
+        return None
+    far = np.array(list(untried(evidence, cells).values())) != ""
+    bounds[far] = np.inf
+    if len(first) == len(known):
+        return bounds
+    new = _bounds(evidence, cells, place, first, level, seed)
+    tried = np.zeros(bounds.shape, bool)
+    tried[tuple(zip(*slots, strict=True))] = True
+    return np.where(tried | far, bounds, np.inf if new is None else new)
+
+
+def untried(evidence: HeldOutErrors, cells: Cells) -> dict[str, list[str]]:
+    """Return, by map, the coordinate of each cell that no experiment has; empty for none.
+
+    New are a text that no experiment of the map has, a contact angle or speed unlike all of the
+    map (as in `contacts`), and any other number outside those of the map. Such a cell is an
+    extrapolation, however close it is to others.
+    """
+    answer = {}
+    group = np.array(evidence.group)
+    tried = ~np.isnan(evidence.error_mm2)
+    for own in dict.fromkeys(evidence.group):
+        rows = np.flatnonzero(tried & (group == own)).tolist()
+        known = [[evidence.column(axis.name)[k] for k in rows] for axis in cells.axes]
+        new = [
+            [_is_new(axis, k, values) for k in range(len(axis))]
+            for axis, values in zip(cells.axes, known, strict=True)
+        ]
+        answer[own] = [_untried_text(cells, c, new) for c in range(len(cells))]
+    return answer
+
+
+def _untried_text(cells: Cells, c: int, new: list[list[bool]]) -> str:
+    said = [
+        f"{axis.title} {axis.text(k)} {axis.unit}".rstrip()
+        for axis, k, own in zip(cells.axes, cells.index[c], new, strict=True)
+        if own[k]
+    ]
+    return f"never tried: {', '.join(said)}" if said else ""
+
+
+def _is_new(axis: CellAxis, k: int, values: list[Value]) -> bool:
+    if axis.is_text:
+        return axis.labels[k] not in {str(value) for value in values if value is not None}
+    known = np.array([value for value in values if isinstance(value, (int, float))], np.float64)
+    if not len(known):
+        return True
+    low, high = axis.edges[k : k + 2] if axis.edges else (axis.centres[k],) * 2
+    if axis.name == CONTACT_ANGLE:
+        known = low + (known - low) % (2.0 * np.pi)
+    if ((known >= low) & (known <= high)).any():
+        return False
+    if axis.name == CONTACT_ANGLE:
+        turn = [np.abs(wrapped(known - end)).min() for end in (low, high)]
+        return bool(min(turn) > MAX_TURN)
+    if split_unit(axis.name)[1] == "m/s":
+        return not ((known <= MAX_RATIO * high) & (low <= MAX_RATIO * known)).any()
+    return bool(known.max() < low or known.min() > high)
+
+
+def _bounds(
+    evidence: HeldOutErrors, cells: Cells, place: IntArray, rows: IntArray, level: float, seed: int
+) -> FloatArray | None:
+    """Return the bounds of all cells from some of the experiments; None from too few."""
+    if len(rows) < min_experiments(level):
+        return None
+    groups = list(dict.fromkeys(evidence.group))
+    apart = len(groups) > 1
+    fitted = ConformalBound.fit(
+        cells.places[place[rows]],
+        np.sqrt(evidence.error_mm2[rows]),
+        [evidence.group[k] for k in rows.tolist()] if apart else None,
+        level,
+        seed,
+    )
+    n = len(cells)
+    return np.array([fitted.bounds(cells.places, [own] * n if apart else None) for own in groups])

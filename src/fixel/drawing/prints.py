@@ -11,9 +11,8 @@ import numpy as np
 from fixel.drawing.chart import refuse_ending
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
-from fixel.vision.boards import Board
 from fixel.vision.frame import opencv
-from fixel.vision.marks import Tag
+from fixel.vision.marks import Board, Tag
 from fixel.vision.tracking.tag_reader import dictionary_of
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, Unpack, get_args
 import numpy as np
 from gymnasium import spaces
 
-from fixel.environments.scene_picture import scene_picture
+from fixel.environments.pictures import scene_picture
 from fixel.environments.vector import (
     MAX_REDRAWS,
     BatchEnv,

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike
 
 from fixel.environments.motion import STIFFNESS, PushMotion
-from fixel.environments.scene_picture import scene_picture
+from fixel.environments.pictures import scene_picture
 from fixel.environments.vector import (
     FORCE,
     MAX_REDRAWS,

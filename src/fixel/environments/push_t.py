@@ -16,7 +16,7 @@ from gymnasium import spaces
 
 from fixel.environments.loops import STILL, coverage
 from fixel.environments.motion import PushMotion
-from fixel.environments.push_t_picture import picture
+from fixel.environments.pictures import picture
 from fixel.environments.vector import (
     FORCE,
     MAX_REDRAWS,

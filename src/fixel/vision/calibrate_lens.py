@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
 from fixel.typing import FloatArray
-from fixel.vision.boards import Board, Corners
 from fixel.vision.bundle import BundleFit, PointObservations, fit
 from fixel.vision.camera import MeasuredCamera
 from fixel.vision.frame import Picture, opencv
 from fixel.vision.lens import BROWN, FISHEYE, Lens
+from fixel.vision.marks import Board, Corners
 
 MIN_PICTURES: Final = 4
 MIN_TILT: Final = 8.0  # [deg] between two boards; with less the focal length is undetermined

@@ -15,12 +15,11 @@ from numpy.typing import ArrayLike
 from fixel.errors import InvalidInput
 from fixel.model.fields import vector
 from fixel.typing import FloatArray
-from fixel.vision.boards import Board, gray_of
 from fixel.vision.bundle import BundleFit, PointObservations, fit, slopes_of
 from fixel.vision.camera import PLACE, Camera, MeasuredCamera
 from fixel.vision.frame import Picture, opencv
 from fixel.vision.lens import Lens
-from fixel.vision.marks import Tag
+from fixel.vision.marks import Board, Tag, gray_of
 from fixel.vision.tracking.tag_reader import find_tags, other_families, tag_corners
 
 MIN_TAGS: Final = 2

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from fixel.errors import InvalidInput
 from fixel.typing import BoolArray, FloatArray
-from fixel.vision.boards import gray_of
 from fixel.vision.frame import Gray, Picture, opencv
-from fixel.vision.marks import Tag
+from fixel.vision.marks import Tag, gray_of
 from fixel.vision.tracking.loops import find_edges
 
 DICTIONARIES: Final = {

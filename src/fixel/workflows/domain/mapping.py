@@ -16,7 +16,7 @@ from fixel.domain.claim import Claim
 from fixel.domain.domain import DomainMap, default_threshold, domain_map
 from fixel.domain.evidence import HeldOutErrors
 from fixel.domain.held_out import CalibrationModel, Finished, own_errors
-from fixel.domain.predicted_cells import predicted_cells
+from fixel.domain.next_experiment import predicted_cells
 from fixel.domain.surface import Surface
 from fixel.errors import InvalidInput
 from fixel.progress import ProgressOption, show_progress

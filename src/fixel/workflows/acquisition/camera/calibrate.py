@@ -19,12 +19,11 @@ from fixel.formats.video_file import open_video
 from fixel.io.atomic import refuse_unwritable, written_whole
 from fixel.io.document import read_document
 from fixel.typing import ProgressCallback
-from fixel.vision.boards import Board, board_of
 from fixel.vision.calibrate_lens import calibrate_lens, find_boards
 from fixel.vision.camera import MeasuredCamera
 from fixel.vision.frame import Picture, opencv
 from fixel.vision.lens import Lens
-from fixel.vision.marks import Rig, Tag
+from fixel.vision.marks import Board, Rig, Tag, board_of
 from fixel.vision.place_camera import Placement, place_by_board, place_by_tags
 from fixel.vision.tracking.checks import moved_limit
 from fixel.vision.tracking.tag_reader import find_tags, tag_corners
