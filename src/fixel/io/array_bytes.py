@@ -91,7 +91,7 @@ class ResultCache:
         compute : callable
             Function that returns plain values.
         """
-        mark = _mark(of)
+        mark = hashlib.sha256(json.dumps([VERSION, of], default=_plain).encode()).hexdigest()
         if self.folder is None:
             return compute()
         path = self.folder / f"{name}.json"
@@ -111,10 +111,6 @@ def _read(path: Path) -> dict[str, Any] | None:
         return None
     good = isinstance(content, dict) and isinstance(content.get("answer"), dict)
     return content if good else None
-
-
-def _mark(of: object) -> str:
-    return hashlib.sha256(json.dumps([VERSION, of], default=_plain).encode()).hexdigest()
 
 
 def _plain(value: object) -> object:

@@ -71,8 +71,6 @@ def run(
         Folder of the project, if the capability works on one.
     plot : Path, optional
         Folder or file for figures.
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
 
     Raises
     ------
@@ -100,8 +98,6 @@ def call(project: Project, name: str, /, *, progress: ProgressOption = None, **o
     ----------
     name : str
         Name of the capability.
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
     **options
         Arguments of its function, as plain values.
     """

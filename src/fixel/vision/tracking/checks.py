@@ -233,7 +233,7 @@ def registered(rig: Rig, frame: Frame) -> Rig:
     camera, _ = _placed(rig.camera, rough)
     exact = {tag: _by_edges(frame, camera, tag, rough[tag]) for tag in rough}
     camera, found_by = _placed(camera, exact)
-    rest = _rms(found_by.residuals)
+    rest = float(np.sqrt(np.mean(found_by.residuals**2)))
     _refuse_vague(camera, found_by, max(rest, MIN_SCATTER))
     if rest > 1.0:
         raise InvalidInput(
@@ -273,10 +273,6 @@ def _placed(camera: Camera, seen: Mapping[Tag, FloatArray]) -> tuple[Camera, Bun
     found = fit(camera.lens, (), camera.rotation[None], camera.translation[None], sight)
     place = {"rotation": found.rotations[0], "translation": found.translations[0]}
     return replace(camera, **place), found
-
-
-def _rms(residuals: FloatArray) -> float:
-    return float(np.sqrt(np.mean(residuals**2)))
 
 
 def _refuse_vague(camera: Camera, found: BundleFit, scatter: float) -> None:

@@ -46,7 +46,6 @@ def compare_stored(
 
     Parameters
     ----------
-    project : Project
     experiment : str
         Experiment: its id, its name, or DATASET/NAME.
     parameters : mapping of str to float, optional
@@ -59,8 +58,6 @@ def compare_stored(
         drake, pymunk, box2d, or the path of a program, with choices as in mujoco:step=0.001.
     save : bool
         Whether to store the simulation.
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
 
     Raises
     ------

@@ -177,7 +177,6 @@ def map_stored(
 
     Parameters
     ----------
-    project : Project
     calibration : int, optional
         Stored calibration to start from; by default the newest for several experiments.
     fit : sequence of str
@@ -192,8 +191,6 @@ def map_stored(
         Select experiments that match, such as "surface=abs error>5 real"; may be repeated.
     flagged : bool
         Include experiments whose data have faults.
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
     **options
         Options of `fixel.map_domain`.
 

@@ -120,13 +120,10 @@ def filter_stored(
 
     Parameters
     ----------
-    project : Project
     experiment : str
         Experiment: its id, its name, or DATASET/NAME.
     save : bool
         Whether to store the run.
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
     **options
         Options of `filter`.
 

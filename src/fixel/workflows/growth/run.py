@@ -52,8 +52,6 @@ def grow_stored(
         Use only calibrations with this motion model.
     error : str
         Use only calibrations with this error.
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
 
     Raises
     ------

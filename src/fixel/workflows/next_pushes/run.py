@@ -43,7 +43,6 @@ def propose_pushes(
 
     Parameters
     ----------
-    project : Project
     part : str
         Part to push, such as hex or shape=hex; none for the part of a scene file.
     surface : str
@@ -67,8 +66,6 @@ def propose_pushes(
         Seed of the random numbers.
     out : Path, optional
         Plan file, .yaml, to which the proposed pushes are written.
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
 
     Raises
     ------

@@ -168,8 +168,6 @@ def plan_goal(
         Id of the calibration whose parameters are used.
     out : Path, optional
         Plan file to write.
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
     **options
         Options of `plan`.
 

@@ -302,7 +302,7 @@ def _spread(values: np.ndarray) -> tuple[str, str, str]:
 def _conditions(data: ReportData) -> Table:
     rows = []
     for name, values in data.conditions.items():
-        shown = [_plain(value) for value in values]
+        shown = [(value if isinstance(value, str) else f"{value:.4g}") for value in values]
         if len(shown) > MAX_VALUES:
             shown = [*shown[: MAX_VALUES // 2], "...", *shown[-MAX_VALUES // 2 :]]
         rows.append((name, str(len(values)), ", ".join(shown)))
@@ -313,7 +313,3 @@ def _as_listed(value: str | float) -> tuple[bool, float, str]:
     """Sort key: numbers by size, then words alphabetically."""
     words = isinstance(value, str)
     return words, 0.0 if isinstance(value, str) else value, str(value)
-
-
-def _plain(value: str | float) -> str:
-    return value if isinstance(value, str) else f"{value:.4g}"

@@ -193,8 +193,6 @@ def sensitivity_of_pushes(
     preset : str, optional
         Preset start error instead: asme (+-5 um, +-0.5 deg) or rpi-camera (noise of the camera at
         RPI).
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
     **options
         Options of `sensitivity`.
 

@@ -125,7 +125,6 @@ def uncertainty(
 
     Parameters
     ----------
-    project : Project
     experiments : tuple of str
         Ids or names of experiments; by default those of the calibration.
     calibration : int, optional
@@ -134,8 +133,6 @@ def uncertainty(
         Parameter to infer, in SI units or with the suffix _mm, _deg or _mrad; may be repeated.
     held_out : tuple of str
         Experiment that is only predicted; may be repeated.
-    progress : bool or callable, optional
-        See `fixel.progress.show_progress`.
     **options
         Options of `posterior`.
 
