@@ -95,7 +95,7 @@ class MapDocument(Answer):
     groups: list[str] = Field(description="names of the groups, one map for each")
     panels: list[DomainPanel]
     centre: int = Field(description="index of the nominal cell")
-    cells: list[list[MapCell]] = Field(description="by group and index")
+    cells: list[list[MapCell]] = Field(description="cells by group and index")
     figures: list[tuple[str, str]] = Field(description="counts of cells, with their titles")
     remarks: list[str] = Field(description="sentences about experiments and maps left out")
     simulated: bool
