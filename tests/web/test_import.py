@@ -55,6 +55,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(bench):
         assert "sentence" in answer.json()
 
 
+@pytest.mark.system
 def test_files_dropped_on_the_page_are_imported(browser_page, server):
     page = browser_page
     page.wait_for_selector("tr[data-id]")
@@ -77,6 +78,7 @@ def test_files_dropped_on_the_page_are_imported(browser_page, server):
     assert server.context.store.find("csv/dropped")
 
 
+@pytest.mark.system
 def test_a_table_that_cannot_be_read_is_skipped_by_name(browser_page, server):
     page = browser_page
     page.expected_problems = ["422"]

@@ -163,6 +163,7 @@ def test_no_page_leaves_the_prefix():
     assert found == []
 
 
+@pytest.mark.system
 def test_a_real_browser_and_a_hostile_page(browser_page, server):
     before = total(server)
     assert browser_page.url.endswith("/experiments")
@@ -183,6 +184,7 @@ def test_a_real_browser_and_a_hostile_page(browser_page, server):
     assert total(server) == before
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("path", "site"), [("innocent", "same-site"), ("sandboxed", "cross-site")])
 def test_a_form_of_another_port_starts_nothing(path, site, browser_page, server, project):
     experiment = server.context.store.experiments(ExperimentQuery(limit=1)).rows[0].key
@@ -200,6 +202,7 @@ def test_a_form_of_another_port_starts_nothing(path, site, browser_page, server,
     assert {*project.glob("jobs/*")} == before
 
 
+@pytest.mark.system
 def test_whoever_opened_the_link_goes_where_he_likes(browser_page, server):
     """Reloads, new tabs, the way back, the same link once more, pictures and links of pages."""
     browser_page.wait_for_selector("tr[data-id]")
