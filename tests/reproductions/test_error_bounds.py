@@ -62,6 +62,7 @@ def test_rank_correlation_knows_order_only() -> None:
     assert _rank_correlation(a, np.ones(4)) == 0.0
 
 
+@pytest.mark.system
 def test_the_part_leaves_tables_and_a_picture(tmp_path: Path) -> None:
     data, out = tmp_path / "mit_push_endpoints", tmp_path / "out"
     made_up(data)

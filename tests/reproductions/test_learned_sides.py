@@ -35,6 +35,7 @@ def test_quarters_are_equally_large_and_contiguous(tmp_path: Path) -> None:
     assert all(angle[k].max() <= angle[k + 1].min() for k in range(3))
 
 
+@pytest.mark.system
 def test_the_command_reports_what_it_has_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

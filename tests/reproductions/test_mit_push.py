@@ -128,6 +128,7 @@ def test_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
 # --- protocols ------------------------------------------------------------------------------------
 
 
+@pytest.mark.system
 def test_made_up_pushes_are_found_out(tmp_path: Path) -> None:
     folder = made_up(tmp_path / "data")
     out = tmp_path / "out"

@@ -36,6 +36,7 @@ def test_sides_are_those_the_pushes_were_made_up_on(tmp_path: Path) -> None:
     assert len(set(zip(number.tolist(), found.tolist(), strict=True))) == 4
 
 
+@pytest.mark.system
 def test_without_other_plates_a_new_side_has_no_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
