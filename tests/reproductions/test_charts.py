@@ -70,7 +70,7 @@ def test_every_kind_is_drawn(name: str, ending: str, tmp_path: Path) -> None:
 
     save_figure(PICTURES[name], file)
 
-    assert file.stat().st_size > 5_000
+    assert file.stat().st_size > 2_000
 
 
 def test_only_what_is_wider_than_predicted_is_marked() -> None:
