@@ -161,7 +161,7 @@ class GoalFile:
 
 
 def load_goal(path: str | Path) -> GoalFile:
-    """Load a goal file: YAML, or JSON if the name ends in `.json`.
+    r"""Load a goal file: YAML, or JSON if the name ends in `.json`.
 
     Returns
     -------
