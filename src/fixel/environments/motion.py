@@ -22,7 +22,8 @@ from fixel.kernels.batch import rollout_batch
 from fixel.model import Body, Disk, PathDrive, Pusher, Scene
 from fixel.simulation.motion import QuasiStatic
 from fixel.simulation.pack import Template
-from fixel.simulation.simulate import empty_record, method_of
+from fixel.simulation.record import empty_record
+from fixel.simulation.simulate import method_of
 from fixel.simulation.solver import Newton
 from fixel.simulation.stepper import Adaptive
 from fixel.simulation.vary import Variation

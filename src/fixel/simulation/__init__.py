@@ -2,7 +2,7 @@
 
 from fixel.simulation.batch import simulate_batch
 from fixel.simulation.motion import AbstractMotionModel, Dynamic, FirstOrder, QuasiStatic
-from fixel.simulation.result import BatchResult, PusherTrajectory, Simulation
+from fixel.simulation.result import Accuracy, BatchResult, PusherTrajectory, Simulation
 from fixel.simulation.simulate import Simulator, simulate
 from fixel.simulation.solver import AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive, Midpoint, StewartTrinkle
@@ -11,6 +11,7 @@ __all__ = [
     "AbstractMotionModel",
     "AbstractSolver",
     "AbstractStepper",
+    "Accuracy",
     "Adaptive",
     "BatchResult",
     "Dynamic",

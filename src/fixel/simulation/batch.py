@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from typing import Any, Final, overload
 
@@ -25,19 +26,18 @@ from fixel.kernels.arrays import (
 from fixel.model import Parameters, Scene
 from fixel.simulation.motion import AbstractMotionModel, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack, stack
+from fixel.simulation.record import empty_record, shape_poses
 from fixel.simulation.result import BatchResult
 from fixel.simulation.simulate import (
     CONTACTS_PER_BODY,
     SceneWithMethod,
     check_method,
     duration_of,
-    empty_record,
     fixel_version,
     is_compiled,
     method_of,
     one_variation,
     scene_file,
-    shape_poses,
 )
 from fixel.simulation.solver import SOLVERS, AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
@@ -62,6 +62,7 @@ def simulate_batch(
     times: ArrayLike | None = None,
     threads: int | None = None,
     max_contacts: int = 4096,
+    accuracy: bool = False,
 ) -> BatchResult: ...
 
 
@@ -82,6 +83,7 @@ def simulate_batch(  # type: ignore[misc]
     times: ArrayLike | None = None,
     threads: int | None = None,
     max_contacts: int = 4096,
+    accuracy: bool = False,
 ) -> BatchResult | list[BatchResult]:
     """Simulate one scene in many variations, or many scenes.
 
@@ -108,6 +110,8 @@ def simulate_batch(  # type: ignore[misc]
         Number of threads; all cores by default. Results are bit for bit the same for any number.
     max_contacts : int
         Largest number of contacts in one rollout.
+    accuracy : bool
+        Whether to solve every run in a second, independent way; see `BatchResult.accuracy`.
 
     Returns
     -------
@@ -140,9 +144,11 @@ def simulate_batch(  # type: ignore[misc]
     check_compiled(motion, stepper, solver)
     method = method_of(motion, stepper, solver, max_contacts)
     if not isinstance(scene, Scene):
-        if parameters is not None or start is not None or waypoints is not None:
+        if parameters is not None or start is not None or waypoints is not None or accuracy:
             raise InvalidInput(
-                "scene", found="several scenes with variations", expected="one scene to vary"
+                "scene",
+                found="several scenes with variations or accuracy",
+                expected="one scene to vary",
             )
         return _simulate_scenes(
             scene, motion, stepper, solver, duration, times, threads, max_contacts
@@ -159,7 +165,14 @@ def simulate_batch(  # type: ignore[misc]
     except KeyboardInterrupt:
         partial = _unpack(scene, packed, record, instants, variation.parameters)
         raise Interrupted(partial, "its result has the finished runs") from None
-    return _unpack(scene, packed, record, instants, variation.parameters)
+    runs = _unpack(scene, packed, record, instants, variation.parameters)
+    if not accuracy:
+        return runs
+    from fixel.simulation.accuracy import confirm  # late: few batches need it
+
+    found = confirm(packed, method, runs.final[:, : len(scene.bodies)], record.status, threads)
+    apart = np.stack((found.distance, found.angle), axis=1)
+    return replace(runs, accuracy=found.verdict, apart=apart)
 
 
 def simulate_packed(

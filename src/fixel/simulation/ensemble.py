@@ -27,8 +27,9 @@ from fixel.simulation.pack import (
     pusher_path,
     stack,
 )
+from fixel.simulation.record import empty_record, shape_poses
 from fixel.simulation.rollouts import INFEASIBLE, EnsembleOutcome, RolloutCase
-from fixel.simulation.simulate import empty_record, method_of, shape_poses
+from fixel.simulation.simulate import method_of
 from fixel.simulation.solver import AbstractSolver, Newton
 from fixel.simulation.stepper import AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads

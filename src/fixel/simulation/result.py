@@ -27,6 +27,7 @@ from fixel.model import (
     Scene,
     Trajectory,
 )
+from fixel.model.parameters import info_of
 from fixel.registry import offered
 from fixel.results import Result, Summary
 from fixel.simulation.geometry import contact_outline, outline_tolerance
@@ -49,6 +50,11 @@ CONTACT_FIELDS = np.dtype(
 )
 
 
+NO_SLOPES: Final = "no derivatives: contact modes are lost, or one ends in a jump"
+# Verdicts of `Accuracy`.
+CERTIFIED: Final = "certified"
+AGREED: Final = "agreed"
+UNCERTAIN: Final = "uncertain"
 MAX_BODIES: Final = 12  # listed for a printed result
 POSE_NAMES: Final = ("x", "y", "theta")
 
@@ -71,6 +77,46 @@ class PusherTrajectory(Trajectory):
     travel: float
     force: FloatArray
     stalled: BoolArray
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Accuracy:
+    """How far a second, independent way confirms the end of a simulation.
+
+    Attributes
+    ----------
+    verdict : str
+        ``certified``: every contact mode held, and the stepper ended at the same pose; ``agreed``:
+        small fixed steps ended there; ``uncertain``: neither.
+    distance : float
+        Largest distance between the two ends of a free body [m].
+    angle : float
+        Largest angle between them [rad].
+    other : (n_free, 3) float64
+        End of every free body by the second way [m, m, rad].
+    reason : str
+        Why the verdict is not ``certified``; empty where it is.
+
+    Examples
+    --------
+    >>> import fixel
+    >>> from fixel.testing.scenes import pushed_square
+    >>> push = fixel.simulate(pushed_square(), motion="quasistatic", accuracy=True)
+    >>> push.accuracy.verdict
+    'certified'
+    """
+
+    verdict: str
+    distance: float
+    angle: float
+    other: FloatArray
+    reason: str = ""
+
+    def __str__(self) -> str:
+        apart = f"{1e3 * self.distance:.2g} mm and {degrees(self.angle):.2g} deg"
+        why = f" ({self.reason})" if self.reason else ""
+        return f"{self.verdict}: two ways to solve it end {apart} apart{why}"
 
 
 @final
@@ -114,6 +160,11 @@ class Simulation(Result):
         Computing time [s].
     version : str
         Version of fixel.
+    accuracy : Accuracy or None
+        How far a second, independent way confirms the end; None where that was not asked for.
+    derivatives : mapping from name to (3,) float64, or None
+        Derivative of x, y and theta of the part at the end, by each name that was asked for [SI
+        units]; empty where there are none: contact modes are lost, or one ends in a jump.
 
     Examples
     --------
@@ -143,6 +194,8 @@ class Simulation(Result):
     max_residual: float
     wall_time_s: float
     version: str = field(default="")
+    accuracy: Accuracy | None = None
+    derivatives: Mapping[str, FloatArray] | None = None
 
     @property
     def advice(self) -> str:
@@ -265,14 +318,31 @@ class Simulation(Result):
             [
                 Table(("body, at the end", *place, "touching"), rows),
                 *([Table(columns, traces)] if traces else []),
+                *([self._slopes()] if self.derivatives else []),
             ],
-            [*([self.advice] if self.advice else []), *self.simplified, quality],
+            [
+                *([self.advice] if self.advice else []),
+                *([str(self.accuracy)] if self.accuracy else []),
+                *([NO_SLOPES] if self.derivatives == {} else []),
+                *self.simplified,
+                quality,
+            ],
             {
                 "parameters": ", ".join(f"{k} = {v:g}" for k, v in (self.parameters or {}).items()),
                 "solver": str(self.method["solver"]),
                 "version": f"fixel {self.version}",
             },
         )
+
+    def _slopes(self) -> Table:
+        """Derivatives of the end, each in units of the part's pose per unit of the parameter."""
+        units = {"x": "m", "y": "m", "theta": "rad"}
+        rows = [
+            (name, units.get(name) or info_of(name).unit, *slope.tolist())
+            for name, slope in (self.derivatives or {}).items()
+        ]
+        ends = (Column(name, f"{unit} per unit", ".4g") for name, unit in units.items())
+        return Table(("derivative of the end, by", "unit", *ends), rows)
 
     def _data(self) -> Table:
         rows = (
@@ -319,6 +389,16 @@ class Simulation(Result):
         }
         if self.simplified:
             answer["simplified"] = self.simplified
+        if self.accuracy:
+            answer["accuracy"] = {
+                "verdict": self.accuracy.verdict,
+                "distance": self.accuracy.distance,
+                "angle": self.accuracy.angle,
+                "other": self.accuracy.other.tolist(),
+                "reason": self.accuracy.reason,
+            }
+        if self.derivatives is not None:
+            answer["derivatives"] = {k: v.tolist() for k, v in self.derivatives.items()}
         return answer
 
 
@@ -390,6 +470,11 @@ class BatchResult(Result):
         Whether each pusher's drive stalled at the end.
     contacts : (n, n_moving, n_body) bool or None
         Whether two bodies touch at the end; None if contacts were not recorded.
+    accuracy : (n,) str or None
+        ``certified``, ``agreed`` or ``uncertain``, as `Accuracy.verdict`; None where that was not
+        asked for.
+    apart : (n, 2) float64 or None
+        Largest distance [m] and angle [rad] between the ends by two independent ways.
     version : str
         Version of fixel.
 
@@ -418,6 +503,8 @@ class BatchResult(Result):
     force: FloatArray
     stalled: BoolArray
     contacts: BoolArray | None = None
+    accuracy: NDArray[np.str_] | None = None
+    apart: FloatArray | None = None
     version: str = ""
 
     @property
@@ -491,13 +578,10 @@ class BatchResult(Result):
                 raise IndexError(f"run {key} of {len(self)}")
             key = slice(int(key) % len(self), int(key) % len(self) + 1)
         index: Any = key if isinstance(key, slice) else np.asarray(key)
-        own = {name: getattr(self, name)[index] for name in PER_RUN}
-        return replace(
-            self,
-            **own,
-            parameters={name: values[index] for name, values in self.parameters.items()},
-            contacts=None if self.contacts is None else self.contacts[index],
-        )
+        values = {name: getattr(self, name) for name in PER_RUN}
+        own: dict[str, Any] = {k: None if v is None else v[index] for k, v in values.items()}
+        parameters = {name: value[index] for name, value in self.parameters.items()}
+        return replace(self, **own, parameters=parameters)
 
     def _summary(self) -> Summary:
         n, n_sample = self.pose.shape[:2]
@@ -507,6 +591,9 @@ class BatchResult(Result):
             f"{self.steps.sum()} steps, {self.fallbacks.sum()} fallbacks;"
             f" worst residual {np.max(self.max_residual, initial=0.0):.1e}"
         ]
+        if self.accuracy is not None:
+            verdicts = Counter(self.accuracy.tolist()).most_common()
+            notes.append("accuracy: " + ", ".join(f"{count} {own}" for own, count in verdicts))
         tables = []
         if n and n_sample:
             unit, factor = _length_unit(self.final)
@@ -552,6 +639,9 @@ PER_RUN: Final = (
     "max_residual",
     "force",
     "stalled",
+    "contacts",
+    "accuracy",
+    "apart",
 )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import time as clock
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
 from importlib.metadata import version
@@ -20,7 +20,6 @@ from fixel.kernels import batch as kernel
 from fixel.kernels import codes
 from fixel.kernels.arrays import (
     CONTACT_ROWS,
-    N_TOTAL,
     REACHED,
     SAMPLES,
     STEPS_TAKEN,
@@ -34,12 +33,13 @@ from fixel.registry import offered
 from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_model, named_part
 from fixel.simulation.pack import PackedBatch, pack
 from fixel.simulation.plain import rollout_in_python
+from fixel.simulation.record import empty_record, shape_poses
 from fixel.simulation.result import CONTACT_FIELDS, PusherTrajectory, Simulation
 from fixel.simulation.solver import SOLVERS, AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
 from fixel.simulation.trust import permit
-from fixel.simulation.vary import Variation, composed, inverted
+from fixel.simulation.vary import Variation
 from fixel.typing import FloatArray
 
 MAX_STEPS = 1_000_000  # of a stepper without a limit
@@ -74,6 +74,8 @@ def simulate(
     max_contacts: int = 4096,
     plain: bool = False,
     check: bool = False,
+    accuracy: bool = False,
+    derivatives: Sequence[str] = (),
 ) -> Simulation:
     """Simulate one scene.
 
@@ -97,6 +99,13 @@ def simulate(
         Whether to run the steps in Python, one part at a time; always done for plug-ins.
     check : bool
         Whether to raise `SolveFailed` instead of returning a simulation that stopped early.
+    accuracy : bool
+        Whether to solve the scene in a second, independent way and compare both ends; see
+        `Accuracy`. It takes as long again for quasi-static motion of one part, and ten to thirty
+        times as long for other motion.
+    derivatives : sequence of str
+        Parameters, or ``"x"``, ``"y"`` and ``"theta"`` of the start pose, by which to differentiate
+        the end; for quasi-static motion of one part.
 
     Returns
     -------
@@ -133,7 +142,12 @@ def simulate(
         plain=plain,
     )
     return simulator.run(
-        parameters, duration=duration, output_interval=output_interval, check=check
+        parameters,
+        duration=duration,
+        output_interval=output_interval,
+        check=check,
+        accuracy=accuracy,
+        derivatives=derivatives,
     )
 
 
@@ -210,6 +224,8 @@ class Simulator:
         duration: float | None = None,
         output_interval: float | None = None,
         check: bool = False,
+        accuracy: bool = False,
+        derivatives: Sequence[str] = (),
     ) -> Simulation:
         """Simulate the scene, with changes for this run only.
 
@@ -227,6 +243,8 @@ class Simulator:
             Time between samples [s]; by default a sample at the end of every step.
         check : bool
             Whether to raise `SolveFailed` instead of returning a simulation that stopped early.
+        accuracy, derivatives : optional
+            As for `simulate`.
 
         Returns
         -------
@@ -251,6 +269,12 @@ class Simulator:
             variation = variation._replace(start=np.array([[body.pose for body in scene.bodies]]))
         times = None if interval is None else sample_times(duration, interval)
         if isinstance(self.motion, OtherEngine):
+            if accuracy or derivatives:
+                raise InvalidInput(
+                    "accuracy" if accuracy else "derivatives",
+                    found=f"the engine {self.motion.name}",
+                    expected="a motion model of fixel",
+                )
             engines = import_module("fixel.simulation.engines.single")
             found = engines.fields_of_engine(scene, self.motion, parameters, duration, times)
         else:
@@ -263,6 +287,15 @@ class Simulator:
                 "wall_time_s": seconds,
                 "method": _described(self.motion, self.stepper, self.solver),
             }
+            if accuracy:
+                from fixel.simulation.accuracy import confirm  # late: few runs need it
+
+                ends = [found["pose"][body.name][-1] for body in scene.bodies]
+                found["accuracy"] = confirm(
+                    packed, self._method, np.array([ends]), record.status, threads=1
+                )[0]
+            if derivatives:
+                found["derivatives"] = self._derivatives(known, variation, duration, derivatives)
         simulation = Simulation(
             scene=scene, parameters=parameters, version=fixel_version(), **found
         )
@@ -300,6 +333,28 @@ class Simulator:
             path = PathDrive(waypoints, force_limit=limit)
             pushers = (replace(pushers[0], drive=path),)
         return replace(scene, bodies=bodies, pushers=pushers)
+
+    def _derivatives(
+        self, scene: Scene, variation: Variation, duration: float, names: Sequence[str]
+    ) -> Mapping[str, FloatArray]:
+        if self.motion.kind != codes.QUASI_STATIC or len(scene.bodies) != 1:
+            raise InvalidInput(
+                "derivatives",
+                found=f"{self.motion.name} motion of {len(scene.bodies)} free bodies",
+                expected="quasi-static motion of one body",
+                hint='motion="quasistatic"',
+            )
+        from fixel.simulation.derivatives import POSE, end_derivatives, nudged
+
+        own = [name for name in dict.fromkeys(names) if name not in POSE]
+        nudges = nudged(scene, variation, own, 1)
+        packed = pack(scene, self.motion, self.stepper, nudges, 1 + 2 * len(own), duration)
+        start = scene.bodies[0].pose if variation.start is None else variation.start[0, 0]
+        slope, there = end_derivatives(
+            packed, self._method, nudges.parameters, own, np.array([start[2]]), threads=1
+        )
+        columns = dict(zip([*POSE, *own], slope[0].T, strict=True))
+        return {name: columns[name] for name in names} if there[0] else {}
 
     def _record(
         self, packed: PackedBatch, duration: float, times: FloatArray | None
@@ -376,34 +431,6 @@ def is_compiled(part: AbstractMotionModel | AbstractStepper | AbstractSolver) ->
     return part.kind != codes.EXTERNAL
 
 
-def empty_record(
-    packed: PackedBatch,
-    n_sample: int,
-    n_row: int,
-    times: FloatArray | None = None,
-    bare: bool = False,
-) -> BatchRecord:
-    """Allocate `n_sample` samples for every rollout, at `times` [s] where given; if `bare`, only
-    for poses of the free bodies."""
-    count = packed.batch.count
-    n = len(count)
-    n_driven = 0 if bare else int(count[:, kernel.DRIVEN].max(initial=0))
-    n_moving = int(count[:, kernel.FREE].max(initial=0)) + n_driven
-    time = np.zeros((n, n_sample))
-    if times is not None:
-        time[:] = times / packed.units.time
-    return BatchRecord(
-        time=time,
-        pose=np.zeros((n, n_sample, n_moving, 3)),
-        twist=np.zeros((n, 0 if bare else n_sample, n_moving, 3)),
-        drive=np.zeros((n, n_sample, n_driven, 2)),
-        contact=np.zeros((n, n_row, 11)),
-        count=np.zeros((n, 4), np.int64),
-        total=np.zeros((n, N_TOTAL)),
-        status=np.zeros(n, np.int64),
-    )
-
-
 def sample_times(duration: float, interval: float) -> FloatArray:
     """Sample times 0, interval, 2 interval, ... and the end [s]."""
     positive_time("output_interval", interval)
@@ -471,22 +498,6 @@ def _roll_one(
 def fixel_version() -> str:
     """Return the version of fixel that is installed."""
     return version("fixel")
-
-
-def shape_poses(packed: PackedBatch, pose: FloatArray) -> FloatArray:
-    """Convert scaled poses of centres of mass to poses (..., n_moving, 3) of shape frames in SI."""
-    length = packed.units.length
-    out = pose * np.array([length, length, 1.0])
-    free = out[..., : len(packed.com), :]
-    if packed.com.any():
-        c, s = np.cos(free[..., 2]), np.sin(free[..., 2])
-        x, y = packed.com[:, 0], packed.com[:, 1]
-        free[..., 0] -= c * x - s * y
-        free[..., 1] -= s * x + c * y
-    if packed.outline is not None:
-        frame = inverted(packed.outline)[:, None, None]
-        free[:] = composed(free, frame if out.ndim == 4 else frame[0, 0])
-    return np.asarray(out)
 
 
 def _unpacked(

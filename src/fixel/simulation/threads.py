@@ -75,6 +75,44 @@ def rollout_in_threads(
         raise
 
 
+def in_ranges(call: Callable[[int, int], None], n: int, threads: int | None) -> None:
+    """Call `call(first, last)` for ranges of `n` items, in threads; Ctrl-C ends after a range."""
+    n_threads = cores() if threads is None else threads
+    starts = range(0, n, MAX_RANGE)
+    if (
+        n_threads == 1
+        or len(starts) < 2
+        or threading.current_thread().name.startswith(POOL_NAME)  # must not wait for itself
+    ):
+        for k in starts:
+            call(k, min(n, k + MAX_RANGE))
+        return
+    left = deque(starts)
+    ended: SimpleQueue[BaseException | None] = SimpleQueue()
+
+    def work() -> None:
+        problem = None
+        try:
+            while left:
+                with suppress(IndexError):  # another thread was faster
+                    k = left.popleft()
+                    call(k, min(n, k + MAX_RANGE))
+        except BaseException as found:
+            problem = found
+        finally:
+            ended.put(problem)
+
+    pool = _threads(n_threads)
+    futures = [pool.submit(work) for _ in range(min(n_threads, len(left)))]
+    try:
+        for _ in futures:
+            if problem := awaited(ended):
+                raise problem
+    finally:
+        left.clear()
+        wait(futures)
+
+
 def cores() -> int:
     """Return the number of cores that this process may use."""
     count = os.process_cpu_count() if hasattr(os, "process_cpu_count") else os.cpu_count()

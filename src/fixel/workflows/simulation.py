@@ -64,6 +64,8 @@ def simulate_file(
     stepper: AbstractStepper | None = None,
     solver: str | None = None,
     plain: bool = False,
+    accuracy: bool = False,
+    derivatives: Sequence[str] = (),
 ) -> Simulation:
     """Simulate a scene file by `fixel.simulate`, and write the requested files.
 
@@ -73,8 +75,8 @@ def simulate_file(
         Scene and method, as loaded by `load_scene`.
     outputs : Outputs, optional
         Files to write; a failed simulation is written and drawn, too.
-    motion, stepper, solver, plain : optional
-        Method, as for `simulate`; that of the file by default.
+    motion, stepper, solver, plain, accuracy, derivatives : optional
+        As for `simulate`; the method of the file by default.
 
     Raises
     ------
@@ -92,7 +94,15 @@ def simulate_file(
     check_method(file.scene, part)
     outputs.check()
     get_ready(file.scene, part, plain)
-    simulation = simulate(file, motion=motion, stepper=stepper, solver=part, plain=plain)
+    simulation = simulate(
+        file,
+        motion=motion,
+        stepper=stepper,
+        solver=part,
+        plain=plain,
+        accuracy=accuracy,
+        derivatives=derivatives,
+    )
     outputs.write(simulation)
     return simulation
 
@@ -111,6 +121,10 @@ def simulate_scene(
     tolerance: Annotated[float | None, Door(flag="--tolerance", unit="mm", metavar="MM")] = None,
     solver: Literal["newton", "gauss-seidel", "lemke"] = "newton",
     plain: bool = False,
+    accuracy: bool = False,
+    derivatives: Annotated[
+        Sequence[str], Door(flag="--derivative", metavar="NAME", plain=tuple[str, ...])
+    ] = (),
     progress: ProgressOption = None,
 ) -> Simulation:
     """Simulate a scene file and report its end.
@@ -139,6 +153,11 @@ def simulate_scene(
         Solver; lemke needs support_directions in the scene.
     plain : bool
         Whether to run the steps in Python, slowly, as a cross-check.
+    accuracy : bool
+        Whether to solve the scene in a second, independent way and compare both ends.
+    derivatives : sequence of str
+        Differentiate the end by this parameter, or by x, y or theta of the start pose; may be
+        repeated.
     progress : bool or callable, optional
         Not used.
 
@@ -157,6 +176,8 @@ def simulate_scene(
         stepper=stepper_of(step, tolerance),
         solver=solver,
         plain=plain,
+        accuracy=accuracy,
+        derivatives=derivatives,
     )
 
 

@@ -207,7 +207,7 @@ def _pinned(parameters: Mapping[str, float], motion: str, chosen: list[StoredSet
 def _slider(
     one: ParameterSlider, base: StoredSet, query: Mapping[str, str], usual: bool
 ) -> ShownSlider:
-    """Return a slider at the value of the address; one that nobody changed keeps all its digits."""
+    """Return a slider at the value of the address; an unchanged value keeps all its digits."""
     unit, factor = displayed(one.unit)
     known = base.parameters.get(one.name, one.nominal)
     given = query.get(one.name, "")

@@ -1,0 +1,1 @@
+"""Contact modes of quasi-static motion, followed from event to event."""

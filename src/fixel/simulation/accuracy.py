@@ -1,0 +1,183 @@
+"""Accuracy of the end of a simulation: a second, independent way solves it again.
+
+Quasi-static motion of one part is followed from contact mode to contact mode, which shares no step
+with the stepper. Other motion is repeated in small fixed steps, which share no decision about
+steps. docs/theory/modes.md has measured figures.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fixel.kernels import arrays as at
+from fixel.kernels import codes
+from fixel.kernels.arrays import Batch, StepMethod
+from fixel.kernels.modes import walk
+from fixel.simulation.pack import PackedBatch
+from fixel.simulation.record import empty_record, shape_poses
+from fixel.simulation.result import AGREED, CERTIFIED, UNCERTAIN, Accuracy
+from fixel.simulation.threads import in_ranges, rollout_in_threads
+from fixel.typing import FloatArray, IntArray
+
+APART_LENGTH: Final = 5e-3  # of the characteristic length: two ends that are this close agree
+APART_ANGLE: Final = math.radians(0.1)
+FIXED_STEP: Final = 5e-4  # of the time in which the fastest motion covers that length
+MODE_ROOM: Final = 200  # rows of the tapes that derivatives need
+STEP_ROOM: Final = 1000
+
+_LOST: Final = {
+    walk.UNSUITED: "contact modes describe one part and one pusher on an even plane only",
+    walk.NO_MODE: "no contact mode holds where one ended",
+    walk.CHATTER: "contact modes alternate",
+    walk.FOLD: "contact modes ended without a cause",
+}
+
+
+class Confirmation(NamedTuple):
+    """Accuracy of many simulations."""
+
+    verdict: NDArray[np.str_]  # (n,)
+    distance: FloatArray  # (n,) [m]
+    angle: FloatArray  # (n,) [rad]
+    other: FloatArray  # (n, n_free, 3)
+    reason: list[str]
+
+    def __getitem__(self, k: int) -> Accuracy:  # type: ignore[override]
+        return Accuracy(
+            verdict=str(self.verdict[k]),
+            distance=float(self.distance[k]),
+            angle=float(self.angle[k]),
+            other=self.other[k],
+            reason=self.reason[k],
+        )
+
+
+def confirm(
+    packed: PackedBatch,
+    method: StepMethod,
+    final: FloatArray,
+    status: IntArray,
+    threads: int | None = None,
+) -> Confirmation:
+    """Solve rollouts again, and compare their ends.
+
+    Parameters
+    ----------
+    packed : PackedBatch
+    method : StepMethod
+        That of the rollouts.
+    final : (n, n_free, 3) float64
+        Their ends, in SI units.
+    status : (n,) int64
+        How they ended (`fixel.kernels.codes`).
+    threads : int, optional
+        Number of threads; all cores by default.
+    """
+    n, n_free = final.shape[:2]
+    other = np.array(final)
+    ended = np.full(n, walk.UNSUITED)
+    folds = np.zeros(n, np.int64)
+    converged = status == codes.CONVERGED
+    doubtful = converged.copy()
+    if method.motion == codes.QUASI_STATIC:
+        record = walked(packed, method, n, threads=threads)
+        ended, folds = record.status, record.count[:, walk.FOLDS]
+        reached = ended == walk.COMPLETE
+        if reached.any():
+            other[reached] = shape_poses(packed, record.end[:, None, None, :3])[reached, 0]
+        # Where a drive stalls at once, it may as well go on: a third way tells whether it does.
+        doubtful &= ~reached | (record.count[:, walk.SUDDEN] == 1)
+    stopped = np.zeros(n, np.bool_)
+    if doubtful.any():
+        again = np.flatnonzero(doubtful)
+        repeated, stopped[again] = _repeated(packed, method, again, n_free, threads)
+        farther = _apart(repeated, final[again]) > _apart(other[again], final[again])
+        other[again[farther]] = repeated[farther]
+    gap = other - final
+    distance = np.hypot(gap[..., 0], gap[..., 1]).max(axis=1)
+    angle = np.abs(gap[..., 2]).max(axis=1)
+    close = (distance <= APART_LENGTH * packed.units.length) & (angle <= APART_ANGLE)
+    close &= ~stopped & converged
+    held = (ended == walk.COMPLETE) & (folds == 0)
+    verdict = np.where(close, np.where(held, CERTIFIED, AGREED), UNCERTAIN)
+    reason = [
+        _reason(str(verdict[k]), method, int(ended[k]), bool(folds[k]), bool(stopped[k]))
+        if status[k] == codes.CONVERGED
+        else "it stopped early"
+        for k in range(n)
+    ]
+    return Confirmation(verdict, distance, angle, other, reason)
+
+
+def _apart(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Size (n,) of the largest differences of poses, with a radian counted as ten centimetres."""
+    return np.asarray(np.abs(one - other).max(axis=1) @ np.array([1.0, 1.0, 0.1]))
+
+
+def _reason(verdict: str, method: StepMethod, ended: int, folds: bool, stopped: bool) -> str:
+    """Return what is behind a verdict on a simulation that reached its end."""
+    if verdict == CERTIFIED:
+        return ""
+    if stopped:
+        return "small fixed steps stopped early"
+    lost = _LOST.get(ended, "a contact mode ended in a jump" if folds else "")
+    if method.motion != codes.QUASI_STATIC:
+        lost = "contact modes describe quasi-static motion only"
+    return lost or "two ways differ, so that two motions may be possible"
+
+
+def walked(
+    packed: PackedBatch,
+    method: StepMethod,
+    n: int,
+    *,
+    stride: int = 1,
+    taped: bool = False,
+    threads: int | None = None,
+) -> walk.ModeRecord:
+    """Follow the contact modes of every `stride`-th rollout; `taped` for derivatives."""
+    modes, steps = (MODE_ROOM, STEP_ROOM) if taped else (0, 0)
+    record = walk.ModeRecord(
+        status=np.zeros(n, np.int64),
+        end=np.zeros((n, 4)),
+        count=np.zeros((n, 5), np.int64),
+        mode=np.zeros((n, modes, walk.MODE_WIDE)),
+        step=np.zeros((n, steps, walk.STEP_WIDE)),
+    )
+    in_ranges(partial(walk.walk_batch, packed.batch, method, stride, record), n, threads)
+    return record
+
+
+def _repeated(
+    packed: PackedBatch, method: StepMethod, chosen: IntArray, n_free: int, threads: int | None
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Ends (k, n_free, 3) of some rollouts in fixed steps, and whether each stopped early."""
+    batch = _chosen(packed.batch, chosen)
+    batch.settings[:, at.STEP] = FIXED_STEP
+    fixed = method._replace(adaptive=0, lead=0.0)
+    part = packed._replace(
+        batch=batch, outline=None if packed.outline is None else packed.outline[chosen]
+    )
+    record = empty_record(part, 1, 0, bare=True)
+    record.time[:] = batch.settings[:, at.DURATION, None]
+    rollout_in_threads(batch, fixed, record, threads)
+    ends = shape_poses(part, record.pose[:, :, :n_free])[:, 0]
+    return ends, record.status != codes.CONVERGED
+
+
+def _chosen(batch: Batch, chosen: IntArray) -> Batch:
+    """Return some rollouts of a batch."""
+    model = batch.model
+    return batch._replace(
+        begin=batch.begin[chosen],
+        count=batch.count[chosen],
+        map_shape=batch.map_shape[chosen],
+        sides=batch.sides[chosen],
+        settings=batch.settings[chosen],
+        model=model._replace(plane=model.plane[chosen], map_frame=model.map_frame[chosen]),
+    )

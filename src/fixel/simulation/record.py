@@ -1,0 +1,55 @@
+"""Records of rollouts: their allocation, and conversion of their poses to SI units."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fixel.kernels import batch as kernel
+from fixel.kernels.arrays import N_TOTAL, BatchRecord
+from fixel.simulation.pack import PackedBatch
+from fixel.simulation.vary import composed, inverted
+from fixel.typing import FloatArray
+
+
+def empty_record(
+    packed: PackedBatch,
+    n_sample: int,
+    n_row: int,
+    times: FloatArray | None = None,
+    bare: bool = False,
+) -> BatchRecord:
+    """Allocate `n_sample` samples for every rollout, at `times` [s] where given; if `bare`, only
+    for poses of the free bodies."""
+    count = packed.batch.count
+    n = len(count)
+    n_driven = 0 if bare else int(count[:, kernel.DRIVEN].max(initial=0))
+    n_moving = int(count[:, kernel.FREE].max(initial=0)) + n_driven
+    time = np.zeros((n, n_sample))
+    if times is not None:
+        time[:] = times / packed.units.time
+    return BatchRecord(
+        time=time,
+        pose=np.zeros((n, n_sample, n_moving, 3)),
+        twist=np.zeros((n, 0 if bare else n_sample, n_moving, 3)),
+        drive=np.zeros((n, n_sample, n_driven, 2)),
+        contact=np.zeros((n, n_row, 11)),
+        count=np.zeros((n, 4), np.int64),
+        total=np.zeros((n, N_TOTAL)),
+        status=np.zeros(n, np.int64),
+    )
+
+
+def shape_poses(packed: PackedBatch, pose: FloatArray) -> FloatArray:
+    """Convert scaled poses of centres of mass to poses (..., n_moving, 3) of shape frames in SI."""
+    length = packed.units.length
+    out = pose * np.array([length, length, 1.0])
+    free = out[..., : len(packed.com), :]
+    if packed.com.any():
+        c, s = np.cos(free[..., 2]), np.sin(free[..., 2])
+        x, y = packed.com[:, 0], packed.com[:, 1]
+        free[..., 0] -= c * x - s * y
+        free[..., 1] -= s * x + c * y
+    if packed.outline is not None:
+        frame = inverted(packed.outline)[:, None, None]
+        free[:] = composed(free, frame if out.ndim == 4 else frame[0, 0])
+    return np.asarray(out)

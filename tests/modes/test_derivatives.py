@@ -1,0 +1,113 @@
+"""Derivatives of ends, beside differences of small fixed steps and of known motion."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from benchmarks.seated import seated_grasp
+
+from fixel.errors import InvalidInput
+from fixel.model import Body, LineDrive, Pusher, Scene, Tripod
+from fixel.simulation import Midpoint, Simulator, simulate
+from fixel.testing.scenes import box, free_push, grasp, row
+
+SUPPORT = Tripod(radius=0.03, friction=0.3)
+NAMES = ("mu_pusher", "tripod_radius", "x", "y", "theta")
+
+
+def _without_pegs(seed):
+    """The push of a seated grasp over 60 mm, without pegs."""
+    scene = seated_grasp(seed)
+    push = scene.pushers[0]
+    drive = replace(push.drive, travel=0.06)
+    return replace(scene, fixels=(), pushers=(replace(push, drive=drive),), duration=5.0)
+
+
+def _differences(scene, name, width):
+    """Derivative of the end by fixed steps, from differences over `width`."""
+    body = scene.bodies[0]
+    simulator = Simulator(
+        scene, motion="quasistatic", stepper=Midpoint(step=scene.duration / 20_000)
+    )
+    ends = []
+    for sign in (1.0, -1.0):
+        start = np.array(body.pose)
+        values = {}
+        if name in ("x", "y", "theta"):
+            start[("x", "y", "theta").index(name)] += sign * width
+        else:
+            nominal = {
+                "mu_pusher": scene.pushers[0].friction, "tripod_radius": body.support.radius
+            }  # fmt: skip
+            values[name] = nominal[name] + sign * width
+        ends.append(np.array(simulator.run(values, start=start).final[body.name]))
+    return (ends[0] - ends[1]) / (2.0 * width)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_agrees_with_differences_of_fixed_steps(seed):
+    scene = _without_pegs(seed)
+    push = simulate(scene, motion="quasistatic", derivatives=NAMES)
+    scale = np.array([1.0, 1.0, 0.05])  # [m/rad]
+    for name in NAMES:
+        width = 1e-3 if name in ("mu_pusher", "theta") else 1e-4
+        numeric = scale * _differences(scene, name, width)
+        # Below this, differences of fixed steps are noise.
+        size = max(np.linalg.norm(numeric), 0.05 if name in ("x", "y", "tripod_radius") else 0.02)
+        assert np.linalg.norm(scale * push.derivatives[name] - numeric) < 0.05 * size, name
+
+
+def test_a_face_that_lies_flush_moves_with_the_head():
+    """Friction, and where the part starts along the push, make no difference then."""
+    head = Pusher(
+        name="head",
+        shape=box(0.04, 0.04),
+        pose=row(0.0, 0.0, 0.0),
+        drive=LineDrive(direction=row(1.0, 0.0), speed=0.01, travel=0.05),
+        friction=0.5,
+    )
+    part = Body(
+        name="part",
+        shape=box(0.06, 0.06),
+        mass=0.2,
+        pose=row(0.055, 0.002, 0.0),
+        support=Tripod(radius=0.01, friction=0.3),
+    )
+    scene = Scene(bodies=(part,), pushers=(head,), duration=6.0)
+    slope = simulate(scene, motion="quasistatic", derivatives=NAMES).derivatives
+    assert slope["x"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert slope["y"] == pytest.approx([0.0, 1.0, 0.0], abs=1e-6)
+    assert slope["mu_pusher"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+
+
+def test_a_seated_part_does_not_depend_on_its_start():
+    """Pegs and head hold the part where geometry alone says."""
+    push = simulate(seated_grasp(0), motion="quasistatic", derivatives=NAMES)
+    assert np.abs(list(push.derivatives.values())).max() < 1e-3
+
+
+def test_the_report_has_units():
+    push = simulate(free_push(SUPPORT), motion="quasistatic", derivatives=["mu_pusher", "x"])
+    assert list(push.derivatives) == ["mu_pusher", "x"]
+    assert "m per unit" in str(push)
+    assert push.summary()["derivatives"]["x"] == push.derivatives["x"].tolist()
+
+
+def test_derivatives_that_do_not_exist_are_said_to_be_missing():
+    """The modes of this grasp alternate."""
+    push = simulate(seated_grasp(578), motion="quasistatic", derivatives=["x"])
+    assert push.derivatives == {}
+    assert "no derivatives" in str(push)
+
+
+def test_inertia_has_no_derivatives():
+    with pytest.raises(InvalidInput, match="derivatives: found dynamic motion") as refused:
+        simulate(grasp(), derivatives=["mu_pusher"])
+    assert refused.value.hint == 'motion="quasistatic"'
+
+
+def test_parameters_without_one_value_are_refused():
+    with pytest.raises(InvalidInput, match="ellipsoid_force"):
+        simulate(grasp(), motion="quasistatic", derivatives=["ellipsoid_force"])
+    with pytest.raises(InvalidInput, match="mu_pushr"):
+        simulate(grasp(), motion="quasistatic", derivatives=["mu_pushr"])
