@@ -1,13 +1,15 @@
-"""Random grasps that end seated, stalled or beside their pegs: how many are wrong.
+"""Random grasps that end seated, stalled or beside their pegs: how many are wrong, or flagged.
 
 ``python -m benchmarks seated``. New grasps, both motion models. Every default answer is compared
 with fixed steps of a millisecond. Those that differ are suspects and are simulated again with both
 fixed-step steppers at a tenth of a millisecond, which share no decision with the adaptive one.
+A wrong answer is silent if its `accuracy` is not uncertain.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -16,7 +18,7 @@ from benchmarks.accuracy import apart
 from benchmarks.figures import Figure, Size, at_most
 from benchmarks.varied import MOTIONS, final
 from fixel.model import Body, Disk, Fixel, LineDrive, Polygon, Pusher, Scene, Tripod
-from fixel.simulation import Midpoint, StewartTrinkle
+from fixel.simulation import Midpoint, Simulation, StewartTrinkle, simulate
 from fixel.simulation.motion import AbstractMotionModel
 from fixel.testing.scenes import FIXEL_RADIUS, STALL_FORCE, box, row
 from fixel.typing import FloatArray
@@ -77,14 +79,20 @@ def _apart(one: FloatArray, other: FloatArray) -> float:
     return worst if math.isfinite(worst) else math.inf
 
 
-def _suspects(n: int, motion: AbstractMotionModel) -> Iterator[tuple[int, FloatArray, str]]:
-    """Yield seed, default answer and status of the grasps to be judged."""
+def _suspects(
+    n: int, motion: AbstractMotionModel, verdicts: Counter[str]
+) -> Iterator[tuple[int, FloatArray, Simulation]]:
+    """Yield seed, last pose and default answer of the grasps to be judged; counts verdicts of
+    all."""
     for seed in range(n):
         scene = seated_grasp(seed)
-        pose, status = final(scene, motion)
+        push = simulate(scene, motion=motion, accuracy=True)
+        assert push.accuracy is not None
+        verdicts[push.accuracy.verdict] += 1
+        pose = np.array(push.final["object"])
         coarse, _ = final(scene, motion, StewartTrinkle(step=STEP))
-        if status != "converged" or _apart(pose, coarse) > SUSPECT:
-            yield seed, pose, status
+        if not push.converged or _apart(pose, coarse) > SUSPECT:
+            yield seed, pose, push
         if (seed + 1) % REPORTED == 0:
             print(f"      {motion.name}: {seed + 1} of {n} grasps", flush=True)
 
@@ -97,12 +105,13 @@ def run(size: Size) -> list[Figure]:
     for motion in MOTIONS:
         name = f"{n} seated grasps, {motion.name}"
         wrong: list[float] = []
-        undecided = stopped = suspects = 0
-        for seed, pose, status in _suspects(n, motion):
+        undecided = stopped = suspects = silent = 0
+        verdicts: Counter[str] = Counter()
+        for seed, pose, push in _suspects(n, motion, verdicts):
             suspects += 1
-            if status != "converged":
+            if not push.converged:
                 stopped += 1
-                print(f"      {name}, grasp {seed}: {status}", flush=True)
+                print(f"      {name}, grasp {seed}: {push.status}", flush=True)
                 continue
             scene = seated_grasp(seed)
             judges = [
@@ -115,9 +124,11 @@ def run(size: Size) -> list[Figure]:
             between = _apart(judges[0][0], judges[1][0])
             print(
                 f"      {name}, grasp {seed}: off by {error:.3g} mm or deg; the fixed steps "
-                f"({ended}) are {between:.3g} apart",
+                f"({ended}) are {between:.3g} apart; {push.accuracy}",
                 flush=True,
             )
+            flagged = push.accuracy is not None and push.accuracy.verdict == "uncertain"
+            silent += not flagged
             if between <= SUSPECT:
                 wrong.append(error)
             else:
@@ -126,6 +137,17 @@ def run(size: Size) -> list[Figure]:
             Figure(
                 f"{name}, off by more than 0.5 mm or deg", "-", (float(len(wrong)),), at_most(0.0)
             ),
+            Figure(f"{name}, off and not flagged", "-", (float(silent),), at_most(0.0)),
+            Figure(
+                f"{name}, flagged",
+                "%",
+                (100.0 * verdicts["uncertain"] / n,),
+                at_most(2.0),
+            ),
+            *[
+                Figure(f"{name}, {verdict}", "%", (100.0 * verdicts[verdict] / n,))
+                for verdict in ("certified", "agreed")
+            ],
             Figure(f"{name}, worst of those", "mm or deg", (max(wrong, default=0.0),)),
             Figure(f"{name}, stopped early", "-", (float(stopped),), at_most(0.0)),
             Figure(f"{name}, off, but fixed steps differ", "-", (float(undecided),)),
