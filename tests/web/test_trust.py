@@ -332,9 +332,9 @@ def test_a_map_for_every_threshold(bench, name):
     assert (panel["across"]["name"], panel["up"]["name"]) == ("offset_y_m", "shape")
     assert len(panel["rows"]) == len(panel["up"]["ticks"]) == 2
     assert len(panel["rows"][0]) == len(panel["across"]["ticks"])
-    (cells,) = view["cells"]
+    (cells,) = view["verdicts"]
     assert all(
-        one["within"] == (one["error"] <= view["threshold"])
+        one["within"] == (one["error"] <= view["claim"]["threshold"])
         for cell in cells
         for one in cell["experiments"]
     )
@@ -348,17 +348,19 @@ def test_more_is_within_a_larger_threshold(bench, name):
     chances = []
     for threshold in (1.0, 3.0, 10.0, 30.0):
         shown = bench.get(f"/domain/{name}?threshold={threshold}")
-        values = [cell["chance"] for cell in chain(*shown["cells"]) if cell["chance"] is not None]
+        values = [
+            cell["chance"] for cell in chain(*shown["verdicts"]) if cell["chance"] is not None
+        ]
         assert all(0.0 <= p <= 1.0 for p in values)
         chances.append(np.array(values))
-        assert sum(int(n) for _, n in shown["figures"][:-1]) == sum(map(len, shown["cells"]))
+        assert sum(int(n) for _, n in shown["figures"][:-1]) == sum(map(len, shown["verdicts"]))
         assert f"--threshold-mm {threshold}" in shown["command"]
     assert all((b >= a - 1e-3).all() for a, b in pairwise(chances))
 
 
 def test_it_is_the_map_that_was_kept(bench, name, project):
     kept = json.loads((project / "analyses" / name / "analysis.json").read_text())["numbers"]
-    cells = list(chain(*bench.get(f"/domain/{name}")["cells"]))
+    cells = list(chain(*bench.get(f"/domain/{name}")["verdicts"]))
     assert [cell["colour"] for cell in cells] == [cell["colour"] for cell in kept["cells"]]
     for shown, cell in zip(cells, kept["cells"], strict=True):
         assert shown["chance"] == (

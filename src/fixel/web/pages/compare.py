@@ -63,14 +63,13 @@ class ShownSlider(NamedTuple):
 def compare_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     """Fill `/compare?experiment=KEY&set=ID&base=ID&motion=NAME&PARAMETER=VALUE`.
 
-    `base` is the set that the sliders were moved to; values of other parameters are in the units of
-    the sliders. Buttons add `adopt`, `pin` or `drop`.
+    Sliders start at the set `base`; values have their units. Buttons add `adopt`, `pin` or `drop`.
     """
     query, known = request.query_params, context.comparison
     key = query.get("experiment", "")
     # The list of experiments is no part that is exchanged while a slider moves.
-    parts_only = key and "x-fixel-parts" in request.headers
-    listed = [] if parts_only else context.store.experiments(ExperimentQuery(limit=OFFERED)).rows
+    most = 0 if key and "x-fixel-parts" in request.headers else OFFERED
+    listed = context.store.experiments(ExperimentQuery(limit=most)).rows if most else []
     if not key and not listed:
         raise NotStored("experiment to compare", hint="import some with: fixel import")
     number = context.store.find(key) if key else listed[0].id
@@ -79,8 +78,7 @@ def compare_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     chosen = _chosen(query.getlist("set"), offered)
     base = offered["nominal"]
     if "base" not in query:  # what a calibration changed is what one looks for
-        calibrated = calibrated_of(offered.values())
-        base = calibrated or base
+        base = (calibrated := calibrated_of(offered.values())) or base
         chosen = [offered["nominal"], *([calibrated] if calibrated else [])]
     every = offered | {one.id: one for one in chosen}
     base = every.get(query.get("adopt") or query.get("base", ""), base)
@@ -104,7 +102,6 @@ def compare_page(context: ProjectContext, request: Request) -> dict[str, Any]:
     cold = not ready.wait(PATIENCE)
     rows = [_row(context, number, one, sliders, cold) for one in (adjusted, *chosen)]
     motions = _motions(rows)
-    errors = [row.answer.error_mm2 for row in rows if row.answer and row.answer.error_mm2]
     return {
         "title": f"Compare {experiment.key}",
         "number": number,
@@ -117,7 +114,7 @@ def compare_page(context: ProjectContext, request: Request) -> dict[str, Any]:
         "rows": rows,
         "cold": cold,
         "drawn": [motion.id for motion in motions],
-        "best": min(errors, default=None),
+        "best": min((e for r in rows if r.answer and (e := r.answer.error_mm2)), default=None),
         "measured_mode": experiment.contact_mode,
         "sliders": sliders,
         "motion": motion,

@@ -86,16 +86,14 @@ class MapDocument(Answer):
 
     name: str
     title: str
-    threshold: float
-    level: float
-    confidence: float
+    claim: Claim
     unit: str = Field(description="unit of thresholds and errors: mm, or empty for relative errors")
     low: float = Field(description="smallest useful threshold; errors below it are noise")
     high: float
     groups: list[str] = Field(description="names of the groups, one map for each")
     panels: list[DomainPanel]
     centre: int = Field(description="index of the nominal cell")
-    cells: list[list[MapCell]] = Field(description="cells by group and index")
+    verdicts: list[list[MapCell]] = Field(description="verdicts on cells, by group and index")
     figures: list[tuple[str, str]] = Field(description="counts of cells, with their titles")
     remarks: list[str] = Field(description="sentences about experiments and maps left out")
     simulated: bool
@@ -104,7 +102,7 @@ class MapDocument(Answer):
     @property
     def slider(self) -> int:
         """Place of the threshold between the lowest and the highest one, on a logarithmic scale."""
-        share = np.log(self.threshold / self.low) / np.log(self.high / self.low)
+        share = np.log(self.claim.threshold / self.low) / np.log(self.high / self.low)
         return round(STEPS * float(share))
 
 
@@ -225,16 +223,14 @@ def document(view: MapView, claim: Claim, folder: Path) -> MapDocument:
     return MapDocument(
         name=view.kept.folder.name,
         title=view.kept.analysis.title,
-        threshold=claim.threshold,
-        level=claim.level,
-        confidence=claim.confidence,
+        claim=claim,
         unit="mm" if domain.measure == "absolute" else "",
         low=low,
         high=max(high, 1.1 * low),
         groups=list(groups),
         panels=_panels(cells),
         centre=cells.nominal,
-        cells=[
+        verdicts=[
             [
                 MapCell(
                     where=cells.text(c),
@@ -355,9 +351,9 @@ def shown_map(view: MapView, query: Mapping[str, str], folder: Path) -> dict[str
     # The cell that was clicked now, or else before.
     group, _, cell = (query.get("cell") or query.get("picked") or "").partition(" ")
     known = group.isdecimal() and cell.isdecimal() and int(group) < len(drawn.groups)
-    at_once = len(drawn.cells) * len(drawn.cells[0]) <= AT_ONCE or bool(query.get("suggest"))
+    at_once = len(drawn.verdicts) * len(drawn.verdicts[0]) <= AT_ONCE or bool(query.get("suggest"))
     return {
         "drawn": drawn,
-        "picked": (int(group), int(cell)) if known and int(cell) < len(drawn.cells[0]) else None,
+        "picked": (int(group), int(cell)) if known and int(cell) < len(drawn.verdicts[0]) else None,
         "suggested": suggested(view, claim) if at_once else None,
     }
