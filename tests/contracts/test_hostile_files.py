@@ -90,7 +90,9 @@ class Watch:
                 opened = arguments[-1] if event in ("os.remove", "os.rmdir", "os.mkdir") else -1
                 front = os.readlink(f"/proc/self/fd/{opened}") if opened > 2 else ""
                 name = os.path.realpath(os.path.join(front, os.fsdecode(path)))
-                if not name.startswith((str(self.place), *ALLOWED)):
+                # Python writes bytecode of a module that nothing has imported yet.
+                own = name.startswith((str(self.place), *ALLOWED)) or "/__pycache__/" in name
+                if not own:
                     self.seen.append(f"{event} {name}")
 
     @staticmethod

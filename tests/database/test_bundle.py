@@ -317,9 +317,9 @@ def test_a_member_twice(bundle):
 def test_bombs(bundle):
     path, store = bundle
     members = members_of(path)
-    refused(path, store, "larger content", limits=replace(LIMITS, total=1000))
-    refused(path, store, "members", limits=replace(LIMITS, members=0))
-    refused(path, store, "fit in memory", limits=replace(LIMITS, in_memory=100))
+    refused(path, store, "larger content", limits=LIMITS._replace(total=1000))
+    refused(path, store, "members", limits=LIMITS._replace(members=0))
+    refused(path, store, "fit in memory", limits=LIMITS._replace(in_memory=100))
     zeros = bytes(5_000_000)
     digest = hashlib.sha256(zeros).hexdigest()
     write(path, members | {f"media/{digest[:2]}/{digest}": zeros})

@@ -175,7 +175,7 @@ def load_goal(path: str | Path) -> GoalFile:
     Examples
     --------
     >>> from pathlib import Path
-    >>> text = "fixel: 1\\ngoal: {pose: {pose_mm_deg: [180, 0, 0], position_mm: 2}}\\n"
+    >>> text = "fixel: 1\ngoal: {pose: {pose_mm_deg: [180, 0, 0], position_mm: 2}}\n"
     >>> _ = Path("goal.yaml").write_text(text)
     >>> print(load_goal("goal.yaml").goal)
     the part within 2 mm of (180, 0) mm, 0 deg
