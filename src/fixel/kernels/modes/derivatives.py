@@ -239,18 +239,50 @@ def differentiate_batch(
 
 
 @allocating_kernel
+def _jump(state: FloatArray, before: FloatArray, after: FloatArray, times: FloatArray) -> None:
+    """Add the change of velocity at an event times the derivatives of its time, which are spent."""
+    for column in range(times.size):
+        for i in range(3):
+            state[i, column] += (before[i] - after[i]) * times[column]
+        times[column] = 0.0
+
+
+@allocating_kernel
+def _advance(state: FloatArray, slope: FloatArray, span: float, stage: FloatArray) -> None:
+    """Integrate the linear equation of the derivatives over a step by the classical method of Runge
+    and Kutta; `slope` has its factors at the start, in the middle and at the end."""
+    trial = state.copy()
+    for k in range(4):
+        here = slope[(k + 1) // 2]
+        for column in range(state.shape[1]):
+            for i in range(3):
+                total = here[i, column] if column >= 3 else 0.0
+                for j in range(3):
+                    total += here[i, j] * trial[j, column]
+                stage[k, i, column] = total
+        reach = 0.5 * span if k < 2 else span
+        for column in range(state.shape[1]):
+            for i in range(3):
+                trial[i, column] = state[i, column] + reach * stage[k, i, column]
+    for column in range(state.shape[1]):
+        for i in range(3):
+            middle = stage[1, i, column] + stage[2, i, column]
+            ends = stage[0, i, column] + stage[3, i, column]
+            state[i, column] += (span / 6.0) * (ends + 2.0 * middle)
+
+
+@allocating_kernel
 def _differentiate(
-    batch: Batch, base: int, method: StepMethod, tape: Tape, counts: IntArray, result: FloatArray
+    batch: Batch, base: int, method: StepMethod, tape: Tape, counts: IntArray, state: FloatArray
 ) -> bool:
-    """Differentiate rollout `base`; False where there is no derivative."""
+    """Write the derivatives of rollout `base` into zeros; False where there are none."""
     model = select(batch, base)
     start = batch.pose[batch.begin[base, BODY] : batch.begin[base, BODY] + batch.count[base, BODY]]
     problem, work = allocate(model, method.max_contacts)
     mode = empty_mode(model)
     measure(model, mode, start)
     mode.number[DURATION] = batch.settings[base, SETTING_DURATION]
-    wide = result.shape[1]
-    state = np.zeros((3, wide))
+    wide = state.shape[1]
     for i in range(3):
         state[i, i] = 1.0
     times = np.zeros(wide)
@@ -258,115 +290,52 @@ def _differentiate(
     velocity = np.zeros(3)
     slope = np.zeros((3, 3, wide))
     stage = np.zeros((4, 3, wide))
-    trial = np.zeros((3, wide))
     q = np.zeros(4)
     x = np.zeros(4)
-    number = 0
     step = 0
-    while number < counts[MODES]:
+    for number in range(counts[MODES]):
         row = tape.mode[number]
-        number += 1
-        if row[KIND] < 0.0:
-            continue
+        first = step
+        while step < counts[STEPS] and tape.step[step, OF_MODE] == number:
+            step += 1
+        if row[KIND] < 0.0 or (row[KIND] == 0.0 and step == first):
+            continue  # a mode that did not hold
         for i in range(3):
-            velocity[i] = 0.0
-        if row[KIND] == 0.0:
-            if not (step < counts[STEPS] and tape.step[step, OF_MODE] == number - 1):
-                continue  # a mode that did not hold
-            for i in range(3):
-                velocity[i] = tape.step[step, SLOPES + i]
-        # The jump from the mode before, at the time when it ended.
-        for column in range(wide):
-            for i in range(3):
-                state[i, column] += (before[i] - velocity[i]) * times[column]
-            times[column] = 0.0
+            velocity[i] = tape.step[first, SLOPES + i] if step > first else 0.0
+        _jump(state, before, velocity, times)
         for i in range(3):
             before[i] = velocity[i]
         _load_mode(mode, row)
         which = int(row[EVENT])
-        if row[KIND] == 1.0 and which == OPEN and number < counts[MODES]:
+        clock = row[BEGIN]
+        if step == first:
+            # At rest, up to the gap that closes where the next mode begins.
             for i in range(3):
-                q[i] = row[POSE + i]
-            q[3] = tape.mode[number, BEGIN]
-            set_motion(model, mode, row[BEGIN])
+                x[i] = row[POSE + i]
+            x[3] = tape.mode[min(number + 1, counts[MODES] - 1), BEGIN]
+            set_motion(model, mode, clock)
             mode.size[N_CLOSED] = 0
-            if not _event_times(
-                batch,
-                base,
-                model,
-                mode,
-                q,
-                row[BEGIN],
-                before,
-                OPEN,
-                state,
-                start,
-                work,
-                problem,
-                times,
-            ):
-                return False
-        while step < counts[STEPS] and tape.step[step, OF_MODE] == number - 1:
-            own = tape.step[step]
+        for k in range(first, step):
+            own = tape.step[k]
             h = _load_step(mode, own, q)
-            set_motion(model, mode, own[START])
-            part = own[PART]
-            for k in range(3):
-                dense(mode, q, h, 0.5 * k * part, x)
-                if not _slopes(batch, base, model, mode, x, own[START], start, slope[k]):
+            clock = own[START]
+            set_motion(model, mode, clock)
+            for part in range(3):
+                dense(mode, q, h, 0.5 * part * own[PART], x)
+                if not _slopes(batch, base, model, mode, x, clock, start, slope[part]):
                     return False
-            span = h * part
-            for k in range(4):
-                here = slope[(k + 1) // 2]
-                for column in range(wide):
-                    for i in range(3):
-                        total = state[i, column]
-                        if k > 0:
-                            total += span * (0.5 if k < 3 else 1.0) * stage[k - 1, i, column]
-                        trial[i, column] = total
-                for column in range(wide):
-                    for i in range(3):
-                        total = here[i, column] if column >= 3 else 0.0
-                        for j in range(3):
-                            total += here[i, j] * trial[j, column]
-                        stage[k, i, column] = total
-            for column in range(wide):
-                for i in range(3):
-                    state[i, column] += (span / 6.0) * (
-                        stage[0, i, column]
-                        + 2.0 * stage[1, i, column]
-                        + 2.0 * stage[2, i, column]
-                        + stage[3, i, column]
-                    )
-            step += 1
-            if part < 1.0 or step == counts[STEPS] or tape.step[step, OF_MODE] != number - 1:
-                for i in range(4):
-                    q[i] = x[i]
-                if not solve_mode(model, mode, q):
-                    return False
-                for i in range(3):
-                    before[i] = mode.velocity[i]
-                if which >= 0 and not _event_times(
-                    batch,
-                    base,
-                    model,
-                    mode,
-                    q,
-                    own[START],
-                    before,
-                    which,
-                    state,
-                    start,
-                    work,
-                    problem,
-                    times,
-                ):
-                    return False
+            _advance(state, slope, h * own[PART], stage)
+        if step > first:
+            if not solve_mode(model, mode, x):
+                return False
+            for i in range(3):
+                before[i] = mode.velocity[i]
+        if which >= 0 and not _event_times(
+            batch, base, model, mode, x, clock, before, which, state, start, work, problem, times
+        ):
+            return False
     # A part that stalls stops where the last mode ended.
-    for column in range(wide):
-        for i in range(3):
-            state[i, column] += before[i] * times[column]
     for i in range(3):
-        for column in range(wide):
-            result[i, column] = state[i, column]
+        velocity[i] = 0.0
+    _jump(state, before, velocity, times)
     return True

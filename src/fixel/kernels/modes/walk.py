@@ -91,6 +91,9 @@ SUDDEN = 4  # 1 where the drive stalls at once as a mode ends
 ROOT = 1e-12
 TOUCH = 1e-10  # gap that closes
 
+# How a mode ended, where none of its margins did.
+CLOCK_RAN_OUT = -1
+FOLDED = -2  # it has no solution any more
 # Columns of `Tape.mode`.
 BEGIN = 0
 KIND = 1
@@ -265,7 +268,7 @@ def find_end(
     problem: Problem,
 ) -> int:
     """Go to where the smallest margin vanishes between the parts a and b of a step, by false
-    position and bisection; returns which margin, -2 for none."""
+    position and bisection; returns which margin, or FOLDED."""
     point = mode.point[2]
     above = 1e-9
     if a > 0.0:
@@ -274,7 +277,7 @@ def find_end(
         above = max(above, 1e-12)
     below = low
     side = 0
-    which = -2
+    which = FOLDED
     narrow = ROOT / max(h, 1e-3)
     for n in range(80):
         if b - a < narrow:
@@ -299,7 +302,7 @@ def find_end(
     _, which = look(model, mode, point, work, problem, True)
     for i in range(4):
         q[i] = point[i]
-    return which if which >= 0 else -2
+    return which if which >= 0 else FOLDED
 
 
 @kernel
@@ -312,7 +315,7 @@ def write_mode(mode: ContactMode, q: FloatArray, kind: int, counts: IntArray, ta
     row[KIND] = kind
     row[CLOSED] = mode.size[N_CLOSED]
     row[STICKING] = mode.size[PIVOT]
-    row[EVENT] = -1.0
+    row[EVENT] = CLOCK_RAN_OUT
     for i in range(3):
         row[POSE + i] = q[i]
     for c in range(MOST):
@@ -351,7 +354,7 @@ def follow(
     tape: Tape,
 ) -> int:
     """Integrate one mode to its end or to the end of the clock; returns the margin that ended it,
-    -1 for the clock, -2 for a fold."""
+    CLOCK_RAN_OUT or FOLDED."""
     number = mode.number
     end = mode.point[0]
     point = mode.point[2]
@@ -363,7 +366,7 @@ def follow(
     while True:
         left = number[CLOCK_END] - q[3]
         if left <= 1e-12:
-            return -1
+            return CLOCK_RAN_OUT
         last = h >= left
         h = min(h, left)
         for i in range(9):
@@ -375,7 +378,7 @@ def follow(
             h *= 0.3 if math.isinf(error) else max(0.2, 0.9 * (ACCURACY / error) ** 0.2)
             counts[REJECTED] += 1
             if h < SHORTEST:
-                return -2
+                return FOLDED
             continue
         if last:
             end[3] = number[CLOCK_END]
@@ -422,7 +425,7 @@ def follow(
         for i in range(4):
             q[i] = end[i]
         if not settle(model, mode, q):
-            return -2
+            return FOLDED
         mode.margin[OPEN] = now_open
         was_open = now_open
         for i in range(N_MARGIN):
@@ -590,7 +593,7 @@ def _follow_piece(
             tape.mode[counts[MODES] - 1, EVENT] = ended
         if ended == DRIVE:
             return STALLED
-        if ended == -2:
+        if ended == FOLDED:
             # The velocity vanishes, or the mode has no solution any more: what follows is a jump.
             counts[FOLDS] += 1
             if counts[FOLDS] > MOST_FOLDS:
