@@ -174,7 +174,7 @@ def test_a_sample_within_a_budget_is_the_one_that_the_command_draws(bench, proje
 
 @pytest.mark.system
 def test_one_is_stopped_and_goes_on(bench, project):
-    job = begun(bench, name="long", max_evaluations=1_000_000, starts=3, optimiser="pattern-search")
+    job = begun(bench, name="long", max_evaluations=1_000_000, starts=20, optimiser="pattern-search")
     name = job["name"]
     folder = project / "jobs" / name
     seen = awaited(bench, name, lambda seen: seen["evaluations"] >= 5)
@@ -184,7 +184,7 @@ def test_one_is_stopped_and_goes_on(bench, project):
     # Ctrl-C in the server's terminal goes to the server's session.
     assert os.getsid(pid) != os.getsid(0)
     again = {"experiments": ["6", "7"], "fit": FIT, "mode": "joint", "verdicts": False}
-    again |= {"name": "long", "max_evaluations": 1_000_000, "starts": 3}
+    again |= {"name": "long", "max_evaluations": 1_000_000, "starts": 20}
     again |= {"optimiser": "pattern-search"}
     assert bench.post("/run/calibrate", again, 409)
     assert bench.post(f"/jobs/{name}/cancel")["job"]["state"] == "cancelled"

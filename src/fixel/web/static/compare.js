@@ -12,7 +12,7 @@ inStep(player, charts);
 
 function show() {
   /** @type {import("./motion.js").MotionDocument} */
-  const story = JSON.parse(at("story").textContent ?? "");
+  const story = JSON.parse(at("story").dataset.story ?? "");
   if (player.motions.length) player.setMotions(story.motions.map((packed) => new Motion(packed)), { keepTime: true });
   else player.show(story);
   charts.show(usualPanels(at("charts"), player.motions, player.object), [player.start, player.end]);

@@ -23,7 +23,7 @@ let newest = "";
 
 /** Shows the motions that the page holds: the measured one and simulations. */
 function show() {
-  const text = document.getElementById("story")?.textContent;
+  const text = document.getElementById("story")?.dataset.story;
   if (!text || text === newest) return;
   newest = text;
   const story = JSON.parse(text);
