@@ -174,7 +174,9 @@ def test_a_sample_within_a_budget_is_the_one_that_the_command_draws(bench, proje
 
 @pytest.mark.system
 def test_one_is_stopped_and_goes_on(bench, project):
-    job = begun(bench, name="long", max_evaluations=1_000_000, starts=20, optimiser="pattern-search")
+    job = begun(
+        bench, name="long", max_evaluations=1_000_000, starts=20, optimiser="pattern-search"
+    )
     name = job["name"]
     folder = project / "jobs" / name
     seen = awaited(bench, name, lambda seen: seen["evaluations"] >= 5)

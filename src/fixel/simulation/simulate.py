@@ -101,8 +101,7 @@ def simulate(
         Whether to raise `SolveFailed` instead of returning a simulation that stopped early.
     accuracy : bool
         Whether to solve the scene in a second, independent way and compare both ends; see
-        `Accuracy`. It takes as long again for quasi-static motion of one part, and ten to thirty
-        times as long for other motion.
+        `Accuracy`. It takes about five times as long, and ten times for motion with inertia.
     derivatives : sequence of str
         Parameters, or ``"x"``, ``"y"`` and ``"theta"`` of the start pose, by which to differentiate
         the end; for quasi-static motion of one part.
