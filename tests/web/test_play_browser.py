@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import time
-from statistics import median
 
 import pytest
 
@@ -13,7 +12,6 @@ from fixel.web.views import scene_editor
 
 pytestmark = pytest.mark.system
 
-ROUND_TRIP = 100.0  # [ms]
 FRAMES = 30.0  # a second
 # Milliseconds from the step of a slider until its page shows the answer.
 TRIP = """async ([id, steps]) => {
@@ -139,16 +137,15 @@ def the_wheel_zooms_a_drag_pans_and_a_double_click_shows_everything(compare):
 # --- compare ----------------------------------------------------------------------------------
 
 
-def test_a_slider_has_a_new_simulation_within_100_ms(compare, server):
+def test_a_slider_has_a_new_simulation(compare, server):
     before = compare.locator("tr[data-set=adjusted] td").first.inner_text()
-    trips = [compare.evaluate(TRIP, ["slide-mu_pusher", 10]) for _ in range(8)]
-    print("round trips [ms]:", trips)
+    for _ in range(8):  # `benchmarks.web_play` measures how long it takes
+        compare.evaluate(TRIP, ["slide-mu_pusher", 10])
     now = compare.input_value("#value-mu_pusher")
     compare.locator("#slide-mu_pusher").focus()
     compare.keyboard.press("Shift+ArrowRight")
     assert float(compare.input_value("#value-mu_pusher")) > float(now)
     assert compare.locator("tr[data-set=adjusted] td").first.inner_text() != before
-    assert median(trips) < 2 * ROUND_TRIP  # of a machine that does much else beside
     sets_are_pinned_removed_brought_back_and_kept(compare, server)
 
 
