@@ -52,10 +52,13 @@ BAD = {
     "answers NaN": ("pose[2][0] = float('nan')", "not finite"),
     "answers too little": ("del pose[-1]", "shape"),
     "answers texts": ("pose = 'forward'", "without a table of poses"),
-    "answers no JSON": ("print('hello'); continue", "expected a JSON object"),
+    "answers no JSON": ("print('hello', flush=True); continue", "expected a JSON object"),
     "answers half a line": ("print('{{\"pose\": [[', end='', flush=True); os._exit(0)", "status 0"),
     "answers without end": ("print('x' * (80 << 20), end='', flush=True)", "more than 64 MB"),
-    "answers a deep nesting": ("print('[' * 90000 + ']' * 90000); continue", "expected a JSON"),
+    "answers a deep nesting": (
+        "print('[' * 90000 + ']' * 90000, flush=True); continue",
+        "expected a JSON",
+    ),
     "answers deep poses": (
         "print('{{\"pose\": ' + '[' * 500 + ']' * 500 + '}}', flush=True); continue",
         "without a table of poses",
