@@ -56,15 +56,20 @@ def rollout_in_threads(
     if n_threads < 1:
         raise InvalidInput("threads", found=threads, expected="at least 1")
     roll = partial(kernel.rollout_batch, batch, method, record, every_step)
+
+    def roll_and_then(first: int, last: int) -> None:
+        roll(first, last)
+        if shared and not record.total[first, STOP]:
+            shared(first, last)
+
     size = max(1, min(MAX_RANGE, n // (4 * n_threads)))
     try:
-        nested = threading.current_thread().name.startswith(POOL_NAME)  # must not wait for itself
-        alone = n_threads == 1 or n < 2 or nested
+        alone = n_threads == 1 or n < 2 or _is_nested()
         shared = None if alone or n <= MAX_RANGE else then  # of few, it takes longer to share
         if alone:
             _run(partial(roll, 0, n), record)
         else:
-            _share(roll, shared, record, size, n_threads)
+            _share(roll_and_then, n, size, n_threads, lambda: record.total[:, STOP].fill(1.0))
         if then and not shared:
             for k in range(0, n, MAX_RANGE):
                 then(k, min(n, k + MAX_RANGE))
@@ -78,39 +83,16 @@ def rollout_in_threads(
 def in_ranges(call: Callable[[int, int], None], n: int, threads: int | None) -> None:
     """Call `call(first, last)` for ranges of `n` items, in threads; Ctrl-C ends after a range."""
     n_threads = cores() if threads is None else threads
-    starts = range(0, n, MAX_RANGE)
-    if (
-        n_threads == 1
-        or len(starts) < 2
-        or threading.current_thread().name.startswith(POOL_NAME)  # must not wait for itself
-    ):
-        for k in starts:
+    if n_threads == 1 or n <= MAX_RANGE or _is_nested():
+        for k in range(0, n, MAX_RANGE):
             call(k, min(n, k + MAX_RANGE))
-        return
-    left = deque(starts)
-    ended: SimpleQueue[BaseException | None] = SimpleQueue()
+    else:
+        _share(call, n, MAX_RANGE, n_threads)
 
-    def work() -> None:
-        problem = None
-        try:
-            while left:
-                with suppress(IndexError):  # another thread was faster
-                    k = left.popleft()
-                    call(k, min(n, k + MAX_RANGE))
-        except BaseException as found:
-            problem = found
-        finally:
-            ended.put(problem)
 
-    pool = _threads(n_threads)
-    futures = [pool.submit(work) for _ in range(min(n_threads, len(left)))]
-    try:
-        for _ in futures:
-            if problem := awaited(ended):
-                raise problem
-    finally:
-        left.clear()
-        wait(futures)
+def _is_nested() -> bool:
+    """Whether this is a thread of the pool, which must not wait for itself."""
+    return threading.current_thread().name.startswith(POOL_NAME)
 
 
 def cores() -> int:
@@ -120,13 +102,14 @@ def cores() -> int:
 
 
 def _share(
-    roll: Callable[[int, int], None],
-    then: Callable[[int, int], None] | None,
-    record: BatchRecord,
+    call: Callable[[int, int], None],
+    n: int,
     size: int,
     n_threads: int,
+    stop: Callable[[], None] = lambda: None,
 ) -> None:
-    n = len(record.status)
+    """Call `call(first, last)` for ranges of `size` of `n` items in threads; after a failure or
+    Ctrl-C `stop`, and wait for calls under way."""
     left = deque(range(0, n, size))
     ended: SimpleQueue[BaseException | None] = SimpleQueue()
 
@@ -138,10 +121,7 @@ def _share(
                     first = left.popleft()
                 except IndexError:  # another thread was faster
                     return
-                last = min(n, first + size)
-                roll(first, last)
-                if then and not record.total[first, STOP]:
-                    then(first, last)
+                call(first, min(n, first + size))
         except BaseException as found:
             problem = found
         finally:
@@ -155,7 +135,7 @@ def _share(
                 raise problem
     except BaseException:
         left.clear()
-        record.total[:, STOP] = 1.0
+        stop()
         wait(futures)
         raise
 
