@@ -90,7 +90,7 @@ def confirm(
         reached = ended == walk.COMPLETE
         if reached.any():
             other[reached] = shape_poses(packed, record.end[:, None, None, :3])[reached, 0]
-        # Where a drive stalls at once, it may as well go on: a third way tells whether it does.
+        # Where a drive stalls at once, it may as well go on: a third way decides.
         doubtful &= ~reached | (record.count[:, walk.SUDDEN] == 1)
     stopped = np.zeros(n, np.bool_)
     if doubtful.any():
@@ -145,7 +145,7 @@ def walked(
     record = walk.ModeRecord(
         status=np.zeros(n, np.int64),
         end=np.zeros((n, 4)),
-        count=np.zeros((n, 5), np.int64),
+        count=np.zeros((n, 4), np.int64),
         mode=np.zeros((n, modes, walk.MODE_WIDE)),
         step=np.zeros((n, steps, walk.STEP_WIDE)),
     )

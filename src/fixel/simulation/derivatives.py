@@ -19,7 +19,6 @@ from fixel.simulation.threads import in_ranges
 from fixel.simulation.vary import Variation
 from fixel.typing import BoolArray, FloatArray
 
-POSE: Final = ("x", "y", "theta")
 NUDGE: Final = 1e-4  # of a parameter, to differentiate the rows of contacts
 SMALLEST_NUDGE: Final = 1e-7  # of a parameter that is zero, in SI units
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from math import degrees
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
@@ -82,7 +82,7 @@ class PusherTrajectory(Trajectory):
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Accuracy:
-    """How far a second, independent way confirms the end of a simulation.
+    """Comparison of the end of a simulation with that of a second, independent way.
 
     Attributes
     ----------
@@ -336,7 +336,7 @@ class Simulation(Result):
 
     def _slopes(self) -> Table:
         """Derivatives of the end, each in units of the part's pose per unit of the parameter."""
-        units = {"x": "m", "y": "m", "theta": "rad"}
+        units = dict(zip(POSE_NAMES, ("m", "m", "rad"), strict=True))
         rows = [
             (name, units.get(name) or info_of(name).unit, *slope.tolist())
             for name, slope in (self.derivatives or {}).items()
@@ -390,13 +390,7 @@ class Simulation(Result):
         if self.simplified:
             answer["simplified"] = self.simplified
         if self.accuracy:
-            answer["accuracy"] = {
-                "verdict": self.accuracy.verdict,
-                "distance": self.accuracy.distance,
-                "angle": self.accuracy.angle,
-                "other": self.accuracy.other.tolist(),
-                "reason": self.accuracy.reason,
-            }
+            answer["accuracy"] = asdict(self.accuracy) | {"other": self.accuracy.other.tolist()}
         if self.derivatives is not None:
             answer["derivatives"] = {k: v.tolist() for k, v in self.derivatives.items()}
         return answer

@@ -34,7 +34,7 @@ from fixel.simulation.motion import AbstractMotionModel, OtherEngine, motion_mod
 from fixel.simulation.pack import PackedBatch, pack
 from fixel.simulation.plain import rollout_in_python
 from fixel.simulation.record import empty_record, shape_poses
-from fixel.simulation.result import CONTACT_FIELDS, PusherTrajectory, Simulation
+from fixel.simulation.result import CONTACT_FIELDS, POSE_NAMES, PusherTrajectory, Simulation
 from fixel.simulation.solver import SOLVERS, AbstractSolver, GaussSeidel, Lemke, Newton
 from fixel.simulation.stepper import STEPPERS, AbstractStepper, Adaptive
 from fixel.simulation.threads import rollout_in_threads
@@ -343,16 +343,16 @@ class Simulator:
                 expected="quasi-static motion of one body",
                 hint='motion="quasistatic"',
             )
-        from fixel.simulation.derivatives import POSE, end_derivatives, nudged
+        from fixel.simulation.derivatives import end_derivatives, nudged
 
-        own = [name for name in dict.fromkeys(names) if name not in POSE]
+        own = [name for name in dict.fromkeys(names) if name not in POSE_NAMES]
         nudges = nudged(scene, variation, own, 1)
         packed = pack(scene, self.motion, self.stepper, nudges, 1 + 2 * len(own), duration)
         start = scene.bodies[0].pose if variation.start is None else variation.start[0, 0]
         slope, there = end_derivatives(
             packed, self._method, nudges.parameters, own, np.array([start[2]]), threads=1
         )
-        columns = dict(zip([*POSE, *own], slope[0].T, strict=True))
+        columns = dict(zip([*POSE_NAMES, *own], slope[0].T, strict=True))
         return {name: columns[name] for name in names} if there[0] else {}
 
     def _record(

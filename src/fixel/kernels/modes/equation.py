@@ -25,7 +25,6 @@ from fixel.kernels.modes.geometry import (
     ROWS,
     SECOND,
     SLIP,
-    SOLVES,
     SPEED,
     SUPPORT,
     ContactMode,
@@ -58,10 +57,6 @@ def write_rows(model: Model, mode: ContactMode) -> int:
         if n + 2 + (1 if flush else 0) > 6:
             return -1
         nx, ny, px, py, gap, angle = place_contact(model, mode, c)
-        mode.place[c, 0] = nx
-        mode.place[c, 1] = ny
-        mode.place[c, 2] = px
-        mode.place[c, 3] = py
         rx = px - x
         ry = py - y
         turn_n = rx * ny - ry * nx
@@ -262,7 +257,6 @@ def _solve_sliding(model: Model, mode: ContactMode, n: int) -> bool:
             worst = max(worst, abs(vector[i]))
         if worst < SOLVED:
             break
-        mode.size[SOLVES] += 1
         if not solve_dense(mode.matrix, vector, 3 + n):
             return False
         part = TURN / abs(vector[1]) if polar and abs(vector[1]) > TURN else 1.0
@@ -285,7 +279,6 @@ def _solve_moved(model: Model, mode: ContactMode) -> bool:
         vector[k] = mode.right[k]
         for i in range(3):
             matrix[k, i] = mode.row[k, i]
-    mode.size[SOLVES] += 2
     if not solve_dense(matrix, vector, 3):
         return False
     largest = 0.0
@@ -375,31 +368,22 @@ def project(model: Model, mode: ContactMode, q: FloatArray) -> None:
     The rows must be those of the pose `q`.
     """
     count = 0
-    indices = mode.vector
     for k in range(mode.size[ROWS]):
         if mode.gap[k] != 0.0:
-            indices[count] = float(k)
+            mode.drifted[count] = k
             count += 1
     if count == 0 or count > 3:
         return
     matrix = mode.matrix
     right = mode.force
-    k0 = int(indices[0])
-    k1 = int(indices[1]) if count > 1 else k0
-    k2 = int(indices[2]) if count > 2 else k0
     for a in range(count):
-        ka = k0 if a == 0 else (k1 if a == 1 else k2)
-        right[a] = mode.gap[ka]
+        row = mode.row[mode.drifted[a]]
+        right[a] = mode.gap[mode.drifted[a]]
         for b in range(count):
-            kb = k0 if b == 0 else (k1 if b == 1 else k2)
-            matrix[a, b] = (
-                mode.row[ka, 0] * mode.row[kb, 0]
-                + mode.row[ka, 1] * mode.row[kb, 1]
-                + mode.row[ka, 2] * mode.row[kb, 2]
-            )
+            other = mode.row[mode.drifted[b]]
+            matrix[a, b] = row[0] * other[0] + row[1] * other[1] + row[2] * other[2]
     if not solve_dense(matrix, right, count):
         return
     for a in range(count):
-        ka = k0 if a == 0 else (k1 if a == 1 else k2)
         for i in range(3):
-            q[i] -= right[a] * mode.row[ka, i]
+            q[i] -= right[a] * mode.row[mode.drifted[a], i]

@@ -33,8 +33,7 @@ N_CLOSED = 0
 PIVOT = 1  # support element that sticks, or -1
 POLE = 2  # slowest support point, or -1
 ROWS = 3
-SOLVES = 4  # linear systems solved so far
-# Margins: so many of each contact, then those of the support, the drive and the open gaps.
+# Margins: `OWN` of each contact, then those of the support, the drive and the open gaps.
 OWN = 8
 SUPPORT = MOST * OWN
 DRIVE = SUPPORT + 1
@@ -57,7 +56,7 @@ class ContactMode(NamedTuple):
     """A mode with its solution and scratch."""
 
     contact: IntArray  # (MOST, 6)
-    size: IntArray  # (5,)
+    size: IntArray  # (4,)
     frame: FloatArray  # (n_body, 4) cosine and sine of the angle, x and y
     motion: FloatArray  # (3,) velocity of the pusher
     weight: FloatArray  # (n_element,) share of the friction limit
@@ -66,8 +65,9 @@ class ContactMode(NamedTuple):
     pull: FloatArray  # (6, 3) wrench for each unknown force
     push: FloatArray  # (6,) power of each unknown force at the pusher
     gap: FloatArray  # (6,) distance or angle that each row keeps at zero
+    drifted: IntArray  # (6,) rows whose gap is not zero
     tangent: FloatArray  # (MOST, 4) row of the slip, and its right side
-    place: FloatArray  # (MOST, 4) normal and point
+    proposed: FloatArray  # (MOST, 2) normal and tangential force of a mode that is read
     unknown: FloatArray  # (9,) slip, direction and spin about the pole; forces
     velocity: FloatArray  # (3,)
     force: FloatArray  # (6,)
@@ -87,7 +87,7 @@ def empty_mode(model: Model) -> ContactMode:
     """Allocate a mode for a model."""
     return ContactMode(
         contact=np.zeros((MOST, 6), np.int64),
-        size=np.zeros(5, np.int64),
+        size=np.zeros(4, np.int64),
         frame=np.zeros((model.friction.shape[0], 4)),
         motion=np.zeros(3),
         weight=np.zeros(model.element_body.size),
@@ -96,8 +96,9 @@ def empty_mode(model: Model) -> ContactMode:
         pull=np.zeros((6, 3)),
         push=np.zeros(6),
         gap=np.zeros(6),
+        drifted=np.zeros(6, np.int64),
         tangent=np.zeros((MOST, 4)),
-        place=np.zeros((MOST, 4)),
+        proposed=np.zeros((MOST, 2)),
         unknown=np.zeros(9),
         velocity=np.zeros(3),
         force=np.zeros(6),

@@ -227,21 +227,21 @@ def read_mode(
             own[FORM] = FLUSH
             own[ONE] = _facing(model, mode, own[FIRST], -nx, -ny)
             own[OTHER] = _facing(model, mode, own[SECOND], nx, ny)
-            mode.place[c - 1, 2] += normal
-            mode.place[c - 1, 3] += tangential
+            mode.proposed[c - 1, 0] += normal
+            mode.proposed[c - 1, 1] += tangential
             continue
         if c == MOST:
             return UNKNOWN
         if not _name_features(model, mode, c, problem, i):
             return UNKNOWN
-        mode.place[c, 2] = normal
-        mode.place[c, 3] = tangential
+        mode.proposed[c, 0] = normal
+        mode.proposed[c, 1] = tangential
         size[N_CLOSED] += 1
     for c in range(size[N_CLOSED]):
         own = mode.contact[c]
         rub = model.friction[0, model.piece_body[own[SECOND]]]
-        normal = mode.place[c, 2]
-        tangential = mode.place[c, 3]
+        normal = mode.proposed[c, 0]
+        tangential = mode.proposed[c, 1]
         own[SLIP] = 1 if tangential >= 0.0 else -1
         if abs(tangential) < rub * normal * (1.0 - INSIDE_CONE):
             own[SLIP] = 0

@@ -66,7 +66,6 @@ UNSUITED = 1  # not one free part under one pusher, or with what the modes do no
 NO_MODE = 2  # the proposed mode does not hold
 CHATTER = 3  # too many modes
 FOLD = 4  # a mode ended where none of its margins did
-UNSOLVED = 5  # the solver proposes nothing
 
 AHEAD = 1e-6  # how far ahead the next mode is looked for
 SECOND_LOOK = 1e-4  # and once more
@@ -85,9 +84,8 @@ FIRST_STEP = 0.05
 # Entries of the counts.
 MODES = 0
 STEPS = 1
-REJECTED = 2
-FOLDS = 3
-SUDDEN = 4  # 1 where the drive stalls at once as a mode ends
+FOLDS = 2
+SUDDEN = 3  # 1 where the drive stalls at once as a mode ends
 ROOT = 1e-12
 TOUCH = 1e-10  # gap that closes
 
@@ -128,7 +126,7 @@ class ModeRecord(NamedTuple):
 
     status: IntArray  # (n,) see COMPLETE
     end: FloatArray  # (n, 4) pose, and the pusher's clock
-    count: IntArray  # type: ignore[assignment]  # (n, 5) see MODES
+    count: IntArray  # type: ignore[assignment]  # (n, 4) see MODES
     mode: FloatArray  # (n, room, MODE_WIDE)
     step: FloatArray  # (n, room, STEP_WIDE)
 
@@ -277,7 +275,6 @@ def find_end(
         above = max(above, 1e-12)
     below = low
     side = 0
-    which = FOLDED
     narrow = ROOT / max(h, 1e-3)
     for n in range(80):
         if b - a < narrow:
@@ -376,7 +373,6 @@ def follow(
             for i in range(9):
                 mode.unknown[i] = mode.saved[i]
             h *= 0.3 if math.isinf(error) else max(0.2, 0.9 * (ACCURACY / error) ** 0.2)
-            counts[REJECTED] += 1
             if h < SHORTEST:
                 return FOLDED
             continue
