@@ -28,7 +28,7 @@ def overlay_page(view: LiveView, heading: str, path: str = "/overlay") -> Page:
         title="Placing",
         template="overlay.html",
         context={"heading": heading},
-        fill=lambda _: {"told": NOTHING | json.loads(view.report)},
+        fill=lambda _: {"report": NOTHING | json.loads(view.report)},
         router=view.router(),
         views=(view,),
     )

@@ -111,7 +111,7 @@ class RecordPreview:
                 "fixels": [{"name": name, "on": None} for name in self.fixels],
             },
             fill=lambda _: {
-                "told": NOTHING | json.loads(self.view.report),
+                "report": NOTHING | json.loads(self.view.report),
                 "stopping": self.stop_wanted,
             },
             router=self._router(),

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 OFFERED: Final = 300  # names in the list of experiments
 USUAL_SLIDERS: Final = 4
-MAX_SHOWN: Final = 6  # sets that can be told apart
+MAX_SHOWN: Final = 6  # sets with colours that differ clearly
 MOTIONS: Final = (DYNAMIC, "quasistatic", "first-order")
 PINNED: Final = "pinned-"
 PATIENCE: Final = 2.0  # [s] until the page is shown without simulations
