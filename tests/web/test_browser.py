@@ -98,6 +98,7 @@ def test_stop_ends_the_recording(page):
         while not preview.stop_wanted:  # the button is quicker than the request
             assert time.monotonic() < until
             time.sleep(0.01)
+        page.wait_for_function("() => document.querySelector('#stop').innerText === 'Stopping\u2026'")
         finished = preview.status(elapsed_s=76.0, frames=2280, lost=2, state="finished")
         preview.show(None, finished)
         page.wait_for_selector('#verdict[data-state="placed"]')

@@ -109,9 +109,15 @@ class LiveView:
         """
         report = json.dumps(status, allow_nan=False)
         drawing = None if picture is None else Drawing(picture, self._quality)
+        self._change(lambda old: LiveFrame(old.number + 1, drawing or old.drawing, report))
+
+    def repeat(self) -> None:
+        """Send the newest status again: its page shows something new."""
+        self._change(lambda old: old._replace(number=old.number + 1))
+
+    def _change(self, change: Callable[[LiveFrame], LiveFrame]) -> None:
         with self._lock:
-            number, old, _ = self._shot
-            self._shot = LiveFrame(number + 1, drawing or old, report)
+            self._shot = change(self._shot)
             waiting = list(self._waiting.items())
         _wake(waiting)
 

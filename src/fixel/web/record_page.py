@@ -124,6 +124,7 @@ class RecordPreview:
         @router.post("/stop")
         def stop() -> JSONResponse:
             self._stop.set()
+            self.view.repeat()  # a page fetched for it could arrive after a later status
             return JSONResponse({"stopping": True})
 
         return router

@@ -3,7 +3,7 @@
 
 import { complain, word } from "./api.js";
 import { at } from "./dom.js";
-import { exchange, renew } from "./page.js";
+import { exchange } from "./page.js";
 
 const SILENT_AFTER = 3000; // [ms]
 const path = document.body.dataset.path;
@@ -67,7 +67,6 @@ document.addEventListener("click", async ({ target }) => {
   try {
     const answer = await fetch(`${path}/stop`, { method: "POST", headers: { "X-Fixel-Word": word() } });
     if (!answer.ok) throw new Error(await answer.text());
-    await renew();
   } catch (problem) {
     target.disabled = false;
     complain(problem);
